@@ -93,6 +93,11 @@ class Instance:
                 raise ValueError(f"corners_xy must be (4, 2) float64, got {self.corners_xy.shape}")
             self.corners_xy.setflags(write=False)
 
+    @property
+    def is_crowd(self) -> bool:
+        """Whether this is COCO's `iscrowd`: a region of objects of a class that are not labelled singly."""
+        return bool(self.extra.get("iscrowd") == 1)
+
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values, from which `from_json` restores an equal instance."""
         return {

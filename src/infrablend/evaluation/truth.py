@@ -62,11 +62,6 @@ def image_key(image: ImageRecord) -> str:
     return f"{image.split}/{image.name}"
 
 
-def is_crowd(instance: Instance) -> bool:
-    """Return whether a label is COCO's `iscrowd`: a region of objects of a class that are not labelled singly."""
-    return bool(instance.extra.get("iscrowd") == 1)
-
-
 def truths(
     images: Iterable[ImageRecord],
     categories: Sequence[Category],
@@ -95,7 +90,7 @@ def truths(
             raise ValueError(f"{image.id}: size_wh must be known")
         objects: list[tuple[Instance, int, bool]] = []
         for i in image.instances:
-            if i.category in number and is_crowd(i):
+            if i.category in number and i.is_crowd:
                 counts["crowds" if ignore_regions else "crowds_left_out"] += 1
                 if ignore_regions:
                     objects.append((i, number[i.category], True))
@@ -152,7 +147,7 @@ def fingerprint(images: Iterable[ImageRecord]) -> str:
                     np.round(i.box_xyxy, 6).tolist(),
                     None if i.corners_xy is None else np.round(i.corners_xy, 6).tolist(),
                     None if i.mask is None else i.mask.counts,
-                    *(["crowd"] if is_crowd(i) else []),
+                    *(["crowd"] if i.is_crowd else []),
                 ]
                 for i in image.instances
             ],

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from infrablend.core.dataset import SPLITS, Category, ImageRecord, Split
+from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
 from infrablend.core.stored_images import StoredImages
 from infrablend.errors import DatasetError, Problem
+
+_SPLIT_WORDS: Mapping[str, Split] = {
+    "train": "train", "training": "train", "trainset": "train",
+    "val": "val", "valid": "val", "validation": "val", "valset": "val", "eval": "val", "evaluation": "val",
+    "minival": "val", "valminusminival": "val",
+    "test": "test", "testing": "test", "testset": "test", "testdev": "test",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,23 +71,52 @@ def ignored_by_class(categories: Iterable[Category]) -> set[str]:
     return {c.name for c in categories if c.ignore and not is_ignored_name(c.name)}
 
 
+def count_crowds(instances: Iterable[Instance], ignored: Collection[str]) -> int:
+    """Return the number of crowds in other categories than `ignored`, which a format marks as regions to ignore."""
+    return sum(i.is_crowd and i.category not in ignored for i in instances)
+
+
+def unmarked_regions(instances: Iterable[Instance], by_class: Collection[str]) -> int:
+    """Return the number of regions to ignore that a format without a mark for them turns into objects.
+
+    Args:
+        instances: Labels to write.
+        by_class: Categories to ignore whose name does not reveal it, see `ignored_by_class`.
+    """
+    return sum(i.category in by_class or (i.is_crowd and not is_ignored_name(i.category)) for i in instances)
+
+
 def split_of_stem(stem: str) -> Split:
-    """Return the split that the name of an annotation file suggests: `val`, `test`, else `train`."""
-    return next((s for s in ("val", "test") if s in stem.lower()), "train")
+    """Return the split that the name of an annotation file states, see `stated_split`, else `train`."""
+    return stated_split(stem) or "train"
+
+
+def stated_split(name: str) -> Split | None:
+    """Return the split that a word in a name states, such as `val2017` or `myTest`; None without one.
+
+    Only whole words count: `latest` and `valley` state no split. Of several splits the first in `SPLITS` counts.
+    """
+    words = re.split(r"[\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).casefold())
+    stated = {_SPLIT_WORDS[w] for w in words if w in _SPLIT_WORDS}
+    return next((s for s in SPLITS if s in stated), None)
 
 
 def shorten(problems: Sequence[Problem], each: int = 5) -> list[Problem]:
-    """Return the first `each` problems of every code and one with the number of the others, to shorten messages."""
+    """Return the first `each` problems of every code and one with the number of the others, to shorten messages.
+
+    The last one is a warning if all of the others are.
+    """
     seen: Counter[str] = Counter()
     kept: list[Problem] = []
+    left: list[Problem] = []
     for p in problems:
         seen[p.code] += 1
-        if seen[p.code] <= each:
-            kept.append(p)
-    rest = {code: n - each for code, n in sorted(seen.items()) if n > each}
-    if rest:
-        found = ", ".join(f"{n} more {code}" for code, n in rest.items())
-        kept.append(Problem("elsewhere", "more", found))
+        (kept if seen[p.code] <= each else left).append(p)
+    if left:
+        rest = Counter(p.code for p in left)
+        found = ", ".join(f"{n} more {code}" for code, n in sorted(rest.items()))
+        harmless = all(p.severity == "warning" for p in left)
+        kept.append(Problem("elsewhere", "more", found, severity="warning" if harmless else "error"))
     return kept
 
 

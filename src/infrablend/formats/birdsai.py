@@ -26,7 +26,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Sp
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, in_order, require_options
+from infrablend.formats.base import Match, check_splits, count_crowds, in_order, require_options
 from infrablend.formats.box_checks import check_box, snap
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
@@ -452,7 +452,8 @@ def write(
     ordered = in_order(images)
     losses: Counter[str] = Counter()
     species = _species_numbers(categories)
-    ignored = {c.name for c in categories if c.ignore and dont_care == "drop"}
+    regions = {c.name for c in categories if c.ignore}
+    ignored = regions if dont_care == "drop" else set()
     places = _places(ordered)
     folder_of = {split: name for name, split in _FOLDERS.items()}
     lines: dict[str, list[str]] = {}
@@ -464,7 +465,10 @@ def write(
         table = lines.setdefault(f"{folder_of[split]}/annotations/{sequence}.csv", [])
         for image in (ordered[n] for n in group):
             kept = [o for o in image.instances if o.category not in ignored]
+            if dont_care == "drop":
+                kept = [o for o in kept if not o.is_crowd]
             losses["ignore_dropped"] += len(image.instances) - len(kept)
+            losses["ignore_as_class"] += count_crowds(kept, regions)
             losses["empty_unsaid"] += not kept and image.extra.get("labelled", True) is True
             for o in kept:
                 table.append(_line(places[image.id][1], o, species, tracks[sequence], losses))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import corners_of_cxcywha, cxcywha_of_corners
+from infrablend.core.boxes import corners_of_cxcywha, cxcywha_of_corners, polygon_area
 from infrablend.errors import Problem
 
 # Oriented boxes may overhang the frame by this much without a warning: HIT-UAV's own reach 0.5 px.
@@ -54,6 +54,13 @@ def snap(value: float, size: int, tolerance: float = 1e-6) -> float:
     if -tolerance < value < 0:
         return 0.0
     return float(size) if size < value < size + tolerance else value
+
+
+def clockwise_corners(corners_xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return four corners clockwise on screen, from the first one on; some tools write them the other way round."""
+    if is_near(corners_xy.reshape(-1).tolist()) and polygon_area(corners_xy) < 0:
+        return corners_xy[[0, 3, 2, 1]]
+    return corners_xy
 
 
 def _show(numbers: Sequence[float]) -> str:

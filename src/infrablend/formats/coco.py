@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -47,11 +48,11 @@ from infrablend.formats.base import (
     split_of_stem,
     split_parts,
 )
-from infrablend.formats.box_checks import check_box, is_near
+from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
 from infrablend.formats.capture import Capture, Captures, find_table, read_table
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
-from infrablend.formats.pictures import PictureFolder, assign_ids, check_name
+from infrablend.formats.pictures import PictureFolder, assign_ids, check_name, read_size
 from infrablend.formats.temperatures import info_of_scale
 from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_share, to_size
 
@@ -331,8 +332,9 @@ def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) 
     if root.name == "coco":
         bases.append(root.parent)
     best, most = root, -1
+    last = stem.rpartition("_")[2]  # of person_keypoints_train2017
     for base in bases:
-        for part in (f"images/{split}", f"images/{stem}", split, stem, "images", "."):
+        for part in (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last):
             folder = base / part
             count = sum((folder / n).is_file() for n in names) if folder.is_dir() else 0
             if count > most:
@@ -371,6 +373,7 @@ def read(
     problems: list[Problem] = list(table.problems) if table else []
     captures = Captures(table, problems)
     categories: list[Category] = []
+    taken: set[tuple[Split, Path]] = set()
     found: list[tuple[str, ImageRecord]] = []
     for path, split in files.items():
         if split not in wanted:
@@ -388,7 +391,7 @@ def read(
             continue
         problems += [p for p in [too_long(where, "info", top.get("info"))] if p]
         folder = _picture_folder(root, path, split, _some_names(top["images"]))
-        found += read_records(top, folder, split, where, categories, captures, problems)
+        found += read_records(top, folder, split, where, categories, captures, problems, taken)
     ids = assign_ids([key for key, _ in found])
     images = [replace(record, id=ids[key]) for key, record in found]
     if not images:
@@ -408,6 +411,7 @@ def read_records(
     categories: list[Category],
     captures: Captures,
     problems: list[Problem],
+    taken: set[tuple[Split, Path]] | None = None,
 ) -> list[tuple[str, ImageRecord]]:
     """Return (name unique in the dataset, record without an id) for every usable picture of one file.
 
@@ -419,7 +423,9 @@ def read_records(
         categories: Categories of earlier files; new ones are appended.
         captures: Source of pitch and altitude.
         problems: List to which problems are appended.
+        taken: Pictures of earlier files, by split, which are left out; those of this file are added.
     """
+    earlier = frozenset(taken or ())
     names: dict[int, str] = {}
     for i, c in enumerate(top["categories"]):
         number = to_int(c.get("id")) if isinstance(c, dict) else None
@@ -445,6 +451,7 @@ def read_records(
     records: list[tuple[str, ImageRecord]] = []
     seen_names: set[str] = set()
     seen_ids: set[int] = set()
+    twice = twice_labels = measured = 0
     for i, r in enumerate(top["images"]):
         here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
         number = to_int(r.get("id")) if isinstance(r, dict) else None
@@ -462,11 +469,28 @@ def read_records(
             continue
         seen_names.add(name)
         seen_ids.add(number)
+        if (split, file) in earlier:
+            twice += 1
+            twice_labels += len(of_image.pop(number, ()))
+            continue
+        if taken is not None:
+            taken.add((split, file))
         size_wh = to_size(r.get("width"), r.get("height"))
+        if size_wh is None:
+            size_wh, fault = read_size(file, here)
+            problems += [fault] if fault else []
+            measured += size_wh is not None
         annotations = [pickle.loads(a) for a in of_image.pop(number, ())]
         instances = _read_annotations(annotations, names, size_wh, where, problems)
         image = _image(r, number, name, file, split, size_wh, instances, captures, here)
         records.append((f"{split}/{name}", replace(image, radiometry=_read_scale(r, top, here, problems))))
+    if twice:
+        found = f"{twice} picture(s) that another annotation file contains too; left out here"
+        found += f" with {twice_labels} annotation(s)"
+        problems.append(Problem(where, "image-duplicate", found, "each picture once", "remove or join the files"))
+    if measured:
+        found = f"{measured} image(s) without width and height, which were read from the pictures"
+        problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
     for number, left in sorted(of_image.items()):
         text = f"{len(left)} annotation(s) of image_id {number}"
         problems.append(Problem(where, "image-unknown", text, "the id of a picture that can be read"))
@@ -566,6 +590,7 @@ def _read_annotations(
             extra["iscrowd"] = 1
         if a.get("tight_box") is True:
             extra["tight_box"] = True
+        extra |= {k: v[0] for k in MEASURED if (v := to_floats([a.get(k)], 1)) and math.isfinite(v[0])}
         others = {k: to_floats(a.get(k), n) for k, n in _OTHER_BOXES.items()}
         extra |= {
             k: list(v) for k, v in others.items() if v is not None and is_near(v) and (len(v) > 4 or min(v[2:]) > 0)
@@ -574,7 +599,7 @@ def _read_annotations(
             Instance(
                 names[category],
                 box,
-                None if corners is None or not is_near(corners) else np.array(corners).reshape(4, 2),
+                None if corners is None or not is_near(corners) else clockwise_corners(np.array(corners).reshape(4, 2)),
                 _read_mask(a, size_wh, here, problems),
                 to_share(a.get("visibility")),
                 to_bool(a.get("truncated")),

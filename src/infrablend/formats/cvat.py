@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,15 +36,23 @@ from infrablend.formats.base import (
     in_order,
     is_ignored_name,
     require_size,
-    shorten,
     split_of_stem,
     split_parts,
+    unmarked_regions,
 )
-from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, is_rectangle, obb_from_corners, overhang_px
+from infrablend.formats.box_checks import (
+    OVERHANG_PX,
+    check_box,
+    clockwise_corners,
+    is_near,
+    is_rectangle,
+    obb_from_corners,
+    overhang_px,
+)
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import PictureFolder, check_name
-from infrablend.formats.records import make_dataset
+from infrablend.formats.records import annotated_twice, make_dataset
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "cvat"
@@ -76,7 +84,7 @@ def write(
     for split, part in split_parts(ordered).items():
         files.append(write_chunks(out / f"{split}.xml", _document(split, part, known, losses)))
     for image in ordered:
-        losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
+        losses["ignore_as_class"] += unmarked_regions(image.instances, unsaid)
         if pictures:
             files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
     return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
@@ -217,6 +225,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     records: list[ImageRecord] = []
     names: dict[str, None] = {}
     seen: set[Path] = set()
+    twice: dict[str, list[ImageRecord]] = defaultdict(list)
     for path in files:
         top, problem = read_xml(path, path.name)
         problems += [problem] if problem else []
@@ -231,17 +240,20 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
             folder = _folder(root, split, listed)
             for k, element in enumerate(elements[split]):
                 record = _read_image(element, f"{path.name}: image {element.get('id', k)}", split, folder, problems)
-                if record is not None and record.path not in seen:
+                if record is not None and record.path in seen:
+                    twice[path.name].append(record)
+                elif record is not None:
                     seen.add(record.path)
                     records.append(record)
         if any(True for _ in top.iter("track")):
             found = "tracks of a video task, which are not read"
             todo = 'export the task as "CVAT for images 1.1"'
             problems.append(Problem(path.name, "annotation-layout", found, "an `image` per frame", todo, "warning"))
+    problems += annotated_twice(twice)
     names |= dict.fromkeys(i.category for r in records for i in r.instances)
     categories = [Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names)]
     notes = {"labels": NAME}
-    return make_dataset(root, NAME, records, categories, shorten(problems), notes, metadata=metadata, splits=wanted)
+    return make_dataset(root, NAME, records, categories, problems, notes, metadata=metadata, splits=wanted)
 
 
 def _read_image(
@@ -295,7 +307,8 @@ def _read_shape(shape: Any, where: str, size_wh: tuple[int, int] | None, problem
         if "rotation" in shape.attrib and is_near((*edges, *turn)):
             x0, y0, x1, y1 = edges
             angle = math.radians(turn[0])
-            corners = corners_of_cxcywha(np.array([((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, angle)]))[0]
+            made = corners_of_cxcywha(np.array([((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, angle)]))[0]
+            corners = clockwise_corners(made)  # edges in the wrong order mirror the box
             edges = tuple(float(v) for v in box_of_points(corners))
             if size_wh is not None and 0 < overhang_px(corners, size_wh) <= OVERHANG_PX:
                 edges = tuple(min(max(v, 0.0), float(size_wh[k % 2])) for k, v in enumerate(edges))

@@ -21,13 +21,23 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.core.boxes import box_of_points, corners_of_box, polygon_area
+from infrablend.core.boxes import box_of_points, corners_of_box
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, in_order, is_ignored_name, require_size, shorten, sort_images
-from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, overhang_px
+from infrablend.formats.base import (
+    Match,
+    check_splits,
+    ignored_by_class,
+    in_order,
+    is_ignored_name,
+    require_size,
+    shorten,
+    sort_images,
+    unmarked_regions,
+)
+from infrablend.formats.box_checks import OVERHANG_PX, check_box, clockwise_corners, overhang_px
 from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
@@ -68,6 +78,7 @@ def write(
     """
     names = dota_names(categories)
     losses: Counter[str] = Counter(class_name_changed=sum(a != b for a, b in names.items()))
+    unsaid = ignored_by_class(categories)
     files: list[Path] = []
     seen: set[tuple[str, str]] = set()
     for image in in_order(images):
@@ -75,6 +86,7 @@ def write(
         if "/" in image.name or (image.split, stem) in seen:
             raise ValueError(f"{image.name}: DOTA needs names without folders and unique stems in a split")
         seen.add((image.split, stem))
+        losses["ignore_as_class"] += unmarked_regions(image.instances, unsaid)
         files.append(write_text(out / image.split / "labelTxt" / f"{stem}.txt", label_text(image, names, losses)))
         if pictures:
             files.append(link_or_copy(image.path, out / image.split / "images" / image.name))
@@ -313,9 +325,7 @@ def _object(words: Sequence[str], size_wh: tuple[int, int], where: str, problems
         expected = "x1 y1 x2 y2 x3 y3 x4 y4 category difficult"
         problems.append(Problem(where, "label-malformed", repr(" ".join(words)[:80]), expected, "correct the line"))
         return None
-    corners = np.array(numbers, np.float64).reshape(4, 2)
-    if is_near(numbers) and polygon_area(corners) < 0:
-        corners = corners[[0, 3, 2, 1]]
+    corners = clockwise_corners(np.array(numbers, np.float64).reshape(4, 2))
     box, problem = check_box(box_of_points(corners).tolist(), size_wh, where)
     if problem is not None and problem.code == "box-clipped":
         over = overhang_px(corners, size_wh)

@@ -139,7 +139,8 @@ def read(
     names = _find_names(root, pictures) if labelled else None
     captures = Captures(table, problems)
     records, known = build_records(root, pictures, names, captures, problems, task)
-    problems += orphan_labels(root, pictures) + check_table(table, pictures, root)
+    problems += orphan_labels(root, pictures) if labels != "none" else []
+    problems += check_table(table, pictures, root)
     if not records:
         raise DatasetError(f"{root}: no picture can be read", shorten(problems))
     notes = {

@@ -33,6 +33,7 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    count_crowds,
     in_order,
     is_ignored_name,
     require_size,
@@ -40,7 +41,7 @@ from infrablend.formats.base import (
     sort_images,
     split_parts,
 )
-from infrablend.formats.box_checks import check_box, is_near
+from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import BOXES
 from infrablend.formats.pictures import PictureFolder, assign_ids
@@ -127,6 +128,7 @@ class _Columns:
         ahead = sorted({n for name, n in typed.first.items() if name not in self.dropped})
         rest = (image for n, image in enumerate(images) if n not in set(ahead))
         for image in chain((images[n] for n in ahead), rest):
+            losses["ignore_as_class"] += count_crowds(image.instances, self.ignored)
             row = {k: v for k, v in self.row(image).items() if k not in self.dropped}
             yield json.dumps(finite(row, losses), allow_nan=False, separators=(",", ":")) + "\n"
 
@@ -432,10 +434,11 @@ def _read_object(
     state.problems += [problem] if problem is not None else []
     if box is None:
         return None
-    corners = to_floats(row.get("obb"), 8) if row.get("oriented", True) is True else None
+    said = to_floats(row.get("obb"), 8) if row.get("oriented", True) is True else None
+    corners = None if said is None or not is_near(said) else np.array(said, np.float64).reshape(4, 2)
     return Instance(
         category, box,
-        None if corners is None or not is_near(corners) else np.array(corners, np.float64).reshape(4, 2),
+        None if corners is None else clockwise_corners(corners),
         _read_mask(row.get("segmentation"), size_wh, where, state),
         to_share(row.get("visibility")),
         to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,

@@ -10,7 +10,7 @@ with four channels. Label Studio's local storage serves the pictures: an address
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
@@ -39,15 +39,23 @@ from infrablend.formats.base import (
     in_order,
     is_ignored_name,
     require_size,
-    shorten,
     split_of_stem,
     split_parts,
+    unmarked_regions,
 )
-from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, is_rectangle, obb_from_corners, overhang_px
+from infrablend.formats.box_checks import (
+    OVERHANG_PX,
+    check_box,
+    clockwise_corners,
+    is_near,
+    is_rectangle,
+    obb_from_corners,
+    overhang_px,
+)
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import MAX_PIXELS, PictureFolder, check_name
-from infrablend.formats.records import make_dataset
+from infrablend.formats.records import annotated_twice, make_dataset
 from infrablend.formats.values import to_bool, to_floats, to_share, to_size
 
 NAME = "label-studio"
@@ -82,7 +90,7 @@ def write(
         tasks = Streamed(_task(i, known, losses) for i in part)
         files.append(write_chunks(out / f"{split}.json", chain(json_chunks(tasks, None), "\n")))
     for image in ordered:
-        losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
+        losses["ignore_as_class"] += unmarked_regions(image.instances, unsaid)
         if pictures:
             files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
     return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
@@ -240,6 +248,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         raise DatasetError(f"{root}: not Label Studio's JSON", [missing])
     problems: list[Problem] = []
     records: dict[Path, ImageRecord] = {}
+    twice: dict[str, list[ImageRecord]] = defaultdict(list)
     folder = PictureFolder.scan(root / "images")
     for path in files:
         try:
@@ -249,12 +258,17 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
             continue
         for n, task in enumerate(tasks if is_list(tasks) else ()):
             record = _read_task(task, f"{path.name}: task {n}", split_of_stem(path.stem), folder, problems)
-            if record is not None and record.split in wanted:
-                records.setdefault(record.path, record)
+            if record is None or record.split not in wanted:
+                continue
+            if record.path in records:
+                twice[path.name].append(record)
+            else:
+                records[record.path] = record
+    problems += annotated_twice(twice)
     names = dict.fromkeys(i.category for r in records.values() for i in r.instances)
     categories = [Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names)]
     return make_dataset(
-        root, NAME, list(records.values()), categories, shorten(problems), {"labels": NAME}, metadata=metadata,
+        root, NAME, list(records.values()), categories, problems, {"labels": NAME}, metadata=metadata,
         splits=wanted,
     )  # fmt: skip
 
@@ -350,7 +364,8 @@ def _read_result(row: Mapping[str, Any], where: str, problems: list[Problem]) ->
             # Turned about its first corner: the centre turns with it.
             cx = x + w / 2 * math.cos(angle) - h / 2 * math.sin(angle)
             cy = y + w / 2 * math.sin(angle) + h / 2 * math.cos(angle)
-            corners = corners_of_cxcywha(np.array([(cx, cy, w, h, angle)]))[0]
+            made = corners_of_cxcywha(np.array([(cx, cy, w, h, angle)]))[0]
+            corners = clockwise_corners(made)  # a negative width or height mirrors the box
             edges = box_of_points(corners)
         if overhang_px(edges.reshape(2, 2), size_wh) <= (OVERHANG_PX if corners is not None else 1e-6):
             edges = np.clip(edges, 0, np.array([*size_wh, *size_wh], np.float64))

@@ -30,13 +30,14 @@ from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
+    count_crowds,
     in_order,
     is_ignored_name,
     require_size,
     shorten,
     sort_images,
 )
-from infrablend.formats.box_checks import check_box, is_near
+from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
 from infrablend.formats.capture import Capture
 from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.losses import Written
@@ -77,6 +78,7 @@ def write(
         if target in seen:
             raise ValueError(f"{image.name}: another picture of the split has the same stem")
         seen.add(target)
+        losses["ignore_as_class"] += count_crowds(image.instances, ignored)
         pixels = instance_pixels(image, losses)
         files.append(write_bytes(target, png_bytes(pixels)))
         files.append(write_json(target.with_suffix(".json"), _table(image, pixels, of_category, ignored)))
@@ -316,7 +318,9 @@ def _corners(value: object) -> NDArray[np.float64] | None:
     if not isinstance(value, list) or len(value) != 4:
         return None
     points = [to_floats(p, 2) for p in value]
-    return np.array(points, np.float64) if all(p is not None and is_near(p) for p in points) else None
+    if not all(p is not None and is_near(p) for p in points):
+        return None
+    return clockwise_corners(np.array(points, np.float64))
 
 
 def _id(value: object) -> int | str | None:

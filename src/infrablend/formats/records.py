@@ -90,6 +90,18 @@ def _name_in(root: Path, record: ImageRecord) -> str:
     return f"{record.split}/{record.name}"
 
 
+def annotated_twice(left_out: Mapping[str, Sequence[ImageRecord]]) -> list[Problem]:
+    """Return an error per file for its annotations of pictures that were read before, in it or another file."""
+    problems = []
+    for where, records in left_out.items():
+        objects = sum(len(r.instances) for r in records)
+        found = f"{len(records)} picture(s) that another file or an earlier entry annotates too, such as "
+        found += f"{records[0].name!r}; left out here with {objects} object(s)"
+        todo = "remove the file whose labels are out of date"
+        problems.append(Problem(where, "image-duplicate", found, "each picture once", todo))
+    return problems
+
+
 def unlabelled_problems(where: str, count: int, choice: str, what: str = "no label file") -> list[Problem]:
     """Return the warning for unlabelled pictures, which may show objects."""
     if not count:

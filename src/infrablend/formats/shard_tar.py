@@ -24,6 +24,7 @@ from infrablend.core.file_names import join_inside
 from infrablend.core.files import LARGEST_READ_BYTES, finite, open_regular
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.coco import FLIGHT_FIELDS
 
 LABEL = "json"
 SCENE = "scene.json"
@@ -55,6 +56,7 @@ def label_text(frame_id: str, image: ImageRecord, ids: Mapping[str, int]) -> byt
         "width": image.size_wh[0],
         "height": image.size_wh[1],
         **{name: getattr(image, name) for name in _FACTS},
+        **{name: value for name in FLIGHT_FIELDS if isinstance(value := image.extra.get(name), str)},
         "radiometry": None if image.radiometry is None else asdict(image.radiometry),
         "objects": [{**i.to_json(), "category_id": ids[i.category]} for i in image.instances],
     }
@@ -72,6 +74,11 @@ def image_of(label: Mapping[str, Any], folder: Path) -> ImageRecord:
         value = label[name]
         if not isinstance(value, kinds) or isinstance(value, bool) or value != value:
             raise ValueError(f"{name}: found {value!r}")
+    # Only with pictures that state them, and not in shards of earlier versions.
+    extra = {name: label[name] for name in FLIGHT_FIELDS if label.get(name) is not None}
+    for name, value in extra.items():
+        if not isinstance(value, str):
+            raise ValueError(f"{name}: found {value!r}")
     if label["split"] not in SPLITS or label["time_of_day"] not in (None, "day", "night"):
         raise ValueError(f"split {label['split']!r} and time of day {label['time_of_day']!r}")
     objects = [{k: v for k, v in o.items() if k != "category_id"} for o in label["objects"]]
@@ -85,6 +92,7 @@ def image_of(label: Mapping[str, Any], folder: Path) -> ImageRecord:
         split=label["split"],
         size_wh=(int(label["width"]), int(label["height"])),
         instances=tuple(Instance.from_json(o) for o in objects),
+        extra=extra,
         file_name=str(label["file_name"]),
         radiometry=radiometry,
         **{name: label[name] for name in _FACTS},

@@ -38,6 +38,7 @@ from infrablend.formats.base import (
     is_ignored_name,
     require_options,
     require_size,
+    unmarked_regions,
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, overhang_px, snap
 from infrablend.formats.losses import Written
@@ -410,7 +411,7 @@ def write(
             )
         stems[stem] = image.split
         files.append(write_text(out / "Annotations" / f"{stem}.xml", _xml(image, known, losses)))
-        losses["ignore_as_class"] += sum(i.category in unsaid for i in image.instances)
+        losses["ignore_as_class"] += unmarked_regions(image.instances, unsaid)
         if pictures:
             files.append(link_or_copy(image.path, out / "JPEGImages" / image.name))
     lists: dict[str, list[str]] = {s: [n for n, split in stems.items() if split == s] for s in SPLITS}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path, PurePosixPath
@@ -131,7 +131,7 @@ def write(
         writer = find_writer(name)
     if settings.category_ids == "from_one":
         categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
-    ordered, renamed = fitting_names(in_order(images), writer.layout)
+    ordered, renamed = fitting_names(in_order(images), writer.layout, _MISREAD_FOLDERS.get(writer.reader, ()))
     arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
     if "extra" in writer.takes and source is not None and source.format == writer.reader:
         arguments["extra"] = source.extra
@@ -150,11 +150,18 @@ def _native_not_writable(source: Dataset) -> Written:
     )
 
 
-def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[Sequence[ImageRecord], int]:
+# Folders in the names of pictures that make readers of a format look elsewhere: YOLO's, Ultralytics among them, put
+# `labels` in place of the last `images` of a picture's path, and ours takes no pictures from `labels`.
+_MISREAD_FOLDERS: Mapping[str, Collection[str]] = {"yolo": ("images", "labels")}
+
+
+def fitting_names(
+    images: Sequence[ImageRecord], layout: Layout, misread: Collection[str] = ()
+) -> tuple[Sequence[ImageRecord], int]:
     """Return the images with names that do not clash in a layout (see `Writer`), and the number of changed names.
 
     Names that differ in case alone clash, because some disks take them for one file. Names with characters that label
-    files cannot hold are changed, too.
+    files cannot hold are changed, too, and those with a folder in `misread`.
     """
     together = layout in ("unique", "shared")
     by_stem = layout != "nested"
@@ -166,7 +173,8 @@ def fitting_names(images: Sequence[ImageRecord], layout: Layout) -> tuple[Sequen
         names = {n: found[n][1] for n in chosen}
         keys = {n: _file_key(name, by_stem) for n, name in names.items()}
         count = Counter(keys.values())
-        clashing = [n for n, name in names.items() if flat or count[keys[n]] > 1 or fit_name(name) != name]
+        odd = {n for n, name in names.items() if misread and not set(misread).isdisjoint(name.split("/")[:-1])}
+        clashing = [n for n, name in names.items() if flat or count[keys[n]] > 1 or fit_name(name) != name or n in odd]
         if not clashing:
             continue
         paths = {n: f"{found[n][0]}/{name}" if together else name for n, name in names.items()}

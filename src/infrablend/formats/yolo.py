@@ -13,8 +13,8 @@ import contextlib
 import datetime
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
@@ -29,12 +29,22 @@ from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, in_order, is_ignored_name, require_size, shorten, sort_images
-from infrablend.formats.box_checks import check_box, overhang_px, snap
+from infrablend.formats.base import (
+    Match,
+    check_splits,
+    count_crowds,
+    in_order,
+    is_ignored_name,
+    require_size,
+    shorten,
+    sort_images,
+    stated_split,
+)
+from infrablend.formats.box_checks import check_box, clockwise_corners, overhang_px, snap
 from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
 from infrablend.formats.losses import Text, Written
 from infrablend.formats.occlusion import loses_occlusion
-from infrablend.formats.pictures import assign_ids, check_link, check_name, list_pictures, read_size
+from infrablend.formats.pictures import assign_ids, check_link, check_name, is_hidden, list_pictures, read_size, walk
 from infrablend.formats.polygons import outline, rasterise
 
 NAME = "yolo"
@@ -282,11 +292,27 @@ def write(
     dont_care: Literal["drop", "keep"] = "drop",
     without_mask: WithoutMask = "omit",
 ) -> Written:
-    """Write a dataset: every image with `write_frame`, and `data.yaml` with `write_data_yaml`."""
+    """Write a dataset: every image with `write_frame`, and `data.yaml` with `write_data_yaml`.
+
+    Crowds are left out like regions of ignored categories; `dont_care="keep"` writes them as objects of their class.
+    """
     ordered = in_order(images)
     classes = yolo_classes(categories, dont_care)
-    frames = Written.together(write_frame(out, i, classes, task, without_mask=without_mask) for i in ordered)
-    return Written.together([frames, write_data_yaml(out, classes, {i.split for i in ordered})])
+    regions = {c.name for c in categories if c.ignore}
+    losses: Counter[str] = Counter()
+
+    def frames() -> Iterator[Written]:
+        for image in ordered:
+            if any(i.is_crowd for i in image.instances):
+                kept = tuple(i for i in image.instances if dont_care == "keep" or not i.is_crowd)
+                losses["ignore_dropped"] += len(image.instances) - len(kept)
+                losses["ignore_as_class"] += count_crowds(kept, regions)
+                image = replace(image, instances=kept)
+            yield write_frame(out, image, classes, task, without_mask=without_mask)
+
+    written = Written.together(frames())
+    parts = [written, Written(losses=_counted(losses)), write_data_yaml(out, classes, {i.split for i in ordered})]
+    return Written.together(parts)
 
 
 # -- reading one label file ------------------------------------------------------------------------------------
@@ -359,7 +385,7 @@ def _instances(
             problems.append(problem)
         if box is None:
             continue
-        corners = points if points is not None and task == "obb" and len(points) == 4 else None
+        corners = clockwise_corners(points) if points is not None and task == "obb" and len(points) == 4 else None
         mask = Mask.from_array(rasterise(points, size_wh)) if points is not None and corners is None else None
         instances.append(Instance(names[number], box, corners, mask))
     return tuple(instances), problems
@@ -393,9 +419,16 @@ def find_label(path: Path, root: Path) -> Path | None:
 
 
 def orphan_labels(root: Path, pictures: Sequence[FoundPicture]) -> list[Problem]:
-    """Return a warning for every label file without a picture, in the folders with labels of the pictures."""
+    """Return a warning for every label file without a picture, in the folders with labels of the pictures.
+
+    If no picture has a label file, there is one warning if folders `labels` contain some.
+    """
     used = {p.label for p in pictures if p.label is not None}
     problems: list[Problem] = []
+    if pictures and not used and (lost := _labels_elsewhere(root, {p.split for p in pictures})) is not None:
+        found = f"no picture has a label file, though there are label files such as {lost}"
+        todo = "put each picture's label file where docs/formats/yolo.md says"
+        problems.append(Problem(root.name, "label-missing", found, "a label file per picture", todo, "warning"))
     for path in sorted(f for folder in {u.parent for u in used} for f in folder.glob("*.txt")):
         if path in used or path.name == "classes.txt" or path.name.startswith("."):
             continue
@@ -408,6 +441,21 @@ def orphan_labels(root: Path, pictures: Sequence[FoundPicture]) -> list[Problem]
                 Problem(where, "label-without-picture", found, "a picture of that name", severity="warning")
             )
     return problems
+
+
+def _labels_elsewhere(root: Path, splits: Collection[Split]) -> str | None:
+    """Return the first label file in a folder `labels` that is not that of another split; None without one."""
+    for base, names in walk(root):
+        parts = Path(base).relative_to(root).parts
+        split = next((s for s in map(stated_split, parts) if s), None)
+        if "labels" not in parts or (split is not None and split not in splits):
+            continue
+        for name in sorted(n for n in names if n.endswith(".txt") and n != "classes.txt" and not is_hidden(n)):
+            where = Path(base, name).relative_to(root).as_posix()
+            text, fault = read_text(Path(base, name), where, "a YOLO label file")
+            if fault is None and (labels := parse_labels(text, where)).rows and not labels.problems:
+                return where
+    return None
 
 
 def build_records(

@@ -9,7 +9,6 @@ from typing import Any
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
-from infrablend.evaluation.truth import is_crowd
 from infrablend.pipeline.plan import fingerprint
 
 
@@ -29,5 +28,5 @@ def content_digest(dataset: Dataset) -> str:
         if o.mask is not None:
             masks.update(json.dumps([k, o.mask.to_coco()], sort_keys=True).encode())
     return json_digest(
-        [fingerprint(dataset), pictures, ignored, [k for k, o in enumerate(objects) if is_crowd(o)], masks.hexdigest()]
+        [fingerprint(dataset), pictures, ignored, [k for k, o in enumerate(objects) if o.is_crowd], masks.hexdigest()]
     )

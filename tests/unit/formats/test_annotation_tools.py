@@ -99,6 +99,49 @@ def test_a_malformed_shape_is_named_and_left_out(tmp_path: Path, shape: str, cod
     assert [p.code for p in dataset.problems] == [code] and not dataset.images[0].instances
 
 
+def annotate(root: Path, file: str, count: int) -> None:
+    """Write annotations of both tools with that many objects in the picture `images/train/a.png`."""
+    box = '<box label="Car" xtl="1" ytl="2" xbr="9" ybr="6"/>'
+    text = f'<annotations><image id="0" name="a.png" subset="train" width="64" height="48">{box * count}</image>'
+    (root / "cvat" / f"{file}.xml").write_text(f"{text}</annotations>")
+    value = {"x": 10, "y": 20, "width": 30, "height": 20, "rectanglelabels": ["Car"]}
+    result = {"type": "rectanglelabels", "original_width": 64, "original_height": 48, "value": value}
+    task = {"data": {"image": "images/train/a.png"}, "annotations": [{"result": [result] * count}]}
+    (root / "label-studio" / f"{file}.json").write_text(json.dumps([task]))
+
+
+@pytest.mark.parametrize("name", ["cvat", "label-studio"])
+def test_a_second_annotation_of_a_picture_is_an_error(tmp_path: Path, name: str) -> None:
+    """An export beside the files that were given to the tool: one of them is out of date."""
+    for tool in ("cvat", "label-studio"):
+        picture(tmp_path / tool / "images" / "train" / "a.png", 1)
+    annotate(tmp_path, "annotations", 1)
+    annotate(tmp_path, "train", 2)
+    d = detection.read(tmp_path / name)
+    assert [len(i.instances) for i in d.images] == [1]
+    (problem,) = d.problems
+    assert (problem.code, problem.severity) == ("image-duplicate", "error")
+    assert problem.where in ("train.xml", "train.json")
+    assert "1 picture(s)" in problem.found and "2 object(s)" in problem.found
+
+
+@pytest.mark.parametrize("name", ["cvat", "label-studio"])
+def test_many_warnings_stay_warnings(tmp_path: Path, name: str) -> None:
+    for tool in ("cvat", "label-studio"):
+        picture(tmp_path / tool / "images" / "train" / "a.png", 1)
+    box = '<box label="Car" xtl="60" ytl="2" xbr="70" ybr="6"/>'
+    text = (
+        f'<annotations><image id="0" name="a.png" subset="train" width="64" height="48">{box * 7}</image></annotations>'
+    )
+    (tmp_path / "cvat" / "train.xml").write_text(text)
+    value = {"x": 90, "y": 20, "width": 30, "height": 20, "rectanglelabels": ["Car"]}
+    result = {"type": "rectanglelabels", "original_width": 64, "original_height": 48, "value": value}
+    task = {"data": {"image": "images/train/a.png"}, "annotations": [{"result": [result] * 7}]}
+    (tmp_path / "label-studio" / "train.json").write_text(json.dumps([task]))
+    d = detection.read(tmp_path / name)
+    assert [(p.code, p.severity) for p in d.problems] == [("box-clipped", "warning")] * 7
+
+
 def test_both_hold_a_turned_box_to_a_millionth_of_a_pixel(tmp_path: Path) -> None:
     angle, half = 0.7, np.array([[-9.0, -4.0], [9.0, -4.0], [9.0, 4.0], [-9.0, 4.0]])
     turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])

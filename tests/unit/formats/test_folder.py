@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from PIL import Image
 from infrablend.core.dataset import Category, Dataset
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import coco, detection, folder, yolo
+from infrablend.formats import coco, detection, folder, writing, yolo
 from infrablend.formats.capture import Capture, Captures, read_table
 from infrablend.formats.hit_uav import CATEGORIES
 from infrablend.formats.reading import Reading
@@ -147,6 +148,73 @@ def test_box_over_the_edge_is_clipped_and_reported(tmp_path: Path) -> None:
     d = folder.read(tmp_path)
     assert [o.box_xyxy.tolist() for o in d.images[0].instances] == [[0, 30, 10, 50]] * 2
     assert sorted(codes(d, "warning")) == ["box-clipped", "box-clipped", "names-missing", "object-duplicate"]
+
+
+def ultralytics_label(path: Path) -> Path:
+    """Return the label file that Ultralytics looks for: `labels` in place of the last `images` of the path."""
+    before, after = str(path).rsplit("/images/", 1)
+    return Path(f"{before}/labels/{after}").with_suffix(".txt")
+
+
+@pytest.mark.parametrize("task", yolo.TASKS)
+def test_folders_in_names_do_not_hide_labels_of_yolo(tmp_path: Path, task: str) -> None:
+    """`images/` and `labels/` are usual in plain folders and in the names of pictures in COCO files."""
+    names = ("images/1.png", "flight/images/a/2.png", "labels/3.png", "1.png", "plain/images.png", "Images/4.png")
+    for k, name in enumerate(names):
+        picture(tmp_path / "in" / name, (100 + k, 80))
+    rows = [{"id": k, "file_name": name, "width": 100 + k, "height": 80} for k, name in enumerate(names)]
+    objects = [{"id": k, "image_id": k, "category_id": 1, "bbox": [k, 20, 30, 40]} for k in range(len(names))]
+    top = {"images": rows, "annotations": objects, "categories": [{"id": 1, "name": "cow"}]}
+    (tmp_path / "in" / "train.json").write_text(json.dumps(top))
+    source = coco.read(tmp_path / "in")
+    writer = {"detect": "yolo", "obb": "yolo-obb", "seg": "yolo-seg"}[task]
+    settings = writing.WriteSettings(without_mask="obb")
+    written = writing.write(writer, tmp_path / "out", source.images, source.categories, settings=settings)
+    assert written.losses["name_changed"] == 3
+    pictures = [p for p in written.files if p.suffix == ".png"]
+    assert {p.relative_to(tmp_path / "out/images/train").as_posix() for p in pictures} == {
+        "images__1.png", "2.png", "3.png", "1.png", "plain/images.png", "Images/4.png",
+    }  # fmt: skip
+    assert len(pictures) == 6 and all(ultralytics_label(p).read_text().startswith("0 ") for p in pictures)
+    again = yolo.read(tmp_path / "out")
+    assert [len(i.instances) for i in again.images] == [1] * 6 and again.problems == ()
+    sizes = {i.size_wh: i.path.name for i in again.images}
+    assert sizes[100, 80] == "images__1.png" and sizes[103, 80] == "1.png"
+    # Formats that find labels otherwise keep such names.
+    assert "name_changed" not in writing.write("coco", tmp_path / "coco", source.images, source.categories).losses
+
+
+def test_a_plain_folder_of_images_and_labels_becomes_yolo_with_its_labels(tmp_path: Path) -> None:
+    picture(tmp_path / "in" / "images" / "0001.jpg")
+    (tmp_path / "in" / "labels").mkdir()
+    (tmp_path / "in" / "labels" / "0001.txt").write_text("0 0.5 0.5 0.2 0.25\n")
+    (tmp_path / "in" / "classes.txt").write_text("cow\n")
+    source = detection.read(tmp_path / "in")
+    images = [replace(i, size_wh=(100, 80)) for i in source.images]
+    assert writing.write("yolo", tmp_path / "out", images, source.categories).losses == {"name_changed": 1}
+    (image,) = detection.read(tmp_path / "out").images
+    assert image.name == "0001.jpg" and len(image.instances) == 1
+
+
+@pytest.mark.parametrize("with_yaml", [False, True])
+def test_labels_that_belong_to_no_picture_are_a_warning(tmp_path: Path, with_yaml: bool) -> None:
+    picture(tmp_path / "images" / "train" / "images" / "a.png")
+    if with_yaml:
+        (tmp_path / "data.yaml").write_text("train: images/train\nval: images/val\nnames: [cow]\n")
+        picture(tmp_path / "images" / "val" / "b.png")
+    label = tmp_path / "labels" / "train" / "images" / "a.txt"
+    label.parent.mkdir(parents=True)
+    label.write_text("a note\n")
+    assert "label-missing" not in codes(detection.read(tmp_path), "warning")
+    label.write_text("0 0.5 0.5 0.5 0.5\n")
+    d = detection.read(tmp_path)
+    assert d.format == ("yolo" if with_yaml else "folder")
+    (problem,) = [p for p in d.problems if p.code == "label-missing"]
+    assert problem.severity == "warning" and "labels/train/images/a.txt" in problem.found
+    if with_yaml:  # pictures of val may be without labels
+        assert "label-missing" not in codes(yolo.read(tmp_path, splits=["val"]), "warning")
+    else:
+        assert "label-missing" not in codes(folder.read(tmp_path, labels="none"), "warning")
 
 
 def test_data_yaml_stays_inside_the_folder(tmp_path: Path) -> None:
@@ -332,6 +400,11 @@ def test_data_yaml_of_one_split_names_it_three_times() -> None:
     assert "val: images/train" in text and "test" not in text and [p.code for p in problems] == ["val-absent"]
 
 
+def write_json(path: Path, top: object) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(top))
+
+
 def write_coco(root: Path, **changes: Any) -> Path:
     picture(root / "images" / "a.png")
     top: dict[str, Any] = {
@@ -385,6 +458,62 @@ def test_coco_polygons_become_masks(tmp_path: Path) -> None:
     d = coco.read(write_coco(tmp_path, annotations=annotation(segmentation=[[10, 20, 40, 20, 40, 60, 10, 60]])))
     mask = d.images[0].instances[1].mask
     assert mask is not None and mask.area_px == 30 * 40
+
+
+def test_a_picture_in_two_coco_files_is_read_once(tmp_path: Path) -> None:
+    """COCO has a file of boxes and one of key points over the same pictures."""
+    for name in ("train2017/1.png", "train2017/2.png", "val2017/1.png"):
+        picture(tmp_path / name)
+    rows = [{"id": k, "file_name": f"{k}.png", "width": 100, "height": 80} for k in (1, 2)]
+    objects = [{"id": k, "image_id": k, "category_id": 1, "bbox": [10, 20, 30, 40]} for k in (1, 2)]
+    top = {"images": rows, "annotations": objects, "categories": [{"id": 1, "name": "person"}]}
+    write_json(tmp_path / "annotations" / "instances_train2017.json", top)
+    more = top | {"annotations": [*objects, objects[0] | {"id": 3}]}
+    write_json(tmp_path / "annotations" / "person_keypoints_train2017.json", more)
+    write_json(tmp_path / "annotations" / "instances_val2017.json", top | {"images": rows[:1], "annotations": []})
+    d = detection.read(tmp_path)
+    assert [(i.id, i.split, len(i.instances)) for i in d.images] == [
+        ("2", "train", 1), ("train__1", "train", 1), ("val__1", "val", 0),
+    ]  # fmt: skip
+    (problem,) = d.problems
+    assert (problem.where, problem.code, problem.severity) == (
+        "annotations/person_keypoints_train2017.json", "image-duplicate", "error",
+    )  # fmt: skip
+    assert problem.found.startswith("2 picture(s)") and "3 annotation(s)" in problem.found
+
+
+def test_pictures_of_one_name_in_the_folders_of_two_coco_files_are_both_read(tmp_path: Path) -> None:
+    for k, name in enumerate(("a", "b")):
+        picture(tmp_path / name / "1.png", (100 + k, 80))
+        top = {"images": [{"id": 1, "file_name": "1.png"}], "annotations": [], "categories": [{"id": 1, "name": "x"}]}
+        write_json(tmp_path / f"{name}.json", top)
+    d = coco.read(tmp_path)
+    assert sorted(i.size_wh or () for i in d.images) == [(100, 80), (101, 80)] and codes(d) == []
+
+
+def test_sizes_that_a_coco_file_lacks_come_from_the_pictures(tmp_path: Path) -> None:
+    """Without them, masks would be left out and boxes not be clipped."""
+    ring = [[10, 20, 40, 20, 40, 60, 10, 60]]
+    images = [{"id": 1, "file_name": "a.png"}]
+    d = coco.read(write_coco(tmp_path, images=images, annotations=annotation(segmentation=ring, bbox=[90, 20, 30, 40])))
+    assert codes(d, "warning") == ["box-clipped", "image-size-unknown"] and codes(d) == []
+    (image,) = d.images
+    assert image.size_wh == (100, 80) and image.instances[1].mask is not None
+    assert image.instances[1].box_xyxy.tolist() == [90, 20, 100, 60]
+    (tmp_path / "images" / "a.png").write_bytes(b"no picture")
+    assert codes(coco.read(tmp_path)) == ["image-unreadable"]
+
+
+def test_measured_contrast_of_inserted_objects_is_kept(tmp_path: Path) -> None:
+    measured = {"changed_grey": 12.5, "contrast_grey": -3.25, "scr": 1.5}
+    source = coco.read(write_coco(tmp_path / "in", annotations=annotation(inserted=True, **measured)))
+    assert source.images[0].instances[0].extra == {} and source.images[0].instances[1].extra == measured
+    coco.write(tmp_path / "out", source.images, source.categories, pictures=True)
+    top = json.loads((tmp_path / "out" / "annotations" / "instances_train.json").read_text())
+    assert {k: top["annotations"][1][k] for k in measured} == measured
+    damaged = {"changed_grey": "x", "contrast_grey": float("inf"), "scr": None}
+    d = coco.read(write_coco(tmp_path / "in", annotations=annotation(**damaged)))
+    assert d.images[0].instances[1].extra == {}
 
 
 def test_broken_coco_files(tmp_path: Path) -> None:

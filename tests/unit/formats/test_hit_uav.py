@@ -364,3 +364,13 @@ def test_object_with_barely_overlapping_boxes_stays_one_object(tmp_path: Path) -
     again = hit_uav.read(tmp_path / "out")
     assert len(again.images[0].instances) == 2
     assert np.allclose(again.images[0].instances[0].corners_xy, turned, rtol=0, atol=1e-6)
+
+
+def test_a_pose_with_markup_is_written_as_text(tmp_path: Path) -> None:
+    picture = tmp_path / "0_60_30_0_00001.png"
+    Image.new("L", (64, 48), 90).save(picture)
+    car = Instance("Car", np.array([10.0, 20.0, 18.0, 25.0]), extra={"pose": "<b> & 45"})
+    image = ImageRecord(picture.stem, picture, "train", (64, 48), 30.0, 60.0, "day", (car,), file_name=picture.name)
+    hit_uav.write(tmp_path / "out", [image], hit_uav.CATEGORIES, forms=("normal_xml",))
+    d = hit_uav.read(tmp_path / "out")
+    assert d.images[0].instances[0].extra["pose"] == "<b> & 45" and codes(d) == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +17,15 @@ from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance
 from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_stream import SPACED, Streamed, json_chunks
-from infrablend.formats.base import category_ids, in_order, number_ids, require_size, split_parts
+from infrablend.formats.base import (
+    category_ids,
+    ignored_by_class,
+    in_order,
+    number_ids,
+    require_size,
+    split_parts,
+    unmarked_regions,
+)
 from infrablend.formats.box_checks import is_rectangle, obb_from_corners
 from infrablend.formats.hit_uav.forms import DATABASE, Form
 from infrablend.formats.losses import Written
@@ -127,7 +135,7 @@ def native_chunks(
                     yield f"{form}/annotations/{split}.json", chunks
                     start = end
             else:
-                yield from _xml_texts(form, ordered, category_ids(categories), counted[form])
+                yield from _xml_texts(form, ordered, categories, counted[form])
 
     return NativeTexts(files(), counted)
 
@@ -145,7 +153,8 @@ class _Numbered:
         return zip(self.images, self.image_ids, self.object_ids, strict=True)
 
 
-def _count_losses(instance: Instance, form: Form, losses: Counter[str]) -> None:
+def _count_losses(instance: Instance, form: Form, unsaid: Collection[str], losses: Counter[str]) -> None:
+    losses["ignore_as_class"] += unmarked_regions([instance], unsaid)
     losses["mask_dropped"] += instance.mask is not None
     losses["visibility_dropped"] += instance.visibility is not None
     losses["occlusion_dropped"] += loses_occlusion(instance)
@@ -218,13 +227,14 @@ def _json_file(
     """Return the content of a JSON file, with keys in the order of the original."""
     normal = form == "normal_json"
     of_category = category_ids(categories)
+    unsaid = ignored_by_class(categories)
     image_record = _normal_image if normal else _rotate_image
     images = Streamed(image_record(image, n) | _source_fields(image, new) for image, n, _ in numbered)
 
     def annotations() -> Iterator[dict[str, Any]]:
         for image, image_id, object_ids in numbered:
             for instance, object_id in zip(image.instances, object_ids, strict=True):
-                _count_losses(instance, form, losses)
+                _count_losses(instance, form, unsaid, losses)
                 ids = {"id": object_id, "image_id": image_id, "category_id": of_category[instance.category]}
                 if normal:
                     annotation = _normal_object(_truncated_box(instance.box_xyxy, require_size(image), losses), ids)
@@ -278,22 +288,30 @@ def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int]) -> dict[str,
 
 
 def _xml_texts(
-    form: Form, images: Sequence[ImageRecord], of_category: Mapping[str, int], losses: Counter[str]
+    form: Form, images: Sequence[ImageRecord], categories: Sequence[Category], losses: Counter[str]
 ) -> Iterator[tuple[str, Iterable[str]]]:
     """Yield path and text of one VOC or roLabelImg file per picture, and of the lists of splits."""
+    known, unsaid = category_ids(categories), ignored_by_class(categories)
     stems: dict[str, list[str]] = defaultdict(list)
     for image in images:
         if "/" in image.name:
             raise ValueError(f"{image.id}: the XML forms are flat, but {image.name!r} is in a folder")
         stem = image.name.rpartition(".")[0]
         stems[image.split].append(stem)
-        yield f"{form}/Annotations/{stem}.xml", (_xml_text(form, image, stem, of_category, losses),)
+        yield f"{form}/Annotations/{stem}.xml", (_xml_text(form, image, stem, known, unsaid, losses),)
     stems["trainval"] = stems["train"] + stems["val"]
     for split in (*SPLITS, "trainval"):
         yield f"{form}/ImageSets/Main/{split}.txt", (f"{s}\n" for s in stems[split])
 
 
-def _xml_text(form: Form, image: ImageRecord, stem: str, of_category: Mapping[str, int], losses: Counter[str]) -> str:
+def _xml_text(
+    form: Form,
+    image: ImageRecord,
+    stem: str,
+    known: Collection[str],
+    unsaid: Collection[str],
+    losses: Counter[str],
+) -> str:
     w, h = require_size(image)
     rotated = form == "rotate_xml"
     folder, name = (str(image.extra.get("date", "")), stem) if rotated else ("./JPEGImages", image.name)
@@ -313,13 +331,13 @@ def _xml_text(form: Form, image: ImageRecord, stem: str, of_category: Mapping[st
     ]
     pitch = "Unspecified" if image.pitch_deg is None else f"{image.pitch_deg:.10g}"
     for instance in image.instances:
-        if instance.category not in of_category:
+        if instance.category not in known:
             raise ValueError(f"{image.id}: category {instance.category!r} is not in the list of categories")
-        _count_losses(instance, form, losses)
+        _count_losses(instance, form, unsaid, losses)
         lines += ["  <object>"] + (["    <type>robndbox</type>"] if rotated else [])
         lines += [
             f"    <name>{escape(instance.category)}</name>",
-            f"    <pose>{'Unspecified' if rotated else instance.extra.get('pose', pitch)}</pose>",
+            f"    <pose>{'Unspecified' if rotated else escape(str(instance.extra.get('pose', pitch)))}</pose>",
             f"    <truncated>{int(bool(instance.truncated))}</truncated>",
             f"    <difficult>{int(bool(instance.difficult))}</difficult>",
         ]

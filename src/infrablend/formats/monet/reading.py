@@ -28,8 +28,8 @@ from infrablend.formats.monet.telemetry import (
     require_pitch,
     set_pitches,
 )
-from infrablend.formats.pictures import assign_ids, check_link, check_name, read_size
-from infrablend.formats.values import to_int, to_size
+from infrablend.formats.pictures import assign_ids, check_name
+from infrablend.formats.values import to_int
 
 _COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
 
@@ -146,7 +146,7 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
     images: list[Any] = []
     fields: dict[int, dict[str, Any]] = {}
     skipped: set[int] = set()
-    twice = measured = 0
+    twice = 0
     for r in top["images"]:
         if not isinstance(r, dict) or check_name(r.get("file_name"), "") is not None:
             images.append(r)
@@ -163,21 +163,12 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
             continue
         if file is not None:
             dataset.seen.add(name)
-            no_size = to_size(r.get("width"), r.get("height")) is None
-            if no_size and check_link(file, root, where) is None:
-                size_wh, problem = read_size(file, f"{where}: image {r.get('id')}")
-                problems += [problem] if problem else []
-                r |= {"width": size_wh[0], "height": size_wh[1]} if size_wh else {}
-                measured += 1
         if number is not None:
             fields.setdefault(number, {k: v for k, v in r.items() if k not in _COCO_FIELDS} | joined.get(number, {}))
         images.append(r)
     if twice:
         found = f"{twice} picture(s) that another annotation file contains too; left out here"
         problems.append(Problem(where, "image-duplicate", found, "each picture once", "remove one of the files"))
-    if measured:
-        found = f"{measured} image(s) without width and height, which were read from the pictures"
-        problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
     annotations = (a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
     part = dict(top) | {"images": images, "annotations": annotations}
     captures = Captures(None, problems)
