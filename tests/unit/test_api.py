@@ -56,6 +56,26 @@ def test_importing_the_package_is_light() -> None:
 FLAT = api.Execution(renderer="flat", in_process=True)
 
 
+def test_realism_reads_the_backgrounds_as_the_run_did(
+    write_tiny_hit_uav: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_tiny_hit_uav(tmp_path / "hit-uav", ("normal_json",))
+    data = tmp_path / "data"
+    data.mkdir()
+    for k, picture in enumerate(sorted((tmp_path / "hit-uav").rglob("*.jpg"))):
+        picture.rename(data / f"{k}.jpg")
+    for name, time in (("table", "night"), ("other", "day")):
+        rows = "".join(f"{k}.jpg,60,{time}\n" for k in range(4))
+        (tmp_path / f"{name}.csv").write_text(f"file,pitch_deg,time_of_day\n{rows}")
+    reading = api.Reading(metadata=tmp_path / "table.csv")
+    api.generate("hit-uav-drone", data, tmp_path / "run", limit=1, reading=reading, execution=FLAT)
+    seen = []
+    monkeypatch.setattr("infrablend.pipeline.compare_objects.compare", lambda _, dataset, *a: seen.append(dataset))
+    api.realism(tmp_path / "run", data, time_of_day="night")
+    api.realism(tmp_path / "run", data, reading=api.Reading(metadata=tmp_path / "other.csv"))
+    assert [{i.time_of_day for i in dataset.images} for dataset in seen] == [{"night"}, {"day"}]
+
+
 def _generate(tmp_path: Path, **options: Any) -> object:
     return api.generate("hit-uav-drone", tmp_path, tmp_path / "out", **{"execution": FLAT, **options})
 

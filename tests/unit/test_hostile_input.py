@@ -15,14 +15,15 @@ from PIL import Image
 from infrablend import api
 from infrablend.assets.user_model import read_description
 from infrablend.cli.exits import ENVIRONMENT, exit_code
-from infrablend.config.loading import load_recipe, parse_recipe
+from infrablend.config.loading import list_recipes, load_recipe, parse_recipe
 from infrablend.core.files import part_path
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import scratch
 from infrablend.pipeline import request, run
 from infrablend.pipeline.folder import RunFolder
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.generate import prepare_run
+from infrablend.pipeline.request import Execution, RunRequest
 
 
 @pytest.fixture
@@ -127,6 +128,25 @@ def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_pat
     with pytest.raises(RecipeError, match="Persn"):
         generate(data, tmp_path / "run", settings={"labels.keep_categories": ["Persn"]})
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("recipe", "settings", "where", "why"),
+    [
+        ("hit-uav-person", {"objects.0.range_m": [5, 9]}, "objects.0.range_m", "person stands on the ground"),
+        ("hit-uav-drone-physical", {"objects.0.z_m": [2, 3]}, "objects.0.z_m", "drone flies"),
+        ("drone-sky", {"appearance.mode": "artistic"}, "sensor.headroom", "appearance.mode is artistic"),
+        ("hit-uav-person", {"objects.0.range_m": [15, 60], "objects.0.z_m": [2, 3]}, None, None),  # the default
+        ("hit-uav-drone-physical", {"objects.0.range_m": [5, 9], "sensor.headroom": 1}, None, None),
+        ("hit-uav-drone", {"objects.0.z_m": [2, 3]}, None, None),  # metric placement only
+        *((name, {}, None, None) for name in list_recipes()),
+    ],
+)
+def test_settings_without_effect_are_reported(data, recipe, settings, where, why):
+    plan = prepare_run(RunRequest(recipe, data, settings=settings))
+    found = [p for p in plan.problems if p.code == "no-effect"]
+    assert [p.where for p in found] == ([] if where is None else [where])
+    assert all(p.severity == "warning" and why in p.found for p in found)
 
 
 def test_a_models_description_is_read_as_strictly(tmp_path):
@@ -273,7 +293,7 @@ def test_a_file_name_that_is_not_utf8_is_skipped_and_counted(tmp_path, data):
     assert report.counts["skipped_backgrounds"] == 1
     assert report.counts["frames"] == 6
     (problem,) = [p for p in report.problems if p.code == "name-not-utf8"]
-    assert problem.where == "bad\\udcff.jpg"
+    assert problem.where == "train/bad\\udcff.jpg"
     with pytest.raises(OutputError, match="not UTF-8"):
         generate(folder, tmp_path / "run\udcff")
 

@@ -15,9 +15,11 @@ from infrablend.core.tasks import OnProgress
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
+from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.merge import merge_shards
+from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.rerender import rerender_frame
 from infrablend.pipeline.run import RunReport
@@ -241,7 +243,7 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
         pairs: Largest number of pairs per class.
         real: Dataset of the real objects, as from `read_dataset`; by default `against`.
         steps: Whether to render the inserted objects again with each step of the sensor chain.
-        reading: How to read `against`.
+        reading: How to read `against`; by default as the run read its backgrounds, and every split.
         execution: Worker processes; `in_process` only for runs made with the flat renderer.
         on_progress: Called after each picture.
     """
@@ -251,6 +253,8 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
     request = ComparisonRequest(
         categories, time_of_day, pairs, execution.worker_count(), execution.in_process, real, steps
     )
+    if reading == READ_ALL:
+        reading = replace(RecordedRun.read(RunFolder(Path(run))).reading, splits=None)
     return compare(Path(run), read_dataset(against, reading), folder, request, on_progress)
 
 

@@ -14,6 +14,7 @@ import errno
 import logging
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TypeGuard
 
 import typer
 
@@ -21,6 +22,7 @@ from infrablend.cli.stopping import stop_requested
 from infrablend.core.file_names import escape_unfit
 from infrablend.core.files import output_error
 from infrablend.errors import (
+    ArgumentError,
     FetchError,
     InfraBlendError,
     Interrupted,
@@ -41,6 +43,8 @@ INTERRUPTED = 130
 
 SHOWN_PROBLEMS = 20
 _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS}
+# Of a path that the user gave, or of one below it.
+_PATH = {errno.EACCES, errno.EPERM, errno.ENAMETOOLONG}
 
 logger = logging.getLogger(__name__)
 
@@ -98,11 +102,24 @@ def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[st
     return lines
 
 
+def _is_of_path(error: BaseException) -> TypeGuard[OSError]:
+    """Return whether the system refuses a path, rather than anything that InfraBlend asks for without one."""
+    if not isinstance(error, OSError) or isinstance(error, InfraBlendError):
+        return False
+    return error.errno in _PATH and isinstance(error.filename, str | bytes | Path)
+
+
 def report_error(error: BaseException, log_path: Path | None) -> int:
     """Print an error on stderr, write its details to the log, and return the exit code."""
     if isinstance(error, OSError) and error.errno in _DISK and not isinstance(error, InfraBlendError):
         logger.info("the disk", exc_info=error)
         error = output_error(Path(str(error.filename or "the disk")), error)
+    elif _is_of_path(error):
+        logger.info("a path", exc_info=error)
+        error = ArgumentError(
+            f"{error.filename}: cannot be used ({error.strerror}); expected a path that this user may use. "
+            "Check its name and its permissions"
+        )
     code = exit_code(error)
     if code == BUG and stop_requested():
         logger.info("an error in place of the stop", exc_info=error)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from infrablend.cli.completion import complete_experiment
-from infrablend.cli.options import JsonOption, SeedOption, WorkersOption, key_values
+from infrablend.cli.options import JsonOption, SeedOption, WorkersOption, key_values, yaml_values
 
 if TYPE_CHECKING:
     from infrablend.cli.session import Session
@@ -89,7 +89,6 @@ def experiment(
 
     from infrablend import api
     from infrablend.cli.results import print_json, print_result, table
-    from infrablend.core.yaml_text import read_yaml
     from infrablend.pipeline.experiments.request import ExperimentRequest
 
     if show_list:
@@ -108,7 +107,7 @@ def experiment(
         scale=scale.value,
         seed=seed,
         device=device,
-        training={k: read_yaml(v) for k, v in key_values(settings, "--set").items()},
+        training=yaml_values(settings, "--set"),
         only=tuple(only or ()),
         adopt={stage: Path(folder) for stage, folder in key_values(adopt, "--adopt").items()},
         workers=workers,

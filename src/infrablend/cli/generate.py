@@ -115,9 +115,7 @@ def generate(
     reading = make_reading(split, format, form, metadata, options)
     names = comma_list(to, "--to")
     chosen = comma_list(frames, "--frames")
-    given = [n for n, v in (("--limit", limit), ("--sample", sample), ("--frames", frames)) if v is not None]
-    if len(given) > 1:
-        raise typer.BadParameter(f"{' and '.join(given)} exclude each other; give one of them", param_hint=given[1])
+    require_one_selection(limit, sample, frames)
     part = shard_request(shard, shard_size)
     if price is not None and not plan:
         raise typer.BadParameter("used by --plan only; give both, or leave it out", param_hint="--price")
@@ -171,6 +169,17 @@ def generate(
                 on_progress=on_progress,
             )
     show_run(report, session)
+
+
+def require_one_selection(limit: int | None, sample: int | None, frames: str | None) -> None:
+    """Check that at most one option chooses the frames.
+
+    Raises:
+        typer.BadParameter: Several do.
+    """
+    given = [n for n, v in (("--limit", limit), ("--sample", sample), ("--frames", frames)) if v is not None]
+    if len(given) > 1:
+        raise typer.BadParameter(f"{' and '.join(given)} exclude each other; give one of them", param_hint=given[1])
 
 
 def shard_request(text: str | None, size: int | None) -> ShardRequest | None:

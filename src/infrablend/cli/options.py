@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -110,6 +110,23 @@ def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:
         if not equals or not key or key in found:
             raise typer.BadParameter(f"{pair!r}: write KEY=VALUE, each key once", param_hint=option)
         found[key] = value
+    return found
+
+
+def yaml_values(pairs: list[str] | None, option: str) -> dict[str, Any]:
+    """Parse `["a=1", "b=[2, 3]"]` into `{"a": 1, "b": [2, 3]}`.
+
+    Raises:
+        typer.BadParameter: An item has no `=`, a key comes twice, or a value is not YAML; the message names `option`.
+    """
+    from infrablend.core.yaml_text import read_yaml
+
+    found = {}
+    for key, text in key_values(pairs, option).items():
+        try:
+            found[key] = read_yaml(text)
+        except ValueError as error:
+            raise typer.BadParameter(f"{key}={text}: {error}", param_hint=option) from error
     return found
 
 

@@ -10,7 +10,9 @@ import typer
 
 from infrablend.cli.options import (
     FormatOption,
+    FormOption,
     JsonOption,
+    MetadataOption,
     ReadingOption,
     RunArgument,
     WorkersOption,
@@ -58,6 +60,8 @@ def realism(
     ] = None,
     workers: WorkersOption = None,
     format: FormatOption = None,
+    form: FormOption = None,
+    metadata: MetadataOption = None,
     options: ReadingOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -83,7 +87,7 @@ def realism(
             pairs=pairs,
             real=None if real is None else api.read_dataset(real, make_reading(real_split)),
             steps=steps,
-            reading=make_reading(format=format, options=options),
+            reading=make_reading(None, format, form, metadata, options),
             execution=Execution(workers),
             on_progress=on_progress,
         )

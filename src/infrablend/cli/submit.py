@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from infrablend.cli.generate import require_one_selection
 from infrablend.cli.options import JsonOption
 
 if TYPE_CHECKING:
@@ -123,6 +124,9 @@ def parse_generate(words: Sequence[str]) -> dict[str, Any]:
     normal = {p.name: p.default for p in command.params}
     if wrong := [option for key, option in _OURS.items() if (given[key] or None) != (normal[key] or None)]:
         raise typer.BadParameter(f"{', '.join(wrong)}: the jobs set it themselves; leave it out")
+    require_one_selection(given["limit"], given["sample"], given["frames"])
+    if given["price"] is not None:
+        raise typer.BadParameter("used by --plan only, which no job gives; leave it out", param_hint="--price")
     return given
 
 

@@ -16,8 +16,8 @@ from infrablend.cli.options import (
     ReadingOption,
     comma_list,
     earlier_output,
-    key_values,
     make_reading,
+    yaml_values,
 )
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def train(
 
     request = api.TrainRequest(
         preset=preset.value,
-        settings={k: _value(k, v) for k, v in key_values(setting, "--set").items()},
+        settings=yaml_values(setting, "--set"),
         task=task.value,
         weights=weights,
         device=device,
@@ -155,12 +155,3 @@ def _agc(text: str) -> Agc:
         return parse_agc(text)
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--agc") from error
-
-
-def _value(key: str, text: str) -> Any:
-    from infrablend.core.yaml_text import read_yaml
-
-    try:
-        return read_yaml(text)
-    except ValueError as error:
-        raise typer.BadParameter(f"{key}={text}: {error}", param_hint="--set") from error

@@ -112,7 +112,7 @@ def _show(trial: Trial, out: Path, session: Session, *, again: bool = False) -> 
 
 def _lines(trial: Trial) -> list[str]:
     """Return what is in the frame, a line per inserted object."""
-    from infrablend.pipeline.trial import how_visible
+    from infrablend.pipeline.trial import gain_words, how_visible
 
     lines = [f"{trial.frame.id}, {trial.seconds:.2f} s"]
     scene = trial.frame.scene
@@ -120,6 +120,7 @@ def _lines(trial: Trial) -> list[str]:
         width, height = label.box_xyxy[2:] - label.box_xyxy[:2]
         facts = [f"{width:.1f} x {height:.1f} px", *how_visible(label)]
         lines.append(f"{label.category}: {', '.join(facts)}")
+    lines += gain_words(trial.frame.record.facts.get("matching") or {})
     absent = {} if scene is None else {**scene.draws.get("absent", {})}
     lines += [f"not inserted: {count} ({reason})" for reason, count in sorted(absent.items())]
     if removed := len(trial.frame.record.removed):

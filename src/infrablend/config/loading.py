@@ -128,7 +128,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
         text: The YAML text.
         where: Name of the recipe in errors.
         settings: As of `load_recipe`.
-        folder: Folder that paths in the recipe are relative to.
+        folder: Folder that paths in the recipe are relative to; the working directory by default.
 
     Raises:
         RecipeError: With every unknown key and bad value at once.
@@ -147,10 +147,11 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     for key, value in pairs:
         _set(data, key, value, problems)
     _prefer_stated_lens(data, pairs)
-    if folder is not None and isinstance(data.get("objects"), list):
+    if isinstance(data.get("objects"), list):
         for item in data["objects"]:
             if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
-                path = folder / item["model"]
+                # The record of a run has the whole path, so that the run can be used from any folder.
+                path = (folder or Path()) / item["model"]
                 # A description that is a link out of its folder is refused by its reader.
                 item["model"] = str(real_path(path.parent) / path.name)
     _read_profile(data, folder)
@@ -173,13 +174,18 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
 
 
 def _prefer_stated_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> None:
-    """Let a lens that the settings state count more than the field of view of the pictures' own files."""
+    """Let a lens that the settings state count more than the field of view of the pictures' own files.
+
+    A `field_of_view` of the recipe's file does not prevent that, for recipes that the studio writes state every field;
+    one among the settings does.
+    """
     stated = {key for key, _ in pairs}
     stated |= {f"camera.{f}" for key, value in pairs if key == "camera" and isinstance(value, dict) for f in value}
     camera = data.get("camera")
     lens = stated & {"camera.focal_length_mm", "camera.sensor_width_mm"}
-    if lens and isinstance(camera, dict) and modes_of(data).placement == "metric":
-        camera.setdefault("field_of_view", "recipe")
+    chosen = "camera.field_of_view" in stated
+    if lens and not chosen and isinstance(camera, dict) and modes_of(data).placement == "metric":
+        camera["field_of_view"] = "recipe"
 
 
 def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tuple[list[Problem], list[Problem]]:

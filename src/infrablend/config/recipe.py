@@ -185,8 +185,9 @@ class MetricCamera(Camera):
     """Height above the ground: that of each background (`metadata`), `{fixed_m: 60}` or `{random_m: [60, 120]}`."""
     field_of_view: Literal["metadata", "recipe"] = "metadata"
     """Horizontal field of view: that of each background whose own file or table states it, and that of
-    `focal_length_mm` for all others (`metadata`); or that of `focal_length_mm` for all (`recipe`). A `focal_length_mm`
-    or `sensor_width_mm` set on the command line implies `recipe`."""
+    `focal_length_mm` for others of unknown cameras (`metadata`; other pictures of a video or of a drone's own files are
+    left out); or that of `focal_length_mm` for all (`recipe`). A `focal_length_mm` or `sensor_width_mm` set on the
+    command line or in the studio implies `recipe`; one in the recipe's file does not."""
     calibrate: bool = True
     """With `altitude: metadata`: correct the height until the annotated people, cars and two-wheelers of the image have
     their real size. Heights in metadata count from take-off; in an image without such objects the height is multiplied
@@ -289,7 +290,8 @@ class ObjectKind(Strict):
     """A kind of object to insert."""
 
     model: str = Field(min_length=1)
-    """Name in `infrablend models list`, or the path of your own model's YAML (relative to the recipe)."""
+    """Name in `infrablend models list`, or the path of your own model's YAML (relative to the recipe, or to the current
+    folder if it is set for a shipped recipe)."""
     category: ClassName | None = None
     """Class of its labels; the model's own by default. The name of a class of the dataset adds no new class."""
     count: Annotated[int, Field(ge=0, le=64)] | Count = 1

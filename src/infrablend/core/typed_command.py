@@ -97,16 +97,27 @@ def run_command(record: Mapping[str, Any], recipe: str, data: str, out: str, *, 
     words = ["infrablend", "generate", recipe, "--data", data, "--out", out, "--seed", str(record.get("seed", 0))]
     request = record.get("request") or {}
     reading, selection = request.get("reading", {}), request.get("selection", {})
-    if splits := reading.get("splits"):
-        words += ["--split", ",".join(splits)]
-    words += [w for name in ("format", "form") if name in reading for w in (f"--{name}", str(reading[name]))]
-    if metadata := reading.get("metadata"):
-        words += ["--metadata", str(metadata) if folders else Path(metadata).name]
-    words += [w for name, text in reading.get("options", {}).items() for w in ("--read", f"{name}={text}")]
+    words += reading_words(reading, folders=folders)
     words += [w for name in ("limit", "sample") if name in selection for w in (f"--{name}", str(selection[name]))]
     if frames := selection.get("frames"):
         words += ["--frames", ",".join(frames)]
     return words
+
+
+def reading_words(reading: Mapping[str, Any], *, folders: bool = True) -> list[str]:
+    """Return the options that read a dataset like this.
+
+    Args:
+        reading: Fields of a `Reading`; those that are missing or empty give no option.
+        folders: Whether to name the folder of a table, too.
+    """
+    words = []
+    if splits := reading.get("splits"):
+        words += ["--split", ",".join(splits)]
+    words += [w for name in ("format", "form") if reading.get(name) for w in (f"--{name}", str(reading[name]))]
+    if metadata := reading.get("metadata"):
+        words += ["--metadata", str(metadata) if folders else Path(metadata).name]
+    return words + [w for name, text in reading.get("options", {}).items() for w in ("--read", f"{name}={text}")]
 
 
 def _where(folder: Path, value: str, root: Path, away: bool) -> str:

@@ -55,6 +55,8 @@ class ChoiceReport:
         changed: Number of frames that were left out or taken back by this call.
         purged_files: Number of deleted files.
         counts: Counts of the run, as in `run.json`.
+        problems: Problems of data, frames and labels, if the labels were written again.
+        ok: Whether no background was skipped and no frame failed, if the labels were written again.
     """
 
     out: Path
@@ -63,11 +65,7 @@ class ChoiceReport:
     purged_files: int
     counts: Mapping[str, Any]
     problems: tuple[Problem, ...] = ()
-
-    @property
-    def ok(self) -> bool:
-        """Whether no frame of the run was skipped or failed."""
-        return not any(p.severity == "error" for p in self.problems)
+    ok: bool = True
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -127,12 +125,13 @@ def choose_frames(
 
     counts: Mapping[str, Any] = record.get("counts", {})
     problems: tuple[Problem, ...] = ()
+    ok = True
     if after != before or status == EXCLUDING:
         flat = recorded.renderer == "flat"
         execution = Execution(recorded.workers, device=recorded.device, renderer=recorded.renderer, in_process=flat)
         try:
             report = run_plan(plan, run, execution, "resume", on_progress, choose=choose)
-            counts, problems = report.counts, report.problems
+            counts, problems, ok = report.counts, report.problems, report.ok
         except OtherSettingsError as error:
             raise OtherSettingsError(
                 f"{run}: its backgrounds are read differently now, so labels cannot be written again; nothing was "
@@ -142,7 +141,7 @@ def choose_frames(
     if choice.purge:
         with folder.output.claimed():
             deleted = purge(folder, folder.manifest().read())
-    return ChoiceReport(run, after, len(before.keys() ^ after.keys()), deleted, counts, problems)
+    return ChoiceReport(run, after, len(before.keys() ^ after.keys()), deleted, counts, problems, ok)
 
 
 def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str, str]) -> None:

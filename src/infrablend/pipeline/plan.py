@@ -27,6 +27,7 @@ from infrablend.config.recipe import (
     RadiometricMatching,
     RandomPitch,
     Recipe,
+    Sensor,
     SkyEnvironment,
 )
 from infrablend.core.dataset import Category, Dataset, ImageRecord
@@ -34,6 +35,7 @@ from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.files import sha256_of_json
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
+from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.formats.detection import DATASET_INSIDE
 from infrablend.formats.flight import FOR_ALL, was_extracted
@@ -64,6 +66,9 @@ LEFT_OUT = frozenset(
     ("no-pitch", "no-altitude", "no-field-of-view", "above-horizon", "no-temperature-scale", "image-visible")
 )
 """Codes of the problems that leave a picture out of the run, one per picture."""
+# Fields of objects in metric placement that only models of one kind use.
+_OF_STANDING = ("group", "align", "z_m")
+_OF_FLYING = ("range_m",)
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
 # Clear of the horizon, where day and night are a matter of opinion.
@@ -282,7 +287,7 @@ def make_plan(
         if not is_text(image.path.name) or not is_text(image.id):
             problems.append(
                 Problem(
-                    as_text(image.path.name),
+                    as_text(f"{image.split}/{image.path.name}"),
                     "name-not-utf8",
                     "a file name that is not UTF-8",
                     "a name that labels in JSON can hold",
@@ -292,7 +297,7 @@ def make_plan(
         elif image.extra.get("modality") == "visible":
             problems.append(
                 Problem(
-                    image.path.name,
+                    _place(image),
                     "image-visible",
                     "a picture of visible light",
                     "a thermal picture as background",
@@ -417,23 +422,40 @@ def _require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
 
 
 def _without_effect(recipe: Recipe, models: Mapping[str, ObjectModel]) -> list[Problem]:
-    """Return a warning for each setting for objects on the ground that a flying model has."""
-    flying = [
-        (i, o) for i, o in enumerate(recipe.objects) if isinstance(o, MetricObject) and not models[o.model].stands
-    ]
+    """Return a warning for each setting that differs from its default and has no effect with these models and modes."""
+    found = []
+    for i, o in enumerate(recipe.objects):
+        if not isinstance(o, MetricObject):
+            continue
+        stands = models[o.model].stands
+        why = f"{o.model} {'stands on the ground' if stands else 'flies'}"
+        expected = "a model that flies" if stands else "a model that stands on the ground"
+        unused = _OF_FLYING if stands else _OF_STANDING
+        found += [(f"objects.{i}.{name}", why, expected) for name in unused if _is_set(o, name)]
+    s = recipe.sensor
+    if recipe.appearance.mode == "artistic" and isinstance(s, Sensor) and _is_set(s, "headroom"):
+        found.append(("sensor.headroom", "appearance.mode is artistic", "appearance.mode physical"))
     return [
         Problem(
-            f"objects.{i}.{name}",
+            where,
             "no-effect",
-            f"a setting without effect: {o.model} flies",
-            "a model that stands on the ground",
-            f"remove {name}",
+            f"a setting without effect: {why}",
+            expected,
+            f"remove {where.rpartition('.')[2]}",
             "warning",
         )
-        for i, o in flying
-        for name in ("group", "align")
-        if getattr(o, name) is not None
+        for where, why, expected in found
     ]
+
+
+def _is_set(section: Strict, name: str) -> bool:
+    """Return whether a field has another value than its default; recipes of the studio state every field."""
+    return bool(getattr(section, name) != type(section).model_fields[name].default)
+
+
+def _place(image: ImageRecord) -> str:
+    """Return the split and name of a picture: several splits may have a picture of one name."""
+    return f"{image.split}/{image.name}"
 
 
 def _telemetry_missing(recipe: Recipe, image: ImageRecord, others: _Telemetry) -> Problem | None:
@@ -451,12 +473,12 @@ def _telemetry_missing(recipe: Recipe, image: ImageRecord, others: _Telemetry) -
     found += ["unknown field of view of " + str(image.extra.get("camera", "the video's camera"))] * lens
     wanted = ["a pitch"] * pitch + ["an altitude"] * height + ["a field of view (hfov_deg)"] * lens
     fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
-    fields += ["camera.focal_length_mm"] * lens
+    fields += ["camera.field_of_view to recipe, with the camera's own camera.focal_length_mm"] * lens
     some = any(
         known for missing, known in ((pitch, others.pitch), (height, others.height), (lens, others.lens)) if missing
     )
     return Problem(
-        image.name,
+        _place(image),
         "no-pitch" if pitch else "no-altitude" if height else "no-field-of-view",
         " and ".join(found),
         f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
@@ -498,7 +520,9 @@ def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
         return []
     span = f"{min(other):.1f}" if max(other) - min(other) < 0.1 else f"{min(other):.1f} to {max(other):.1f}"
     found = f"{stated:.1f} degrees across for all pictures, but the files of {len(other)} picture(s) state {span}"
-    todo = "set camera.field_of_view to metadata, or state no lens, unless the files are wrong"
+    todo = (
+        "set camera.field_of_view to metadata, or state no lens, unless another lens is wanted or the files are wrong"
+    )
     return [Problem("camera.focal_length_mm", LENS_REPLACED, found, "the lens of the camera", todo, "warning")]
 
 
@@ -547,7 +571,7 @@ def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Prob
     if "camera" in image.extra and any(p.code == "image-radiometric" for p in dataset.problems):
         layers = f"{dataset.root.resolve().name}_k"
         return Problem(
-            image.name,
+            _place(image),
             "no-temperature-scale",
             f"only the grey levels of a camera's own file are read, and {needed} needs temperatures",
             "the radiometric layers as a dataset of 16-bit pictures",
@@ -555,7 +579,7 @@ def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Prob
             f"also need a scale, such as --slope and --offset), then generate with --data {shlex.quote(layers)}",
         )
     return Problem(
-        image.name,
+        _place(image),
         "no-temperature-scale",
         f"no temperature scale, which {needed} needs",
         "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
@@ -574,7 +598,7 @@ def _above_horizon(recipe: Recipe, image: ImageRecord) -> Problem | None:
     if image.pitch_deg is None or image.pitch_deg + half_deg > 0:
         return None
     return Problem(
-        image.name,
+        _place(image),
         "above-horizon",
         f"a camera pitch of {image.pitch_deg:g} degrees, so the whole picture is above the horizon",
         "ground in view, for metric placement on the ground",
@@ -641,6 +665,10 @@ def fingerprint(dataset: Dataset) -> str:
         digest.update(repr(facts if image.hfov_deg is None else (*facts, image.hfov_deg)).encode())
         if image.roll_deg:
             digest.update(repr(("roll", image.roll_deg)).encode())
+        # The sun follows sequence and time, temperatures the scale, and the camera's height where its altitude is from.
+        more = (image.sequence, image.captured, image.radiometry, image.extra.get("altitude_from"))
+        if any(v is not None for v in more):
+            digest.update(repr(more).encode())
         for i in image.instances:
             digest.update(i.category.encode() + i.box_xyxy.tobytes())
             if i.corners_xy is not None:

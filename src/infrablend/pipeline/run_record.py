@@ -58,7 +58,7 @@ class RunState:
         unfinished: Ids of the frames without a picture.
         failures: Failed frames, by id.
         reasons: Why a frame has no picture, by id.
-        skipped: Unreadable backgrounds, by id.
+        skipped: Unreadable backgrounds, by split and id.
         render_seconds: Seconds of the workers, by kind of work.
         peak_rss_bytes: Largest resident memory of a worker.
     """
@@ -98,10 +98,11 @@ class RunState:
         if failure.error == "DatasetError":
             image = Problem(str(frame.background.path), "image", failure.message)
             problem = failure.problems[0] if failure.problems else image
-            known = frame.background.id in self.skipped  # another configuration failed for the same reason
-            self.skipped[frame.background.id] = problem
+            background = f"{frame.background.split}/{frame.background.id}"
+            known = background in self.skipped  # another configuration failed for the same reason
+            self.skipped[background] = problem
             if not known:
-                log.warning("skipped background %s: %s", frame.background.id, problem)
+                log.warning("skipped background %s: %s", background, problem)
             return
         self.failures[result.key] = Problem(
             result.key,
@@ -121,9 +122,13 @@ class RunState:
     def counts(self, plan: RunPlan, labels: LabelSummary) -> dict[str, Any]:
         """Return the counts for the run record, with those of the label files."""
         codes = Counter(p.code for p in plan.problems if p.severity == "error")
+        # A picture that the reader left out is not among those that a selection chooses from.
+        others = set(plan.dataset.problems) if plan.request.get("selection") else set()
         # Also distinguished by `found`, because one annotation file may lack several images.
         left_out = {
-            (p.where, p.found) for p in plan.problems if p.severity == "error" and p.code in LEFT_OUT | _IMAGE_CODES
+            (p.where, p.found)
+            for p in plan.problems
+            if p.severity == "error" and p.code in LEFT_OUT | _IMAGE_CODES and p not in others
         }
         return {
             "frames_planned": len(plan.frames) + self.excluded,

@@ -116,6 +116,21 @@ def how_visible(label: Instance) -> list[str]:
     return found
 
 
+def gain_words(matching: Mapping[str, Any]) -> list[str]:
+    """Return the gain of a frame, and what it rests on, in words."""
+    found = []
+    for which, gain in (matching.get("gain") or {}).items():
+        value, count = gain.get("grey_per_k"), gain.get("anchors_used", 0)
+        if not isinstance(value, int | float):
+            continue
+        alone = not count or gain.get("from_prior")
+        rests = "the recipe's expectation alone" if alone else f"{count} patches of the background"
+        doubts = gain.get("doubts") or ()
+        doubt = f"; doubtful: {', '.join(str(d) for d in doubts)}" if doubts else ""
+        found.append(f"gain ({which}) {value:.1f} grey levels per kelvin, from {rests}{doubt}")
+    return found
+
+
 class Trials:
     """Tries of one recipe on one frame, on a warm worker."""
 

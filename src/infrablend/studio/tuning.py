@@ -6,7 +6,7 @@ import math
 import shlex
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,11 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
+from infrablend.core.typed_command import reading_words
 from infrablend.errors import ArgumentError, DatasetError, OutputError
 from infrablend.formats import detection
 from infrablend.pipeline.temperature_scale import with_scale
-from infrablend.pipeline.trial import Trial, TrialRequest, Trials, how_visible
+from infrablend.pipeline.trial import Trial, TrialRequest, Trials, gain_words, how_visible
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
 from infrablend.studio.pictures import Rgb, decode, enlarged, with_originals
@@ -103,21 +104,6 @@ class Tuned:
         return [*found, *(str(p) for p in self.trial.problems)]
 
 
-def gain_words(matching: Mapping[str, Any]) -> list[str]:
-    """Return the gain of a frame, and what it rests on, in words."""
-    found = []
-    for which, gain in (matching.get("gain") or {}).items():
-        value, count = gain.get("grey_per_k"), gain.get("anchors_used", 0)
-        if not isinstance(value, int | float):
-            continue
-        alone = not count or gain.get("from_prior")
-        rests = "the recipe's expectation alone" if alone else f"{count} patches of the background"
-        doubts = gain.get("doubts") or ()
-        doubt = f"; doubtful: {', '.join(str(d) for d in doubts)}" if doubts else ""
-        found.append(f"gain ({which}) {value:.1f} grey levels per kelvin, from {rests}{doubt}")
-    return found
-
-
 class Tuning:
     """Backgrounds and a warm renderer, shared by all pages.
 
@@ -134,6 +120,7 @@ class Tuning:
             InfraBlendError: The recipe or the data cannot be used.
         """
         self.recipe, self.data, self.seed = str(request.recipe), Path(request.data), request.seed
+        self._reading = request.reading
         self._lock = threading.Lock()
         self._saved: set[Path] = set()
         self._trials = Trials(request)
@@ -211,7 +198,10 @@ class Tuning:
         write_text(path, to_yaml(recipe))
         self._saved.add(path)
         words = ["infrablend", "try", path, "--data", self.data.resolve(), "--frame", frame_id, "--seed", self.seed]
-        return shlex.join(str(w) for w in words)
+        reading = asdict(self._reading)
+        if self._reading.metadata is not None:
+            reading["metadata"] = Path(self._reading.metadata).resolve()
+        return shlex.join(str(w) for w in (*words, *reading_words(reading)))
 
     def close(self) -> None:
         """End the renderer."""

@@ -333,6 +333,32 @@ def test_a_failing_disk_is_no_bug(api, capsys, log_path):
     assert "Traceback" in log_path.read_text()
 
 
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EPERM, errno.ENAMETOOLONG])
+def test_a_path_that_the_system_refuses_is_no_bug(api, capsys, log_path, number):
+    def fail(*a, **k):
+        raise OSError(number, os.strerror(number), "data/train")
+
+    api.answers["generate"] = fail
+    assert main(GENERATE) == 2
+    err = capsys.readouterr().err
+    assert f"data/train: cannot be used ({os.strerror(number)})" in err and "bug" not in err
+    assert "Traceback" in log_path.read_text()
+
+
+def test_a_refusal_that_names_no_path_is_a_bug(api, capsys):
+    def fail(*a, **k):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    api.answers["generate"] = fail
+    assert main(GENERATE) == 70
+
+
+def test_settings_of_an_experiment_that_are_not_yaml_are_named(capsys):
+    assert main(["experiment", "pitch-alignment", "--plan", "--set", "passes=[1"]) == 2
+    err = capsys.readouterr().err
+    assert "--set" in err and "passes=[1" in err and "bug" not in err
+
+
 def test_warnings_of_the_run_reach_stderr_not_stdout(api, capsys):
     import logging
 

@@ -42,6 +42,20 @@ def test_quality_paper_is_640_samples():
     assert load_recipe("hit-uav-drone", ["render.samples=7"]).samples == 7
 
 
+def test_a_lens_of_the_settings_counts_more_than_what_the_file_says_of_the_pictures_lens():
+    text = (
+        "name: a\nobjects: [{model: person}]\nplacement: {mode: metric}\n"
+        "camera: {focal_length_mm: 40, field_of_view: metadata}\n"
+    )
+
+    def view(*settings):
+        return parse_recipe(text, "a", settings).recipe.camera.field_of_view
+
+    assert view() == "metadata"  # a lens in the file is for pictures that do not state theirs
+    assert view("camera.focal_length_mm=60") == view("camera.sensor_width_mm=10") == "recipe"
+    assert view("camera.focal_length_mm=60", "camera.field_of_view=metadata") == "metadata"
+
+
 def test_every_wrong_field_is_named_at_once():
     settings = [
         "output.image=gif",
@@ -105,6 +119,12 @@ def test_recipe_survives_json():
 def test_model_paths_are_relative_to_the_recipe(tmp_path):
     (tmp_path / "r.yaml").write_text("name: r\nobjects: [{model: fox.yaml}]")
     assert load_recipe(tmp_path / "r.yaml").objects[0].model == str(tmp_path / "fox.yaml")
+
+
+def test_a_model_set_in_a_shipped_recipe_is_relative_to_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recipe = load_recipe("hit-uav-drone", ["objects.0.model=models/fox.yaml"])
+    assert recipe.objects[0].model == str(tmp_path / "models" / "fox.yaml")  # whole, for the record of the run
 
 
 def test_an_unquoted_off_is_the_sensors_off():

@@ -71,6 +71,20 @@ def ids(run_folder: Path) -> list[str]:
     return sorted(p.relative_to(root).with_suffix("").as_posix() for p in root.rglob("*.json"))
 
 
+def test_a_label_that_is_dropped_is_no_failure(words: list[object], data: Path, tmp_path: Path) -> None:
+    file = next(p for p in sorted(data.rglob("*.json")) if "annotations" in json.loads(p.read_text()))
+    annotated = json.loads(file.read_text())
+    annotated["annotations"].append({**annotated["annotations"][0], "id": 999, "bbox": [900, 900, 9, 9]})
+    annotated["annotations"][-1].pop("segmentation", None)
+    file.write_text(json.dumps(annotated))
+    done(*words)
+    run_folder = tmp_path / "run"
+    assert record(run_folder)["counts"]["dataset_errors"] == {"box-outside": 1}
+    frame = ids(run_folder)[0]
+    done("exclude", run_folder, frame)
+    done("include", run_folder, frame)
+
+
 def test_labels_counts_card_and_check_follow(made: Path, tmp_path: Path) -> None:
     every = ids(made)
     left_out = every[0]

@@ -65,7 +65,18 @@ def test_frames_of_a_video_without_a_field_of_view_are_named(tmp_path: Path) -> 
     with pytest.raises(DatasetError) as caught:
         api.plan("hit-uav-people", tmp_path)
     assert [p.code for p in caught.value.problems] == ["no-field-of-view"]
+    assert "set camera.field_of_view to recipe" in caught.value.problems[0].todo
     assert api.plan("hit-uav-people", tmp_path, settings=["camera.focal_length_mm=60"]).facts["frames"] == 1
+    assert api.plan("hit-uav-people", tmp_path, settings=["camera.field_of_view=recipe"]).facts["frames"] == 1
+
+
+def test_deer_above_has_its_own_lens_over_pictures_of_any(tmp_path: Path) -> None:
+    data = flight(tmp_path / "in", 1, focal_length_35mm=80.0)
+    shot(data / "DJI_0002_T.JPG", number=1, focal_length_35mm=None)
+    settings = ["empty_share=1.0"]
+    api.generate("deer-above", data, tmp_path / "out", settings=settings, execution=FLAT)
+    records = [read_record(p) for p in sorted((tmp_path / "out" / "scenes").rglob("*.json"))]
+    assert [round(hfov(r)) for r in records if r is not None] == [50, 50]
 
 
 def test_a_lens_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> None:

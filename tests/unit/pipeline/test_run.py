@@ -638,6 +638,32 @@ def test_images_without_pitch_are_left_out_and_counted(dataset, tmp_path):
     assert report.counts["skipped_backgrounds"] == 2
 
 
+def test_pictures_of_one_name_in_two_splits_count_twice(dataset, tmp_path):
+    plain = tmp_path / "plain"
+    names = ("train/0001.jpg", "val/0001.jpg", "train/0002.jpg", "val/0002.jpg")
+    for picture, name in zip(sorted((dataset / "normal_json").rglob("*.jpg")), names, strict=True):
+        (plain / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(picture, plain / name)
+    rows = "".join(f"{s}/{k}.jpg,{p}\n" for s in ("train", "val") for k, p in (("0001", ""), ("0002", 30)))
+    (plain / "metadata.csv").write_text("file,pitch_deg\n" + rows)
+    for name in ("train/0002.jpg", "val/0002.jpg"):
+        (plain / name).write_bytes((plain / name).read_bytes()[:3000])
+    (plain / "val" / "0003.jpg").write_bytes((plain / "val" / "0001.jpg").read_bytes())
+    with (plain / "metadata.csv").open("a") as stream:
+        stream.write("val/0003.jpg,40\n")
+    report = generate(plain, tmp_path / "run")
+    assert report.counts["dataset_errors"] == {"no-pitch": 2}
+    assert report.counts["skipped_backgrounds"] == 4 and report.counts["frames"] == 2
+
+
+def test_pictures_that_a_selection_does_not_reach_are_not_skipped(dataset, tmp_path):
+    (dataset / "normal_json" / "test" / f"{NAMES[3]}.jpg").unlink()
+    report = generate(dataset, tmp_path / "some", limit=1)
+    assert report.ok and report.counts["skipped_backgrounds"] == 0
+    assert report.counts["dataset_errors"] == {"image-missing": 1}  # still listed
+    assert generate(dataset, tmp_path / "all").counts["skipped_backgrounds"] == 1
+
+
 def test_rerender_gives_the_same_bytes(dataset, tmp_path):
     generate(dataset, tmp_path / "run", limit=1)
     frame = f"train/{NAMES[0]}_c1"

@@ -15,8 +15,11 @@ from typer.testing import CliRunner
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.masks import Mask
+from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
+from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.convert import ClassChanges
 from infrablend.pipeline.enlarged import count_enlarged
 from infrablend.pipeline.select import (
@@ -281,3 +284,27 @@ def test_hit_uav_gives_as_many_real_boxes_as_asked_for(real_data, name, pictures
     real, found = select(data, Selection(name, ("DontCare",), pictures, boxes))
     assert (len(real.images), found["objects_taken"]) == (pictures, boxes)
     assert min(sum(o.category == name for o in i.instances) for i in real.images) > 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sequence": "flight 2"},
+        {"captured": "2024-05-01T12:00:00"},
+        {"radiometry": Radiometry(TemperatureScale(0.04, 0.0, "counts"), "stated")},
+        {"extra": {"altitude_from": "barometer"}},
+        {"instances": (Instance("Person", np.array([1.0, 2, 3, 4]), extra={"iscrowd": 1}),)},
+        {"instances": (Instance("Person", np.array([1.0, 2, 3, 4]), mask=Mask.from_array(np.eye(8, dtype=bool))),)},
+    ],
+)
+def test_everything_that_decides_a_result_changes_the_digest(change):
+    """Stages were reused, and runs resumed, although sequence, time, scale, masks or crowds had changed."""
+    one = ImageRecord(
+        "a", Path("a.png"), "train", (8, 8), 60.0, 80.0, "night", (Instance("Person", np.array([1.0, 2, 3, 4])),)
+    )
+    categories = (Category(0, "Person"),)
+    before, after = (Dataset(Path("x"), "coco", categories, (i,)) for i in (one, replace(one, **change)))
+    assert content_digest(before) == content_digest(before)
+    assert content_digest(before) != content_digest(after)
+    ignoring = Dataset(Path("x"), "coco", (Category(0, "Person", ignore=True),), (one,))
+    assert content_digest(before) != content_digest(ignoring)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -117,6 +118,16 @@ def test_the_command_writes_and_describes_one_frame(
     assert sorted(p.name for p in tmp_path.iterdir()) == ["hit-uav", "recipe.yaml", "shown.png"]
     done = CliRunner().invoke(build_app(), ["try", RECIPE, "--data", str(data), "--out", str(out), "--json"])
     assert json.loads(done.stdout)["frame"] == "train/0_60_30_0_00001_c0"
+
+
+def test_the_command_prints_the_gain_of_the_physical_look(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(api, "try_recipe", lambda *a, **k: _flat(*a, **k))
+    words = ["try", "hit-uav-drone-physical", "--data", str(data), "--out", str(tmp_path / "shown.png")]
+    done = CliRunner().invoke(build_app(), words)
+    assert done.exit_code == 0, done.output
+    assert re.search(r"^gain \(\w+\) \d+\.\d grey levels per kelvin, from ", done.stdout, re.MULTILINE)
 
 
 def _flat(*arguments: Any, **options: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -13,10 +14,10 @@ from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.config.modes import modes_of
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.trial import TrialRequest
+from infrablend.pipeline.trial import TrialRequest, gain_words
 from infrablend.studio.by_hand import Move, can_move, moved, origin_px, released
 from infrablend.studio.recipe_form import FormField, fitting, form_of
-from infrablend.studio.tuning import Tuning, gain_words
+from infrablend.studio.tuning import Tuning
 
 FLAT = Execution(renderer="flat", in_process=True)
 RECIPE = "hit-uav-drone"
@@ -77,6 +78,23 @@ def test_a_saved_recipe_gives_the_bytes_of_the_picture(tuning: Tuning, data: Pat
     assert again.frame.image_bytes == frame.image_bytes
     plain = tuning.compose(RECIPE, {}, background).trial.frame
     assert plain.image_bytes != frame.image_bytes
+
+
+def test_the_command_of_a_saved_recipe_reads_the_backgrounds_in_the_same_way(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    shutil.copy(next(data.rglob("*.jpg")), pictures / "a.jpg")
+    Path("table.csv").write_text("file,pitch_deg\na.jpg,85\n")
+    reading = api.Reading(format="folder", metadata=Path("table.csv"))
+    tuning = Tuning(TrialRequest(RECIPE, pictures, reading=reading, execution=FLAT))
+    frame = tuning.compose(RECIPE, {}, tuning.backgrounds[0]).trial.frame
+    command = shlex.split(tuning.save(tuning.read(RECIPE, {}), Path("a.yaml"), frame.id))
+    tuning.close()
+    assert frame.image.pitch_deg == 85
+    assert command[9:] == ["--format", "folder", "--metadata", str(tmp_path / "table.csv")]
 
 
 def test_a_recipe_is_saved_over_nothing_of_others(tuning: Tuning, tmp_path: Path) -> None:
