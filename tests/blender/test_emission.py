@@ -132,6 +132,42 @@ def test_surfaces_seen_from_behind_and_at_all_angles(blender):
         assert np.percentile(np.abs(drawn.radiance - reference.radiance)[both], 90) < 3e-3
 
 
+@pytest.mark.parametrize(("look", "samples"), [("artistic", 0), ("artistic", 64), ("physical", 64)])
+@pytest.mark.parametrize("opacity", [1.0, 0.5])
+def test_faces_wound_the_wrong_way_look_like_others(blender, look, opacity, samples):
+    """As in a user's file; at 60 degrees the back of a dense body would reflect everything."""
+    state = PartState(304.0, 0.95, opacity == 1, 1.5, opacity=opacity)
+    weather = Weather(283.15, 276.15, 0.0, 276.15, 285.15)
+    seen = []
+    for turned in (False, True):
+        part, v, t, smooth = sheet(0.0, "body")
+        mesh = make_mesh([(part, v, t[:, ::-1] if turned else t, smooth)])
+        spec = scene([ObjectSpec("a", "a", {}, {"body": state}, (0.0, 0.0, 0.0), 0.3)], pitch_rad=0.52, samples=samples)
+        if look == "physical":
+            spec = dataclasses.replace(
+                spec, appearance=dataclasses.replace(spec.appearance, mode="physical"), weather=weather
+            )
+        seen.append(blender.render(place(spec, [mesh])))
+    front, back = seen
+    inside = (front.alpha > 0.999 * front.alpha.max()) & (back.alpha > 0.999 * back.alpha.max())
+    assert inside.sum() > 500
+    level = float(np.median(front.radiance[inside]))
+    assert level > 0.3 * opacity
+    assert float(np.median(back.radiance[inside])) == pytest.approx(level, rel=2e-3)
+
+
+def test_the_backs_of_shipped_propeller_discs_keep_their_look():
+    """Runs of earlier versions are made again with the same bytes."""
+    part, v, t, smooth = sheet(0.0, "body")
+    state = PartState(304.0, 0.95, False, 1.5, opacity=0.5)
+    levels = []
+    for closed in (False, True):
+        mesh = make_mesh([(part, v, t[:, ::-1], smooth)], closed=closed)
+        spec = scene([ObjectSpec("a", "a", {}, {"body": state}, (0.0, 0.0, 0.0), 0.3)], pitch_rad=0.52, samples=0)
+        levels.append(float(np.median(render_emission(place(spec, [mesh])).radiance)))
+    assert levels[1] < 0.5 * levels[0]
+
+
 def test_large_objects_are_drawn_in_bands_with_the_same_bytes(monkeypatch):
     placed = model_scene("drone", 150)
     whole = render_emission(placed)

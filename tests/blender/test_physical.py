@@ -206,7 +206,9 @@ def test_the_group_has_a_temperature_texture_of_its_own(blender):
 
     panel = box_mesh((1.0, 1.0, 0.01))
     render(blender, AIR_K + 10, 1.0, 1.0, mesh=panel, **TOP)
-    node = next(n for n in object_material(0, "physical").node_tree.nodes if n.bl_idname == "ShaderNodeGroup")
+    node = next(
+        n for n in object_material(0, "physical", two_sided=True).node_tree.nodes if n.bl_idname == "ShaderNodeGroup"
+    )
     assert node.inputs["Texture"].default_value == 0
     spread = {}
     try:
@@ -253,3 +255,22 @@ def test_sunlight_warms_the_side_towards_the_sun(blender):
     around = 0.2 * level * (1 - tilt) / 2
     expected = [AIR_K + 0.02 * around, AIR_K + 0.02 * (800 * np.cos(np.radians(15)) + around)]
     assert sorted(apparent_temperature(h) for h in halves) == pytest.approx(expected, abs=0.3)
+
+
+@pytest.mark.parametrize("surface", [BARE, {"metal": False, "roughness": 0.1}])
+def test_a_hollow_of_bare_metal_is_not_black(blender, surface):
+    """A cup of bare metal in surroundings of its own temperature: light is followed until it leaves."""
+    kelvin, box = 290.0, box_mesh((0.6, 0.6, 1.2))
+    cup = make_mesh([("body", box.vertices_m, box.triangles[:-2, ::-1], False)])  # from inside, without its lid
+    uniform = Weather(kelvin, 280.0, 1.0, kelvin, kelvin)
+    seen = render(blender, kelvin, 0.05, 1.0, uniform, mesh=cup, surface=surface, pitch_rad=1.1)
+    assert float(seen.mean()) / float(band_radiance(kelvin)) > 0.94
+
+
+def test_only_scenes_with_low_emissivity_take_many_bounces(blender):
+    import bpy
+
+    for emissivity, metal, bounces in ((0.94, False, 2), (0.8, False, 2), (0.2, True, 16), (0.1, False, 16)):
+        render(blender, AIR_K, emissivity, 1.0, surface={"metal": metal})
+        cycles = bpy.context.scene.cycles
+        assert cycles.max_bounces == cycles.glossy_bounces == cycles.diffuse_bounces == bounces

@@ -87,6 +87,17 @@ def test_both_renderers_agree_on_geometry(blender):
         assert np.abs(a - b).mean() < 2e-4
 
 
+@pytest.mark.parametrize(("focal_length_mm", "sensor_width_mm"), [(0.5, 0.36), (5.0, 3.6), (0.05, 0.036)])
+def test_only_the_ratio_of_lens_and_sensor_counts(blender, focal_length_mm, sensor_width_mm):
+    """Blender knows no length below 1 mm."""
+    spec = scene([thing()])
+    camera = dataclasses.replace(spec.camera, focal_length_mm=focal_length_mm, sensor_width_mm=sensor_width_mm)
+    expected = blender.render(place(spec, [box_mesh()]))
+    found = blender.render(place(dataclasses.replace(spec, camera=camera), [box_mesh()]))
+    assert found.offset_xy == expected.offset_xy
+    np.testing.assert_allclose(found.alpha, expected.alpha, atol=0.05)
+
+
 def test_crop_equals_that_part_of_the_full_frame(blender, monkeypatch):
     s, mesh = scene([thing(0.4, 0.3, kelvin=297, emissivity=0.9, ior=1.5)], samples=16, texture_k=2.0), box_mesh()
     cropped = paste(blender.render(place(s, [mesh])))

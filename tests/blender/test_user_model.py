@@ -10,8 +10,9 @@ import pytest
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
+from infrablend.assets.user_model import geometry_file, read_geometry
 from infrablend.errors import ModelError
-from infrablend.pipeline.models import ready_model
+from infrablend.pipeline.models import import_geometry, ready_model
 
 MAKE = """
 import os, sys
@@ -45,6 +46,61 @@ d = a.driver_add("location", 0).driver
 d.type = "SCRIPTED"
 d.expression = f"len(str(open({out + '/EVIL2'!r}, 'w')))"
 bpy.ops.wm.save_as_mainfile(filepath=out + "/thing.blend")
+os._exit(0)
+"""
+RENDERED = """
+import os, sys
+import bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+def collection(name):
+    c = bpy.data.collections.new(name)
+    scene.collection.children.link(c)
+    return c
+def cube(name, target=scene.collection, at=0.0):
+    bpy.ops.mesh.primitive_cube_add(size=1, location=(at, 0, 0))
+    o = bpy.context.object
+    o.name = o.data.name = name
+    for c in list(o.users_collection):
+        c.objects.unlink(o)
+    target.objects.link(o)
+    return o
+eye, monitor, unrendered = (collection(n) for n in ("eye", "monitor", "unrendered"))
+cube("InEye", eye)
+cube("InMonitor", monitor)
+cube("InUnrendered", unrendered)
+cube("Eye")
+cube("Monitor").hide_viewport = True
+cube("Unrendered").hide_render = True
+shown, hidden = cube("ShownModifier"), cube("HiddenModifier")
+for o in (shown, hidden):
+    m = o.modifiers.new("array", "ARRAY")
+    m.count = 3
+    m.show_render = o is shown
+    m.show_viewport = o is not shown
+cutter = cube("Cutter", at=0.5)
+cutter.hide_render = True
+cut = cube("Cut").modifiers.new("cut", "BOOLEAN")
+cut.operation, cut.object = "DIFFERENCE", cutter
+inside = bpy.data.collections.new("inside")
+motor = cube("Motor", inside)
+m = motor.modifiers.new("more", "SUBSURF")
+m.subdivision_type, m.levels, m.render_levels = "SIMPLE", 0, 1
+for k in range(2):
+    e = bpy.data.objects.new(f"Instance {k}", None)
+    e.instance_type, e.instance_collection = "COLLECTION", inside
+    e.location.y = 2 * k
+    scene.collection.objects.link(e)
+plane = cube("Rocks")
+plane.instance_type = "VERTS"
+plane.show_instancer_for_viewport, plane.show_instancer_for_render = True, False
+cube("Rock").parent = plane
+monitor.hide_viewport = True
+unrendered.hide_render = True
+bpy.context.view_layer.update()
+bpy.context.view_layer.layer_collection.children["eye"].hide_viewport = True
+bpy.data.objects["Eye"].hide_set(True)
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
 os._exit(0)
 """
 PARTS = """
@@ -102,6 +158,21 @@ def test_subdivision_is_that_of_the_render(files, tmp_path):
     mesh = model.build(model.sample(np.random.default_rng(0), {}))
     head = mesh.part_of_triangle == mesh.part_names.index("head")
     assert head.sum() > 10_000  # 960 triangles before two levels of subdivision
+
+
+def test_a_blend_is_read_as_a_render_shows_it(tmp_path):
+    """What is hidden, which modifiers act, and the names of objects in instances of a collection."""
+    script, blend = tmp_path / "make.py", tmp_path / "rendered.blend"
+    script.write_text(RENDERED)
+    subprocess.run([sys.executable, str(script), str(blend)], check=True, timeout=300, capture_output=True)
+    import_geometry(blend)
+    groups, arrays = read_geometry(geometry_file(blend), "here")
+    triangles = dict(zip([g.object for g in groups], np.bincount(arrays["group_of_triangle"]).tolist(), strict=True))
+    assert triangles.pop("Cut") == 12
+    assert triangles == {
+        "InEye": 12, "InMonitor": 12, "Eye": 12, "Monitor": 12, "ShownModifier": 36, "HiddenModifier": 12,
+        "Motor": 2 * 48, "Rocks": 8 * 12,
+    }  # fmt: skip
 
 
 def test_heading_and_length(files, tmp_path):

@@ -2,8 +2,9 @@
 
 A name says what a piece is (`Motor_FL`, `windshield`, `fur`) more often than not, because people name what they model.
 Specific words of an object's name decide first, then those of its material's name; general words (`body`, `hull`) come
-last, and mean fur on an animal, paint on a car, plastic on a drone and cloth on a person. What no word matches is for
-the user to say.
+last, and mean fur on an animal, paint on a car, plastic on a drone and cloth on a person. Where the class of the labels
+tells what the model is, words do not mean parts of something else: the disc of a car's brake is no propeller. What no
+word matches is for the user to say.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class Role:
         family: Family that the role tells, empty for several.
         label: Whether boxes and masks count the part.
         opacity: Share of the light from behind that the part blocks; labels ignore a part below 1.
+        also: Other families with such parts.
     """
 
     delta_t_k: tuple[float, float]
@@ -36,18 +38,28 @@ class Role:
     family: str = ""
     label: bool = True
     opacity: float = 1.0
+    also: tuple[str, ...] = ()
+
+    def fits(self, family: str) -> bool:
+        """Return whether a model of a family, empty if unknown, can have such a part; roles of no family fit all."""
+        own = {self.family, *self.also} - {""}
+        return not family or not own or family in own
 
 
 # Temperatures as in the shipped models: drone, car, deer and person; see docs/explanation/models.md.
 ROLES: Mapping[str, Role] = {
-    "motor": Role((10, 40), "black_anodised", ("motor", "stator", "winding", "nacelle"), "drone"),
-    "battery": Role((8, 20), "plastic", ("battery", "batteries", "batt", "lipo", "accu", "akku"), "drone"),
+    "motor": Role((10, 40), "black_anodised", ("motor", "stator", "winding", "nacelle"), "drone", also=("car",)),
+    "battery": Role(
+        (8, 20), "plastic", ("battery", "batteries", "batt", "lipo", "accu", "akku"), "drone", also=("car",)
+    ),
     "electronics": Role(
         (15, 40), "circuit_board", ("esc", "pcb", "mainboard", "electronic", "circuit", "vtx"), "drone"
     ),
     "propeller": Role((0, 4), "plastic", ("prop", "propeller", "rotor", "blade"), "drone"),
     "propeller_disc": Role((0, 3), "plastic", ("propdisc", "rotordisc", "disc", "disk"), "drone", False, 0.1),
-    "arm": Role((0, 3), "cfrp", ("carbon", "cfrp", "fiberglass", "fibreglass", "boom", "strut"), "drone"),
+    "arm": Role(
+        (0, 3), "cfrp", ("carbon", "cfrp", "fiberglass", "fibreglass", "boom", "strut"), "drone", also=("car",)
+    ),
     "landing_gear": Role((0, 1), "plastic", ("landing", "skid", "gear", "undercarriage"), "drone"),
     "camera": Role((10, 25), "plastic", ("camera", "gimbal", "payload"), "drone"),
     "lens": Role((4, 12), "lens", ("lens", "sensor")),
@@ -55,19 +67,35 @@ ROLES: Mapping[str, Role] = {
     "wing": Role((-1.5, 2), "plastic", ("wing", "aileron", "elevator", "rudder", "stabilizer", "stabiliser"), "drone"),
     "shell": Role((2, 8), "plastic", ("canopy", "shell", "fuselage", "plastic")),
     "vent": Role((8, 25), "cavity", ("vent", "grille", "grill", "outlet")),
-    "glass": Role((-3, 2), "glass", ("glass", "window", "windshield", "windscreen"), "car"),
-    "lamp": Role((-2, 3), "glass", ("headlight", "taillight", "lamp", "lights"), "car"),
-    "tyre": Role((0, 4), "rubber", ("tyre", "tire", "rubber", "wheel", "wheels"), "car"),
-    "rim": Role((0, 5), "lacquered_metal", ("rim", "rims", "hubcap"), "car"),
-    "paint": Role((-5, 0), "car_paint", ("paint", "carpaint", "bonnet", "bumper", "door", "fender", "chassis"), "car"),
-    "exhaust": Role((2, 60), "oxidised_steel", ("exhaust", "tailpipe", "muffler"), "car"),
+    "glass": Role((-3, 2), "glass", ("glass", "window", "windshield", "windscreen"), "car", also=("drone",)),
+    "lamp": Role((-2, 3), "glass", ("headlight", "taillight", "lamp", "lights"), "car", also=("drone",)),
+    "tyre": Role((0, 4), "rubber", ("tyre", "tire", "rubber", "wheel", "wheels"), "car", also=("drone",)),
+    "rim": Role((0, 5), "lacquered_metal", ("rim", "rims", "hubcap"), "car", also=("drone",)),
+    "paint": Role(
+        (-5, 0),
+        "car_paint",
+        ("paint", "carpaint", "bonnet", "bumper", "door", "fender", "chassis"),
+        "car",
+        also=("drone",),
+    ),
+    "exhaust": Role((2, 60), "oxidised_steel", ("exhaust", "tailpipe", "muffler"), "car", also=("drone",)),
     "fur": Role((5, 9), "fur", ("fur", "pelt", "hide", "wool", "mane"), "animal"),
     "feathers": Role((3, 7), "fur", ("feather", "plumage"), "animal"),
     "eye": Role((11, 18), "eye", ("eye", "eyes", "eyeball", "cornea", "pupil", "iris")),
     "ear": Role((3, 10), "fur", ("ear", "ears"), "animal"),
     "muzzle": Role((8, 14), "skin", ("muzzle", "nose", "snout", "nostril"), "animal"),
-    "horn": Role((0, 2), "antler", ("hoof", "hooves", "horn", "antler", "claw", "tusk", "beak", "teeth", "tooth")),
-    "skin": Role((8, 16), "skin", ("skin", "face", "hand", "hands", "finger", "lips", "tongue")),
+    "horn": Role(
+        (0, 2),
+        "antler",
+        ("hoof", "hooves", "horn", "antler", "claw", "tusk", "beak", "teeth", "tooth"),
+        also=("animal", "person"),
+    ),
+    "skin": Role(
+        (8, 16),
+        "skin",
+        ("skin", "face", "hand", "hands", "finger", "lips", "tongue"),
+        also=("animal", "person"),
+    ),
     "hair": Role((3, 9), "hair", ("hair", "beard", "eyebrow", "eyelash")),
     "cloth": Role(
         (2, 8),
@@ -84,10 +112,24 @@ ROLES: Mapping[str, Role] = {
 _BODY = ("body", "hull", "torso", "trunk", "main", "frame", "cover", "housing", "case", "head")
 # Family -> (general words, role) in the order in which they are tried.
 _GENERAL: Mapping[str, tuple[tuple[tuple[str, ...], str], ...]] = {
-    "drone": ((("leg", "foot", "feet"), "landing_gear"), (("arm",), "arm"), (("tail",), "wing"), (_BODY, "shell")),
-    "car": ((_BODY, "paint"), (("roof", "hood", "tail", "trim"), "paint")),
-    "animal": ((_BODY, "fur"), (("leg", "foot", "feet", "paw", "neck", "tail", "coat", "belly", "back"), "fur")),
-    "person": ((("head", "neck"), "skin"), (_BODY, "cloth"), (("arm", "leg", "coat", "hat", "cap"), "cloth")),
+    "drone": (
+        (("leg", "foot", "feet"), "landing_gear"),
+        (("arm",), "arm"),
+        (("tail",), "wing"),
+        (_BODY, "shell"),
+        (("nose",), "shell"),
+    ),
+    "car": ((_BODY, "paint"), (("roof", "hood", "boot", "wing", "tail", "trim"), "paint")),
+    "animal": (
+        (_BODY, "fur"),
+        (("wing",), "feathers"),
+        (("leg", "foot", "feet", "paw", "neck", "tail", "coat", "belly", "back"), "fur"),
+    ),
+    "person": (
+        (("head", "neck", "ear", "nose"), "skin"),
+        (_BODY, "cloth"),
+        (("arm", "leg", "coat", "hat", "cap"), "cloth"),
+    ),
 }
 _CATEGORIES: Mapping[str, tuple[str, ...]] = {
     "drone": ("drone", "uav", "uas", "copter", "quad", "plane", "aircraft", "racer"),
@@ -121,8 +163,9 @@ def guess_roles(groups: Sequence[GroupFacts], category: str | None, chosen: Mapp
         category: Class of the labels, if known; it may tell the family.
         chosen: Roles that the user chose, by the name of an object or a material.
     """
-    specific = [chosen.get(g.object) or chosen.get(g.material) or _of_names(g) for g in groups]
-    family = _family(category, specific)
+    told = _family_of(category)
+    specific = [chosen.get(g.object) or chosen.get(g.material) or _of_names(g, told) for g in groups]
+    family = told or _family_of_roles(specific)
     roles = tuple(role or _of_family(g, family) for g, role in zip(groups, specific, strict=True))
     return Guess(roles, family)
 
@@ -156,10 +199,10 @@ def _shortened(own: Sequence[str], every: set[str]) -> list[str]:
     return found
 
 
-def _of_names(group: GroupFacts) -> str | None:
+def _of_names(group: GroupFacts, family: str) -> str | None:
     for name in (group.object, group.material):
         for role, entry in ROLES.items():
-            if _matches(name, entry.words):
+            if entry.fits(family) and _matches(name, entry.words):
                 return role
     return None
 
@@ -180,10 +223,12 @@ def _matches(name: str, words: Sequence[str]) -> bool:
     return any(w in parts or f"{w}s" in parts or (len(w) >= 5 and w in whole) for w in words)
 
 
-def _family(category: str | None, roles: Sequence[str | None]) -> str:
-    if category:
-        for family, words in _CATEGORIES.items():
-            if _matches(category, words):
-                return family
+def _family_of(category: str | None) -> str:
+    """Return the family that the class of the labels tells; empty if it tells none."""
+    return next((family for family, words in _CATEGORIES.items() if _matches(category or "", words)), "")
+
+
+def _family_of_roles(roles: Sequence[str | None]) -> str:
+    """Return the family of most roles; empty if they tell none."""
     told = Counter(ROLES[r].family for r in roles if r is not None and ROLES[r].family)
     return told.most_common(1)[0][0] if told else ""

@@ -263,8 +263,8 @@ def load_user_model(path: Path) -> ObjectModel:
     def build(params: Params) -> Mesh:
         if params.get("sha256") != digest:
             raise ModelError(
-                f"model {path}: {file.name} is not the file that the scene was planned with "
-                f"(sha256 {digest[:12]}..., expected {str(params.get('sha256'))[:12]}...)"
+                f"model {path}: {file.name} is not the file that the scene was planned with, or another version of "
+                f"InfraBlend imported it (digest {digest[:12]}..., expected {str(params.get('sha256'))[:12]}...)"
             )
         return mesh
 
@@ -288,10 +288,12 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
     its own InfraredEffect material.
 
     Raises:
-        ModelError: Pieces without a part or parts without a piece; the error lists all of them.
+        ModelError: Pieces without a part, parts without a piece, or a part and an InfraredEffect material of the same
+            name; the error lists all of them.
     """
     roles = {name: p.role(f"from {where}") for name, p in described.parts.items()}
     names, used, missing = [], set(), []
+    problems: list[Problem] = []
     for g in groups:
         # The name of an object is more specific than that of a material, which it may share with others.
         found = next(
@@ -305,6 +307,20 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
         )
         if found is None and g.temperature_c is not None and g.emissivity is not None:
             found = g.material
+            if found in described.parts:
+                problems.append(
+                    Problem(
+                        f"{where}: parts.{found}",
+                        "model-part-name",
+                        f"object {g.object!r} matches no part, and its InfraredEffect material {found!r} has the same "
+                        "name as this part",
+                        "different names",
+                        f"add a pattern for {g.object!r} to the part if it belongs there, or rename the part or the "
+                        "material",
+                    )
+                )
+                names.append("")
+                continue
             delta = g.temperature_c - described.air_temperature_c
             roles[found] = PartRange(
                 (delta, delta),
@@ -319,7 +335,7 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
         else:
             used.add(found)
         names.append(found or "")
-    problems = [
+    problems += [
         Problem(
             where,
             "model-piece",
@@ -346,7 +362,13 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
 
 def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str], where: str) -> Mesh:
     order = sorted(set(part_of_group))
-    vertices: FloatArray = np.asarray(data["vertices_m"], np.float64)
+    group_part = np.array([order.index(n) for n in part_of_group], np.int32)
+    part_of_triangle = group_part[np.asarray(data["group_of_triangle"], np.int64)]
+    # Files differ in whether materials share vertices (.blend, OBJ) or not (glTF). Values are averaged at shared ones,
+    # so each part gets its own. Vertices of no triangle are not seen: they must not decide size and origin.
+    corners = np.asarray(data["triangles"], np.int64) * len(order) + part_of_triangle[:, None]
+    kept, triangles = np.unique(corners, return_inverse=True)
+    vertices: FloatArray = np.asarray(data["vertices_m"], np.float64)[kept // len(order)]
     if described.up == "Z":  # Blender took Y for up and turned the model: turn it back
         vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
     turn = {"+X": (1, 0), "-X": (-1, 0), "+Y": (0, -1), "-Y": (0, 1)}[described.heading]
@@ -363,11 +385,10 @@ def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str
         vertices = vertices - (low + high) / 2
     elif described.origin == "feet":
         vertices = vertices - np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-    group_part = np.array([order.index(n) for n in part_of_group], np.int32)
     return Mesh(
         np.ascontiguousarray(vertices * factor),
-        np.asarray(data["triangles"], np.int32),
-        group_part[np.asarray(data["group_of_triangle"], np.int64)],
+        triangles.reshape(-1, 3).astype(np.int32),
+        part_of_triangle,
         tuple(order),
         np.asarray(data["smooth"], np.bool_),
     )

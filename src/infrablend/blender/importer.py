@@ -89,6 +89,8 @@ def _import(file: Path, shown: str, target: Path) -> None:
         raise ModelError(
             f"model file {shown}: Blender cannot read it ({_reason(error)}); expected a valid {file.suffix} file"
         ) from error
+    if file.suffix.lower() == ".blend":  # the FBX importer, in contrast, sets what is hidden for the viewport only
+        _show_as_rendered()
     pieces = list(_pieces(shown))
     if not pieces:
         raise ModelError(f"model file {shown}: no surface found; expected at least one visible mesh object")
@@ -130,14 +132,34 @@ def _reason(error: Exception) -> str:
     return next((line for line in reversed(lines) if not line.startswith(("Location:", "File "))), type(error).__name__)
 
 
+def _show_as_rendered() -> None:
+    """Set what the viewport shows to what a render of the scene shows: pieces are read as the viewport shows them."""
+    layer, scene = bpy.context.view_layer, bpy.context.scene
+    for thing in layer.objects:
+        thing.hide_set(False)
+    waiting = [layer.layer_collection]
+    while waiting:
+        here = waiting.pop()
+        here.hide_viewport = False
+        waiting += here.children
+    for collection in bpy.data.collections:
+        collection.hide_viewport = collection.hide_render
+    # Not only the scene's own objects: a collection that is instanced contains others.
+    for thing in bpy.data.objects:
+        thing.hide_viewport = thing.hide_render
+        thing.show_instancer_for_viewport = thing.show_instancer_for_render
+        for modifier in thing.modifiers:
+            modifier.show_viewport = modifier.show_render
+    scene.render.simplify_subdivision = scene.render.simplify_subdivision_render
+
+
 def _pieces(shown: str) -> Iterator[_Piece]:
     """Yield the evaluated triangles of everything that is visible in a render of the scene.
 
     Raises:
         ModelError: There are too many.
     """
-    scene = bpy.context.scene
-    for thing in scene.objects:
+    for thing in bpy.data.objects:
         for modifier in thing.modifiers:
             # Labels need the mesh that a render shows, not the coarser viewport mesh.
             if modifier.type in {"SUBSURF", "MULTIRES"}:
@@ -150,6 +172,8 @@ def _pieces(shown: str) -> Iterator[_Piece]:
             raise _too_many(shown, f"more than {MAX_INSTANCES:,} instances")
         thing = instance.object
         if thing.hide_render or thing.type not in {"MESH", "CURVE", "SURFACE", "META", "FONT"}:
+            continue
+        if not instance.is_instance and _is_copied_by_parent(thing):
             continue
         mesh = thing.to_mesh()
         if mesh is None:
@@ -176,10 +200,23 @@ def _pieces(shown: str) -> Iterator[_Piece]:
             corners = t.reshape(-1, 3)
             if np.linalg.det(matrix[:3, :3]) < 0:
                 corners = corners[:, ::-1]
-            name = instance.parent.name if instance.is_instance and instance.parent else thing.name
+            # Copies that an object makes, such as scattered rocks, belong to it. An instance of a collection shows
+            # other objects, whose own names say what they are.
+            maker = instance.parent if instance.is_instance else None
+            name = thing.name if maker is None or maker.instance_type == "COLLECTION" else maker.name
             materials = [slot.material for slot in thing.material_slots]
             yield world, corners, smooth[polygon], material[polygon], name, materials
         thing.to_mesh_clear()
+
+
+def _is_copied_by_parent(thing: Any) -> bool:
+    """Return whether a parent copies the object to its vertices or faces: a render shows the copies, not the object."""
+    parent = thing.parent
+    while parent is not None:
+        if parent.instance_type in {"VERTS", "FACES"}:
+            return True
+        parent = parent.parent
+    return False
 
 
 def _too_many(shown: str, found: str) -> ModelError:

@@ -18,7 +18,7 @@ from typing import Any
 
 import bpy
 
-from infrablend.blender.physical import SKY, add_inputs, emission_alone, physical_group
+from infrablend.blender.physical import SKY, add_inputs, emission_alone, physical_group, two_sided_ior
 from infrablend.core.files import replace_atomically
 
 GROUP_NAME = "InfraredEffect"
@@ -101,7 +101,9 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
     return group
 
 
-def object_material(slot: int, look: str = "artistic", *, translucent: bool = False) -> bpy.types.Material:
+def object_material(
+    slot: int, look: str = "artistic", *, translucent: bool = False, two_sided: bool = False
+) -> bpy.types.Material:
     """Return the material of one object of a scene: the node group of the look, driven by mesh attributes.
 
     Attributes per face corner: `temperature_c`, `emissivity`, `ior` and `label`; in the physical look also `roughness`
@@ -113,8 +115,9 @@ def object_material(slot: int, look: str = "artistic", *, translucent: bool = Fa
         slot: Number of the object in the scene.
         look: `artistic` or `physical`.
         translucent: Whether the object has translucent parts.
+        two_sided: Whether the backs of faces look like their fronts.
     """
-    name = f"{look}_{slot}" + ("_translucent" if translucent else "")
+    name = f"{look}_{slot}" + ("_translucent" if translucent else "") + ("_two_sided" if two_sided else "")
     material = bpy.data.materials.get(name)
     if material is not None:
         return material
@@ -132,6 +135,8 @@ def object_material(slot: int, look: str = "artistic", *, translucent: bool = Fa
         return node.outputs["Fac"]
 
     celsius, emissivity, ior = (attribute(n) for n in ("temperature_c", "emissivity", "ior"))
+    if two_sided:
+        ior = two_sided_ior(tree, ior)
     link(celsius, effect.inputs["Temperature"])
     link(emissivity, effect.inputs["Emissivity"])
     link(ior, effect.inputs["IOR"])

@@ -77,7 +77,8 @@ def physical_group() -> bpy.types.ShaderNodeTree:
         node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     glossy.distribution = "MULTI_GGX"  # plain GGX loses energy at grazing angles
     link(inputs.outputs["Roughness"], glossy.inputs["Roughness"])
-    smooth = _math(group, "GREATER_THAN", ior, 1.0001)
+    # `two_sided_ior` is below 1 on the backs of smooth surfaces.
+    smooth = _math(group, "GREATER_THAN", _math(group, "ABSOLUTE", _math(group, "SUBTRACT", ior, 1.0)), 1e-4)
     link(_math(group, "MAXIMUM", smooth, inputs.outputs["Metal"]), kind.inputs["Fac"])
     link(diffuse.outputs["BSDF"], kind.inputs[1])
     link(glossy.outputs["BSDF"], kind.inputs[2])
@@ -105,6 +106,15 @@ def _emissivity_at_angle(tree: bpy.types.NodeTree, straight_on: Any, ior: Any) -
     emissivity = _math(tree, "MULTIPLY", straight_on, share)
     emissivity.node.use_clamp = True
     return emissivity
+
+
+def two_sided_ior(tree: bpy.types.NodeTree, ior: Any) -> Any:
+    """Return the refractive index for which Fresnel nodes reflect at the backs of faces as at their fronts.
+
+    Cycles inverts the index at backs, as if the camera were inside the body: total reflection from 42 degrees on.
+    """
+    geometry = tree.nodes.new("ShaderNodeNewGeometry")
+    return _math(tree, "POWER", ior, _math(tree, "MULTIPLY_ADD", geometry.outputs["Backfacing"], -2.0, 1.0))
 
 
 def _pattern(tree: bpy.types.NodeTree, size_m: Any) -> Any:

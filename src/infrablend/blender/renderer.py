@@ -27,10 +27,13 @@ from infrablend.errors import RenderError
 from infrablend.rendering.crop import crop_of
 from infrablend.rendering.emission import only_emits, render_emission
 from infrablend.rendering.glow import ground_radiance
-from infrablend.rendering.surfaces import ZERO_C_K, surface_values
+from infrablend.rendering.surfaces import ZERO_C_K, is_two_sided, surface_values
 
 # A part mirrors another part, which mirrors the sky. A third bounce would add less than 1 % of the mirrored 5 %.
 PHYSICAL_BOUNCES = 2
+# Bare metal mirrors up to 95 %: in its hollows, light that ended after two bounces would leave them black.
+METAL_BOUNCES = 16
+_LOW_EMISSIVITY = 0.5
 
 
 class BlenderRenderer:
@@ -91,7 +94,7 @@ class BlenderRenderer:
         self._set_crop(crop, (w, h))
         self._set_sampling(spec.samples, spec.render_seed)
         self._set_aovs(len(objects))
-        self._set_light(spec)
+        self._set_light(scene)
         with contextlib.ExitStack() as stack:
             for slot, placed in enumerate(objects):
                 stack.enter_context(self._object(slot, placed, spec))
@@ -119,9 +122,7 @@ class BlenderRenderer:
 
     def _set_camera(self, camera: CameraSpec) -> None:
         data = self._camera.data
-        data.sensor_fit = "HORIZONTAL"
-        data.sensor_width = camera.sensor_width_mm
-        data.lens = camera.focal_length_mm
+        session.set_lens(data, camera)
         data.clip_start, data.clip_end = 0.01, 10_000.0
         # Blender's camera looks along -Z with +Y up; ours along +z with +y down.
         axes = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
@@ -148,17 +149,18 @@ class BlenderRenderer:
         if c.use_adaptive_sampling:
             c.adaptive_threshold, c.adaptive_min_samples = how.adaptive_threshold, how.adaptive_min_samples
 
-    def _set_light(self, scene: SceneSpec) -> None:
+    def _set_light(self, scene: PlacedScene) -> None:
         """Set the world: none in the artistic look; in the physical look, sky and ground, which surfaces mirror."""
-        physical = scene.appearance.mode == "physical"
+        spec = scene.spec
+        physical = spec.appearance.mode == "physical"
         if physical:
-            if scene.weather is None:
-                raise ValueError(f"{scene.frame_id}: the physical look needs the weather")
-            set_world(self._scene, scene.weather)
+            if spec.weather is None:
+                raise ValueError(f"{spec.frame_id}: the physical look needs the weather")
+            set_world(self._scene, spec.weather)
         else:
             self._scene.world = None
         c = self._scene.cycles
-        c.max_bounces = c.diffuse_bounces = c.glossy_bounces = PHYSICAL_BOUNCES if physical else 0
+        c.max_bounces = c.diffuse_bounces = c.glossy_bounces = _bounces(scene) if physical else 0
 
     def _set_aovs(self, count: int) -> None:
         aovs = self._scene.view_layers[0].aovs
@@ -177,7 +179,9 @@ class BlenderRenderer:
         try:
             _fill_mesh(data, placed, scene)
             translucent = any(placed.spec.parts[name].opacity < 1 for name in placed.mesh.part_names)
-            material = object_material(slot, scene.appearance.mode, translucent=translucent)
+            material = object_material(
+                slot, scene.appearance.mode, translucent=translucent, two_sided=is_two_sided(placed.mesh)
+            )
             data.materials.append(material)
             thing = bpy.data.objects.new(f"thing_{slot}", data)
             look = scene.appearance
@@ -213,6 +217,12 @@ class BlenderRenderer:
 
         coverage = [np.clip(named(f"{aov_name(k)}.v", f"{aov_name(k)}.x", aov_name(k)), 0, 1) for k in range(objects)]
         return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
+
+
+def _bounces(scene: PlacedScene) -> int:
+    """Return the number of times that light is followed from surface to surface, in the physical look."""
+    states = [placed.spec.parts[name] for placed in scene.objects for name in placed.mesh.part_names]
+    return METAL_BOUNCES if any(s.metal or s.emissivity < _LOW_EMISSIVITY for s in states) else PHYSICAL_BOUNCES
 
 
 def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import bpy
 
+from infrablend.core.camera import CameraSpec
 from infrablend.core.render import Device
 from infrablend.errors import MissingDependencyError
 
@@ -87,6 +88,17 @@ def pin_settings(scene: bpy.types.Scene) -> None:
     view.look = "None"
     view.exposure, view.gamma = 0.0, 1.0
     view.use_curve_mapping = False
+
+
+def set_lens(data: bpy.types.Camera, camera: CameraSpec) -> None:
+    """Set the horizontal field of view of a Blender camera.
+
+    Blender raises a focal length or sensor width below 1 mm to 1 mm. Only their ratio counts, so both are scaled up.
+    """
+    scale = max(1.0, 1 / min(camera.sensor_width_mm, camera.focal_length_mm))
+    data.sensor_fit = "HORIZONTAL"
+    data.sensor_width = scale * camera.sensor_width_mm
+    data.lens = scale * camera.focal_length_mm
 
 
 def use_device(scene: bpy.types.Scene, device: Device, threads: int = 0) -> str:

@@ -25,7 +25,7 @@ from infrablend.core.raster import Fragments, SampleGrid, fragments_of, nearest_
 from infrablend.core.render import Image32, RenderResult, empty_result
 from infrablend.core.scene import Appearance
 from infrablend.rendering.crop import crop_of
-from infrablend.rendering.surfaces import ZERO_C_K, corner_normals, surface_values
+from infrablend.rendering.surfaces import ZERO_C_K, corner_normals, is_two_sided, surface_values
 
 # Samples along a pixel's side. Large objects have a smaller share of outlines, so they need fewer.
 SUPERSAMPLE = (6, 8)
@@ -131,15 +131,16 @@ def _surfaces_of(number: int, placed: PlacedObject, scene: PlacedScene) -> _Surf
             values[:, :, k] = given[name][shown]
     values[:, :, 2:5] = normals[shown]
     xy = placed.triangles.xy[shown]
-    # Seen from behind, light enters from the denser side.
     ior = np.maximum(given["ior"][shown, 0].astype(np.float64), 1e-5)
+    if not is_two_sided(mesh):  # seen from behind, light enters from the denser side
+        ior = np.where(behind[shown], 1 / ior, ior)
     return _Surfaces(
         xy,
         placed.triangles.inverse_depth[shown],
         *reach_of_triangles(xy),
         np.full(len(shown), number),
         given["label"][shown, 0] > 0.5,
-        np.where(behind[shown], 1 / ior, ior),
+        ior,
         values,
     )
 

@@ -16,6 +16,15 @@ ZERO_C_K = 273.15
 _WAVES = np.array([[1.6, 0.7, 0.4], [-0.9, 1.7, 0.6], [0.5, -1.1, 2.0], [2.6, 1.9, -1.3]])
 
 
+def is_two_sided(mesh: Mesh) -> bool:
+    """Return whether the backs of faces look like their fronts: a mesh that is not known to consist of closed solids.
+
+    A user's file may contain single sheets and faces that are wound the wrong way. The closed solids of shipped models
+    hide their backs; only their translucent propeller discs show them, as the inside of a dense body.
+    """
+    return not mesh.closed_parts
+
+
 def surface_values(placed: PlacedObject, scene: SceneSpec) -> dict[str, NDArray[np.float32]]:
     """Return `temperature_c`, `emissivity`, `ior` and `label` at the face corners of an object.
 

@@ -15,6 +15,10 @@ Array = NDArray[np.float64]
 _CLEAREST = 0.88
 # Mean slant of the sky's radiation, as a multiple of the vertical path.
 _DIFFUSIVITY = 1.66
+# The empirical form of the air's transmittance falls too fast in warm, humid air: at 40 degrees Celsius and 1000 m even
+# below zero. Contrasts are divided by the transmittance, so the floor keeps their gain at 5 or less. Up to 30 degrees
+# and 1000 m the form stays above 0.36.
+_LEAST_TRANSMITTANCE = 0.2
 
 
 def clear_sky_emissivity(dew_point_k: float) -> float:
@@ -69,9 +73,10 @@ def sky_radiance(
 
 
 def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array:
-    """Return tau in (0, 1], the long-wave transmittance of the air along a path; FLIR's empirical form.
+    """Return tau in [0.2, 1], the long-wave transmittance of the air along a path; FLIR's empirical form.
 
-    Valid for 0 to about 1000 m, -20 to 40 degrees Celsius. tau(0) = 1; it falls with distance, humidity and warmth.
+    Valid for 0 to about 1000 m, -20 to 40 degrees Celsius. tau(0) = 1; it falls with distance, humidity and warmth,
+    down to a floor of 0.2 that only air above 33 degrees reaches.
 
     Args:
         distance_m: Path length, m.
@@ -83,7 +88,8 @@ def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array
     t = air_k - ZERO_C_K
     water = humidity * np.exp(1.5587 + 0.06939 * t - 0.00027816 * t**2 + 6.8455e-7 * t**3)
     s, q = np.sqrt(np.asarray(distance_m, np.float64)), np.sqrt(water)
-    return np.asarray(1.9 * np.exp(-s * (0.006569 - 0.002276 * q)) - 0.9 * np.exp(-s * (0.01262 - 0.00667 * q)))
+    tau = 1.9 * np.exp(-s * (0.006569 - 0.002276 * q)) - 0.9 * np.exp(-s * (0.01262 - 0.00667 * q))
+    return np.asarray(np.maximum(tau, _LEAST_TRANSMITTANCE))
 
 
 def relative_humidity(air_k: float, dew_point_k: float) -> float:

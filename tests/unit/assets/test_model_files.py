@@ -2,7 +2,6 @@
 
 import contextlib
 import gzip
-import hashlib
 import time
 import zipfile
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from infrablend.assets import model_files
 from infrablend.assets.model_files import find_model_files
 from infrablend.assets.model_files.blend import empty_unneeded_paths, read_blend
 from infrablend.assets.model_files.reference import UnreadableFileError
@@ -52,11 +52,15 @@ def test_every_file_that_decides_the_shape_is_part_of_the_digest(tmp_path):
     assert list(find_model_files(folder / "b.obj").digests) == ["b.obj", "b.mtl", "sub/c.mtl"]
 
 
-def test_digest_of_a_single_file_is_that_of_its_content(tmp_path):
-    """So models that were imported by earlier versions keep their digest."""
-    file = tmp_path / "a.fbx"
-    file.write_bytes(b"fbx")
-    assert digest(file) == hashlib.sha256(b"fbx").hexdigest()
+def test_digest_of_a_single_file_is_that_of_its_content_and_the_importer(tmp_path, monkeypatch):
+    """So a model that another version of the importer has cached is imported again."""
+    first, renamed = tmp_path / "a.fbx", tmp_path / "b.fbx"
+    for file in (first, renamed):
+        file.write_bytes(b"fbx")
+    before = digest(first)
+    assert digest(renamed) == before
+    monkeypatch.setattr(model_files, "IMPORTER_VERSION", model_files.IMPORTER_VERSION + 1)
+    assert digest(first) != before
 
 
 def test_copied_blend_has_no_path_that_the_import_does_not_need(tmp_path):

@@ -56,6 +56,35 @@ def test_a_general_word_depends_on_the_family() -> None:
     assert guess(("leg", ""), ("Hull", ""), category="uav") == ("landing_gear", "shell")
 
 
+@pytest.mark.parametrize(
+    ("category", "name", "role"),
+    [
+        ("car", "Wheel_Disc_FL", "tyre"),
+        ("car", "BrakeDisc_FL", None),
+        ("car", "Boot", "paint"),
+        ("car", "Wing_L", "paint"),
+        ("car", "Skin", None),
+        ("car", "Horn", None),
+        ("car", "Motor", "motor"),
+        ("drone", "Nose_Cone", "shell"),
+        ("drone", "Blurred_Disc", "propeller_disc"),
+        ("fixed-wing aircraft", "Wheels", "tyre"),
+        ("bird", "Wing_L", "feathers"),
+        ("person", "Skin", "skin"),
+        ("person", "Ear_L", "skin"),
+        ("deer", "Nose", "muzzle"),
+        ("deer", "Horn", "horn"),
+        ("person", "Boots", "shoe"),
+        ("thing", "Horn", "horn"),  # the class tells no family
+        (None, "BrakeDisc", "propeller_disc"),
+    ],
+)
+def test_a_class_rules_out_parts_of_something_else(category: str | None, name: str, role: str | None) -> None:
+    assert guess((name, ""), category=category) == guess(("Cube", name), category=category) == (role,)
+    # What the user says counts in any family.
+    assert guess((name, ""), category=category, **{name: "horn"}) == ("horn",)
+
+
 def test_objects_decide_before_materials_and_the_user_before_both() -> None:
     assert guess(("Motor", "Plastic"), ("Car", "Glass"), ("Body", "Glass"), category="car") == (
         "motor",

@@ -86,7 +86,9 @@ def test_a_description_that_does_not_load_is_removed(
 
 
 def test_animals_stand_on_the_ground(file: Path, tmp_path: Path) -> None:
-    model = load_model(str(add_model(file, None, ModelAnswers("fox", 0.7, {"Thing": "eye"}))))
+    model = load_model(
+        str(add_model(file, None, ModelAnswers("fox", 0.7, {"Thing": "eye", "Motor_1": "horn", "Motor_2": "horn"})))
+    )
     assert model.stands
     assert model.parts["fur"].kind == "fur"
     assert (file.parent / "My-quad-v2.yaml").exists()

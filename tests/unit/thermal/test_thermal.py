@@ -111,6 +111,18 @@ def test_transmittance_falls_with_everything():
         transmittance(100, 290, 50)
 
 
+def test_transmittance_is_positive_and_never_rises_where_it_is_valid():
+    distance = np.linspace(0, 1000, 501)
+    for celsius in range(-20, 41):
+        for humidity in np.linspace(0, 1, 11):
+            tau = transmittance(distance, 273.15 + celsius, humidity)
+            assert tau.min() >= 0.2, (celsius, humidity)
+            assert tau.max() <= 1 + 1e-12, (celsius, humidity)
+            assert (np.diff(tau) <= 0).all(), (celsius, humidity)
+            if celsius <= 30:  # the floor is for hotter air only
+                assert (np.diff(tau) < 0).all(), (celsius, humidity)
+
+
 def test_upward_panels_look_colder_than_they_are():
     """Clear night, air 10 C, dew point 0 C: the zenith's reflection takes 2.5-2.7 K at eps 0.95, 8.0-8.2 K at 0.85."""
     air = 283.15

@@ -2,8 +2,8 @@
 
 A 3D file may name others: buffers, material libraries, layers, linked libraries. Those that decide the shape must be
 regular files in the folder of the 3D file; a reference that leaves the folder is an error. The digest of a model covers
-the content of all of them, so a change of any is a change of the model. Textures are never read: only the shape, the
-names and the InfraredEffect values of a file are used.
+the content of all of them and the version of the importer, so a change of any is a change of the model. Textures are
+never read: only the shape, the names and the InfraredEffect values of a file are used.
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from infrablend.assets.model_files.reference import (
 from infrablend.core.files import NotRegularError, open_regular, output_error
 from infrablend.errors import ModelError, Problem
 
+# Version of what the import makes of the same files, geometry and names; a new one imports every model again.
+IMPORTER_VERSION = 2
 MAX_BYTES = 2**30
 MAX_FILES = 1000
 _SHOWN = 300  # characters of a name in a message
@@ -45,10 +47,9 @@ class ModelFiles:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the model: of its only file, or of the names and digests of all of them."""
-        if len(self.digests) == 1:
-            return next(iter(self.digests.values()))
-        return hashlib.sha256(json.dumps(list(self.digests.items())).encode()).hexdigest()
+        """SHA-256 of the importer's version and the model: its only file, or the names and digests of all of them."""
+        content = self.digests.values() if len(self.digests) == 1 else self.digests.items()
+        return hashlib.sha256(json.dumps([IMPORTER_VERSION, *content]).encode()).hexdigest()
 
     def copy_to(self, folder: Path) -> Path:
         """Copy the files to a folder and return the path of the copied 3D file; paths it does not need are emptied.

@@ -213,9 +213,7 @@ class WorldRenderer:
         s = self._scene
         s.render.resolution_x, s.render.resolution_y = w * OVERSAMPLE, h * OVERSAMPLE
         data: Any = self._camera.data
-        data.sensor_fit = "HORIZONTAL"
-        data.sensor_width = camera.sensor_width_mm
-        data.lens = camera.focal_length_mm
+        session.set_lens(data, camera)
         data.clip_start, data.clip_end = 1.0, 10 * camera.distance_m
         # Blender's camera looks along its -Z with +Y up.
         axes = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
