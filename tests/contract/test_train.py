@@ -285,11 +285,12 @@ def test_arguments_that_ultralytics_would_refuse_are_refused_before_anything_is_
 
 
 def test_numbers_on_the_command_line_are_numbers():
-    from infrablend.cli.train import _value
+    from infrablend.cli.options import yaml_values
 
-    assert [_value("lr0", v) for v in ("1e-3", "2", "yolov8s", "true")] == [0.001, 2, "yolov8s", True]
+    given = ["a=1e-3", "b=2", "c=yolov8s", "d=true"]
+    assert yaml_values(given, "--set") == {"a": 0.001, "b": 2, "c": "yolov8s", "d": True}
     with pytest.raises(typer.BadParameter, match="lr0"):
-        _value("lr0", "[1")
+        yaml_values(["lr0=[1"], "--set")
 
 
 def test_unreadable_labels_are_reported(tmp_path, monkeypatch):

@@ -149,7 +149,7 @@ def test_background_without_altitude_is_skipped_and_named(tmp_path):
     data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0)), "b.png": Image.fromarray(scenery(1))})
     (data / "metadata.csv").write_text("file,pitch_deg,altitude_m\na.png,60,80\nb.png,60,\n")
     report = generate(data, tmp_path / "run")
-    assert [(p.where, p.code) for p in report.problems if p.severity == "error"] == [("b.png", "no-altitude")]
+    assert [(p.where, p.code) for p in report.problems if p.severity == "error"] == [("train/b.png", "no-altitude")]
     fixed = generate(data, tmp_path / "fixed", settings=["camera.altitude={fixed_m: 50}"])
     assert fixed.counts["frames"] == 2
 
