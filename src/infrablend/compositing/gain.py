@@ -188,7 +188,7 @@ def find_anchors(
             continue
         around = ring_level(picture, i.box_xyxy, free, reach)
         ring = 0.0 if ground_grey is None else around - ground_grey
-        known = known_class(i.category)
+        known = None if i.is_crowd else known_class(i.category)
         h, w = inside.shape
         # Boxes are drawn loosely: half of a person's box is ground. Its middle is the object.
         middle = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))

@@ -109,13 +109,18 @@ class PercentileSettings:
     polarity: Literal["white-hot", "black-hot"] = "white-hot"
 
 
+# Percentiles between which a 16-bit picture's own range lies.
+_RANGE_OF_16_BIT = (0.05, 99.95)
+
+
 def percentile_mapping(background: GreyImage, settings: PercentileSettings) -> GreyMapping:
     """Return the mapping that shows cold and hot surfaces at two percentiles of the background itself."""
     dark, bright = (float(v) for v in np.percentile(background, [settings.low, settings.high]))
     if background.dtype == np.uint8:
         top, bottom = 255.0, 0.0
     else:
-        top, bottom = float(background.max()), float(background.min())
+        # Not the extremes: a dead or hot pixel may be far from the scene.
+        bottom, top = (float(v) for v in np.percentile(background, _RANGE_OF_16_BIT))
     span = max(settings.min_span * (top - bottom), 1.0)
     if bright - dark < span:
         middle = (dark + bright) / 2

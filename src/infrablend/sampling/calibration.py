@@ -131,13 +131,13 @@ def calibrate(
     Args:
         camera: The camera at the stated height (see `at_height`).
         stated_m: The stated height.
-        labels: The image's own objects; those cut by the frame's edge are left out.
+        labels: The image's own objects; those cut by the frame's edge and crowds are left out.
         prior: What is known about the stated height.
     """
     ratios: dict[KnownClass, list[float]] = {}
     for label in labels:
         kind = known_class(label.category)
-        if kind is None or kind not in prior.references or label.truncated:
+        if kind is None or kind not in prior.references or label.truncated or label.is_crowd:
             continue
         ratio = size_ratio(camera, ground_z_m(camera, stated_m), label.box_xyxy, REFERENCES[kind])
         if ratio is not None:

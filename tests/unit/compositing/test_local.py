@@ -1,5 +1,7 @@
 """Physical grey levels: exact ground level, gain from anchors, clipped anchors as bounds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -165,6 +167,13 @@ def test_cars_are_anchors_at_night_only():
     for time, number in (("night", 4), ("day", 0), (None, 0)):
         backdrop = Backdrop(picture, labels, time, LEVELS)
         assert len(find_anchors(picture.astype(np.float32), free, backdrop, AIR_K)) == number
+
+
+def test_crowds_are_no_anchors():
+    picture, labels = scene(6, people=4)
+    crowds = [replace(i, extra={"iscrowd": 1}) for i in labels]
+    (_, people), (_, none) = (mapped(picture, INSERT, of) for of in (labels, crowds))
+    assert sum(people["anchors"].values()) == 4 and not sum(none["anchors"].values())
 
 
 def test_black_hot_is_the_mirror_image():

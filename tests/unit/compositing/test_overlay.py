@@ -127,3 +127,12 @@ def test_an_object_on_warmed_ground_hides_it():
     expected = np.full((4, 4), 70)
     expected[1:3, 1:3] = 180
     np.testing.assert_array_equal(picture[2:6, 2:6], expected)
+
+
+@pytest.mark.parametrize("odd", [0, 65535])
+def test_one_odd_pixel_of_a_16_bit_picture_does_not_spread_its_levels(odd):
+    picture = np.random.default_rng(0).uniform(28500, 30500, (512, 640)).astype(np.uint16)
+    spoilt = picture.copy()
+    spoilt[100, 100] = odd
+    one, other = (percentile_mapping(p, PercentileSettings(40, 60)) for p in (picture, spoilt))
+    assert (other.dark, other.bright) == (pytest.approx(one.dark, abs=5), pytest.approx(one.bright, abs=5))

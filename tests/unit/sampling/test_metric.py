@@ -135,6 +135,14 @@ def draw(recipe, pixels=FLAT, labels=(), pitch=60.0, number=0, ignored=("DontCar
     return sample_scene(key, recipe, models, 0, Site(pixels, tuple(labels), frozenset(ignored), altitude)).spec
 
 
+def test_crowds_do_not_correct_the_height():
+    camera = hit_uav_camera(60, 80)
+    people = annotated(camera, 64.0, "Person", 6, np.random.default_rng(0))
+    crowds = [replace(p, extra={"iscrowd": 1}) for p in people]
+    assert calibrate(camera, 80.0, people).anchors == {"person": 6}
+    assert calibrate(camera, 80.0, crowds) == calibrate(camera, 80.0, [])
+
+
 def test_height_stated_by_the_recipe_is_not_corrected():
     recipe = load_recipe("hit-uav-drone-physical", ["camera.altitude={fixed_m: 50}"])
     assert draw(recipe).view.camera_height_m == 50
