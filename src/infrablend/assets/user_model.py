@@ -256,8 +256,8 @@ def load_user_model(path: Path) -> ObjectModel:
     def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         if options:
             raise ModelError(
-                f"model {path}: found option {sorted(options)[0]!r}; expected none: user models have none. Remove it, or "
-                "add --set objects.N.options={} where a shipped recipe states it"
+                f"model {path}: found option {sorted(options)[0]!r}; expected none: user models have none. Remove "
+                "it, or add --set objects.N.options={} where a shipped recipe states it"
             )
         return {"sha256": digest}
 
