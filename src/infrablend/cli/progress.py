@@ -19,15 +19,19 @@ LINE_EVERY_S = 5.0
 
 
 def pace_text(frames_per_s: float) -> str:
-    """Return, for example, `9.8 frames/s`, or `4.2 frames/min` for less than one frame per second."""
-    if 0 < frames_per_s < 1:
+    """Return, for example, `9.8 frames/s`, or `4.2 frames/min` below one frame per second; empty for no rate."""
+    if frames_per_s == 0:
+        return ""
+    if frames_per_s < 1:
         return f"{60 * frames_per_s:.1f} frames/min"
     return f"{frames_per_s:.1f} frames/s"
 
 
 def progress_line(p: Progress) -> str:
     """Return, for example, `120/3738 frames, 9.8 frames/s, 6 min 09 s to go, inserted 118, skipped 2`."""
-    parts = [f"{p.done}/{p.total} frames", *([pace_text(p.frames_per_s)] if p.frames_per_s > 0 else [])]
+    parts = [f"{p.done}/{p.total} frames"]
+    if pace := pace_text(p.frames_per_s):
+        parts.append(pace)
     if p.eta_s is not None and p.done < p.total:
         parts.append(f"{human_seconds(p.eta_s)} to go")
     return ", ".join(parts + [f"{name} {n}" for name, n in p.counts.items()])
@@ -84,7 +88,7 @@ def _live_bar(session: Session, what: str) -> Iterator[OnProgress]:
         row = bar.add_task(what, total=None, pace="reading", counts="")
 
         def show(p: Progress) -> None:
-            pace = pace_text(p.frames_per_s) if p.frames_per_s > 0 else ""
+            pace = pace_text(p.frames_per_s)
             if p.eta_s is not None and p.done < p.total:
                 pace += f", {human_seconds(p.eta_s)} to go"
             counts = " ".join(f"{name} {n}" for name, n in p.counts.items())

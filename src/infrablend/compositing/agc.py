@@ -34,7 +34,7 @@ def apply_agc(counts: NDArray[np.uint16], agc: Agc, scale: TemperatureScale | No
             raise ValueError("a fixed range of temperatures needs a temperature scale")
         celsius = scale.kelvin(counts) - 273.15
         return _rounded((celsius - agc.low_c) / (agc.high_c - agc.low_c) * _TOP)
-    if scale is not None and scale.slope_k < 0:
+    if scale is not None and scale.black_hot:
         counts = np.asarray(65_535 - counts, np.uint16)
     if isinstance(agc, LinearAgc):
         low, high = (float(v) for v in np.percentile(counts, [agc.low_percentile, agc.high_percentile]))

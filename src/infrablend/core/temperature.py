@@ -92,6 +92,11 @@ class TemperatureScale:
                 "and 0. Use the unit counts for other scales"
             )
 
+    @property
+    def black_hot(self) -> bool:
+        """Whether warm is dark."""
+        return self.slope_k < 0
+
     @classmethod
     def of_unit(cls, unit: str, slope_k: float | None = None, offset_k: float | None = None) -> TemperatureScale | None:
         """Return the scale of a unit, with what is stated about it; None for counts without a slope.

@@ -34,14 +34,14 @@ def confusion_matrix(
         free = ~truth.ignore
         if ours is not None:
             ours = ours.take(np.flatnonzero((ours.scores >= confidence) & (class_of[ours.classes] >= 0)))
-            overlap = overlaps(ours, truth, task)
+            overlap, regions = overlaps(ours, truth, task), truth.regions_of(class_of[ours.classes])
             for d, c in enumerate(class_of[ours.classes]):
                 value = np.where(free, overlap[d], 0.0)
                 if value.max(initial=0.0) >= IOU:
                     label = int(value.argmax())
                     matrix[c, truth.classes[label]] += 1
                     free[label] = False
-                elif not (overlap[d, truth.regions_of(c)] >= IOU).any():
+                elif not (overlap[d, regions[d]] >= IOU).any():
                     matrix[c, classes] += 1
         for c in truth.classes[free]:
             matrix[classes, c] += 1

@@ -34,7 +34,7 @@ def list_found(case: Case, first: int, iou: float) -> dict[str, Any]:
             overlap.append(np.zeros((0, len(truth.boxes_xyxy))))
             continue
         shared = overlaps(detected, truth, case.task)
-        regions = np.array([truth.regions_of(case.class_of[c]) for c in detected.classes])
+        regions = truth.regions_of(case.class_of[detected.classes])
         ignored = ((shared >= iou) & regions).any(axis=1) & ~(shared[:, ~truth.ignore] >= iou).any(axis=1)
         overlap.append(shared)
         candidates += [

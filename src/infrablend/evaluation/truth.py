@@ -45,9 +45,9 @@ class Truth:
         """(g,) longer side of each label, px."""
         return long_sides(self.boxes_xyxy, self.corners_xy)
 
-    def regions_of(self, number: int) -> NDArray[np.bool_]:
-        """Mark the (g,) regions that ignore detections of a class: those of no class, and crowds of this one."""
-        return np.asarray(self.ignore & ((self.classes == -1) | (self.classes == number)))
+    def regions_of(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Mark the (n, g) regions that ignore detections of (n,) classes: those of no class, and crowds of the same."""
+        return np.asarray(self.ignore & ((self.classes == -1) | (self.classes == numbers[:, None])))
 
 
 def long_sides(boxes_xyxy: FloatArray, corners_xy: FloatArray | None) -> FloatArray:

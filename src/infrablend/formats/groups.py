@@ -27,6 +27,11 @@ _CONFIGURATION = re.compile(r"(?<=.)(?:_c\d+(?:-\d+)?)+$", re.ASCII)
 _LAST_NUMBER = re.compile(r"^(.*?)(\d{1,12})(\D*)$", re.ASCII)
 
 
+def background_stem(stem: str) -> str:
+    """Return the stem of a picture's name without the mark of a generated picture: that of its background."""
+    return _CONFIGURATION.sub("", stem)
+
+
 def frame_place(image: ImageRecord) -> tuple[str, int] | None:
     """Return the numbering and frame number of an image, or None if unknown.
 
@@ -37,7 +42,7 @@ def frame_place(image: ImageRecord) -> tuple[str, int] | None:
     if facts is not None:
         return "", facts.frame
     name = PurePosixPath(image.name)
-    match = _LAST_NUMBER.match(_CONFIGURATION.sub("", name.stem))
+    match = _LAST_NUMBER.match(background_stem(name.stem))
     own = image.extra.get("frame")
     if type(own) is int and image.sequence is not None:
         return image.sequence, own

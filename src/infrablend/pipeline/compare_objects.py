@@ -20,7 +20,7 @@ from typing import Any, Literal, get_args
 from infrablend.annotation.classes import rename_classes
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.arguments import require_choice, require_names, require_whole
-from infrablend.core.class_names import known_class
+from infrablend.core.class_names import KnownClass, known_class, named_as
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, real_path
 from infrablend.core.files import write_bytes, write_json, write_text
@@ -58,6 +58,8 @@ from infrablend.report.realism import SHEET_ENDS, CropSheet, html_report, sheets
 
 Time = Literal["night", "day", "all"]
 
+# The class whose real control decides whether the method's figures are valid.
+_REFERENCE: KnownClass = "person"
 WORKER = "infrablend.pipeline.measure_objects:make_measurer"
 _EIGHT_BIT = (16.0, 235.0)
 
@@ -152,7 +154,7 @@ def measure_populations(
     originals = {
         image_key(i): i for i in real.images if i.split in splits and request.time_of_day in ("all", i.time_of_day)
     }
-    people = reference_class(c.name for c in real.categories)
+    people = named_as(_REFERENCE, (c.name for c in real.categories))
     measured = chosen if people is None or people in chosen else (*chosen, people)
     settings = MeasuringSettings(
         run,
@@ -424,7 +426,7 @@ def compare(
         "classes": by_name,
         "ablation": {v.category: v.ablation for v in comparisons},
     }
-    cars, persons = (next((c for c in by_name if known_class(c) == k), None) for k in ("car", "person"))
+    cars, persons = named_as("car", by_name), named_as("person", by_name)
     if cars is not None and persons is not None:
         facts["car_to_person_contrast"] = contrast_ratio(by_name[cars], by_name[persons])
     manifest = RunFolder(run).manifest().read()
@@ -437,11 +439,6 @@ def compare(
         write_json(out / "realism.json", facts)
         write_text(out / "realism.html", html_report(facts, comparisons, sheets))
     return RealismReport(out, facts)
-
-
-def reference_class(names: Iterable[str]) -> str | None:
-    """Return the class whose real control decides whether the method's figures are valid: people, by any name."""
-    return next((n for n in names if known_class(n) == "person"), None)
 
 
 def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[str, Any]:
@@ -463,9 +460,9 @@ def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[
 def _people(material: Material, comparisons: Sequence[ClassComparison]) -> dict[str, Any]:
     """Return the real control of people, which decides on the method's validity, even where none were inserted."""
     for v in comparisons:
-        if known_class(v.category) == "person":
+        if known_class(v.category) == _REFERENCE:
             return {k: v.facts[k] for k in ("floor_n", "floor_logistic", "floor_boosting", "floor_ci")}
-    people = reference_class(material.controlled)
+    people = named_as(_REFERENCE, material.controlled)
     if people is None:
         return compare_control("floor", (), ())
     return compare_control("floor", material.controlled[people], material.found.of("floor", people))

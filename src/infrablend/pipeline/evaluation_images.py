@@ -12,7 +12,7 @@ from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.evaluation.truth import image_key
 from infrablend.formats.capture import facts_from_name
-from infrablend.formats.groups import GROUPINGS, group_images
+from infrablend.formats.groups import GROUPINGS, background_stem, group_images
 
 _SPLIT_WORDS: Mapping[str, Split] = {
     "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
@@ -54,15 +54,12 @@ def image_groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]
     return tuple(of[image_key(i)] for i in images)
 
 
-_CONFIGURATION = re.compile(r"(?<=.)(?:_c\d+(?:-\d+)?)+$", re.ASCII)
-
-
 def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
     """Return the frame that each image shows: its own key, or one name for an original and all images made of it."""
     backgrounds, made = [], []
     for image in images:
         key = PurePosixPath(image_key(image))
-        background = _CONFIGURATION.sub("", key.stem)
+        background = background_stem(key.stem)
         backgrounds.append(str(key.with_name(background)))
         made.append(background != key.stem)
     sizes = Counter(backgrounds)

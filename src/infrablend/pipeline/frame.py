@@ -193,7 +193,7 @@ class FrameComposer:
             black_hot = recipe.matching.polarity == "black-hot"
         else:
             scale = None if source.radiometry is None else source.radiometry.scale
-            black_hot = scale is not None and scale.slope_k < 0
+            black_hot = scale is not None and scale.black_hot
         return Site(
             background.pixels,
             source.instances,

@@ -83,7 +83,7 @@ def join_shards(
                         raise Interrupted(STOPPED)
                     done += _append(one, finished[one.shard], tar, table)
                     if on_progress is not None:
-                        on_progress(Progress.since(started, done, state.done, _outcomes(state)))
+                        on_progress(Progress.since(started, done, state.done, state.outcomes))
             flush(table_part)
         levels = {} if source.levels is None else {"levels": list(source.levels)}
         header = {
@@ -154,7 +154,3 @@ def _changed(one: FinishedShard, found: str) -> OutputError:
         f"{one.source.place}: found {found}; expected the tar and table as they were written. Repeat the command of "
         "this shard with --resume, which makes it again"
     )
-
-
-def _outcomes(state: RunState) -> dict[str, int]:
-    return {"inserted": state.inserted, "skipped": len(state.skipped), "failed": len(state.failures)}

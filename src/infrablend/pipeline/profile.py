@@ -7,7 +7,6 @@ import io
 import itertools
 import os
 import statistics
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +24,7 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_bytes, write_json
 from infrablend.core.output import require_apart, require_no_foreign
-from infrablend.core.tasks import OnProgress, Progress
+from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
 from infrablend.pipeline.enlarged import count_enlarged, count_marked
@@ -150,12 +149,11 @@ def profile_dataset(
 
 def _counter(total: int, on_progress: OnProgress | None) -> Callable[[], None]:
     """Return a function that reports one more picture each time it is called."""
-    started, done = time.monotonic(), itertools.count(1)
+    report, done = paced(on_progress), itertools.count(1)
 
     def tick() -> None:
-        count = next(done)
-        if on_progress is not None:
-            on_progress(Progress.since(started, count, total))
+        if report is not None:
+            report(next(done), total)
 
     return tick
 

@@ -307,10 +307,8 @@ def _make_frames(
         if on_progress is not None:
             pace.add(result)
             rate = pace.frames_per_s()
-            counts = {"inserted": state.inserted, "skipped": len(state.skipped), "failed": len(state.failures)}
-            on_progress(
-                Progress(state.resumed + finished, len(plan.frames), rate, (len(todo) - finished) / rate, counts)
-            )
+            done, eta_s = state.resumed + finished, (len(todo) - finished) / rate
+            on_progress(Progress(done, len(plan.frames), rate, eta_s, state.outcomes))
 
 
 def _remaining(plan: RunPlan, folder: RunFolder, manifest: Manifest, state: RunState) -> list[PlannedFrame]:

@@ -75,6 +75,11 @@ class RunState:
     render_seconds: Counter[str] = field(default_factory=Counter)
     peak_rss_bytes: int = 0
 
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """Numbers that progress shows."""
+        return {"inserted": self.inserted, "skipped": len(self.skipped), "failed": len(self.failures)}
+
     def add(self, result: TaskResult, frame: PlannedFrame) -> None:
         """Count the result of a frame.
 

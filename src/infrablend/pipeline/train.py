@@ -19,8 +19,8 @@ from infrablend.core.machine import describe_machine
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.core.typed_command import command_facts
+from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.training.data import (
-    data_digest,
     has_deep_pictures,
     select_training_data,
     write_training_data,
@@ -99,7 +99,7 @@ def train_dataset(
         asked = {
             "preset": preset.name, "task": task, "seed": request.seed, "settings": dataclasses.asdict(preset),
             "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
-            "start_asked": request.weights, "content": data_digest(wanted, task),
+            "start_asked": request.weights, "content": content_digest(wanted),
         }  # fmt: skip
         if has_deep_pictures(wanted):
             asked["agc"] = request.agc.model_dump()

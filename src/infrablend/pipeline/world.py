@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from infrablend.core.tasks import OnProgress, Progress, Task, WorkerSpec
+from infrablend.core.tasks import OnProgress, Task, WorkerSpec, paced
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.world.dataset import WorldReport, WorldRequest, write_world
 from infrablend.world.frame_files import FinishedFrame
@@ -24,7 +23,6 @@ def make_world(out: Path, request: WorldRequest, workers: int, on_progress: OnPr
         RenderError: Blender failed on a frame.
         Interrupted: The user stopped the run; no files are left behind.
     """
-    started = time.monotonic()
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
         spec = WorkerSpec(WORKER, {"seed": request.seed, "folder": str(folder)})
@@ -34,8 +32,4 @@ def make_world(out: Path, request: WorldRequest, workers: int, on_progress: OnPr
                 raise result.failure.to_exception()
             yield result.value
 
-    def report(done: int, total: int) -> None:
-        if on_progress is not None:
-            on_progress(Progress.since(started, done, total))
-
-    return write_world(out, request, rendered, report)
+    return write_world(out, request, rendered, paced(on_progress))

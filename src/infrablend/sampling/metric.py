@@ -234,7 +234,7 @@ def place_metric(
     annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
     boxes = (box_px(camera, item.in_world(pose), item) for item, pose in occupied)
     inserted = np.array([box for box in boxes if box is not None], np.float64).reshape(-1, 4)
-    volumes = [volume_of(item, pose) for item, pose in occupied]
+    placed = [*occupied]
     relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
     real = _real_ground(recipe, site)
     poses: list[Pose | None] = []
@@ -291,16 +291,15 @@ def place_metric(
                 elif item.model.stands and relief is not None:
                     feet = feet_box(camera, world)
                     reason = None if is_even(relief, feet, rules.max_relief_grey) else "uneven_ground"
-            if reason is None:
+            # People in a group touch, and boxes around them intersect before they do; cars in a row must not.
+            if reason is None and group is not None and group.in_row:
                 volume = volume_of(item, pose)
-                # People in a group touch, and boxes around them intersect before they do; cars in a row must not.
-                if group is not None and group.in_row and any(volume.intersects(v) for v in volumes):
-                    reason = "in_another"
+                reason = "in_another" if any(volume.intersects(volume_of(*other)) for other in placed) else None
             if reason is None:
                 found = pose
                 assert box is not None
                 inserted = np.concatenate([inserted, box[None]])
-                volumes.append(volume)
+                placed.append((item, pose))
                 break
             tally.reject(reason)
         if found is None:
@@ -387,11 +386,8 @@ def _draw_pose_beside(
 
 
 def _outline(item: PlacementRequest) -> FloatArray:
-    """Return some (k, 3) vertices of an object's labelled parts, in object coordinates, unscaled.
-
-    Other parts, such as ground that a car warms, depend on the look, and places must not.
-    """
-    vertices: FloatArray = item.mesh.vertices_m[np.unique(item.mesh.triangles[item.labelled])]
+    """Return some (k, 3) vertices of an object's labelled parts, in object coordinates, unscaled."""
+    vertices = item.labelled_vertices_m
     return vertices[:: max(len(vertices) // _ROUGH_VERTICES, 1)]
 
 

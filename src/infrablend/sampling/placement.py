@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,10 +49,19 @@ class PlacementRequest:
     scale: float
     visible_aim: float | None = None
 
-    @property
+    @cached_property
     def labelled(self) -> NDArray[np.bool_]:
         """(T,) mask of the triangles whose parts count for labels."""
         return np.array([self.model.parts[n].label for n in self.mesh.part_names])[self.mesh.part_of_triangle]
+
+    @cached_property
+    def labelled_vertices_m(self) -> FloatArray:
+        """(k, 3) vertices of the labelled parts, in object coordinates, unscaled.
+
+        Others, such as ground that a car warms, take up no space and depend on the look, and places must not.
+        """
+        vertices: FloatArray = self.mesh.vertices_m[np.unique(self.mesh.triangles[self.labelled])]
+        return vertices
 
     def in_world(self, pose: Pose) -> FloatArray:
         """Return the (V, 3) vertices in the world, metres."""

@@ -40,8 +40,8 @@ class Volume:
 
 
 def volume_of(item: PlacementRequest, pose: Pose) -> Volume:
-    """Return the volume of an object's labelled parts; ground that a car warms, for example, takes up no space."""
-    vertices = item.mesh.vertices_m[np.unique(item.mesh.triangles[item.labelled])]
+    """Return the volume of an object's labelled parts."""
+    vertices = item.labelled_vertices_m
     (x0, y0, z0), (x1, y1, z1) = vertices.min(axis=0), vertices.max(axis=0)
     corners = np.array([(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z1)], np.float64)
     world = object_to_world(corners, pose[:3], pose[3], item.scale)

@@ -83,9 +83,9 @@ def _outside_regions(ours: Detections, truth: Truth, class_of: NDArray[np.int64]
     if not truth.ignore.any() or not len(ours):
         return ours
     overlap = overlaps(ours, truth, task)
-    same = class_of[ours.classes][:, None] == truth.classes[None]
-    object_ = (overlap * (same & ~truth.ignore)).max(axis=1) >= IOUS[0]
-    region = (overlap * (truth.ignore & (same | (truth.classes == -1)))).max(axis=1) >= IOUS[0]
+    its = class_of[ours.classes]
+    object_ = (overlap * ((its[:, None] == truth.classes) & ~truth.ignore)).max(axis=1) >= IOUS[0]
+    region = (overlap * truth.regions_of(its)).max(axis=1) >= IOUS[0]
     return ours.take(np.flatnonzero(object_ | ~region))
 
 

@@ -12,14 +12,13 @@ from typing import Any
 from infrablend.annotation.classes import drop_classes
 from infrablend.config.agc import DEFAULT_AGC, Agc, FixedAgc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
-from infrablend.core.files import read_regular, sha256_of_json
+from infrablend.core.files import read_regular
 from infrablend.core.format_table import writer_for_task
 from infrablend.core.manifest import Manifest
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import deep_mode, is_deep
-from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.eight_bit import eight_bit_copies
 from infrablend.pipeline.training.folder import DATA, EIGHT_BIT, TILES
 from infrablend.training import presets, tiles
@@ -155,15 +154,6 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
 def has_deep_pictures(dataset: Dataset) -> bool:
     """Return whether the pictures of data to train on have 16 bits; then all of them do."""
     return any(is_deep(i) for i in dataset.images[:1])
-
-
-def data_digest(wanted: Dataset, task: str) -> str:
-    """Return a digest of the labels and pictures to train on, independent of their folder."""
-    found = content_digest(wanted)
-    if task != "segment":
-        return found
-    masks = [o.mask.to_coco() for i in wanted.images for o in i.instances if o.mask is not None]
-    return sha256_of_json([found, masks])
 
 
 def most_tiles(preset: Preset, split: str) -> int:
