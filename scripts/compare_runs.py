@@ -1,0 +1,116 @@
+#!/usr/bin/env python
+"""Compares the pictures and labels of every shipped recipe with those that another commit makes, byte by byte.
+
+    INFRABLEND_REAL_DATA=DIR .venv/bin/python scripts/compare_runs.py 66cd77d
+    ... compare_runs.py 66cd77d --recipe hit-uav-cars --sample 40
+
+Backgrounds: HIT-UAV's val split for `hit-uav-*` and `deer-above`, Halmstad's val backgrounds for `drone-sky`, and the
+virtual world in MONET's layout for `monet-*`. `hit-uav-drone` is written in every label format, the others in YOLO's.
+Runs of the commit are kept in build/compare. Exits with 1 if a file differs, is missing or is new.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+WORK = ROOT / "build" / "compare"
+ALL_FORMATS = "hit-uav-drone"
+
+
+def run(tree: Path, *arguments: str) -> str:
+    """Run the command line of a checkout and return its output."""
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
+    # From a neutral folder: recipes and paths in the working folder must not matter.
+    command = [sys.executable, "-m", "infrablend", *arguments]
+    done = subprocess.run(command, env=environment, cwd=WORK, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"{' '.join(arguments)}: exit code {done.returncode} in {tree}\n{done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def checkout(commit: str) -> Path:
+    """Return a checkout of a commit, below build."""
+    name = subprocess.check_output(["git", "rev-parse", "--short", commit], cwd=ROOT, text=True).strip()
+    tree = WORK / f"tree-{name}"
+    if not tree.is_dir():
+        subprocess.run(["git", "worktree", "prune"], cwd=ROOT, check=True)
+        subprocess.run(["git", "worktree", "add", "--detach", "--quiet", str(tree), name], cwd=ROOT, check=True)
+    return tree
+
+
+def backgrounds(recipe: str, real: Path) -> list[str]:
+    """Return the options of `generate` that read the backgrounds for a recipe."""
+    if recipe.startswith("monet"):
+        return ["--data", str(WORK / "monet")]
+    if recipe == "drone-sky":
+        return ["--data", str(real / "halmstad" / "backgrounds"), "--split", "val"]
+    return ["--data", str(real / "hit-uav"), "--split", "val"]
+
+
+def formats(tree: Path) -> str:
+    """Return the names of all label formats that a checkout writes."""
+    code = "from infrablend.core.format_table import written_names; print(','.join([*written_names(), 'native']))"
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
+    return subprocess.check_output([sys.executable, "-c", code], env=environment, text=True).strip()
+
+
+def files(folder: Path) -> dict[str, Path]:
+    """Return the pictures and label files of a run, by path."""
+    tops = [p for p in sorted(folder.iterdir()) if p.is_dir() and p.name not in ("scenes", "log", "excluded")]
+    return {p.relative_to(folder).as_posix(): p for top in tops for p in sorted(top.rglob("*")) if p.is_file()}
+
+
+def differences(was: dict[str, Path], now: dict[str, Path]) -> list[str]:
+    """Return a line per file that differs, is missing or is new."""
+    found = [f"missing  {name}" for name in sorted(was.keys() - now.keys())]
+    found += [f"new      {name}" for name in sorted(now.keys() - was.keys())]
+    both = sorted(was.keys() & now.keys())
+    return found + [f"differs  {name}" for name in both if was[name].read_bytes() != now[name].read_bytes()]
+
+
+def main() -> None:
+    """Compare, and print a line per recipe."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("commit", help="commit to compare with")
+    parser.add_argument("--recipe", action="append", help="only this recipe; may be repeated")
+    parser.add_argument("--sample", type=int, default=10, help="backgrounds per recipe [10]")
+    asked = parser.parse_args()
+    if "INFRABLEND_REAL_DATA" not in os.environ:
+        sys.exit("INFRABLEND_REAL_DATA: not set; expected the folder with hit-uav/ and halmstad/")
+    real = Path(os.environ["INFRABLEND_REAL_DATA"]).resolve()
+    WORK.mkdir(parents=True, exist_ok=True)
+    base = checkout(asked.commit)
+    if not (WORK / "monet" / "world.json").is_file():
+        run(base, "world", "--layout", "monet", "--count", "12", "--out", str(WORK / "monet"))
+    names = sorted(p.stem for p in (base / "src" / "infrablend").rglob("recipes/*.yaml"))
+    every, failed = formats(base), 0
+    for recipe in asked.recipe or names:
+        kept = WORK / f"{base.name}-{asked.sample}" / recipe
+        made = WORK / f"this-{os.getpid()}" / recipe
+        more = ["--sample", str(asked.sample), "--to", every if recipe == ALL_FORMATS else "yolo"]
+        options = [recipe, *backgrounds(recipe, real), *more]
+        if not (kept / "run.json").is_file():
+            shutil.rmtree(kept, ignore_errors=True)
+            partial = kept.with_name(f"unfinished-{recipe}")
+            shutil.rmtree(partial, ignore_errors=True)
+            run(base, "generate", *options, "--out", str(partial))
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            partial.rename(kept)
+        run(ROOT, "generate", *options, "--out", str(made))
+        was, now = files(kept), files(made)
+        found = differences(was, now)
+        print(f"{recipe:28} {len(now):5} files {'equal' if not found else f'{len(found)} DIFFER'}", flush=True)
+        print(*(f"    {line}" for line in found[:20]), sep="\n", end="\n" if found else "")
+        failed += bool(found) or not was
+        shutil.rmtree(made.parent, ignore_errors=True)
+    sys.exit(bool(failed))
+
+
+if __name__ == "__main__":
+    main()
