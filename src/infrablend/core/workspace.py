@@ -1,0 +1,370 @@
+"""Writes an output folder in a workspace beside it, and gives it its name when it is complete.
+
+    OUT/                 complete, or not there
+    .OUT.partial/        the workspace: being written, or left by a command that was interrupted
+    .OUT.replaced/       the folder that --overwrite replaces, until it is deleted
+
+So what stands under the name that the user gave is complete, and nothing unfinished is read by mistake. Where OUT
+cannot be renamed (a mount point, the working folder, a parent that may not be written), `.partial` and `.replaced` are
+inside OUT, and the finished parts are moved out of `.partial` one by one, the record last.
+
+Every command that writes a folder goes through `workspace`, so that the same rules and messages apply to all of them:
+
+* A folder that is new or empty is always accepted.
+* A folder with something in it is only replaced if the user asked for it (`overwrite`), if it has the record of this
+  command, and if nothing was added to it since.
+* One process at a time writes a folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from infrablend import __version__
+from infrablend.core.addresses import require_folder
+from infrablend.core.file_names import real_path
+from infrablend.core.files import output_error, read_object, write_json
+from infrablend.core.typed_command import command_facts, recorded_command
+from infrablend.errors import OutputError
+
+log = logging.getLogger(__name__)
+
+Existing = Literal["refuse", "resume", "overwrite"]
+"""What to do with an output folder that already has results: refuse it, finish them, or replace them."""
+
+CONTENTS = "contents"
+"""Field of a record with the names at the top of its folder and the number of files below it."""
+
+_NOTE = ".workspace.json"
+_OWN = frozenset({_NOTE, ".partial", ".replaced"})
+_SHOWN = 4
+
+
+@dataclass
+class Workspace:
+    """An output folder while a command writes it.
+
+    Attributes:
+        out: The folder that the user gave, with links followed.
+        folder: Where to write now, and to read what an earlier call left.
+        noun: Name of what the command writes, such as `run`, for messages.
+        record: File name of the record that the finished folder has, a JSON object.
+        state: What was found: `new` (nothing), `started` (the workspace of an interrupted call), or `complete` (a
+            finished folder, which `folder` names until `reopen`).
+        locks: Locks of this call.
+    """
+
+    out: Path
+    folder: Path
+    noun: str
+    record: str
+    state: Literal["new", "started", "complete"]
+    locks: contextlib.ExitStack
+
+    @property
+    def partial(self) -> Path:
+        """Folder to write in, whether it is there or not."""
+        return partial_of(self.out)
+
+    def finish(self, facts: Mapping[str, Any]) -> None:
+        """Write the record, the last file; the folder gets its name at the end of the `with` block.
+
+        Args:
+            facts: Fields of the record, JSON values.
+        """
+        (self.folder / self.record).unlink(missing_ok=True)
+        names = sorted({*(p.name for p in self.folder.iterdir()), self.record} - {_NOTE})
+        contents = {"names": names, "files": _count_files(self.folder) + 1}
+        data = {"infrablend": __version__, **facts, CONTENTS: contents}
+        write_json(self.folder / self.record, data, indent=2, durable=True)
+
+    def reopen(self) -> None:
+        """Make a workspace of a finished folder again, in order to change it; its record has to be written again.
+
+        Raises:
+            OutputError: It cannot be renamed.
+        """
+        if self.state != "complete":
+            return
+        with _reported(self.out):
+            if self.partial.parent == self.out:
+                _move_entries(self.out, self.partial, first=self.record)
+            else:
+                self.locks.enter_context(_lock(self.out, self.noun))
+                self.out.rename(self.partial)
+        self.folder, self.state = self.partial, "started"
+        _write_note(self.folder, self.noun, replaces=False)
+        (self.folder / self.record).unlink()
+
+    def discard(self) -> None:
+        """Delete the workspace: nothing of this call is worth keeping."""
+        shutil.rmtree(self.partial, ignore_errors=True)
+
+    def _is_finished(self) -> bool:
+        """Return whether the workspace has its record, which is written last."""
+        return CONTENTS in (read_object(self.partial / self.record) or {})
+
+    def _publish(self) -> None:
+        """Give the folder its name; after a kill, the next call goes on from here."""
+        out, partial, replaced = self.out, self.partial, _replaced_of(self.out)
+        replaces = bool((read_object(partial / _NOTE) or {}).get("replaces"))
+        with _reported(out):
+            if partial.parent == out:
+                if replaces:
+                    replaced.mkdir(exist_ok=True)
+                    _move_entries(out, replaced, first=self.record)
+                    _write_note(partial, self.noun, replaces=False)
+                _move_entries(partial, out, last=self.record)
+                (partial / _NOTE).unlink(missing_ok=True)
+                partial.rmdir()
+            else:
+                if out.is_dir() and replaces:
+                    out.rename(replaced)
+                elif out.is_dir():
+                    out.rmdir()  # an empty folder; one with files has appeared meanwhile, and is not touched
+                partial.rename(out)
+                (out / _NOTE).unlink(missing_ok=True)
+        shutil.rmtree(replaced, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def workspace(
+    out: Path, noun: str, record: str, existing: Existing = "refuse", *, keep: bool = False
+) -> Iterator[Workspace]:
+    """Yield the workspace of an output folder, locked for this process.
+
+    After `Workspace.finish`, the folder gets its name at the end of the block. If the block fails, or ends without
+    `finish`, the workspace is deleted, or kept for `resume`, and what stood under the name stays as it was.
+
+    Args:
+        out: Folder to write.
+        noun: Name of what the command writes, for messages.
+        record: File name of its record.
+        existing: What to do with what is there; `resume` only with `keep`.
+        keep: Whether a later call can finish what this one leaves.
+
+    Raises:
+        ArgumentError: `out` is an address of object storage.
+        OutputError: The folder has something that may not be replaced, another process writes it, or it cannot be
+            written.
+    """
+    require_existing(existing)
+    require_folder("out", out)
+    root = real_path(out)
+    if os.path.lexists(root) and not root.is_dir():
+        found = "a link that leads nowhere" if root.is_symlink() else "a file"
+        raise OutputError(f"{out}: is {found}; expected a folder, or a name that does not exist yet")
+    with contextlib.ExitStack() as locks:
+        partial = partial_of(root)
+        locks.enter_context(_lock(partial, noun, make=True))
+        space = Workspace(root, partial, noun, record, "new", locks)
+        if space._is_finished():  # killed while it got its name
+            space._publish()
+            partial.mkdir()
+            locks.enter_context(_lock(partial, noun))
+        if (_replaced_of(root) / record).exists():
+            shutil.rmtree(_replaced_of(root), ignore_errors=True)
+        try:
+            _open(space, existing, keep)
+            log.info("%s: written in %s until it is complete", out, partial)
+            yield space
+            if space._is_finished():
+                space._publish()
+        finally:
+            left = {p.name for p in partial.iterdir()} if partial.is_dir() else set()
+            foreign = left and _NOTE not in left
+            if not left - {_NOTE} or not (foreign or keep or space._is_finished()):
+                space.discard()
+
+
+def require_existing(existing: Existing) -> None:
+    """Check that a value is one of `Existing`.
+
+    Raises:
+        OutputError: It is not.
+    """
+    if existing not in get_args(Existing):
+        raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
+
+
+def partial_of(out: Path) -> Path:
+    """Return the workspace of an output folder: a sibling, or a folder in it where it cannot be renamed."""
+    root = real_path(out)
+    inside = root / ".partial"
+    if root.is_dir():
+        here = real_path(Path())
+        fixed = root.is_mount() or root == here or root in here.parents
+        if fixed or inside.is_dir() or not os.access(root.parent, os.W_OK):
+            return inside
+    return root.with_name(f".{root.name}.partial")
+
+
+def unfinished(out: Path) -> str | None:
+    """Return where an unfinished output folder is and how to finish it, for messages; None if there is none."""
+    partial = partial_of(out)
+    note = read_object(partial / _NOTE)
+    if note is None:
+        return None
+    command = recorded_command(note, out) or "repeat its command"
+    return f"an unfinished {note.get('noun', 'folder')} is in {partial}; finish it, or make it again: {command}"
+
+
+def is_being_written(out: Path) -> bool:
+    """Return whether a process is writing an output folder, as far as its file system has locks."""
+    try:
+        handle = os.open(partial_of(out), os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
+    return False
+
+
+def _require_own(space: Workspace) -> None:
+    """Check that the folder has nothing but what InfraBlend wrote there.
+
+    Raises:
+        OutputError: It has no record of this command, or something was added to it.
+    """
+    root, noun = space.out, space.noun
+    found = read_object(root / space.record) or {}
+    contents = found.get(CONTENTS)
+    if "infrablend" not in found or not isinstance(contents, Mapping):
+        raise OutputError(
+            f"{root}: not empty and not a {noun} of InfraBlend (no {space.record} that it wrote); nothing was touched. "
+            "Give another folder."
+        )
+    foreign = sorted({p.name for p in root.iterdir()} - {*contents.get("names", ()), *_OWN})
+    count, written = _count_files(root), int(contents.get("files", 0))
+    if foreign or count > written:
+        what = _listed(foreign) if foreign else f"{count} files, where the {noun} had {written}"
+        raise OutputError(
+            f"{root}: contains files that are not part of the {noun} ({what}); nothing was touched. Move them "
+            "elsewhere, or give another folder."
+        )
+
+
+def _open(space: Workspace, existing: Existing, keep: bool) -> None:
+    """Look at what is there, and prepare the workspace.
+
+    Raises:
+        OutputError: What is there may not be replaced.
+    """
+    root, partial = space.out, space.partial
+    entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
+    left = sorted(p.name for p in partial.iterdir())
+    started = read_object(partial / _NOTE) is not None
+    if left and not started:
+        raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(left)}. Move it away.")
+    if existing == "refuse" and (entries or (started and keep)):
+        raise _refused(space, entries, keep)
+    if existing == "resume" and started:
+        space.state = "started"
+        return
+    if entries:
+        _require_own(space)
+    if existing == "resume" and entries:
+        space.folder, space.state = root, "complete"
+        return
+    with _reported(partial):
+        for name in left:
+            path = partial / name
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+    _write_note(partial, space.noun, replaces=bool(entries))
+
+
+def _refused(space: Workspace, entries: list[str], keep: bool) -> OutputError:
+    found = f"not empty (found {_listed(entries)})" if entries else f"an unfinished {space.noun} is in {space.partial}"
+    ways = ['--resume (existing="resume" in Python) to finish an interrupted one'] if keep else []
+    argument = 'existing="overwrite"' if keep else "overwrite=True"
+    ways.append(f"--overwrite ({argument} in Python) to replace an earlier {space.noun}")
+    return OutputError(
+        f"{space.out}: {found}; expected an empty or new folder. Use {', '.join(ways)}, or give another folder."
+    )
+
+
+@contextlib.contextmanager
+def _lock(folder: Path, noun: str, *, make: bool = False) -> Iterator[None]:
+    """Lock a folder until the end of the block; the lock is on the folder itself and leaves no file.
+
+    Raises:
+        OutputError: Another process has locked it, or it cannot be created.
+    """
+    while True:
+        try:
+            if make:
+                folder.mkdir(parents=True, exist_ok=True)
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(f"{folder}: cannot be written ({reason}); expected a folder you may write to") from error
+        try:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise OutputError(
+                    f"{folder}: another process is writing this {noun}; wait for it to end, or give another folder"
+                ) from error
+            except OSError as error:  # file systems without locks
+                log.warning("%s: cannot be locked (%s); do not let two commands write to it", folder, error)
+            # Another process may have renamed the folder between the two calls above.
+            if not folder.is_dir() or not os.path.samestat(os.fstat(handle), folder.stat()):
+                continue
+            yield
+            return
+        finally:
+            os.close(handle)
+
+
+@contextlib.contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    """Turn a failed rename or deletion into an error that says what to do."""
+    try:
+        yield
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def _move_entries(source: Path, target: Path, *, first: str = "", last: str = "") -> None:
+    """Move what is in a folder to another one; the record comes first or last: it marks what is complete."""
+    names = {p.name for p in source.iterdir()} - _OWN
+    for name in sorted(names, key=lambda name: (name != first, name == last, name)):
+        (source / name).rename(target / name)
+
+
+def _replaced_of(root: Path) -> Path:
+    partial = partial_of(root)
+    return partial.with_name(f"{partial.name.removesuffix('partial')}replaced")
+
+
+def _write_note(folder: Path, noun: str, *, replaces: bool) -> None:
+    write_json(folder / _NOTE, {"noun": noun, "replaces": replaces, **command_facts()})
+
+
+def _count_files(root: Path) -> int:
+    """Return the number of files below a folder, without those of a workspace in it."""
+    count = 0
+    for folder, subfolders, names in os.walk(root):
+        if folder == str(root):
+            subfolders[:] = sorted({*subfolders} - _OWN)
+            names = sorted({*names} - _OWN)
+        count += len(names)
+    return count
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:_SHOWN]) + (" ..." if len(names) > _SHOWN else "")
