@@ -24,7 +24,7 @@ from infrablend.compositing.contrast import near_edge
 from infrablend.core.boxes import box_iou
 from infrablend.core.dataset import ImageRecord, Instance, TimeOfDay
 from infrablend.core.rng import stream
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.formats import coco
 from infrablend.formats.detection import read
 from infrablend.formats.images import save_image
@@ -62,7 +62,7 @@ def main() -> None:
     options = parser.parse_args()
     patches, unused = cut(options.data, options.category)
     print(f"{len(patches)} boxes; not used: {dict(unused)}")
-    made, scenes = read(options.run), RunLayout(options.run)
+    made, scenes = read(options.run), RunFolder(options.run)
     records = [record for path in scenes.records() if (record := read_record(path)) is not None]
     by_picture = {scenes.image(record.image).resolve(): record for record in records}
     counts: Counter[str] = Counter()

@@ -24,7 +24,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
-from infrablend.pipeline.folder import RunFolder
+from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.record import FrameRecord, read_record
 
 LIMIT_K = 0.1

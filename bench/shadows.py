@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from infrablend import api
 from infrablend.core.boxes import boxes_mask
 from infrablend.formats.images import load_background
-from infrablend.pipeline.folder import RunFolder
+from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.record import read_record
 
 Picture = NDArray[np.float32]

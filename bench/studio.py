@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.trial import TrialRequest
 from infrablend.studio.pictures import to_png
 from infrablend.studio.tuning import Tuning
@@ -87,7 +87,7 @@ def repeated(run: Path, folder: Path, frames: int) -> Path:
 
     The pictures are hard links; every record has a digest of its own, so that no two frames share a thumbnail.
     """
-    source, target = RunLayout(run), RunLayout(folder)
+    source, target = RunFolder(run), RunFolder(folder)
     shutil.copytree(run, folder, ignore=shutil.ignore_patterns("images", "scenes", "report.html"))
     records = [json.loads(path.read_text("utf-8")) for path in source.records()]
     for number in range(frames):
@@ -142,7 +142,7 @@ def _open(run: Path, cache: Path) -> dict[str, float]:
 
 
 def _count(run: Path) -> int:
-    return len(RunLayout(run).records())
+    return len(RunFolder(run).records())
 
 
 class _Watch:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from infrablend import api
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.formats.images import load_background
-from infrablend.pipeline.folder import RunFolder
+from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.record import read_record
 from infrablend.realism.surroundings import BANDS_PX, largest_changes, levels_around
 

@@ -26,7 +26,7 @@ from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.pipeline.folder import RunFolder
+from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.frame import FrameMaker
 from infrablend.pipeline.frame_settings import percentile_settings
 from infrablend.pipeline.label_files import read_frames, write_formats

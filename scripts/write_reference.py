@@ -28,7 +28,7 @@ SECTIONS = (
 def recipe_page() -> str:
     """Return the page on all recipe fields."""
     from infrablend.config import loading
-    from infrablend.config.modes import MOVED, REMOVED, Modes, sections_of
+    from infrablend.config.modes import REMOVED, Modes, sections_of
     from infrablend.config.recipe import PaperArtisticRecipe
 
     sections = sorted(sections_of(Modes()), key=SECTIONS.index)
@@ -67,7 +67,6 @@ def recipe_page() -> str:
         "",
         "Fields of earlier versions:",
         "",
-        *(f"* `{old}` is now `{new}`." for old, new in MOVED.items()),
         *(f"* `{old}` was removed: {reason}." for old, reason in REMOVED.items()),
         "",
         "## Top level",

@@ -28,7 +28,7 @@ from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.files import sha256_of
 from infrablend.core.masks import Mask
-from infrablend.core.run_layout import ShardFiles
+from infrablend.core.run_folder import ShardFiles
 from infrablend.formats import coco, dota, hit_uav, masks, voc, yolo
 from infrablend.formats.shard_tar import TarWriter, label_text
 

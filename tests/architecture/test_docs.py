@@ -306,12 +306,12 @@ def test_settings_in_the_docs_are_recipe_fields() -> None:
 
 
 def test_fields_that_the_docs_name_exist() -> None:
-    from infrablend.config.modes import MOVED, REMOVED, all_modes, fields_of
+    from infrablend.config.modes import REMOVED, all_modes, fields_of
 
     existing = {f"{section}.{field}" for modes in all_modes() for section, field in fields_of(modes)}
     sections = "|".join(sorted({name.partition(".")[0] for name in existing}))
     # The changelog and the list of removed fields name them.
-    gone = {*MOVED, *REMOVED}
+    gone = {*REMOVED}
     # Files, a field of `run.json`, and attributes of the frames of `api.frames`.
     others = {"data.yaml", "data.root", "frames.ids", "frames.json", "frames.problems"}
     for page in PAGES:

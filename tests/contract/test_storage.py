@@ -16,7 +16,7 @@ from tests.object_storage import BUSY, FORBIDDEN, FULL, Server, server, shorten_
 from tests.unit.pipeline.test_run import dataset, hashes
 from tests.unit.pipeline.test_shards import command
 
-from infrablend.core.run_layout import SHARDS_FILE
+from infrablend.core.run_folder import SHARDS_FILE
 from infrablend.pipeline import shard_claim
 from infrablend.storage import store as storage
 from infrablend.storage.scratch import lasting

@@ -21,7 +21,7 @@ from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import scratch
 from infrablend.pipeline import request, run
-from infrablend.pipeline.folder import RunFolder
+from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.generate import prepare_run
 from infrablend.pipeline.request import Execution, RunRequest
 

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         realism_page,
         report,
         rerender,
+        show,
         status,
         submission_text,
         submit,
@@ -175,6 +176,7 @@ __all__ = [
     "realism_page",
     "report",
     "rerender",
+    "show",
     "show_model",
     "show_recipe",
     "split",
@@ -199,7 +201,7 @@ _MODULES = {
     "api.in_memory": "frames try_recipe watch_recipe",
     "api.runs": (
         "PlanReport exclude generate generate_shard include merge plan preview preview_ground realism realism_page "
-        "report rerender status submission_text submit"
+        "report rerender show status submission_text submit"
     ),
     "api.shipped": (
         "add_model describe_model diagnose list_models list_recipes show_model show_recipe survey_model "

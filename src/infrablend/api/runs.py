@@ -11,17 +11,17 @@ from infrablend.api.datasets import read_dataset
 from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.dataset import Dataset
 from infrablend.core.output import Existing
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.generate import describe_run, generate_run
 from infrablend.pipeline.merge import merge_shards
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
-from infrablend.pipeline.rerender import rerender_frame
+from infrablend.pipeline.rerender import rerender_frame, show_frame
 from infrablend.pipeline.run import RunReport
 from infrablend.pipeline.shard import ShardRequest
 from infrablend.pipeline.sharded_run import Layout, ShardState
@@ -174,18 +174,23 @@ def rerender(
     return rerender_frame(Path(run), frame_id, None if out is None else Path(out), folder, overwrite=overwrite)
 
 
+def show(run: str | Path, frame_id: str) -> dict[str, Any]:
+    """Return the record of a frame of a run as JSON values: scene, labels and decisions; or why it failed."""
+    return show_frame(Path(run), frame_id)
+
+
 def exclude(
     run: str | Path, frames: Sequence[str] = (), *, review: str | Path | None = None, reason: str = BY_HAND,
     purge: bool = False, data: str | Path | None = None, on_progress: OnProgress | None = None,
 ) -> ChoiceReport:  # fmt: skip
-    """Leave frames of a finished run out of its labels, splits, card and counts; their files move to `run/excluded`.
+    """Leave frames of a finished run out of its labels, splits, card and counts; their pictures move to `run/excluded`.
 
     Args:
         run: Folder of the run.
         frames: Ids of frames (`test/a_c0`), or of backgrounds for all of their frames.
         review: File with accepted and rejected frames: rejected ones are left out, accepted ones taken back.
-        reason: Reason for `frames`, kept in `excluded.json`.
-        purge: Delete the files of all excluded frames.
+        reason: Reason for `frames`, kept in the ledger.
+        purge: Delete the pictures of all excluded frames.
         data: Folder of the backgrounds, if it has moved.
         on_progress: Called after each frame that has to be rendered again.
     """

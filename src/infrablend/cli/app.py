@@ -31,6 +31,7 @@ from infrablend.cli import (
     recipes,
     report,
     rerender,
+    show,
     split,
     status,
     studio,
@@ -155,6 +156,7 @@ def build_app() -> typer.Typer:
     app.command("report", cls=_Command)(report.report)
     app.command("profile", cls=_Command)(profile.profile)
     app.command("rerender", cls=_Command)(rerender.rerender)
+    app.command("show", cls=_Command)(show.show)
     app.command("exclude", cls=_Command)(exclude.exclude)
     app.command("include", cls=_Command)(exclude.include)
     app.command("inspect", cls=_Command)(inspect.inspect)

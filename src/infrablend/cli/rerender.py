@@ -1,4 +1,4 @@
-"""`infrablend rerender`: render one frame of a run again, from its scene file."""
+"""`infrablend rerender`: render one frame of a run again, from its record."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from infrablend.cli.options import RunArgument
 
 def rerender(
     run: RunArgument,
-    frame: Annotated[
-        str, typer.Argument(metavar="FRAME", help="Id of the frame, e.g. test/1_60_80_0_06117_c0 (see RUN/scenes).")
-    ],
+    frame: Annotated[str, typer.Argument(metavar="FRAME", help="Id of the frame, e.g. test/1_60_80_0_06117_c0.")],
     out: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Picture to write; .png is lossless [default: the frame's file name, here]."),

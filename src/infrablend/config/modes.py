@@ -12,7 +12,6 @@ from __future__ import annotations
 import functools
 import itertools
 import json
-import typing
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
@@ -32,7 +31,6 @@ from infrablend.core.validation_messages import models_in, shorten
 from infrablend.errors import Problem
 
 # Fields of older recipes, by `section.field`: what became of them. A dotted name is the field's new place.
-MOVED: Mapping[str, str] = {}
 _MIN_CONTRAST = "the contrast is now measured in the finished picture; set placement.min_contrast"
 REMOVED: Mapping[str, str] = {
     "placement.min_contrast_grey": _MIN_CONTRAST,
@@ -200,32 +198,6 @@ def kept_camera_warnings(
     return found
 
 
-def upgrade_recorded(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the recipe in a run's record without the fields that have no meaning in its modes.
-
-    Records of earlier versions contain every field in every mode, and fields that have since been moved or removed.
-    Where they have null for "the default of this mode", the field is left to its default.
-    """
-    upgraded: dict[str, Any] = json.loads(json.dumps(data))
-    for old, place in MOVED.items():
-        section, field = old.split(".")
-        if field in _section(upgraded, section):
-            value = upgraded[section].pop(field)
-            new_section, new_field = place.split(".")
-            upgraded.setdefault(new_section, {})[new_field] = value
-    modes = modes_of(upgraded)
-    fields = fields_of(modes)
-    for section, _, values in _sections(upgraded):
-        for field, value in list(values.items()):
-            if (section, field) in fields:
-                refused = value is None and not _allows_null(sections_of(modes)[section], field)
-            else:
-                refused = _is_known((section, field))
-            if refused:
-                del values[field]
-    return upgraded
-
-
 def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str] | None:
     """Return why a recipe in these modes has no field at `path`, and the remedy; None for a misspelt field.
 
@@ -237,8 +209,6 @@ def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str
     if len(steps) != 2:
         return None
     field, name = (steps[0], steps[1]), ".".join(steps)
-    if name in MOVED:
-        return f"this field is now {MOVED[name]}", f"move it to {MOVED[name]}"
     if name in REMOVED:
         return "this field was removed", REMOVED[name]
     if not any(field in fields_of(m) for m in all_modes()):
@@ -272,14 +242,6 @@ def all_modes() -> Iterator[Modes]:
         yield Modes(placement, look, sensor)
     for sensor in ("off", "on"):
         yield Modes(*RADIOMETRIC_NEEDS, sensor, RADIOMETRIC)
-
-
-def _allows_null(section: type[BaseModel], field: str) -> bool:
-    return type(None) in typing.get_args(section.model_fields[field].annotation)
-
-
-def _is_known(field: Field) -> bool:
-    return ".".join(field) in REMOVED or any(field in fields_of(m) for m in all_modes())
 
 
 def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:

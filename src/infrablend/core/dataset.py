@@ -206,8 +206,6 @@ class Dataset:
         problems: Problems found; items with an `error` were skipped, items with a `warning` kept.
         notes: Facts for the run record, e.g. which annotation forms were merged and how often they disagreed.
         extra: Top-level fields of the source (info, licences), kept for writing.
-        markers: What identifies the records of InfraBlend for the folder when it was read (`finished.markers_of`);
-            None for datasets that were not read from a folder.
     """
 
     root: Path
@@ -217,7 +215,6 @@ class Dataset:
     problems: tuple[Problem, ...] = ()
     notes: Mapping[str, Any] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
-    markers: Mapping[str, str] | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:  # a dataclass would print thousands of labels
         objects = sum(len(image.instances) for image in self.images)

@@ -9,10 +9,10 @@ from infrablend.core.files import read_object
 from infrablend.core.finished import CONVERT_FILE, SPLIT_FILE
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.output import require_apart
-from infrablend.core.run_layout import EIGHT_BIT, EXCLUDED, IMAGES, LOGS, RUN_FILE, SCENES
+from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE
 from infrablend.errors import OutputError
 
-_OF_RUN = {IMAGES, SCENES, EIGHT_BIT, EXCLUDED, LOGS, NATIVE, *written_names()}
+_OF_RUN = {IMAGES, EIGHT_BIT, EXCLUDED, NATIVE, *written_names()}
 
 
 def require_outside_datasets(run: Path, out: Path, data: Path | None = None) -> None:

@@ -64,7 +64,8 @@ class Failure:
         Raises:
             LookupError, TypeError, AttributeError: The values are damaged.
         """
-        return cls(data["kind"], data["error"], data["message"], tuple(Problem(**p) for p in data["problems"]))
+        problems = tuple(Problem(**p) for p in data["problems"])
+        return cls(data["kind"], data["error"], data["message"], problems, data.get("traceback", ""))
 
     def to_exception(self) -> InfraBlendError:
         """Return the failure as an exception: of the raised class if it is one of ours, else a `RenderError`."""

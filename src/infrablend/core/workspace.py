@@ -23,7 +23,7 @@ import fcntl
 import logging
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -43,8 +43,9 @@ Existing = Literal["refuse", "resume", "overwrite"]
 CONTENTS = "contents"
 """Field of a record with the names at the top of its folder and the number of files below it."""
 
-_NOTE = ".workspace.json"
-_OWN = frozenset({_NOTE, ".partial", ".replaced"})
+NOTE = ".workspace.json"
+"""Note in a workspace: what it is for, and the command that finishes it."""
+_OWN = frozenset({NOTE, ".partial", ".replaced"})
 _SHOWN = 4
 
 
@@ -81,8 +82,9 @@ class Workspace:
             facts: Fields of the record, JSON values.
         """
         (self.folder / self.record).unlink(missing_ok=True)
-        names = sorted({*(p.name for p in self.folder.iterdir()), self.record} - {_NOTE})
-        contents = {"names": names, "files": _count_files(self.folder) + 1}
+        left_out = {*_OWN, *self.foreign}
+        names = sorted({*(p.name for p in self.folder.iterdir()), self.record} - left_out)
+        contents = {"names": names, "files": _count_files(self.folder, left_out) + 1}
         data = {"infrablend": __version__, **facts, CONTENTS: contents}
         write_json(self.folder / self.record, data, indent=2, durable=True)
 
@@ -94,6 +96,8 @@ class Workspace:
         """
         if self.state != "complete":
             return
+        own = (read_object(self.out / self.record) or {}).get(CONTENTS, {}).get("names", ())
+        foreign = sorted({p.name for p in self.out.iterdir()} - {*own, *_OWN})
         with _reported(self.out):
             if self.partial.parent == self.out:
                 _move_entries(self.out, self.partial, first=self.record)
@@ -101,8 +105,25 @@ class Workspace:
                 self.locks.enter_context(_lock(self.out, self.noun))
                 self.out.rename(self.partial)
         self.folder, self.state = self.partial, "started"
-        _write_note(self.folder, self.noun, replaces=False)
+        _write_note(self.folder, self.noun, foreign=foreign)
         (self.folder / self.record).unlink()
+
+    @property
+    def foreign(self) -> frozenset[str]:
+        """Names at the top of a reopened folder that others put there, such as a review: they are left alone."""
+        return frozenset((read_object(self.partial / NOTE) or {}).get("foreign", ()))
+
+    def clear(self, keep: Iterable[str]) -> None:
+        """Delete what is in the workspace but for these names and foreign ones.
+
+        Raises:
+            OutputError: It cannot be deleted.
+        """
+        names = {p.name for p in self.folder.iterdir()} - {*keep, *self.foreign, NOTE}
+        with _reported(self.folder):
+            for name in sorted(names):
+                path = self.folder / name
+                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
 
     def discard(self) -> None:
         """Delete the workspace: nothing of this call is worth keeping."""
@@ -115,15 +136,15 @@ class Workspace:
     def _publish(self) -> None:
         """Give the folder its name; after a kill, the next call goes on from here."""
         out, partial, replaced = self.out, self.partial, _replaced_of(self.out)
-        replaces = bool((read_object(partial / _NOTE) or {}).get("replaces"))
+        replaces = bool((read_object(partial / NOTE) or {}).get("replaces"))
         with _reported(out):
             if partial.parent == out:
                 if replaces:
                     replaced.mkdir(exist_ok=True)
                     _move_entries(out, replaced, first=self.record)
-                    _write_note(partial, self.noun, replaces=False)
+                    _write_note(partial, self.noun)
                 _move_entries(partial, out, last=self.record)
-                (partial / _NOTE).unlink(missing_ok=True)
+                (partial / NOTE).unlink(missing_ok=True)
                 partial.rmdir()
             else:
                 if out.is_dir() and replaces:
@@ -131,7 +152,7 @@ class Workspace:
                 elif out.is_dir():
                     out.rmdir()  # an empty folder; one with files has appeared meanwhile, and is not touched
                 partial.rename(out)
-                (out / _NOTE).unlink(missing_ok=True)
+                (out / NOTE).unlink(missing_ok=True)
         shutil.rmtree(replaced, ignore_errors=True)
 
 
@@ -180,8 +201,8 @@ def workspace(
                 space._publish()
         finally:
             left = {p.name for p in partial.iterdir()} if partial.is_dir() else set()
-            foreign = left and _NOTE not in left
-            if not left - {_NOTE} or not (foreign or keep or space._is_finished()):
+            foreign = left and NOTE not in left
+            if not left - {NOTE} or not (foreign or keep or space._is_finished()):
                 space.discard()
 
 
@@ -210,7 +231,7 @@ def partial_of(out: Path) -> Path:
 def unfinished(out: Path) -> str | None:
     """Return where an unfinished output folder is and how to finish it, for messages; None if there is none."""
     partial = partial_of(out)
-    note = read_object(partial / _NOTE)
+    note = read_object(partial / NOTE)
     if note is None:
         return None
     command = recorded_command(note, out) or "repeat its command"
@@ -267,7 +288,7 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
     root, partial = space.out, space.partial
     entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
     left = sorted(p.name for p in partial.iterdir())
-    started = read_object(partial / _NOTE) is not None
+    started = read_object(partial / NOTE) is not None
     if left and not started:
         raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(left)}. Move it away.")
     if existing == "refuse" and (entries or (started and keep)):
@@ -280,10 +301,7 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
     if existing == "resume" and entries:
         space.folder, space.state = root, "complete"
         return
-    with _reported(partial):
-        for name in left:
-            path = partial / name
-            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+    space.clear(keep=())
     _write_note(partial, space.noun, replaces=bool(entries))
 
 
@@ -351,17 +369,17 @@ def _replaced_of(root: Path) -> Path:
     return partial.with_name(f"{partial.name.removesuffix('partial')}replaced")
 
 
-def _write_note(folder: Path, noun: str, *, replaces: bool) -> None:
-    write_json(folder / _NOTE, {"noun": noun, "replaces": replaces, **command_facts()})
+def _write_note(folder: Path, noun: str, *, replaces: bool = False, foreign: Sequence[str] = ()) -> None:
+    write_json(folder / NOTE, {"noun": noun, "replaces": replaces, "foreign": list(foreign), **command_facts()})
 
 
-def _count_files(root: Path) -> int:
-    """Return the number of files below a folder, without those of a workspace in it."""
+def _count_files(root: Path, left_out: Collection[str] = _OWN) -> int:
+    """Return the number of files below a folder, without those of a workspace in it, or of other names at its top."""
     count = 0
     for folder, subfolders, names in os.walk(root):
         if folder == str(root):
-            subfolders[:] = sorted({*subfolders} - _OWN)
-            names = sorted({*names} - _OWN)
+            subfolders[:] = sorted({*subfolders} - {*left_out})
+            names = sorted({*names} - {*left_out})
         count += len(names)
     return count
 

@@ -12,9 +12,11 @@ from typing import Any
 from infrablend.core.addresses import address_of, shown
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
-from infrablend.core.finished import markers_of, require_finished
+from infrablend.core.files import read_object
 from infrablend.core.format_table import FORMATS, Format, find_format
+from infrablend.core.run_folder import SHARDS_FILE
 from infrablend.core.temperature import TemperatureScale
+from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import folder, shards, temperatures
 from infrablend.formats.base import Match, shorten
@@ -65,8 +67,8 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
 
     Raises:
         UnknownFormatError: No format fits; `problems` gives the reason for each of them.
-        DatasetError: The folder cannot be read, belongs to an unfinished run, conversion or split, or its format does
-            not have one of the options. Or it is a run that has no labels in the wanted format.
+        DatasetError: The folder cannot be read, or its format does not have one of the options. Or it is a run that
+            has no labels in the wanted format.
     """
     reader = _Reader.of(root, reading)
     return reader.completed(reader.module.read(reader.root, splits=reading.splits, **reader.options))
@@ -98,7 +100,6 @@ class _Reader:
         options: Options of the reader.
         stated: Whether the user stated how levels mean temperatures.
         scale: That scale, if it is one for all pictures.
-        markers: What identifies InfraBlend's records for the folder.
     """
 
     root: Path
@@ -106,20 +107,12 @@ class _Reader:
     options: Mapping[str, Any]
     stated: bool
     scale: TemperatureScale | None
-    markers: Mapping[str, str]
 
     @classmethod
     def of(cls, root: Path, reading: Reading) -> _Reader:
         if not root.is_dir():
-            todo = (
-                "check the path"
-                if address_of(root) is None
-                else "copy it here first, with `infrablend merge` if it is a run"
-            )
-            problem = Problem(shown(root), "folder-missing", "no such folder", "the folder of a dataset", todo)
-            raise DatasetError("no dataset to read", [problem])
-        require_finished(root)
-        markers = markers_of(root)
+            raise _missing(root)
+        _require_merged(root)
         root, format = labels_of_run(root, reading.format)
         if format is None:
             found = detect(root)
@@ -148,7 +141,7 @@ class _Reader:
             raise DatasetError(f"{root}: the format is {chosen.name}, which does not have these options", problems)
         if table is not None:
             given["metadata"] = real_path(table)  # the user's own file: it may be a link to anywhere
-        return cls(root, module, given, bool(stated), scale, markers)
+        return cls(root, module, given, bool(stated), scale)
 
     def completed(self, dataset: Dataset) -> Dataset:
         """Return what the module read with the facts and remarks that do not depend on the format."""
@@ -158,7 +151,29 @@ class _Reader:
         dataset = add_flight_data(dataset)
         unread = _unread(dataset) if dataset.format == folder.NAME else ()
         remarks = (*unread, *hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
-        return replace(dataset, problems=(*dataset.problems, *remarks), markers=self.markers)
+        return replace(dataset, problems=(*dataset.problems, *remarks))
+
+
+def _missing(root: Path) -> DatasetError:
+    found, todo = "no such folder", "check the path"
+    if address_of(root) is not None:
+        todo = "copy it here first, with `infrablend merge` if it is a run"
+    elif (left := unfinished(root)) is not None:
+        found, _, todo = left.partition("; ")
+    problem = Problem(shown(root), "folder-missing", found, "the folder of a dataset", todo)
+    return DatasetError("no dataset to read", [problem])
+
+
+def _require_merged(root: Path) -> None:
+    """Refuse the folder of a run in shards that have no label files.
+
+    Raises:
+        DatasetError: It is one.
+    """
+    plan = read_object(root / SHARDS_FILE) or {}
+    if "shards" in plan and plan.get("layout") != "shards":
+        found, todo = "shards of a run, which have no label files", f"merge them: infrablend merge {root} DST"
+        raise DatasetError(f"{root}: cannot be read", [Problem(str(root), "shards-unmerged", found, "a dataset", todo)])
 
 
 def _unread(dataset: Dataset) -> Sequence[Problem]:

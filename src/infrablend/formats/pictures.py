@@ -14,7 +14,7 @@ from PIL import Image
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import is_inside, leaves
-from infrablend.core.finished import kept_aside
+from infrablend.core.run_folder import kept_aside
 from infrablend.errors import Problem
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")

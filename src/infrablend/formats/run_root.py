@@ -6,7 +6,7 @@ from pathlib import Path
 
 from infrablend.core.files import read_object
 from infrablend.core.format_table import FORMATS
-from infrablend.core.run_layout import RUN_FILE, RunLayout
+from infrablend.core.run_folder import RUN_FILE, RunFolder
 from infrablend.errors import DatasetError, Problem
 
 _FIRST = "coco"
@@ -29,7 +29,7 @@ def labels_of_run(root: Path, format: str | None) -> tuple[Path, str | None]:
     formats = record.get("formats")
     if "infrablend" not in record or not isinstance(formats, list):
         return root, format
-    layout = RunLayout(root)
+    layout = RunFolder(root)
     there = [str(f) for f in formats if str(f) in {*(x.name for x in FORMATS), "native"} and layout.labels(f).is_dir()]
     wanted = format or (_FIRST if _FIRST in there or not there else there[0])
     if not there or (wanted == _FIRST and _FIRST in there):

@@ -14,8 +14,7 @@ from typing import Any
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.files import read_object, write_bytes
-from infrablend.core.finished import COMPLETE
-from infrablend.core.run_layout import SHARDS_FILE, ShardFiles
+from infrablend.core.run_folder import SHARDS_FILE, ShardFiles
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import Match, check_splits, shorten, sort_images
 from infrablend.formats.derived import derived_folder
@@ -151,7 +150,7 @@ def _record(files: ShardFiles, key: object) -> Mapping[str, Any]:
         sizes = {path: record["archive"][name]["bytes"] for path, name in ((files.tar, "tar"), (files.table, "table"))}
     except _DAMAGED:
         sizes = {}
-    if record.get("status") != COMPLETE or not sizes:
+    if not sizes:
         raise _broken(files.marker, "no record of a finished shard", "the record as it was written")
     if record.get("key") != key:
         raise _broken(files.marker, "a shard of another run", f"the run of {SHARDS_FILE}")

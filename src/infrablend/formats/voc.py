@@ -26,7 +26,7 @@ import numpy as np
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
-from infrablend.core.finished import kept_aside
+from infrablend.core.run_folder import kept_aside
 from infrablend.errors import Problem
 from infrablend.formats.annotation_files import read_text, read_xml
 from infrablend.formats.base import (

@@ -11,7 +11,8 @@ from infrablend.annotation.merge import RemovalReason
 from infrablend.config.agc import describe_agc
 from infrablend.config.recipe import RadiometricMatching
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.run_layout import EIGHT_BIT, IMAGES, RUN_FILE, SCENES
+from infrablend.core.ledger import LEDGER
+from infrablend.core.run_folder import EIGHT_BIT, IMAGES, RUN_FILE
 from infrablend.errors import Problem
 from infrablend.formats.temperatures import describe_scales
 from infrablend.pipeline.origin import origin_of, run_inserts
@@ -131,6 +132,6 @@ def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
         rows.append((f"{EIGHT_BIT}/", "the same dataset with 8-bit pictures: `images/`, and labels per format"))
     return (
         *rows,
-        (f"{SCENES}/<split>/", "scene and labels, one JSON file per picture"),
+        (LEDGER, "scene and labels of each picture; `infrablend show` prints them"),
         (RUN_FILE, "record of the run"),
     )

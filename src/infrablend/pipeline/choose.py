@@ -7,19 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
-from infrablend.core.finished import COMPLETE, EXCLUDING, finishing_command
-from infrablend.core.run_layout import EXCLUDED
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
+from infrablend.core.workspace import partial_of
 from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Problem
-from infrablend.pipeline.excluded import purge, read_review, require_choice
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_selection import similar
 from infrablend.pipeline.plan import RunPlan
-from infrablend.pipeline.record import read_record
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.run import run_plan
+from infrablend.pipeline.review import read_verdicts
+from infrablend.pipeline.run import Choice, run_plan
 
 BY_HAND = "by hand"
 
@@ -33,7 +32,7 @@ class ExclusionRequest:
         include: Frames to take back.
         include_all: Take back all frames.
         review: Review with accepted and rejected frames, to take back and leave out.
-        reason: Reason for the excluded frames, in `excluded.json`.
+        reason: Reason for the excluded frames, kept in the ledger.
         purge: Delete the files of all excluded frames.
     """
 
@@ -53,7 +52,7 @@ class ChoiceReport:
         out: Folder of the run.
         excluded: Excluded frames, each with its reason.
         changed: Number of frames that were left out or taken back by this call.
-        purged_files: Number of deleted files.
+        purged_files: Number of deleted pictures.
         counts: Counts of the run, as in `run.json`.
         problems: Problems of data, frames and labels, if the labels were written again.
         ok: Whether no background was skipped and no frame failed, if the labels were written again.
@@ -97,51 +96,57 @@ def choose_frames(
         OutputError: The folder is not a finished run, or another process writes to it.
         OtherSettingsError: The backgrounds have changed.
     """
-    folder = RunFolder(run)
+    # An earlier change that was interrupted left its workspace.
+    folder = RunFolder(run if run.is_dir() else partial_of(run))
     record = folder.read_run()
-    status = record.get("status")
-    if status not in (COMPLETE, EXCLUDING):
-        raise OutputError(
-            f"{run}: an unfinished run (status {status}); expected a finished one. Finish it with "
-            f"{finishing_command(run, record) or 'its command and --resume'}"
-        )
     if "shard" in record:
         raise OutputError(f"{run}: one shard of a run; expected a whole run. Merge the shards first (infrablend merge)")
+    if "counts" not in record:
+        raise OutputError(f"{run}: an unfinished run; expected a finished one. Finish it: its command with --resume")
     recorded = RecordedRun.from_record(record, folder.run_file)
     plan = recorded.plan(data)
-    before = require_choice(record, folder)
-    if not folder.manifest().exists:
-        raise OutputError(
-            f"{run}: the list of its label files (log/files.jsonl) is missing; expected it, because labels of excluded "
-            "frames are removed by it. Write the labels again first: the command of the run with --resume"
-        )
-    after = _changed(before, choice, plan, run)
+    before: Mapping[str, str] = {}
+    after: Mapping[str, str] = {}
 
     def choose(now: Mapping[str, str]) -> Mapping[str, str]:
-        nonlocal before, after  # another call may have changed the choice meanwhile
-        before, after = dict(now), _changed(now, choice, plan, run)
+        nonlocal before, after
+        before, after = now, _changed(now, choice, plan, run)
         _require_backgrounds(plan, folder, after)
         return after
 
-    counts: Mapping[str, Any] = record.get("counts", {})
-    problems: tuple[Problem, ...] = ()
-    ok = True
-    if after != before or status == EXCLUDING:
-        flat = recorded.renderer == "flat"
-        execution = Execution(recorded.workers, device=recorded.device, renderer=recorded.renderer, in_process=flat)
-        try:
-            report = run_plan(plan, run, execution, "resume", on_progress, choose=choose)
-            counts, problems, ok = report.counts, report.problems, report.ok
-        except OtherSettingsError as error:
-            raise OtherSettingsError(
-                f"{run}: its backgrounds are read differently now, so labels cannot be written again; nothing was "
-                f"changed. Restore them, or give their folder with --data. Details: {error.message}"
-            ) from error
-    deleted = 0
-    if choice.purge:
-        with folder.output.claimed():
-            deleted = purge(folder, folder.manifest().read())
-    return ChoiceReport(run, after, len(before.keys() ^ after.keys()), deleted, counts, problems, ok)
+    flat = recorded.renderer == "flat"
+    execution = Execution(recorded.workers, device=recorded.device, renderer=recorded.renderer, in_process=flat)
+    aside = _count_aside(folder)
+    try:
+        report = run_plan(plan, run, execution, "resume", on_progress, Choice(choose, choice.purge))
+    except OtherSettingsError as error:
+        raise OtherSettingsError(
+            f"{run}: its backgrounds are read differently now, so labels cannot be written again; nothing was "
+            f"changed. Restore them, or give their folder with --data. Details: {error.message}"
+        ) from error
+    changed = before.keys() ^ after.keys()
+    purged = aside + len(after.keys() - before.keys()) - _count_aside(RunFolder(run)) if choice.purge else 0
+    return ChoiceReport(run, after, len(changed), purged, report.counts, report.problems, report.ok)
+
+
+def _count_aside(folder: RunFolder) -> int:
+    """Return the number of pictures of excluded frames."""
+    return sum(path.is_file() for path in folder.excluded("").rglob("*"))
+
+
+def read_review(path: Path, run: Path) -> tuple[dict[str, str], set[str]]:
+    """Return the rejected frames of a review, each with its reason, and the accepted ones.
+
+    Args:
+        path: The review; a file of the run may not be a link, any other may.
+        run: Folder of the run.
+
+    Raises:
+        OutputError: The file cannot be read.
+    """
+    verdicts = read_verdicts(path if path.parent == run else real_path(path))
+    rejected = {k: v.reason or "review" for k, v in verdicts.items() if v.word == "reject"}
+    return rejected, {k for k, v in verdicts.items() if v.word == "accept"}
 
 
 def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str, str]) -> None:
@@ -150,19 +155,19 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
     Raises:
         OtherSettingsError: Their backgrounds were changed or removed.
     """
+    with folder.ledger() as ledger:
+        known, done = ledger.backgrounds(), ledger.done()
     digests: dict[Path, str | None] = {}
     changed = []
     for frame in plan.frames:
-        if frame.frame_id in excluded:
+        background = frame.background
+        made_of = known.get(f"{background.split}/{background.id}")
+        if frame.frame_id in excluded or frame.frame_id not in done or made_of is None:
             continue
-        place = folder.record(frame.frame_id)
-        record = read_record(place) or read_record(folder.root / EXCLUDED / place.relative_to(folder.root))
-        path = frame.background.path
-        if record is None:
-            continue
+        path = background.path
         if path not in digests:
-            digests[path] = sha256_of(path) if path.is_file() else None
-        if digests[path] != record.background.get("sha256"):
+            digests[path] = sha256_of(real_path(path)) if path.is_file() else None
+        if digests[path] != made_of[2]:
             changed.append(Problem(str(path), "background-changed", f"not the one that {frame.frame_id} was made of"))
     if changed:
         raise OtherSettingsError(

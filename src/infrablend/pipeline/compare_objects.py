@@ -12,7 +12,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -24,21 +23,19 @@ from infrablend.core.class_names import KnownClass, known_class, named_as
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, real_path
 from infrablend.core.files import write_bytes, write_json, write_text
-from infrablend.core.finished import require_finished
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.output import OutputFolder, require_replaceable
 from infrablend.core.rng import stream
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
 from infrablend.errors import DatasetError, Problem
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
 from infrablend.formats.images import load_background
 from infrablend.formats.temperatures import is_deep
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.measure_objects import Measurements, MeasuringSettings, PictureJob, image_key
 from infrablend.pipeline.models import ready_model
 from infrablend.pipeline.plan import LEVELS_SAMPLE
-from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.realism.class_comparison import (
     ClassComparison,
@@ -133,7 +130,6 @@ def measure_populations(
     """
     folder = RunFolder(run)
     recorded = RecordedRun.read(folder)
-    require_finished(run)
     recipe = recorded.recipe
     for o in recipe.objects:
         ready_model(o.model)
@@ -194,14 +190,8 @@ def _background_key(record: FrameRecord) -> str:
 
 
 def _records(run: Path, time_of_day: Time) -> list[FrameRecord]:
-    inserted = []
-    for split in SPLITS:
-        for path in RunLayout(run).records(split):
-            record = read_record(path)
-            if record is None:
-                raise DatasetError(f"{path}: this frame record cannot be read. Run `generate --resume`.")
-            if record.inserted:
-                inserted.append(record)
+    inserted = [r for r in RunFolder(run).records() if r.inserted]
+    inserted.sort(key=lambda r: (SPLITS.index(r.frame_id.split("/")[0]), r.frame_id))
     found = [r for r in inserted if time_of_day in ("all", r.background["time_of_day"])]
     if not inserted:
         raise DatasetError(f"{run}: no frame has an inserted object; there is nothing to compare")
@@ -429,15 +419,12 @@ def compare(
     cars, persons = named_as("car", by_name), named_as("person", by_name)
     if cars is not None and persons is not None:
         facts["car_to_person_contrast"] = contrast_ratio(by_name[cars], by_name[persons])
-    manifest = RunFolder(run).manifest().read()
-    inside = manifest.exists and real_path(out).is_relative_to(real_path(run))
-    with manifest.recording() if inside else nullcontext():  # `--overwrite` of the run then deletes its comparison
-        names = distinct_names([file_name(v.category.lower()) for v in comparisons])
-        sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
-        for sheet in sheets:
-            write_bytes(out / f"{sheet.name}.png", sheet.png)
-        write_json(out / "realism.json", facts)
-        write_text(out / "realism.html", html_report(facts, comparisons, sheets))
+    names = distinct_names([file_name(v.category.lower()) for v in comparisons])
+    sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
+    for sheet in sheets:
+        write_bytes(out / f"{sheet.name}.png", sheet.png)
+    write_json(out / "realism.json", facts)
+    write_text(out / "realism.html", html_report(facts, comparisons, sheets))
     return RealismReport(out, facts)
 
 
@@ -445,11 +432,13 @@ def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[
     """Return where the inserted and the real objects come from."""
     about = RunFolder(run).read_run()
     real = dataset if request.real is None else request.real
-    splits = [s for s in SPLITS if next(iter(RunLayout(run).records(s)), None) is not None]
+    with RunFolder(run).ledger() as ledger:
+        frames = ledger.frame_ids()
+    splits = [s for s in SPLITS if any(f.startswith(f"{s}/") for f in frames)]
     return {
         "seed": about["seed"],
         "recipe": about["recipe"]["name"],
-        "frames": len(RunLayout(run).records()),
+        "frames": len(frames),
         "backgrounds": real_path(dataset.root).name,
         "splits": splits,
         "real": real_path(real.root).name,

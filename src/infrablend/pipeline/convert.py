@@ -15,7 +15,7 @@ from infrablend.annotation.looseness import Looseness, loosen_inserted, loosened
 from infrablend.config.recipe import CLASS_NAME, MAX_LOOSEN, MAX_LOOSEN_PX
 from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.finished import CONVERT_FILE, require_unchanged
+from infrablend.core.finished import CONVERT_FILE
 from infrablend.core.format_table import NATIVE, Writer, find_writer, written_names
 from infrablend.core.output import require_apart
 from infrablend.errors import DatasetError, Problem
@@ -206,7 +206,6 @@ def convert_dataset(
         problems += write_card(out, card)
         problems += _background_class(writer.name, wanted, settings)
         problems += folder.problems()
-        require_unchanged(dataset.root, dataset.markers)
         report = ConvertReport(out, writer.name, counts, written.losses, tuple(problems))
         folder.finish(header, {k: v for k, v in report.to_json().items() if k not in ("out", "format")})
     return report

@@ -13,7 +13,6 @@ from typing import Any
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_json, write_text
-from infrablend.core.finished import require_unchanged
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.bootstrap import LEVEL
 from infrablend.evaluation.classes import evaluated_classes
@@ -147,7 +146,6 @@ def evaluate_detector(
         for name, data in plots.items():
             write_bytes(out / PLOTS / name, data)
         write_text(out / PAGE, evaluation_page(facts, plots))
-        require_unchanged(dataset.root, dataset.markers)
         write_json(out / RECORD, facts)  # last, because it marks the evaluation as complete
         problems += folder.problems()
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from infrablend.core.file_names import real_path
 from infrablend.core.files import require_still_there, write_json
-from infrablend.core.finished import UNFINISHED
 from infrablend.core.output import OutputFolder, require_apart, require_replaceable
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, UnknownFormatError
@@ -20,10 +18,9 @@ from infrablend.pipeline.written import changes_since_written
 from infrablend.report.checking import Checking, CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
 from infrablend.report.picture_mark import CHARTS, software_of
-from infrablend.storage.scratch import scratch
 
 # Codes of problems caused by the command, not by the data.
-_USAGE = {UNFINISHED, "folder-missing", "option-unknown", "option-value", "table-unused"}
+_USAGE = {"shards-unmerged", "folder-missing", "option-unknown", "option-value", "table-unused"}
 # Keys that identify an `inspect.json` written by InfraBlend.
 _RECORDED = {"root", "format", "reason", "splits", "classes", "coverage"}
 
@@ -91,9 +88,9 @@ def _is_packed(root: Path, reading: Reading) -> bool:
 def _check_packed(root: Path, reading: Reading, decode: bool, on_progress: OnProgress | None) -> CheckReport:
     """Check a run in packed shards with the labels and pictures of one part in memory and on disk."""
     checking, total, on_image = Checking(decode, in_parts=True), shards.frame_count(root), paced(on_progress)
-    with scratch(f"check of {real_path(root)} by process {os.getpid()}") as pictures:
+    with tempfile.TemporaryDirectory(prefix="infrablend-") as pictures:
         try:
-            for part in detection.read_parts(root, pictures, reading):
+            for part in detection.read_parts(root, Path(pictures), reading):
                 checking.add(part, on_image=on_image, total=total)
         except DatasetError as error:
             if not error.problems or any(p.code in _USAGE for p in error.problems):

@@ -36,18 +36,18 @@ from infrablend.config.recipe import (
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, output_suffix
 from infrablend.pipeline.backgrounds import background_facts, is_ground, require_temperatures, require_thermal_levels
-from infrablend.pipeline.composed import ComposedFrame
+from infrablend.pipeline.composed import ComposedFrame, MadeFrame, covered_facts
 from infrablend.pipeline.extensions import LookRequest, SceneRequest
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_settings import (
-    FrameDone,
     FrameSettings,
     least_contrast,
     local_settings,
@@ -67,7 +67,6 @@ from infrablend.pipeline.occlusion import (
 )
 from infrablend.pipeline.original import unchanged_original
 from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.record import FrameRecord, covered_facts, write_record
 from infrablend.rendering import make_renderer
 from infrablend.sampling.calibration import FROM_TABLE, PRIORS, HeightPrior, prior_of
 from infrablend.sampling.metric import Site
@@ -176,8 +175,7 @@ class FrameComposer:
             covered=covered_facts(merged),
             run=self._settings.run,
         )
-        done = FrameDone(len(labels), scene.spec.draws["wanted"], dict(rendered.seconds))
-        return ComposedFrame(record, image_bytes, done)
+        return ComposedFrame(record, image_bytes, dict(rendered.seconds))
 
     def _grey_unit(self, background: Background) -> float:
         """Return the picture's levels per 8-bit level: by its own range if it has 16 bits and the run measured none."""
@@ -352,13 +350,11 @@ class FrameMaker:
         self._renderer = make_renderer(settings.renderer, settings.device)
         self._composer = FrameComposer(settings, self._renderer)
 
-    def __call__(self, task: Task) -> FrameDone:
-        """Write the image and the record of the `PlannedFrame` in the task's payload."""
+    def __call__(self, task: Task) -> MadeFrame:
+        """Write the image of the `PlannedFrame` in the task's payload, and return its record."""
         composed = self._composer.compose(task.payload)
-        # The record comes first: whatever is in `images/` is then in a record, with its digest.
-        write_record(self._folder.record(composed.record.frame_id), composed.record)
         write_bytes(self._folder.image(composed.record.image), composed.image_bytes)
-        return composed.done
+        return MadeFrame.of(composed.record, len(composed.image_bytes), composed.seconds)
 
     def close(self) -> None:
         """Release the renderer."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,21 +55,6 @@ class FrameSettings:
     ignored: tuple[str, ...] = ()
     extensions: Extensions = NO_EXTENSIONS
     run: str = ""
-
-
-@dataclass(frozen=True)
-class FrameDone:
-    """A worker's report on a finished frame.
-
-    Attributes:
-        inserted: Number of objects with a label.
-        wanted: Number of objects that the recipe asked for.
-        seconds: Time spent per step of rendering.
-    """
-
-    inserted: int
-    wanted: int
-    seconds: Mapping[str, float]
 
 
 def local_settings(

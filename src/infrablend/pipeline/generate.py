@@ -11,11 +11,12 @@ from infrablend.config.loading import read_recipe
 from infrablend.config.modes import DROPPED, KEPT
 from infrablend.core.addresses import address_of
 from infrablend.core.file_names import real_path
+from infrablend.core.ledger import LEDGER
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
+from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
 from infrablend.formats import detection
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import LENS_REPLACED, PITCH_REPLACED, RunPlan, as_text, is_text, make_plan
 from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
@@ -72,13 +73,27 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     return {
         **plan.estimate(request.execution.worker_count(), shards, price_per_core_hour),
         "device": request.execution.device,
-        "out": None if request.out is None or wanted else RunFolder(request.out).outlook(request.existing),
+        "out": None if request.out is None or wanted else outlook(request.out, request.existing),
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
         "kept_fields": [str(p) for p in plan.problems if p.code in shown],
         "warnings": format_problems(dict.fromkeys(others)),
     }
+
+
+def outlook(out: Path, existing: Existing) -> str | None:
+    """Return what a run would do with what is in its output folder; None if there is nothing. Nothing is touched."""
+    left = unfinished(out)
+    if left is None and not (out.is_dir() and any(out.iterdir())):
+        return None
+    state = "has an unfinished run" if left else "has a run" if (out / LEDGER).is_file() else "has something else"
+    then = {
+        "refuse": "would be refused without --resume (finish it) or --overwrite (replace it)",
+        "resume": "--resume would keep its finished frames and make the missing ones",
+        "overwrite": "--overwrite would replace it once the new run is complete",
+    }[existing]
+    return f"{state}: {then}"
 
 
 def prepare_run(request: RunRequest) -> RunPlan:

@@ -16,6 +16,7 @@ from infrablend.annotation.looseness import Looseness
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import TaskResult
 from infrablend.errors import ArgumentError, Problem
@@ -30,7 +31,6 @@ from infrablend.pipeline.frame_settings import FrameSettings
 from infrablend.pipeline.labelled import labelled_image
 from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.plan import PlannedFrame, make_plan
-from infrablend.pipeline.record import FrameRecord
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, Settings
 from infrablend.pipeline.temperature_scale import with_scale
 

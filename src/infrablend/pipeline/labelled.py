@@ -7,8 +7,8 @@ from pathlib import Path
 
 from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.frame_record import FrameRecord
 from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.record import FrameRecord
 
 
 def labelled_image(

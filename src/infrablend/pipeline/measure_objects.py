@@ -18,14 +18,14 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord, Instance
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.render import Renderer
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError
 from infrablend.formats.images import Background, SaveKind, encode_image, load_background
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.occlusion import recorded_front
-from infrablend.pipeline.record import FrameRecord
 from infrablend.realism.contrasts import ObjectContrast, object_contrast
 from infrablend.realism.controls import paste_controls
 from infrablend.realism.features import (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,34 +11,40 @@ from typing import get_args
 
 from infrablend.core.addresses import address_of, shown
 from infrablend.core.arguments import require_choice
-from infrablend.core.checked_files import CheckedFiles
 from infrablend.core.file_names import real_path
-from infrablend.core.output import Existing, require_apart
-from infrablend.core.run_layout import SHARDS_FILE
+from infrablend.core.output import require_apart
+from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
+from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.pipeline.folder import RUN, RunFolder, read_run_file
-from infrablend.pipeline.frame_settings import FrameDone
-from infrablend.pipeline.joined_shards import can_join, join_shards
+from infrablend.pipeline.composed import MadeFrame
+from infrablend.pipeline.exports import LabelSummary
+from infrablend.pipeline.packed_shard import find_whole, pack, publish
+from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.run_key import differences
+from infrablend.pipeline.run_record import RunState, record_header, run_record
 from infrablend.pipeline.shard import Shard
-from infrablend.pipeline.shard_archive import run_archived, unfinished_run
-from infrablend.pipeline.shard_source import FinishedShard, ShardSource
+from infrablend.pipeline.shard_source import ShardSource
 from infrablend.pipeline.sharded_run import Layout, ShardedRun, ShardState, SharedPlan
-from infrablend.pipeline.stored_run import StoredRun, opened_run
-
-AnyRun = ShardedRun | StoredRun
+from infrablend.pipeline.stored_run import opened_run
 
 
 @dataclass(frozen=True)
-class _Finished(FinishedShard):
+class _Finished:
     """A finished shard, and the run in shards that it is part of."""
 
-    run: AnyRun
+    shard: Shard
+    source: ShardSource
+    failures: Mapping[str, Failure]
+    run: ShardedRun
+
+    def finished(self, frames: Sequence[PlannedFrame]) -> tuple[str, ...]:
+        """Return the ids of its frames that have a picture, in their order; `frames` are those of the whole run."""
+        return tuple(f.frame_id for f in self.shard.part_of(frames) if f.frame_id not in self.failures)
 
 
 def merge_shards(
@@ -52,8 +59,8 @@ def merge_shards(
 ) -> RunReport:
     """Write one run from the shards of a run; the result has the bytes of an undivided run.
 
-    Pictures and records become hard links where the file system can, and copies elsewhere; tars are unpacked. Packed
-    shards become one packed shard without being unpacked. Shards stay unchanged, and may have different layouts.
+    Pictures become hard links where the file system can, and copies elsewhere; tars are unpacked. Shards stay
+    unchanged, and may have different layouts.
 
     Args:
         sources: Folders with shards, from one machine or several, or their addresses in object storage.
@@ -77,74 +84,94 @@ def merge_shards(
     with contextlib.ExitStack() as stack:
         places = dict.fromkeys(Path(address_of(s) or real_path(Path(s))) for s in sources)
         runs = [stack.enter_context(opened_run(place)) for place in places]
-        return _merge(runs, out, data, partial, layout, existing, on_progress)
-
-
-def _merge(
-    runs: Sequence[AnyRun],
-    out: Path,
-    data: Path | None,
-    partial: bool,
-    layout: Layout,
-    existing: Existing,
-    on_progress: OnProgress | None,
-) -> RunReport:
-    shared, shards = _finished_shards(runs, partial)
-    for run in runs:
-        if isinstance(run, ShardedRun):
+        shared, shards = _finished_shards(runs, partial)
+        for run in runs:
             _require_apart(run.root, out)
-    recorded = RecordedRun.from_record(shards[0].record, shards[0].source.record_file)
-    for backgrounds in {recorded.data, data or recorded.data}:
-        if address_of(backgrounds) is None:
-            require_apart(backgrounds, out)
-    plan = recorded.plan(data)
-    if changed := differences(shared.key, plan.key):
-        raise OtherSettingsError(
-            f"{shown(recorded.data)}: the backgrounds are read differently now: {'; '.join(changed)}. Restore them, "
-            "or give their folder with --data."
+        first = shards[0].source
+        recorded = RecordedRun.from_record(first.record(), first.place)
+        for backgrounds in {recorded.data, data or recorded.data}:
+            if address_of(backgrounds) is None:
+                require_apart(backgrounds, out)
+        plan = recorded.plan(data)
+        if changed := differences(shared.key, plan.key):
+            raise OtherSettingsError(
+                f"{shown(recorded.data)}: the backgrounds are read differently now: {'; '.join(changed)}. Restore "
+                "them, or give their folder with --data."
+            )
+        _require_intact(plan, shards)
+        places_of = {f.frame_id: one for one in shards for f in one.shard.part_of(plan.frames)}
+        if len(shards) < shared.count:
+            plan = replace(recorded.select(tuple(places_of)).plan(data), run=plan.run)
+        execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
+        if layout == "shards":
+            return _pack(plan, places_of, shared, ShardedRun(out), execution, existing)
+        frames = FrameSource(
+            lambda folder: _ShardFrames(places_of, folder), shared.levels, recorded.machine, recorded.packages
         )
-    plan = replace(plan, run=str(shards[0].record.get(RUN, plan.run)))
-    finished = {one.shard: one.finished(plan.frames) for one in shards}
-    checked = CheckedFiles()
-    _require_intact(finished, shards, checked)
-    places = {f.frame_id: one for one in shards for f in one.shard.part_of(plan.frames)}
-    if len(shards) < shared.count:
-        plan = replace(recorded.select(tuple(places)).plan(data), run=plan.run)
-    execution = Execution(device=recorded.device, renderer=shared.renderer, in_process=shared.renderer == "flat")
-    failures = {frame: failure for one in shards for frame, failure in one.failures.items()}
-    target = ShardedRun(out)
-    files = target.shard_files(Shard(1, 1))
-    folder = RunFolder(out) if layout == "files" else unfinished_run(files)
-    executor = _ShardFrames(places, failures, folder, checked)
-    frames = FrameSource(executor, shared.levels, recorded.machine, recorded.packages, checked)
-    if layout == "files":
         return run_plan(plan, out, execution, existing, on_progress, source=frames)
+
+
+def _pack(
+    plan: RunPlan,
+    places: Mapping[str, _Finished],
+    shared: SharedPlan,
+    target: ShardedRun,
+    execution: Execution,
+    existing: Existing,
+) -> RunReport:
+    """Write one packed shard from the shards of a run."""
+    started = time.monotonic()
     output = plan.recipe.output.model_copy(update={"layout": "shards"})
     recipe = plan.recipe.model_copy(update={"output": output})
     plan = replace(plan, recipe=recipe, levels=shared.levels, shard=Shard(1, 1))
     target.share_plan(plan, 1, shared.renderer)
-    if can_join(plan, shards):
-        return join_shards(plan, shards, finished, files, execution, existing, on_progress, frames)
-    return run_archived(plan, files, execution, existing, on_progress, frames)
+    files = target.shard_files(Shard(1, 1))
+    if (whole := find_whole(plan, files, existing)) is not None:
+        return whole
+    state = RunState()
+    failures: dict[str, Failure] = {}
+
+    def frames() -> Iterator[tuple[PlannedFrame, str, bytes]]:
+        for frame in plan.frames:
+            one = places[frame.frame_id]
+            if frame.frame_id not in one.failures:
+                yield (frame, *one.source.read(frame.frame_id))
+
+    for frame in plan.frames:
+        if (failure := places[frame.frame_id].failures.get(frame.frame_id)) is not None:
+            failures[frame.frame_id] = failure
+            state.add(TaskResult(frame.frame_id, None, failure), frame)
+    state.done = len(plan.frames) - len(failures)
+    counted = {one.shard: one.source.record()["counts"]["objects_inserted"] for one in places.values()}
+    state.inserted = sum(counted.values())
+    header = record_header(plan, execution) | ({} if shared.levels is None else {"levels": list(shared.levels)})
+    record = run_record(header, plan, state, LabelSummary(), {"seconds": round(time.monotonic() - started, 3)})
+    with workspace(files.folder / files.name, "shard", RUN_FILE, existing, keep=True) as space:
+        packed = ShardFiles(space.folder, files.name)
+        counts = pack(plan, frames(), packed, record, failures)
+        publish(packed, files)
+        space.discard()
+    problems = tuple(state.problems(plan, LabelSummary()))
+    return RunReport(files.folder, counts, problems, time.monotonic() - started, files.marker)
 
 
-def _finished_shards(runs: Sequence[AnyRun], partial: bool) -> tuple[SharedPlan, list[_Finished]]:
+def _finished_shards(runs: Sequence[ShardedRun], partial: bool) -> tuple[SharedPlan, list[_Finished]]:
     """Return the shared plan and the finished shards, in the order of their numbers."""
     shared = runs[0].read_plan()
     for run in runs[1:]:
         other = run.read_plan()
-        shared.require_same(other, run.root)
+        shared.require_same(other, run.place)
         if other.levels != shared.levels:
-            raise OtherSettingsError(f"{run.root}: other grey levels than {runs[0].root}, although the data are equal")
-    found: dict[int, tuple[AnyRun, ShardState]] = {}
-    started: dict[int, tuple[AnyRun, ShardState]] = {}
+            raise OtherSettingsError(f"{run.place}: other grey levels than {runs[0].place}, of equal data")
+    found: dict[int, tuple[ShardedRun, ShardState]] = {}
+    started: dict[int, tuple[ShardedRun, ShardState]] = {}
     for run in runs:
         for state in run.states():
             number = state.shard.number
             if state.state in ("done", "failed"):
                 if number in found:
                     raise OutputError(
-                        f"shard {state.shard} is in {found[number][0].root} and in {run.root}; expected it once. "
+                        f"shard {state.shard} is in {found[number][0].place} and in {run.place}; expected it once. "
                         "Move one of them away."
                     )
                 found[number] = run, state
@@ -162,40 +189,33 @@ def _finished_shards(runs: Sequence[AnyRun], partial: bool) -> tuple[SharedPlan,
     return shared, [_read(run, state.shard, shared) for _, (run, state) in sorted(found.items())]
 
 
-def _unfinished(shard: Shard, run: AnyRun, state: ShardState | None) -> Problem:
+def _unfinished(shard: Shard, run: ShardedRun, state: ShardState | None) -> Problem:
     found = "missing" if state is None else state.describe()
     return Problem(f"shard {shard}", "shard-unfinished", found, "a finished shard", run.command(shard))
 
 
-def _read(run: AnyRun, shard: Shard, shared: SharedPlan) -> _Finished:
+def _read(run: ShardedRun, shard: Shard, shared: SharedPlan) -> _Finished:
     """Return a finished shard, if its record is that of this shard of this run."""
     source = run.shard_source(shard)
-    place = shown(source.place)
-    record = read_run_file(source.record_file)
+    record = source.record()
     if record.get("shard") != str(shard):
-        raise OutputError(f"{place}: found shard {record.get('shard')} of a run, expected shard {shard}")
+        raise OutputError(f"{source.place}: found shard {record.get('shard')} of a run, expected shard {shard}")
     if changed := differences(shared.key, record.get("key", {})):
         raise OtherSettingsError(
-            f"{place}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
+            f"{source.place}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
             f"Repeat its command with --overwrite."
         )
     levels = record.get("levels")
     if (None if levels is None else [float(v) for v in levels]) != (shared.levels and list(shared.levels)):
         raise OtherSettingsError(
-            f"{place}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
+            f"{source.place}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
             "the file as it was, or repeat the command of the shard with --overwrite"
         )
-    try:
-        failures = {frame: Failure.from_json(f) for frame, f in record["unfinished"].items()}
-    except (LookupError, TypeError, AttributeError) as error:
-        raise OutputError(f"{source.record_file}: damaged ({error}); repeat the shard with --resume") from error
-    return _Finished(shard, source, record, failures, run)
+    return _Finished(shard, source, source.failures(), run)
 
 
-def _require_intact(
-    finished: Mapping[Shard, Sequence[str]], shards: Iterable[_Finished], checked: CheckedFiles
-) -> None:
-    """Check that the record and picture of every frame that a shard has finished are there and unchanged.
+def _require_intact(plan: RunPlan, shards: Iterable[_Finished]) -> None:
+    """Check that every frame that a shard has finished is there and unchanged.
 
     Raises:
         OutputError: One is not; `problems` names each shard.
@@ -209,7 +229,7 @@ def _require_intact(
             one.run.command(one.shard),
         )
         for one in shards
-        if (found := one.source.damage(finished[one.shard], one.record, checked)) is not None
+        if (found := one.source.damage(one.finished(plan.frames))) is not None
     ]
     if problems:
         raise OutputError(f"{len(problems)} shards are truncated; nothing was written", problems)
@@ -227,14 +247,8 @@ class _ShardFrames:
     Tasks come in the order of the plan, in which each shard has its frames, too: a tar is read once.
     """
 
-    def __init__(
-        self,
-        places: Mapping[str, _Finished],
-        failures: Mapping[str, Failure],
-        folder: RunFolder,
-        checked: CheckedFiles,
-    ) -> None:
-        self._places, self._failures, self._folder, self._checked = places, failures, folder, checked
+    def __init__(self, places: Mapping[str, _Finished], folder: RunFolder) -> None:
+        self._places, self._folder = places, folder
         self._open: ShardSource | None = None
 
     def run(self, tasks: Iterable[Task]) -> Iterator[TaskResult]:
@@ -243,13 +257,12 @@ class _ShardFrames:
             for task in tasks:
                 if stop.requested:
                     raise Interrupted(STOPPED)
-                failure = self._failures.get(task.key)
+                failure = self._places[task.key].failures.get(task.key)
                 yield TaskResult(task.key, None if failure else self._take(task.key), failure)
 
-    def _take(self, frame_id: str) -> FrameDone:
+    def _take(self, frame_id: str) -> MadeFrame:
         source = self._places[frame_id].source
         if self._open is not None and self._open is not source:
             self._open.close()
         self._open = source
-        record = source.put(frame_id, self._folder, self._checked)
-        return FrameDone(len(record.inserted), len(record.inserted), {})
+        return source.put(frame_id, self._folder)

@@ -9,17 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import yaml
-from pydantic import ValidationError
 
 from infrablend.assets.user_model import is_description
-from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.file_names import real_path
-from infrablend.core.run_layout import RUN_FILE
-from infrablend.errors import OutputError
-from infrablend.pipeline.folder import RunFolder
-from infrablend.report.card import INSERT_LIMITS, SOURCE_FILE, Inserts, Provenance, find_provenance
+from infrablend.report.card import INSERT_LIMITS, Inserts, Provenance, find_provenance
 
 _PLACED = {
     "paper": "Inserted objects were placed by a virtual camera, not in a measured scene: they may appear in front of, "
@@ -47,8 +42,6 @@ def origin_of(
     """
     origin = find_provenance(source)
     inserts = origin.inserts
-    if not any(one.recipe for one in inserts):
-        inserts = _recorded_inserts(source.root) or inserts
     marked = any(o.inserted for i in source.images for o in i.instances)
     before, after = _count(source.images, marked), _count(images, marked)
     after.subtract(new or {})
@@ -75,23 +68,6 @@ def recipe_yaml(recipe: Recipe) -> str:
             o["model"] = Path(o["model"]).name
     text: str = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
     return text
-
-
-def _recorded_inserts(root: Path) -> tuple[Inserts, ...]:
-    """Return the inserts of a run by its record: the `SOURCE.json` of earlier versions does not list them."""
-    for folder in (real_path(root), real_path(root).parent):  # the dataset may be RUN/coco
-        if (folder / RUN_FILE).is_file():
-            try:
-                record = RunFolder(folder).read_run()
-                recipe = upgrade_recorded(record["recipe"])
-                recipe["output"]["formats"] = record["formats"]
-                labels = record.get("counts", {}).get("labels_inserted", {})
-                return (run_inserts(recipe_from_json(json.dumps(recipe)), record["seed"], labels),)
-            except (OutputError, ValidationError, KeyError, TypeError, AttributeError):
-                return ()  # no record of a run, or a damaged one
-        if (folder / SOURCE_FILE).is_file():
-            break  # what is beside it describes another dataset
-    return ()
 
 
 def _count(images: Iterable[ImageRecord], marked: bool) -> Counter[str]:

@@ -6,12 +6,12 @@ import hashlib
 
 from infrablend.annotation.merge import merge
 from infrablend.config.recipe import Recipe
+from infrablend.core.frame_record import FrameRecord
 from infrablend.formats.images import encode_image, output_suffix
 from infrablend.pipeline.backgrounds import background_facts
 from infrablend.pipeline.composed import ComposedFrame
-from infrablend.pipeline.frame_settings import FrameDone, FrameSettings, merge_settings
+from infrablend.pipeline.frame_settings import FrameSettings, merge_settings
 from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.record import FrameRecord
 
 
 def unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> ComposedFrame:
@@ -38,4 +38,4 @@ def unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSetti
         warnings=tuple(p.to_json() for p in background.problems),
         run=settings.run,
     )
-    return ComposedFrame(record, image_bytes, FrameDone(0, 0, {}))
+    return ComposedFrame(record, image_bytes, {})

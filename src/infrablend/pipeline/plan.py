@@ -341,10 +341,7 @@ def make_plan(
         for k in _configurations(recipe.output.originals, recipe.configurations)
         if chosen is None or (id(image), k) in chosen
     ]
-    trimmed = Dataset(
-        dataset.root, dataset.format, dataset.categories, tuple(usable), dataset.problems, dataset.notes, dataset.extra,
-        dataset.markers,
-    )  # fmt: skip
+    trimmed = replace(dataset, images=tuple(usable))
     key = {
         "version": __version__,
         "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY})),

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
-from infrablend.config.modes import recipe_from_json, upgrade_recorded
+from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
+from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, OutputError, Problem
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame_selection import FrameSelection
 from infrablend.pipeline.plan import RunPlan, make_plan
 from infrablend.pipeline.temperature_scale import with_scale
@@ -26,7 +26,7 @@ class RecordedRun:
     """What a run was made from, read from its record.
 
     Attributes:
-        recipe: Recipe, upgraded to this version, with the formats of the run.
+        recipe: Recipe, with the formats of the run.
         seed: Seed.
         data: Folder of the backgrounds.
         request: Choices of the user, as recorded.
@@ -80,30 +80,22 @@ class RecordedRun:
             OutputError: The record is damaged.
         """
         try:
-            recipe = upgrade_recorded(record["recipe"])
-            recipe["output"] = {**recipe["output"], "formats": record["formats"]}
             request = dict(record.get("request") or {})
-            machine, seed, packages = dict(record["machine"]), record["seed"], dict(record.get("packages", {}))
-            _require(machine.get("renderer"), str, "machine.renderer")
-            _require(machine.get("device"), str, "machine.device")
-            _require(machine.get("workers"), (int, type(None)), "machine.workers")
-            _require(seed, int, "seed")
             return cls(
-                recipe_from_json(json.dumps(recipe)),
-                seed,
-                Path(record["data"]["root"]),
-                request,
-                Reading(**request.get("reading", {})),
-                FrameSelection(**request.get("selection", {})),
-                tuple(Problem(**p) for p in request.get("warnings", ())),
-                machine,
-                packages,
+                recipe=recorded_recipe(record),
+                seed=record["seed"],
+                data=Path(record["data"]["root"]),
+                request=request,
+                reading=Reading(**request.get("reading", {})),
+                selection=FrameSelection(**request.get("selection", {})),
+                warnings=tuple(Problem(**p) for p in request.get("warnings", ())),
+                machine=record["machine"],
+                packages=record["packages"],
             )
         except (LookupError, TypeError, ValueError, AttributeError, ArgumentError) as error:
             raise OutputError(
-                f"{file}: {_state_of(record)} ({type(error).__name__}: {error}); expected the record of a run as "
-                f"`infrablend generate` {__version__} writes it. Repeat the command that wrote it with --resume or "
-                "--overwrite."
+                f"{file}: cannot be read ({type(error).__name__}: {error}); expected the record of a run as "
+                f"`infrablend generate` {__version__} writes it. Make the run again with --overwrite."
             ) from error
 
     def select(self, frames: tuple[str, ...]) -> RecordedRun:
@@ -128,12 +120,12 @@ class RecordedRun:
         return replace(plan, request=self.request)
 
 
-def _state_of(record: Mapping[str, Any]) -> str:
-    """Return why a record cannot be read: it is damaged, or another version of InfraBlend wrote it."""
-    version = record.get("infrablend")
-    return "damaged" if version == __version__ else f"written by InfraBlend {str(version)[:40]!r}, or damaged"
+def recorded_recipe(record: Mapping[str, Any]) -> Recipe:
+    """Return the recipe of a run with this record, with the formats of the run.
 
-
-def _require(value: object, kind: type | tuple[type, ...], name: str) -> None:
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise TypeError(f"{name} is {str(value)[:40]!r}")
+    Raises:
+        LookupError, TypeError, ValueError: The record is that of another version, or damaged.
+    """
+    recipe = dict(record["recipe"])
+    recipe["output"] = {**recipe["output"], "formats": record["formats"]}
+    return recipe_from_json(json.dumps(recipe))

@@ -13,19 +13,20 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.cores import take_core
-from infrablend.core.file_names import leaves, real_path
+from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.output import require_replaceable
 from infrablend.core.picture_place import require_outside_datasets
 from infrablend.core.render import Renderer
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
+from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, OutputError
 from infrablend.formats.images import Background, encode_image, load_background
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.occlusion import recorded_front
-from infrablend.pipeline.record import FrameRecord, RecordError, load_record
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
@@ -68,22 +69,12 @@ def rerender_frame(
         overwrite: Replace a file that exists and is something else.
 
     Raises:
-        OutputError: The run or the frame does not exist, the record of the frame was edited, or `out` exists and is
-            something else or is inside a dataset.
+        OutputError: The run or the frame does not exist, or `out` exists and is something else or is inside a dataset.
         DatasetError: The background is missing or has changed.
     """
     folder = RunFolder(run)
     recorded = RecordedRun.read(folder)
-    if not leaves(frame_id) and (path := folder.record(frame_id)).is_file():
-        try:
-            record = load_record(path)
-        except RecordError as error:
-            raise OutputError(f"{path}: {error}. Run `infrablend generate --resume` to make the frame again") from error
-    else:
-        every = folder.records()
-        near = [p for p in every if p.stem == frame_id.rpartition("/")[2]] or every
-        hint = f", such as {folder.frame_id(near[0])}" if near else ""
-        raise OutputError(f"{run}: no finished frame {frame_id!r}; expected the id of a frame record{hint}")
+    record = folder.record(frame_id)
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
     background = local_folder(data or recorded.data) / record.background["path"]
@@ -106,6 +97,19 @@ def rerender_frame(
     )
     run_once("infrablend.pipeline.rerender:make_rerenderer", job, frame_id)
     return target
+
+
+def show_frame(run: Path, frame_id: str) -> dict[str, Any]:
+    """Return the record of a frame as JSON values, or why it failed, also from a run that is not finished.
+
+    Raises:
+        OutputError: The run or the frame does not exist.
+    """
+    folder = RunFolder(run if run.is_dir() else partial_of(run))
+    with folder.ledger() as ledger:
+        if (failure := ledger.failures().get(frame_id)) is not None:
+            return {"frame_id": frame_id, "failure": {**failure.to_json(), "traceback": failure.traceback}}
+    return folder.record(frame_id).to_json()
 
 
 def render_record(

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Iterator, Mapping
 from typing import Any
-
-from pydantic import ValidationError
-
-from infrablend.config.modes import recipe_from_json, upgrade_recorded
-from infrablend.config.recipe import NOT_IN_KEY
 
 _BACKGROUNDS = "backgrounds"
 _SHOWN = 3
@@ -68,15 +62,10 @@ def _short(value: Any) -> str:
 
 
 def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a run's key with the recipe as this version records it, without its description."""
+    """Return a run's key with the recipe without its description."""
     comparable = dict(key)
     if isinstance(key.get("recipe"), Mapping):
-        recipe = upgrade_recorded(key["recipe"])
-        with contextlib.suppress(ValidationError):  # an invalid recipe is compared as it is recorded
-            upgraded = recipe_from_json(json.dumps(recipe))
-            recipe = json.loads(upgraded.model_dump_json(exclude={"output": NOT_IN_KEY}))
-        recipe.pop("description", None)
-        comparable["recipe"] = recipe
+        comparable["recipe"] = {k: v for k, v in key["recipe"].items() if k != "description"}
     return comparable
 
 

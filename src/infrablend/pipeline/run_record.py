@@ -12,17 +12,19 @@ from infrablend import __version__
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG
 from infrablend.core.machine import describe_machine, installed_versions
-from infrablend.core.tasks import Failure, TaskResult
+from infrablend.core.tasks import TaskResult
 from infrablend.errors import Problem
-from infrablend.pipeline.folder import RUN
-from infrablend.pipeline.frame_settings import FrameDone
-from infrablend.pipeline.label_files import LabelSummary
+from infrablend.pipeline.composed import MadeFrame
+from infrablend.pipeline.exports import LabelSummary
 from infrablend.pipeline.plan import LEFT_OUT, PlannedFrame, RunPlan
+from infrablend.pipeline.request import Execution
 from infrablend.storage.mirror import origin_of
 
 log = logging.getLogger(__name__)
 
 # Packages that affect pixels or labels.
+RUN = "run"
+"""Field of a run record with the identity that the records of its frames name."""
 RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
 
 # Reader problems that leave out a whole image, or an annotation file with many.
@@ -54,10 +56,8 @@ class RunState:
         done: Frames finished by this call.
         resumed: Frames that an earlier call finished.
         inserted: Objects inserted into them.
-        finished: Finished frames as counted in the folder at the end; None before.
         unfinished: Ids of the frames without a picture.
         failures: Failed frames, by id.
-        reasons: Why a frame has no picture, by id.
         skipped: Unreadable backgrounds, by split and id.
         render_seconds: Seconds of the workers, by kind of work.
         peak_rss_bytes: Largest resident memory of a worker.
@@ -67,10 +67,8 @@ class RunState:
     done: int = 0
     resumed: int = 0
     inserted: int = 0
-    finished: int | None = None  # counted on disk at the end
     unfinished: set[str] = field(default_factory=set)
     failures: dict[str, Problem] = field(default_factory=dict)
-    reasons: dict[str, Failure] = field(default_factory=dict)
     skipped: dict[str, Problem] = field(default_factory=dict)
     render_seconds: Counter[str] = field(default_factory=Counter)
     peak_rss_bytes: int = 0
@@ -88,14 +86,13 @@ class RunState:
         """
         self.peak_rss_bytes = max(self.peak_rss_bytes, result.rss_bytes)
         if result.failure is None:
-            done: FrameDone = result.value
+            made: MadeFrame = result.value
             self.done += 1
-            self.inserted += done.inserted
-            self.render_seconds.update(done.seconds)
+            self.inserted += made.frame.inserted
+            self.render_seconds.update(made.seconds)
             return
         failure = result.failure
         self.unfinished.add(result.key)
-        self.reasons[result.key] = failure
         if failure.error == "OutputError" and not any(p.code == NAME_TOO_LONG for p in failure.problems):
             # No space or no permission: every further frame would fail the same way.
             log.info("frame %s: %s\n%s", result.key, failure.message, failure.traceback)
@@ -114,10 +111,10 @@ class RunState:
             f"frame-{failure.kind}",
             f"{failure.error}: {failure.message}",
             "a finished frame",
-            "run again with --resume; the traceback is in log/run.log",
+            "run again with --resume; `infrablend show` prints the traceback",
         )
         log.error("frame %s failed (%s): %s: %s", result.key, failure.kind, failure.error, failure.message)
-        # At level info: for the log file, not for the screen.
+        # At level info: the ledger keeps it, too.
         log.info("traceback of frame %s:\n%s", result.key, failure.traceback)
 
     def problems(self, plan: RunPlan, labels: LabelSummary) -> list[Problem]:
@@ -138,7 +135,7 @@ class RunState:
         return {
             "frames_planned": len(plan.frames) + self.excluded,
             **({"frames_excluded": self.excluded} if self.excluded else {}),
-            "frames": self.done + self.resumed if self.finished is None else self.finished,
+            "frames": self.done + self.resumed,
             "failed_frames": len(self.failures),
             "skipped_backgrounds": len(self.skipped) + len(left_out),
             "objects_inserted": self.inserted,
@@ -146,14 +143,8 @@ class RunState:
             **labels.counts,
         }
 
-    def shard_facts(self, plan: RunPlan) -> dict[str, Any]:
-        """Return what the record of a shard adds for merging: the reason of each frame without a picture."""
-        if plan.shard is None:
-            return {}
-        return {"unfinished": {frame: failure.to_json() for frame, failure in sorted(self.reasons.items())}}
 
-
-def record_header(plan: RunPlan, workers: int, device: str, renderer: str) -> dict[str, Any]:
+def record_header(plan: RunPlan, execution: Execution) -> dict[str, Any]:
     """Return the part of the run record that is known before the first frame."""
     return {
         "infrablend": __version__,
@@ -176,9 +167,10 @@ def record_header(plan: RunPlan, workers: int, device: str, renderer: str) -> di
         ],
         "frames": len(plan.frames),
         "machine": {
-            "renderer": renderer,
-            "device": device,
-            "workers": workers,
+            "renderer": execution.renderer,
+            "device": execution.device,
+            "workers": execution.worker_count(),
+            **({} if execution.executor == "local" else {"executor": execution.executor}),
             **describe_machine(),
         },
         "packages": installed_versions(RECORDED_PACKAGES),
@@ -187,7 +179,6 @@ def record_header(plan: RunPlan, workers: int, device: str, renderer: str) -> di
 
 def run_record(
     header: Mapping[str, Any],
-    status: str,
     plan: RunPlan,
     state: RunState,
     labels: LabelSummary,
@@ -197,7 +188,6 @@ def run_record(
 
     Args:
         header: See `record_header`.
-        status: Status of the run.
         plan: Its plan.
         state: Counts of its frames.
         labels: Summary of its label files.
@@ -205,12 +195,10 @@ def run_record(
     """
     return {
         **header,
-        "status": status,
         "counts": state.counts(plan, labels),
         "draws": labels.draws,
         "removed": list(labels.removed),
         "losses": dict(labels.losses),
         "problems": [p.to_json() for p in sorted(set(state.problems(plan, labels)))],
-        **state.shard_facts(plan),
         "timing": dict(timing),
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import math
 import shlex
@@ -11,20 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
-from infrablend.config.modes import recipe_from_json, upgrade_recorded
 from infrablend.core.files import write_bytes
-from infrablend.core.finished import require_finished
-from infrablend.core.run_layout import IMAGES, RunLayout
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.run_folder import IMAGES, RunFolder
 from infrablend.core.typed_command import run_command
-from infrablend.errors import DatasetError, Problem
-from infrablend.pipeline.excluded import read_choice
-from infrablend.pipeline.folder import RunFolder
+from infrablend.errors import Problem
 from infrablend.pipeline.origin import recipe_yaml
-from infrablend.pipeline.record import FrameRecord, RecordError, load_record
+from infrablend.pipeline.recorded_run import recorded_recipe
 from infrablend.pipeline.run_warnings import warning_codes
-from infrablend.pipeline.written import changes_since_written
 from infrablend.report.run.facts import Box, FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.page import run_page
 
@@ -35,35 +29,15 @@ def report_run(run: Path) -> Path:
     """Write the report of a finished run again, and return its path.
 
     Raises:
-        DatasetError: The run is not finished, or the record of a frame is damaged.
-        OutputError: The folder is not a run, another process writes to it, or it cannot be written.
+        OutputError: The folder is not a finished run, or cannot be written.
     """
     folder = RunFolder(run)
-    record = folder.read_run()
-    require_finished(run)
-    with folder.output.claimed():
-        manifest = folder.manifest().read()
-        with manifest.recording():
-            page = write_report(folder, record, _frames(folder), read_choice(folder))
-    changed = [p for p in changes_since_written(run, digests=False) if p.severity == "error"]
-    if changed:
-        log.warning("%d files were changed or removed since the run; infrablend check %s lists them", len(changed), run)
-    return page
-
-
-def _frames(folder: RunFolder) -> Iterable[FrameRecord]:
-    for path in folder.records():
-        try:
-            yield load_record(path)
-        except RecordError as error:
-            raise DatasetError(
-                f"{path}: {error}; expected the record of a frame. Repeat the run's command with --resume, which makes "
-                "the frame again"
-            ) from error
+    with folder.ledger() as ledger:
+        return write_report(folder, ledger.read_run(), ledger.records(), ledger.excluded())
 
 
 def write_report(
-    layout: RunLayout, record: Mapping[str, Any], frames: Iterable[FrameRecord], excluded: Mapping[str, str]
+    layout: RunFolder, record: Mapping[str, Any], frames: Iterable[FrameRecord], excluded: Mapping[str, str]
 ) -> Path:
     """Write the report of a run and return its path.
 
@@ -82,19 +56,12 @@ def write_report(
 def _run_facts(
     root: Path, record: Mapping[str, Any], frames: list[FrameFacts], excluded: Mapping[str, str]
 ) -> RunFacts:
-    recipe = dict(record["recipe"])
-    try:
-        recorded = upgrade_recorded(recipe)
-        recorded["output"]["formats"] = record["formats"]
-        settings = recipe_yaml(recipe_from_json(json.dumps(recorded)))
-    except (ValidationError, KeyError, TypeError, AttributeError):
-        settings = json.dumps(recipe, indent=1, sort_keys=True)
-    data = record.get("data", {})
+    recipe, data = dict(record["recipe"]), record.get("data", {})
     return RunFacts(
         root=root,
         recipe=str(recipe.get("name", "")),
         description=str(recipe.get("description") or ""),
-        settings=settings,
+        settings=recipe_yaml(recorded_recipe(record)),
         command=shlex.join(run_command(record, "recipe.yaml", "DATA", "RUN", folders=False)),  # of no machine
         version=str(record["infrablend"]),
         made=(

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from infrablend.compositing.gain import Doubt
+from infrablend.core.frame_record import FrameRecord
 from infrablend.errors import Problem
-from infrablend.pipeline.record import FrameRecord
 from infrablend.sampling.calibration import FACTOR_BOUNDS
 
 _HEIGHT = "height-at-limit"

@@ -3,52 +3,58 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Protocol
 
-from infrablend.core.checked_files import CheckedFiles
-from infrablend.core.files import link_or_copy, write_bytes
-from infrablend.core.run_layout import ShardFiles
+from infrablend.core.files import link_or_copy, read_object, read_regular, sha256_of, write_bytes
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.ledger import DoneFrame, Ledger
+from infrablend.core.run_folder import RunFolder, ShardFiles
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
 from infrablend.formats.shard_tar import PackedFrame, key_of, packed_frames
-from infrablend.pipeline.folder import RUN, RunFolder
-from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.record import FrameRecord, RecordError, load_record, parse_record
-from infrablend.pipeline.shard import Shard
-from infrablend.pipeline.shard_damage import damage_of
+from infrablend.pipeline.composed import MadeFrame
+from infrablend.pipeline.packed_shard import UNFINISHED, damage_of
 
 
 class ShardSource(Protocol):
-    """A finished shard."""
+    """A finished shard.
 
-    @property
-    def record_file(self) -> Path:
-        """Record of the shard."""
-        ...
+    Attributes:
+        place: Folder or tar with its frames, for messages.
+    """
 
-    @property
-    def place(self) -> Path:
-        """Folder or tar with its frames, in the folder of the run in shards."""
-        ...
+    place: Path
 
-    def damage(self, frames: Sequence[str], record: Mapping[str, Any], checked: CheckedFiles) -> str | None:
-        """Return what is wrong with these frames, of the shard with this record; None if all are whole."""
-        ...
-
-    def put(self, frame_id: str, folder: RunFolder, checked: CheckedFiles) -> FrameRecord:
-        """Put record and picture of a frame into the folder of a run; frames are asked for in the order of the plan.
+    def record(self) -> Mapping[str, Any]:
+        """Return the record of the shard.
 
         Raises:
-            OutputError: The frame is not there, or cannot be written.
+            OutputError: It is damaged.
         """
         ...
 
-    def packed(self) -> AbstractContextManager[ShardFiles] | None:
-        """Return the files of a packed shard, while the context is open; None if it has a file per frame."""
+    def failures(self) -> Mapping[str, Failure]:
+        """Return why frames of the shard have no picture, by id."""
+        ...
+
+    def damage(self, frames: Sequence[str]) -> str | None:
+        """Return what is wrong with these frames; None if all are whole."""
+        ...
+
+    def read(self, frame_id: str) -> tuple[str, bytes]:
+        """Return record and picture of a frame; frames are asked for in the order of the plan.
+
+        Raises:
+            OutputError: The frame is not there, or damaged.
+        """
+        ...
+
+    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
+        """Put the picture of a frame into the folder of a run; see `read`."""
         ...
 
     def close(self) -> None:
@@ -56,73 +62,58 @@ class ShardSource(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class FinishedShard:
-    """A finished shard with its record.
-
-    Attributes:
-        shard: The shard.
-        source: Where its frames are.
-        record: Its run record.
-        failures: Reasons of its unfinished frames, by id.
-    """
-
-    shard: Shard
-    source: ShardSource
-    record: Mapping[str, Any]
-    failures: Mapping[str, Failure]
-
-    def finished(self, frames: Sequence[PlannedFrame]) -> tuple[str, ...]:
-        """Return the ids of its frames that have a picture, in their order; `frames` are those of the whole run."""
-        return tuple(f.frame_id for f in self.shard.part_of(frames) if f.frame_id not in self.failures)
-
-
 class ShardFolder:
-    """Shard with a file per picture and record."""
+    """Shard with a ledger and a file per picture."""
 
     def __init__(self, folder: RunFolder) -> None:
         """Name the folder of the shard."""
         self._folder = folder
+        self.place = folder.root
+        self._stack = ExitStack()
+        self._opened: tuple[Ledger, dict[str, DoneFrame]] | None = None
 
-    @property
-    def record_file(self) -> Path:
-        """Record of the shard."""
-        return self._folder.run_file
+    def _open(self) -> tuple[Ledger, dict[str, DoneFrame]]:
+        if self._opened is None:
+            ledger = self._stack.enter_context(self._folder.ledger())
+            self._opened = ledger, ledger.done()
+        return self._opened
 
-    @property
-    def place(self) -> Path:
-        """Folder of the shard."""
-        return self._folder.root
+    def record(self) -> Mapping[str, Any]:
+        """Return the record of the shard."""
+        return self._folder.read_run()
 
-    def damage(self, frames: Sequence[str], record: Mapping[str, Any], checked: CheckedFiles) -> str | None:
+    def failures(self) -> Mapping[str, Failure]:
+        """Return why frames of the shard have no picture, by id."""
+        return self._open()[0].failures()
+
+    def damage(self, frames: Sequence[str]) -> str | None:
         """Return how many frames are missing or changed."""
-        broken = [f for f in frames if not self._is_intact(f, record.get(RUN), checked)]
+        _, done = self._open()
+        broken = [f for f in frames if f not in done or not self._is_intact(done[f])]
         return f"{len(broken)} frames are missing or damaged, such as {broken[0]}" if broken else None
 
-    def _is_intact(self, frame_id: str, run: str | None, checked: CheckedFiles) -> bool:
+    def _is_intact(self, frame: DoneFrame) -> bool:
         try:
-            record = load_record(self._folder.record(frame_id))
-            image = self._folder.image(record.image)
-        except (RecordError, ValueError):
+            return sha256_of(self._folder.image(frame.image), self._folder.root) == frame.sha256
+        except (OSError, ValueError):
             return False
-        if not record.is_of(run) or record.frame_id != frame_id:
-            return False
-        return checked.has_digest(image, self._folder.root, record.image_sha256)
 
-    def put(self, frame_id: str, folder: RunFolder, checked: CheckedFiles) -> FrameRecord:
-        """Link the files of a frame, or copy them."""
-        record = load_record(self._folder.record(frame_id))
-        # The record comes first, as in `frame.FrameMaker`.
-        link_or_copy(self._folder.record(frame_id), folder.record(frame_id))
-        link_or_copy(self._folder.image(record.image), folder.image(record.image))
-        return record
+    def read(self, frame_id: str) -> tuple[str, bytes]:
+        """Return record and picture of a frame."""
+        ledger, done = self._open()
+        return ledger.record_text(frame_id), read_regular(self._folder.image(done[frame_id].image), self._folder.root)
 
-    def packed(self) -> None:
-        """Return None."""
-        return
+    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
+        """Link the picture of a frame, or copy it."""
+        ledger, done = self._open()
+        frame, text = done[frame_id], ledger.record_text(frame_id)
+        link_or_copy(self._folder.image(frame.image), folder.image(frame.image))
+        return MadeFrame(frame, text, str(json.loads(text)["background"].get("sha256")), {})
 
     def close(self) -> None:
-        """Do nothing: no file stays open."""
+        """Close the ledger."""
+        self._stack.close()
+        self._opened = None
 
 
 class ShardArchive:
@@ -131,24 +122,29 @@ class ShardArchive:
     def __init__(self, files: ShardFiles) -> None:
         """Name the files of the shard."""
         self._files = files
+        self.place = files.tar
         self._frames: Iterator[PackedFrame] | None = None
 
-    @property
-    def record_file(self) -> Path:
-        """Record of the shard."""
-        return self._files.marker
+    def record(self) -> Mapping[str, Any]:
+        """Return the record of the shard."""
+        found = read_object(self._files.marker)
+        if found is None:
+            raise OutputError(f"{self._files.marker}: damaged; expected the record of a shard. Repeat with --resume")
+        return found
 
-    @property
-    def place(self) -> Path:
-        """Tar of the shard."""
-        return self._files.tar
+    def failures(self) -> Mapping[str, Failure]:
+        """Return why frames of the shard have no picture, by id."""
+        try:
+            return {frame: Failure.from_json(f) for frame, f in self.record()[UNFINISHED].items()}
+        except (LookupError, TypeError, AttributeError) as error:
+            raise OutputError(f"{self._files.marker}: damaged ({error}); repeat the shard with --resume") from error
 
-    def damage(self, frames: Sequence[str], record: Mapping[str, Any], checked: CheckedFiles) -> str | None:
+    def damage(self, frames: Sequence[str]) -> str | None:
         """Return what is wrong with the tar or the table."""
-        return damage_of(self._files, record)
+        return damage_of(self._files, self.record())
 
-    def put(self, frame_id: str, folder: RunFolder, checked: CheckedFiles) -> FrameRecord:
-        """Unpack a frame that follows the last one that was asked for."""
+    def read(self, frame_id: str) -> tuple[str, bytes]:
+        """Return record and picture of a frame that follows the last one that was asked for."""
         if self._frames is None:
             self._frames = packed_frames(self._files.tar)
         key = key_of(frame_id)
@@ -156,22 +152,23 @@ class ShardArchive:
         if frame is None:
             raise self._changed(f"frame {frame_id} is missing")
         try:
-            record = parse_record(frame.scene)
-        except RecordError as error:
+            record = FrameRecord.from_text(frame.scene)
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
             raise self._changed(f"frame {frame_id}: {error}") from error
         if record.frame_id != frame_id or hashlib.sha256(frame.image).hexdigest() != record.image_sha256:
             raise self._changed(f"frame {frame_id} has another record or picture")
-        write_bytes(folder.record(frame_id), frame.scene)
-        checked.add(write_bytes(folder.image(record.image), frame.image), record.image_sha256)
-        return record
+        return record.to_text(), frame.image
 
-    def _changed(self, found: str) -> OutputError:
-        return OutputError(f"{self._files.tar}: {found}; expected the tar as it was written. Repeat with --resume")
-
-    def packed(self) -> AbstractContextManager[ShardFiles]:
-        """Return its files."""
-        return nullcontext(self._files)
+    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
+        """Unpack the picture of a frame that follows the last one that was asked for."""
+        text, picture = self.read(frame_id)
+        record = FrameRecord.from_text(text)
+        write_bytes(folder.image(record.image), picture)
+        return MadeFrame.of(record, len(picture), {})
 
     def close(self) -> None:
         """Close the tar."""
         self._frames = None
+
+    def _changed(self, found: str) -> OutputError:
+        return OutputError(f"{self._files.tar}: {found}; expected the tar as it was written. Repeat with --resume")

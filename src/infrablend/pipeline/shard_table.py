@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import ImageRecord, Instance
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import MissingDependencyError
-from infrablend.pipeline.record import FrameRecord
 
 _ROWS = 1000
 

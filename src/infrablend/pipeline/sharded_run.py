@@ -1,23 +1,20 @@
 """Folder of a run in shards: the plan that all shards share, a folder per shard, and the state of each.
 
     OUT/shards.json                  the plan: recipe, seed, digest of the data, and what is measured over all of it
-    OUT/shard-00002-of-00007/        one shard, a run folder without label files: images/ scenes/ log/ run.json
+    OUT/shard-00002-of-00007/        one shard, a run folder without label files: images/ run.sqlite run.json
 
 or, with `output.layout: shards`,
 
-    OUT/shard-00002-of-00007.tar     pictures, labels and scenes
+    OUT/shard-00002-of-00007.tar     pictures, labels and records of the frames
     OUT/shard-00002-of-00007.parquet a row per frame
     OUT/shard-00002-of-00007.json    the record of the shard
 
-A shard has a lock of its own, so several jobs may share OUT. Its record is its marker: it is complete last.
+A shard has a workspace of its own, so several jobs may share OUT.
 """
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import json
-import logging
 import os
 import shlex
 import socket
@@ -29,31 +26,25 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from infrablend import __version__
-from infrablend.core.files import DAMAGED, output_error, read_object, replace_atomically
-from infrablend.core.finished import COMPLETE
-from infrablend.core.output import Existing, OutputFolder
-from infrablend.core.run_layout import RUN_FILE, SHARDS_FILE, ShardFiles
+from infrablend.core.files import DAMAGED, read_object, replace_atomically
+from infrablend.core.ledger import LEDGER, Ledger
+from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.core.typed_command import recorded_command
+from infrablend.core.workspace import NOTE, Existing, is_being_written, partial_of
 from infrablend.errors import OtherSettingsError, OutputError
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.levels import dataset_levels
+from infrablend.pipeline.packed_shard import damage_of, run_packed
 from infrablend.pipeline.plan import RunPlan
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport, run_plan
 from infrablend.pipeline.run_key import differences
 from infrablend.pipeline.shard import MAX_SHARDS, Shard
-from infrablend.pipeline.shard_archive import run_archived, unfinished_run
-from infrablend.pipeline.shard_damage import damage_of
 from infrablend.pipeline.shard_source import ShardArchive, ShardFolder, ShardSource
-
-log = logging.getLogger(__name__)
 
 Layout = Literal["files", "shards"]
 State = Literal["done", "running", "failed", "stopped", "missing"]
 """State of a shard: `failed` is finished without some frames, `stopped` is unfinished and nobody works on it."""
-
-_TEMPORARY = ".shards."
 
 
 @dataclass(frozen=True)
@@ -185,9 +176,14 @@ class ShardedRun:
         """File of the shared plan."""
         return self.root / SHARDS_FILE
 
+    @property
+    def place(self) -> str:
+        """Where the run is, for messages and commands."""
+        return str(self.root)
+
     def shard_folder(self, shard: Shard) -> RunFolder:
         """Return the folder of a shard: where it is, or while it is made, depending on the layout."""
-        return RunFolder(self.root / shard.folder_name, "shard")
+        return RunFolder(self.root / shard.folder_name)
 
     def shard_files(self, shard: Shard) -> ShardFiles:
         """Return the files of a shard with the layout `shards`."""
@@ -207,19 +203,21 @@ class ShardedRun:
         """
         if not os.path.lexists(self.file):
             raise OutputError(
-                f"{self.root}: no {SHARDS_FILE}; expected a folder with shards. Give the --out of "
+                f"{self.place}: no {SHARDS_FILE}; expected a run in shards. Give the --out of "
                 "`infrablend generate ... --shard I/N`."
             )
         try:
             return SharedPlan.from_json(read_object(self.file) or {})
         except DAMAGED as error:
             raise OutputError(
-                f"{self.file}: damaged ({type(error).__name__}: {error}); expected the plan of a run in shards. "
-                "Delete this file; the next shard writes it again."
+                f"{self.place}/{SHARDS_FILE}: damaged ({type(error).__name__}: {error}); expected the plan of a run in "
+                "shards. Delete this file; the next shard writes it again."
             ) from error
 
     def share_plan(self, plan: RunPlan, count: int, renderer: str) -> SharedPlan:
         """Return the plan that all shards use; the first shard measures the data and writes it.
+
+        Shards that start together may all do so: they write the same bytes.
 
         Raises:
             OtherSettingsError: The folder has shards of another plan.
@@ -227,55 +225,27 @@ class ShardedRun:
         """
         formats = tuple(plan.recipe.output.formats)
         wanted = SharedPlan(count, len(plan.frames), plan.key, formats, renderer, None, plan.recipe.output.layout)
-        with self._locked() as alone:
-            if os.path.lexists(self.file):
-                known = self.read_plan()
-                known.require_same(wanted, self.root)
-                if known.layout != wanted.layout:
-                    raise OtherSettingsError(
-                        f"{self.root}: its shards have output.layout: {known.layout}, not {wanted.layout}. Use another "
-                        "folder; `infrablend merge` takes folders of both layouts."
-                    )
-                return known
-            folder = OutputFolder(self.root, "run in shards", SHARDS_FILE)
-            found = [n for n in folder.entries() if not n.startswith(_TEMPORARY)]
-            if any(not n.partition(".")[0].endswith(f"-of-{count:05d}") for n in found):
-                raise folder.refuse_not_ours()
-            folder.make_writable()
-            known_levels = plan.levels or dataset_levels(plan) if plan.needs_levels else None
-            shared = replace(wanted, levels=known_levels)
-            if alone:
-                self._remove_leftovers()
-            # A name of its own: where the file system has no locks, several jobs may write the same bytes at once.
-            temporary = self.root / f"{_TEMPORARY}{socket.gethostname()}.{os.getpid()}.part.json"
-            with replace_atomically(self.file, beside=temporary, durable=True) as part:
-                part.write_text(json.dumps(shared.to_json(), sort_keys=True, indent=2) + "\n", encoding="utf-8")
-            return shared
-
-    @contextlib.contextmanager
-    def _locked(self) -> Iterator[bool]:
-        """Wait for other jobs that read or write the shared plan; yield whether the file system keeps them out."""
-        try:
-            self.root.mkdir(parents=True, exist_ok=True)
-            handle = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY)
-        except OSError as error:
-            raise output_error(self.root, error) from error
-        try:
-            alone = True
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX)
-            except OSError as error:  # file systems without locks
-                log.warning("%s: cannot be locked (%s)", self.root, error)
-                alone = False
-            yield alone
-        finally:
-            os.close(handle)
-
-    def _remove_leftovers(self) -> None:
-        """Delete temporary plans that killed jobs left; nobody else may be writing one."""
-        for left in sorted(self.root.glob(f"{_TEMPORARY}*.part.json")):
-            if not left.is_dir() or left.is_symlink():
-                left.unlink(missing_ok=True)
+        if os.path.lexists(self.file):
+            known = self.read_plan()
+            known.require_same(wanted, self.place)
+            if known.layout != wanted.layout:
+                raise OtherSettingsError(
+                    f"{self.place}: its shards have output.layout: {known.layout}, not {wanted.layout}. Use another "
+                    "folder; `infrablend merge` takes folders of both layouts."
+                )
+            return known
+        found = sorted(p.name for p in self.root.iterdir()) if self.root.is_dir() else []
+        foreign = [n for n in found if f"-of-{count:05d}" not in n and not n.startswith(".")]
+        if foreign:
+            raise OutputError(
+                f"{self.root}: not empty and not a run in shards of InfraBlend (no {SHARDS_FILE}; found {foreign[0]}); "
+                "nothing was touched. Give another folder."
+            )
+        shared = replace(wanted, levels=plan.levels or dataset_levels(plan) if plan.needs_levels else None)
+        temporary = self.root / f".shards.{socket.gethostname()}.{os.getpid()}.part.json"
+        with replace_atomically(self.file, beside=temporary, durable=True) as part:
+            part.write_text(json.dumps(shared.to_json(), sort_keys=True, indent=2) + "\n", encoding="utf-8")
+        return shared
 
     def states(self) -> list[ShardState]:
         """Return the state of every shard, in the order of their numbers.
@@ -287,30 +257,24 @@ class ShardedRun:
         states = [self._state(Shard(n, shared.count), shared) for n in range(1, shared.count + 1)]
         return [s if s.state in ("done", "running") else replace(s, command=self.command(s.shard)) for s in states]
 
-    def command(self, shard: Shard, place: str | None = None) -> str:
-        """Return the command that makes or finishes a shard: its own, or that of another shard of the folder.
-
-        Args:
-            shard: The shard.
-            place: Address of the run, if the folder has only copies of its small files.
-        """
-        out = place or str(self.root)
+    def command(self, shard: Shard) -> str:
+        """Return the command that makes or finishes a shard: its own, or that of another shard of the folder."""
         for record in (*map(read_object, self._record_files(shard.folder_name)), self._any_record):
-            if (command := recorded_command(record, Path(out), str(shard))) is not None:
+            if (command := recorded_command(record, Path(self.place), str(shard))) is not None:
                 return command
-        return f"infrablend generate ... --out {shlex.quote(out)} --shard {shard} --resume"
+        return f"infrablend generate ... --out {shlex.quote(self.place)} --shard {shard} --resume"
 
     @cached_property
     def _any_record(self) -> dict[str, Any] | None:
         """Record of a shard, to learn the command of the others."""
-        names = sorted({p.name.partition(".")[0] for p in self.root.glob("shard-*-of-*")})
+        names = sorted({p.name.lstrip(".").partition(".")[0] for p in self.root.glob("*shard-*-of-*")})
         files = (file for name in names for file in self._record_files(name))
-        return next((record for f in files if "key" in (record := read_object(f) or {})), None)
+        return next((record for f in files if "command" in (record := read_object(f) or {})), None)
 
     def _record_files(self, name: str) -> tuple[Path, ...]:
-        """Return where the record of a shard of this name may be, finished or not, in either layout."""
-        files = ShardFiles(self.root, name)
-        return files.marker, self.root / name / RUN_FILE, unfinished_run(files).run_file
+        """Return where the command of a shard of this name may be recorded, finished or not, in either layout."""
+        folder = self.root / name
+        return ShardFiles(self.root, name).marker, folder / RUN_FILE, partial_of(folder) / NOTE
 
     def wait(self, interval_s: float = 30) -> list[ShardState]:
         """Return the states once every shard is done or failed; the plan may be missing until the first one starts.
@@ -325,21 +289,27 @@ class ShardedRun:
                     return states
             time.sleep(interval_s)
 
+    def damage(self, shard: Shard, record: Mapping[str, Any]) -> str | None:
+        """Return what is wrong with the sizes of a packed shard's files; None if nothing is."""
+        return damage_of(self.shard_files(shard), record, digests=False)
+
     def _state(self, shard: Shard, shared: SharedPlan) -> ShardState:
-        folder, files = self.shard_folder(shard), self.shard_files(shard)
+        folder, packed = self.shard_folder(shard).root, shared.layout == "shards"
         planned = len(shard.part_of(range(shared.frames)))
-        packed = shared.layout == "shards"
-        record = read_object(files.marker if packed else folder.run_file) or {}
-        if not record and not folder.root.is_dir() and not os.path.lexists(files.marker):
+        record = read_object(self.shard_files(shard).marker if packed else folder / RUN_FILE)
+        claimed, partial = is_being_written(folder), partial_of(folder)
+        if record is None and not partial.is_dir():
             return ShardState(shard, "missing", planned)
-        claimed = folder.output.is_claimed()
-        counts = record.get("counts")
+        counts = (record or {}).get("counts")
         finished = counts.get("frames") if isinstance(counts, Mapping) else None
-        damage = damage_of(files, record, digests=False) if packed and record else None
-        if record.get("status") == COMPLETE and isinstance(finished, int) and not claimed and damage is None:
+        damage = self.damage(shard, record) if packed and record is not None else None
+        if isinstance(finished, int) and not claimed and damage is None:
             state: State = "done" if finished == planned else "failed"
             return ShardState(shard, state, planned, finished, planned - finished)
-        made = len((unfinished_run(files) if packed else folder).records())
+        made = 0
+        if (partial / LEDGER).is_file():
+            with Ledger.open(partial) as ledger:
+                made = len(ledger.done())
         return ShardState(shard, "running" if claimed else "stopped", planned, made, damage=damage or "")
 
 
@@ -369,7 +339,7 @@ def run_shard(
     shared = sharded.share_plan(plan, shard.count, execution.renderer)
     part = replace(plan, frames=tuple(shard.part_of(plan.frames)), shard=shard, levels=shared.levels)
     if shared.layout == "shards":
-        return run_archived(part, sharded.shard_files(shard), execution, existing, on_progress)
+        return run_packed(part, sharded.shard_files(shard), execution, existing, on_progress)
     return run_plan(part, sharded.shard_folder(shard).root, execution, existing, on_progress)
 
 
@@ -416,7 +386,7 @@ def joined_reports(reports: Sequence[RunReport], out: Path) -> RunReport:
     counts: dict[str, Any] = {}
     for report in reports:
         counts = _added(counts, report.counts)
-    return RunReport(out, COMPLETE, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
+    return RunReport(out, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
 
 
 def _added(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:

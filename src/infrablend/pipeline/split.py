@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_text
-from infrablend.core.finished import SPLIT_FILE, require_unchanged
+from infrablend.core.finished import SPLIT_FILE
 from infrablend.core.format_table import NATIVE, find_writer
 from infrablend.core.output import require_apart
 from infrablend.core.rng import stream
@@ -178,7 +178,6 @@ def split_dataset(
     with folder.writing(header, overwrite):
         report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
         report = replace(report, problems=(*report.problems, *folder.problems()))
-        require_unchanged(dataset.root, dataset.markers)
         content = report.to_json()  # without the source: the same bytes wherever the dataset is
         if enlarged := enlarged_counts(*count_enlarged(dataset, replace(dataset, images=tuple(images)))):
             labels = Counter(o.category for i in images for o in i.instances)

@@ -1,177 +1,121 @@
 """Run in shards in object storage: the files of a folder with packed shards, below an address such as `s3://bucket/run`.
 
-A shard is made in a scratch folder of this machine, as in any folder, and then copied: tar and table, each read back,
-and the record last, which marks it as finished. What has no record is not there for any reader.
+A shard is made in a scratch folder of this machine, as in any folder, and then copied: tar and table, and the record
+last, which marks it as finished. A shard without record is not there for any reader. Two jobs that make the same shard
+write the same bytes.
 
     s3://bucket/run/shards.json                     the plan
     s3://bucket/run/shard-00002-of-00007.tar        and .parquet, .json: a finished shard
-    s3://bucket/run/shard-00002-of-00007.claim      a job makes this shard; gone when it ends
-
-Claims only save time. A storage without conditional writes, or a job that was cut off for long, can let two jobs make
-one shard: they write the same bytes.
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
-import logging
+import hashlib
 import os
 import shutil
-import time
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
-from infrablend.core.checked_files import CheckedFiles
-from infrablend.core.files import read_object, read_regular, sha256_of, sha256_of_json
-from infrablend.core.finished import COMPLETE
-from infrablend.core.output import Existing
-from infrablend.core.run_layout import SHARDS_FILE, ShardFiles
-from infrablend.core.tasks import OnProgress, Progress
-from infrablend.errors import ArgumentError, OutputError, Problem, StorageError
-from infrablend.pipeline.folder import ARCHIVE, RunFolder, read_run_file
+from infrablend.core.files import read_object, read_regular, sha256_of_json
+from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
+from infrablend.core.tasks import OnProgress
+from infrablend.core.workspace import Existing
+from infrablend.errors import ArgumentError, OutputError
+from infrablend.pipeline.composed import MadeFrame
+from infrablend.pipeline.packed_shard import ARCHIVE
 from infrablend.pipeline.plan import RunPlan
-from infrablend.pipeline.record import FrameRecord
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.run import RunReport, require_same_key
 from infrablend.pipeline.shard import Shard
-from infrablend.pipeline.shard_claim import ShardClaim
-from infrablend.pipeline.shard_damage import number_damage
 from infrablend.pipeline.shard_source import ShardArchive, ShardSource
-from infrablend.pipeline.sharded_run import ShardedRun, ShardState, SharedPlan, joined_reports, run_shard, shifted
-from infrablend.storage.scratch import scratch
-from infrablend.storage.store import DAMAGED, Store, Stored
-
-log = logging.getLogger(__name__)
-
-_numbers = itertools.count()  # of readers in this process
+from infrablend.pipeline.sharded_run import ShardedRun, joined_reports, run_shard, shifted
+from infrablend.storage.store import Store
 
 
-@dataclass
-class StoredRun:
-    """Run in shards in object storage, with its small files in a folder of this machine.
+@dataclass(frozen=True)
+class StoredRun(ShardedRun):
+    """Run in shards in object storage; `root` is a folder of this machine with copies of its small files.
 
     Attributes:
         store: The storage.
-        mirror: Folder for the plan and the records of finished shards.
-        files: What the storage has, by name.
+        sizes: Bytes of its files, by name.
     """
 
-    store: Store
-    mirror: Path
-    files: dict[str, Stored]
-
-    @classmethod
-    @contextlib.contextmanager
-    def opened(cls, address: str, store: Store | None = None) -> Iterator[StoredRun]:
-        """Yield the run at an address, as it is now.
-
-        Raises:
-            StorageError, MissingDependencyError: The storage cannot be used.
-        """
-        with scratch(f"reading {address} in process {os.getpid()}, {next(_numbers)}") as folder:
-            run = cls(store or Store(address), folder, {})
-            run.refresh()
-            yield run
+    store: Store = field(default_factory=lambda: Store(""))
+    sizes: dict[str, int] = field(default_factory=dict)
 
     @property
-    def root(self) -> str:
+    def place(self) -> str:
         """Address of the run."""
         return self.store.address
 
-    @property
-    def _local(self) -> ShardedRun:
-        return ShardedRun(self.mirror)
-
     def refresh(self) -> None:
         """Look again at what the storage has, and copy the plan and the records that are new."""
-        self.files = self.store.files()
-        for name in self.files:
-            copy = self.mirror / name
-            small = name == SHARDS_FILE or (name.startswith("shard-") and name.endswith(".json"))
-            if small and not (copy.exists() and copy.stat().st_size == self.files[name].size):
-                self._copy(name)
-        for path in sorted(self.mirror.glob("shard*.json")):
-            if path.name not in self.files:
+        self.sizes.clear()
+        self.sizes.update(self.store.files())
+        for path in sorted(self.root.glob("*.json")):
+            if path.name not in self.sizes:
                 path.unlink()
+        for name, size in self.sizes.items():
+            copy = self.root / name
+            if name.endswith(".json") and not (copy.is_file() and copy.stat().st_size == size):
+                self.store.download(name, copy)
 
-    def _copy(self, name: str) -> None:
-        """Copy a small file; a record that is damaged is none, so that its shard is made again."""
-        try:
-            self.store.download(name, self.mirror / name)
-        except StorageError as error:
-            if name == SHARDS_FILE or all(p.code != DAMAGED for p in error.problems):
-                raise
-            log.warning("%s", error)
+    def states(self) -> list[Any]:
+        """Return the state of every shard, as the storage has it now."""
+        self.refresh()
+        return super().states()
 
-    def read_plan(self) -> SharedPlan:
-        """Return the shared plan.
-
-        Raises:
-            OutputError: There is none, or it is damaged.
-        """
-        if SHARDS_FILE not in self.files:
-            raise OutputError(
-                f"{self.root}: no {SHARDS_FILE}; expected a run in shards. Give the --out of "
-                "`infrablend generate ... --out ADDRESS`"
-            )
-        try:
-            return self._local.read_plan()
-        except OutputError as error:
-            raise OutputError(error.message.replace(str(self.mirror), self.root), error.problems) from error
-
-    def states(self) -> list[ShardState]:
-        """Return the state of every shard, in the order of their numbers."""
-        shared = self.read_plan()
-        return [self._state(Shard(n, shared.count), shared) for n in range(1, shared.count + 1)]
-
-    def wait(self, interval_s: float = 30) -> list[ShardState]:
-        """Return the states once every shard is done or failed; the plan may be missing until the first one starts."""
-        while True:
-            if SHARDS_FILE in self.files:
-                states = self.states()
-                if all(s.state in ("done", "failed") for s in states):
-                    return states
-            time.sleep(interval_s)
-            self.refresh()
-
-    def command(self, shard: Shard) -> str:
-        """Return the command that makes a shard: that of another shard, with its number."""
-        return self._local.command(shard, self.root)
+    def damage(self, shard: Shard, record: Mapping[str, Any]) -> str | None:
+        """Return what is wrong with the sizes of a shard's files in storage; None if nothing is."""
+        files = self.shard_files(shard)
+        for path, kind in ((files.tar, "tar"), (files.table, "table")):
+            expected = record.get(ARCHIVE, {}).get(kind, {}).get("bytes")
+            if self.sizes.get(path.name) != expected or expected is None:
+                return f"{path.name} has {self.sizes.get(path.name)} bytes in storage, expected {expected}"
+        return None
 
     def shard_source(self, shard: Shard) -> ShardSource:
         """Return a finished shard as a source of frames; its tar is on this machine while it is read."""
         return _StoredShard(self, shard)
 
-    def damage(self, shard: Shard, record: Mapping[str, Any]) -> str | None:
-        """Return what is wrong with the sizes of a shard's files; None if nothing is."""
-        return stored_damage(ShardFiles(self.mirror, shard.folder_name), record, self.files)
 
-    def _state(self, shard: Shard, shared: SharedPlan) -> ShardState:
-        planned = len(shard.part_of(range(shared.frames)))
-        record = read_object(ShardFiles(self.mirror, shard.folder_name).marker)
-        claimed = f"{shard.folder_name}.claim" in self.files and ShardClaim(self.store, shard).is_fresh()
-        if record is None:
-            begun = any(name.startswith(f"{shard.folder_name}.") for name in self.files)
-            state = ShardState(shard, "running" if claimed else "stopped" if begun else "missing", planned)
-        else:
-            counts = record.get("counts")
-            finished = counts.get("frames") if isinstance(counts, Mapping) else None
-            damage = self.damage(shard, record)
-            if damage is None and record.get("status") == COMPLETE and isinstance(finished, int):
-                kind = "done" if finished == planned else "failed"
-                state = ShardState(shard, kind, planned, finished, planned - finished)  # type: ignore[arg-type]
-            else:
-                state = ShardState(shard, "running" if claimed else "stopped", planned, damage=damage or "damaged")
-        return state if state.state in ("done", "running") else replace(state, command=self.command(shard))
+class _StoredShard(ShardArchive):
+    """Finished shard in storage; its tar is copied when the first frame is asked for, and deleted when it is closed."""
+
+    def __init__(self, run: StoredRun, shard: Shard) -> None:
+        super().__init__(run.shard_files(shard))
+        self.place = Path(run.store.place(self._files.tar.name))
+        self._run, self._shard = run, shard
+
+    def damage(self, frames: Sequence[str]) -> str | None:
+        """Return what is wrong with the sizes in storage; the digest is checked when the tar is copied."""
+        return self._run.damage(self._shard, self.record())
+
+    def read(self, frame_id: str) -> tuple[str, bytes]:
+        """Return record and picture of a frame that follows the last one that was asked for."""
+        if not self._files.tar.is_file():
+            self._run.store.download(self._files.tar.name, self._files.tar, self.record()[ARCHIVE]["tar"]["sha256"])
+        return super().read(frame_id)
+
+    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
+        """Unpack the picture of a frame that follows the last one that was asked for."""
+        return super().put(frame_id, folder)
+
+    def close(self) -> None:
+        """Delete the copy of the tar."""
+        super().close()
+        self._files.tar.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
-def opened_run(out: str | Path) -> Iterator[ShardedRun | StoredRun]:
+def opened_run(out: str | Path, store: Store | None = None) -> Iterator[ShardedRun]:
     """Yield the run in shards in a folder, or at an address.
 
     Raises:
@@ -180,74 +124,10 @@ def opened_run(out: str | Path) -> Iterator[ShardedRun | StoredRun]:
     if (address := address_of(out)) is None:
         yield ShardedRun(Path(out))
         return
-    with StoredRun.opened(address) as run:
+    with tempfile.TemporaryDirectory(prefix="infrablend-") as folder:
+        run = StoredRun(Path(folder), store or Store(address))
+        run.refresh()
         yield run
-
-
-def stored_damage(files: ShardFiles, record: Mapping[str, Any], there: Mapping[str, Stored]) -> str | None:
-    """Return what is wrong with the sizes of a shard's files in storage; None if nothing is."""
-    for path, kind in ((files.tar, "tar"), (files.table, "table")):
-        try:
-            expected = record[ARCHIVE][kind]["bytes"]
-        except (LookupError, TypeError):
-            return f"{files.marker.name} is damaged: no facts about the {kind}"
-        if path.name not in there:
-            return f"{path.name} is missing"
-        if (size := there[path.name].size) != expected:
-            return f"{path.name} has {size} bytes, expected {expected}"
-    return None
-
-
-class _StoredShard:
-    """Finished shard in storage; its tar is copied when the first frame is asked for, and deleted when it is closed."""
-
-    def __init__(self, run: StoredRun, shard: Shard) -> None:
-        self._run, self._shard = run, shard
-        self._files = ShardFiles(run.mirror, shard.folder_name)
-        self._archive: ShardArchive | None = None
-
-    @property
-    def record_file(self) -> Path:
-        """Copy of the shard's record."""
-        return self._files.marker
-
-    @property
-    def place(self) -> Path:
-        """Address of the tar."""
-        return Path(self._run.store.place(self._files.tar.name))
-
-    def damage(self, frames: Sequence[str], record: Mapping[str, Any], checked: CheckedFiles) -> str | None:
-        """Return what is wrong with the sizes in storage; the digest is checked when the tar is copied."""
-        return self._run.damage(self._shard, record)
-
-    def put(self, frame_id: str, folder: RunFolder, checked: CheckedFiles) -> FrameRecord:
-        """Unpack a frame that follows the last one that was asked for."""
-        if self._archive is None:
-            self._fetch(self._files.tar, "tar")
-            self._archive = ShardArchive(self._files)
-        return self._archive.put(frame_id, folder, checked)
-
-    @contextlib.contextmanager
-    def packed(self) -> Iterator[ShardFiles]:
-        """Copy its files, and delete the copies at the end."""
-        self._fetch(self._files.tar, "tar")
-        self._fetch(self._files.table, "table")
-        try:
-            yield self._files
-        finally:
-            self._files.table.unlink(missing_ok=True)
-            self.close()
-
-    def _fetch(self, file: Path, name: str) -> None:
-        sha256 = read_run_file(self._files.marker)[ARCHIVE][name]["sha256"]
-        self._run.store.download(file.name, file, sha256)
-
-    def close(self) -> None:
-        """Delete the copy of the tar."""
-        if self._archive is not None:
-            self._archive.close()
-        self._archive = None
-        self._files.tar.unlink(missing_ok=True)
 
 
 def require_packed(recipe: Recipe, out: Path) -> None:
@@ -285,7 +165,7 @@ def run_stored_shards(
 
     Raises:
         ArgumentError: The layout has a file per frame.
-        StorageError: The storage cannot be used, or does not keep what is written.
+        StorageError: The storage cannot be used.
         OutputError, OtherSettingsError, Interrupted, RenderError: See `run_shard`.
     """
     address = address_of(out)
@@ -293,119 +173,68 @@ def run_stored_shards(
     require_packed(plan.recipe, out)
     store = store or Store(address)
     reports: list[RunReport] = []
+    # What a killed job left is found by the next job of the same run on this machine.
+    key = hashlib.sha256(f"{address} {sha256_of_json(plan.key)}".encode()).hexdigest()[:16]
+    local = ShardedRun(Path(tempfile.gettempdir()) / f"infrablend-{os.getuid()}-{key}")
+    _share_plan(local, plan, shards[0].count, execution, store)
     for shard, progress in zip(shards, shifted(plan, shards, on_progress), strict=True):
-        reports.append(_StoredShardJob(store, plan, shard, execution).run(existing, progress))
+        reports.append(_run_stored_shard(local, plan, shard, execution, existing, progress, store))
         plan = replace(plan, problems=())
-    return replace(joined_reports(reports, out), out=out)
+    shutil.rmtree(local.root, ignore_errors=True)
+    return replace(joined_reports(reports, out), out=Path(address))
 
 
-@dataclass
-class _StoredShardJob:
-    """Making of one shard."""
-
-    store: Store
-    plan: RunPlan
-    shard: Shard
-    execution: Execution
-
-    def run(self, existing: Existing, on_progress: OnProgress | None) -> RunReport:
-        self._found(existing)
-        files = ShardFiles(Path(), self.shard.folder_name)
-        claim = ShardClaim(self.store, self.shard)
-
-        def progressed(progress: Progress) -> None:
-            claim.renew()
-            if on_progress is not None:
-                on_progress(progress)
-
-        # Another run at this address has another folder.
-        purpose = f"shard {self.shard} of {self.store.address}, run {sha256_of_json(self.plan.key)[:12]}"
-        with scratch(purpose, keep=True) as folder, claim.held(wait=existing == "resume"):
-            there = self._found(existing)  # now that no other job can finish it
-            local = ShardedRun(folder / "run")  # the scratch folder itself is locked
-            local.root.mkdir(exist_ok=True)
-            packed = local.shard_files(self.shard)
-            if existing == "overwrite":
-                shutil.rmtree(packed.folder / packed.name, ignore_errors=True)
-            for path in (packed.marker, packed.tar, packed.table):
-                path.unlink(missing_ok=True)
-            self._share_plan(local)
-            record_file = Path(self.store.place(files.marker.name))
-            if existing == "resume" and files.marker.name in there:
-                counts, problems = self._fetch(packed, there)
-                if counts.get("frames") == len(self.shard.part_of(self.plan.frames)):
-                    return RunReport(Path(self.store.address), COMPLETE, counts, problems, record_file=record_file)
-            report = run_shard(self.plan, self.shard, local.root, self.execution, "resume", progressed)
-            claim.renew()
-            self._publish(packed)
-            return replace(report, out=Path(self.store.address), record_file=record_file)
-
-    def _found(self, existing: Existing) -> Mapping[str, Stored]:
-        """Return the files of the run.
-
-        Raises:
-            OutputError: `existing` or their origin forbid to replace those of the shard.
-        """
-        there, files = self.store.files(), ShardFiles(Path(), self.shard.folder_name)
-        if existing == "refuse" and files.marker.name in there:
-            raise OutputError(
-                f"{self.store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make "
-                "it only if it is not whole, or --overwrite to replace it."
-            )
-        if SHARDS_FILE not in there and files.marker.name not in there:
-            for path in (files.tar, files.table):
-                if path.name in there:
-                    raise OutputError(
-                        f"{self.store.place(path.name)}: exists without {SHARDS_FILE}, which is written before any "
-                        "shard, so nothing shows that InfraBlend wrote it; nothing was touched. Move it elsewhere, "
-                        "and repeat the command."
-                    )
-        return there
-
-    def _share_plan(self, local: ShardedRun) -> None:
-        """Put the shared plan of the storage into the scratch folder, or write the one that is made there."""
-        local.file.unlink(missing_ok=True)
-        known = self.store.read(SHARDS_FILE)
-        if known is None:
-            local.share_plan(self.plan, self.shard.count, self.execution.renderer)
-            if self.store.write(SHARDS_FILE, read_regular(local.file), new=True):
-                return
-            known = self.store.read(SHARDS_FILE) or b""  # another job was first
+def _share_plan(local: ShardedRun, plan: RunPlan, count: int, execution: Execution, store: Store) -> None:
+    """Use the shared plan of the storage, or write the one that is made here."""
+    local.root.mkdir(mode=0o700, parents=True, exist_ok=True)
+    local.file.unlink(missing_ok=True)
+    known = store.read(SHARDS_FILE)
+    if known is not None:
         local.file.write_bytes(known)
-        try:
-            local.share_plan(self.plan, self.shard.count, self.execution.renderer)
-        except OutputError as error:
-            message = error.message.replace(str(local.root), self.store.address)
-            raise type(error)(message, error.problems) from error
+    try:
+        local.share_plan(plan, count, execution.renderer)
+    except OutputError as error:
+        raise type(error)(error.message.replace(str(local.root), store.address), error.problems) from error
+    if known is None:
+        store.write(SHARDS_FILE, read_regular(local.file))
 
-    def _fetch(self, packed: ShardFiles, there: Mapping[str, Stored]) -> tuple[Mapping[str, Any], tuple[Problem, ...]]:
-        """Return counts and problems of a finished shard in the storage; nothing if it is not whole.
 
-        If some of its frames failed, it is copied into the scratch folder, where a run continues with them.
-        """
-        try:
-            self.store.download(packed.marker.name, packed.marker)
-            record = read_run_file(packed.marker)
-            found = number_damage(record, self.shard) or stored_damage(packed, record, there)
-            if found is None and record["counts"]["frames"] < len(self.shard.part_of(self.plan.frames)):
-                for path, kind in ((packed.tar, "tar"), (packed.table, "table")):
-                    self.store.download(path.name, path, record[ARCHIVE][kind]["sha256"])
-        except OutputError as error:  # a damaged record
-            found = error.message.removeprefix(f"{packed.marker}: ")
-        except StorageError as error:
-            found = error.message
-        if found is None:
-            require_same_key(record, self.plan, self.store.place(packed.marker.name))
-            return record["counts"], tuple(Problem(**p) for p in record.get("problems", ()))
-        log.warning("%s: %s; the shard is made again", self.store.place(packed.marker.name), found)
-        for path in (packed.marker, packed.tar, packed.table):
-            path.unlink(missing_ok=True)
-        return {}, ()
+def _run_stored_shard(
+    local: ShardedRun,
+    plan: RunPlan,
+    shard: Shard,
+    execution: Execution,
+    existing: Existing,
+    on_progress: OnProgress | None,
+    store: Store,
+) -> RunReport:
+    """Make one shard here, and copy its files: the record is removed first and comes last."""
+    files = local.shard_files(shard)
+    marker = Path(store.place(files.marker.name))
+    if existing != "overwrite" and (text := store.read(files.marker.name)) is not None:
+        if existing == "refuse":
+            raise OutputError(
+                f"{marker}: exists already; expected no such shard. Use --resume to make it only if it is not whole, "
+                "or --overwrite to replace it."
+            )
+        files.marker.write_bytes(text)
+        record = read_object(files.marker) or {}
+        stored = StoredRun(local.root, store, store.files())
+        whole = record.get("shard") == str(shard) and stored.damage(shard, record) is None
+        if whole and record["counts"]["frames"] == len(shard.part_of(plan.frames)):
+            require_same_key(record, plan, marker)
+            return RunReport.of_record(record, Path(store.address), marker)
+    for path in (files.marker, files.tar, files.table):
+        path.unlink(missing_ok=True)
+    here: Existing = "overwrite" if existing == "overwrite" else "resume"
+    report = run_shard(plan, shard, local.root, execution, here, on_progress)
+    _upload(files, store)
+    return replace(report, out=Path(store.address), record_file=marker)
 
-    def _publish(self, packed: ShardFiles) -> None:
-        """Copy the files of a shard: the record is removed first and comes last."""
-        record = read_run_file(packed.marker)
-        self.store.remove(packed.marker.name)
-        for path, kind in ((packed.tar, "tar"), (packed.table, "table")):
-            self.store.upload(path, path.name, record[ARCHIVE][kind]["sha256"])
-        self.store.upload(packed.marker, packed.marker.name, sha256_of(packed.marker))
+
+def _upload(files: ShardFiles, store: Store) -> None:
+    store.remove(files.marker.name)
+    for path in (files.tar, files.table, files.marker):
+        store.upload(path, path.name)
+    for path in (files.tar, files.table, files.marker):
+        path.unlink()

@@ -14,7 +14,6 @@ from infrablend import __version__
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.files import require_still_there, write_json
-from infrablend.core.finished import require_unchanged
 from infrablend.core.machine import describe_machine
 from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
@@ -120,7 +119,6 @@ def train_dataset(
             }  # fmt: skip
             write_json(out / RECORD, record, durable=True)
             record["prepared"] = write_training_data(wanted, manifest, preset, task, request)
-            require_unchanged(dataset.root, dataset.markers)
             write_json(out / RECORD, record, durable=True)
         else:
             stack.enter_context(manifest.recording())

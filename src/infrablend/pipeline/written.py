@@ -1,124 +1,69 @@
-"""Compares finished output of InfraBlend with the sizes and digests that were recorded when it was written."""
+"""Compares a finished run with the sizes and digests in its ledger, or in the records of its packed shards."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import read_object
-from infrablend.core.finished import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, is_finished
-from infrablend.core.manifest import JOURNAL, REPLACED, Manifest
-from infrablend.core.run_layout import EXCLUDED_FILE, IMAGES, RUN_FILE, SCENES, SHARDS_FILE, ShardFiles
-from infrablend.errors import OutputError, Problem, Severity
-from infrablend.pipeline.excluded import require_choice
-from infrablend.pipeline.folder import FILES, RUN, RunFolder, is_edited
-from infrablend.pipeline.record import RecordError, load_record
-from infrablend.pipeline.shard_damage import damage_of
+from infrablend.core.files import read_object, sha256_of
+from infrablend.core.ledger import LEDGER, Ledger
+from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
+from infrablend.errors import Problem, Severity
+from infrablend.pipeline.exports import unknown_files
+from infrablend.pipeline.packed_shard import damage_of
 from infrablend.report.card import CARD_FILE
 
 CHANGED, GONE = "file-changed", "file-gone"
-_DATASETS = (CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE)
+_TODO = "repeat the command of the run with --resume, which makes missing pictures and writes the labels again"
 
 
 def changes_since_written(folder: Path, *, digests: bool = True) -> list[Problem]:
-    """Return a problem per file that was changed or removed since InfraBlend wrote it; none for other folders.
+    """Return a problem per file of a run that was changed or removed since it was written; none for other folders.
 
     Args:
-        folder: Folder of a run, conversion, split or extraction, or a folder inside it; then only files of that folder,
-            and the pictures of the run, are compared.
-        digests: Whether to read the pictures of a run; otherwise only their existence is checked.
+        folder: Folder of a run, or a folder inside it; then only files of that folder, and the pictures of the run, are
+            compared.
+        digests: Whether to read the files; otherwise only their sizes are compared.
     """
     inside = real_path(folder)
     if (inside / SHARDS_FILE).is_file():
         return list(_of_shards(inside, digests))
-    for root in (inside, *inside.parents):
-        part = inside.relative_to(root).parts[:1]
-        wanted = {*part, IMAGES, SCENES} if part else None
-        if (run := _finished(root / RUN_FILE)) is not None:
-            return [p for p in _of_run(root, run, digests) if wanted is None or p.where.split("/")[0] in wanted]
-        for name in _DATASETS:
-            record = _finished(root / name)
-            if record is not None:
-                problems = _of_dataset(root, record.get("written"))
-                return [p for p in problems if wanted is None or p.where.split("/")[0] in wanted]
+    for root in (inside, inside.parent):
+        if (root / LEDGER).is_file():
+            problems = list(_of_run(RunFolder(root), digests))
+            wanted = {inside.name, "images"}
+            return [p for p in problems if root == inside or p.where.split("/")[0] in wanted]
     return []
 
 
-def _finished(file: Path) -> Mapping[str, Any] | None:
-    record = read_object(file) if file.is_file() else None
-    return record if record is not None and "infrablend" in record and is_finished(record) else None
+def _of_run(folder: RunFolder, digests: bool) -> Iterator[Problem]:
+    with folder.ledger() as ledger:
+        for name, size, sha256 in _files(ledger):
+            path = folder.root / name
+            if not path.is_file():
+                yield Problem(name, GONE, "removed after InfraBlend wrote it", "the file as written", _TODO)
+            elif path.lstat().st_size != size or (digests and sha256_of(path, folder.root) != sha256):
+                # Texts for readers decide nothing; labels and pictures do.
+                level: Severity = "error" if "/" in name else "warning"
+                advice = f"{_TODO}. To edit labels, convert the run and edit the conversion"
+                yield Problem(name, CHANGED, "changed after InfraBlend wrote it", "the file as written", advice, level)
+        for name in unknown_files(folder, ledger):
+            yield Problem(name, "file-foreign", "not written by this run", "", "move it elsewhere", "warning")
 
 
-def _of_run(root: Path, run: Mapping[str, Any], digests: bool) -> Iterator[Problem]:
-    folder = RunFolder(root)
-    manifest = folder.manifest().read()
-    todo = "repeat the command of the run with --resume: it restores the file and keeps a changed one in log/replaced"
-    if is_edited(run):
-        yield Problem(RUN_FILE, CHANGED, "changed after InfraBlend wrote it", "the record as written", todo)
-    if isinstance(run.get(FILES), int) and (listed := len(folder.listed(manifest))) < run[FILES]:
-        found = f"lists {listed} files; {RUN_FILE} counts {run[FILES]}"
-        yield Problem("log/files.jsonl", GONE, found, "the list as the run wrote it", todo)
-    try:
-        require_choice(run, folder)
-    except OutputError as error:
-        yield Problem(EXCLUDED_FILE, CHANGED, error.message, "", "")
-    counted = (run.get("counts") or {}).get("frames") if isinstance(run.get("counts"), Mapping) else None
-    records = folder.records()
-    if isinstance(counted, int) and len(records) < counted:
-        found = f"{len(records)} records; {RUN_FILE} counts {counted} frames"
-        yield Problem(SCENES, GONE, found, "a record per frame", todo)
-    framed = set()  # these files have records of their own
-    for path in records:
-        name = path.relative_to(root).as_posix()
-        framed.add(name)
-        try:
-            record = load_record(path)
-        except RecordError as error:
-            yield Problem(name, CHANGED, str(error), "the record as the run wrote it", todo)
-            continue
-        image = f"{IMAGES}/{record.image}"
-        framed.add(image)
-        if not record.is_of(run.get(RUN)):
-            yield Problem(name, CHANGED, "a frame of another run", "the record as the run wrote it", todo)
-        if not (root / image).is_file():
-            yield _gone(image, todo)
-        elif digests and manifest.digest(image) != record.image_sha256:
-            yield Problem(image, CHANGED, "changed after InfraBlend wrote it", "the picture of its labels", todo)
-    advice = f"{todo}. To edit labels, convert the run and edit the conversion"
-    yield from _differences(manifest, (n for n in manifest.paths if n not in framed), advice)
+def _files(ledger: Ledger) -> Iterator[tuple[str, int, str]]:
+    """Yield path, size and digest of the files of a run; the last line of its card invites edits."""
+    excluded = ledger.excluded()
+    for frame_id, frame in ledger.done().items():
+        if frame_id not in excluded:
+            yield f"images/{frame.image}", frame.bytes, frame.sha256
+    yield from (file for file in ledger.exports() if file[0] != CARD_FILE)
 
 
 def _of_shards(root: Path, digests: bool) -> Iterator[Problem]:
     for marker in sorted(root.glob("shard-*-of-*.json")):
         record = read_object(marker) or {}
         todo = "repeat the command of the shard with --resume, which makes it again"
-        if is_edited(record):
-            yield Problem(marker.name, CHANGED, "changed after InfraBlend wrote it", "the record as written", todo)
         if (found := damage_of(ShardFiles(root, marker.stem), record, digests=digests)) is not None:
             yield Problem(marker.stem, CHANGED, found, "the shard as written", todo)
-
-
-def _of_dataset(root: Path, written: Any) -> Iterator[Problem]:
-    manifest = Manifest(root, root / JOURNAL, root / REPLACED).add_all(written)
-    todo = "nothing, if you edited it; --overwrite writes the dataset again and keeps the changed file in replaced"
-    yield from _differences(manifest, manifest.paths, todo, "warning")
-
-
-def _differences(
-    manifest: Manifest, names: Iterable[str], todo: str, severity: Severity = "error"
-) -> Iterator[Problem]:
-    for name in names:
-        if name == CARD_FILE or not manifest.has_content(name):
-            continue  # the last line of the card invites edits; a file without content was only begun
-        if not (manifest.root / name).exists():
-            yield _gone(name, todo)
-        elif not manifest.is_own(name):
-            # Texts for readers decide nothing; labels and pictures do.
-            level: Severity = severity if "/" in name else "warning"
-            yield Problem(name, CHANGED, "changed after InfraBlend wrote it", "the file as written", todo, level)
-
-
-def _gone(name: str, todo: str) -> Problem:
-    return Problem(name, GONE, "removed after InfraBlend wrote it", "the file as written", todo)

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from infrablend.core.camera import CameraSpec
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance
-from infrablend.core.files import DAMAGED, load_json
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.picture_place import require_outside_datasets
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
 from infrablend.report.preview import (
@@ -74,14 +73,8 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
     require_outside_datasets(run, out_png)
     cells = []
     for frame in load_frames(run, count):
-        path = RunLayout(run).record(frame.frame_id)
-        try:
-            scene = SceneSpec.from_json(load_json(path)["scene"])
-        except DAMAGED as error:
-            raise DatasetError(
-                f"{path}: not a readable frame record ({type(error).__name__}). Run `generate --resume`."
-            ) from error
-        if scene.view is None:
+        scene = RunFolder(run).record(frame.frame_id).scene
+        if scene is None or scene.view is None:
             raise DatasetError(
                 f"{run}: objects are placed as in the paper, without a real ground; expected a run with metric "
                 "placement. Use a recipe with placement.mode: metric, such as hit-uav-drone-physical."

@@ -25,8 +25,8 @@ from infrablend.core.files import DAMAGED, LinkOutError, load_json, read_regular
 from infrablend.core.masks import Mask
 from infrablend.core.output import require_replaceable
 from infrablend.core.picture_place import require_outside_datasets
-from infrablend.core.run_layout import RunLayout
-from infrablend.errors import DatasetError
+from infrablend.core.run_folder import RunFolder
+from infrablend.errors import DatasetError, OutputError
 from infrablend.formats.pictures import is_decodable
 from infrablend.report.picture_mark import CONTACT_SHEET, software_of
 
@@ -382,8 +382,8 @@ def preview_run(run: Path, out_png: Path, count: int = 12, draw: Sequence[Draw] 
 def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
     """Return frames of a run folder with their labels.
 
-    Labels are read from the COCO files. A run without these (interrupted, or with other formats) is read from its
-    frame records, which contain only the inserted objects.
+    Labels are read from the COCO files. A run without these is read from its ledger, which contains only the inserted
+    objects.
 
     Args:
         run: Folder of a run.
@@ -395,17 +395,13 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
     """
     if count is not None:
         require_whole("count", count, 1)
-    layout = RunLayout(run)
+    layout = RunFolder(run)
     documents = [(s, layout.coco_file(s)) for s in SPLITS]
     entries = [e for split, path in documents if path.is_file() for e in _coco_entries(run, split, path)]
     if not entries:
-        recorded = [_record_entry(run, path) for s in SPLITS for path in layout.records(s)]
-        entries = [e for e in recorded if e.path.is_file()]  # a killed run may have a record without its picture
+        entries = [_Entry(r.frame_id.split("/")[0], layout.image(r.image), r.inserted) for r in layout.records()]
     if not entries:
-        raise DatasetError(
-            f"{run}: found frames neither in coco/<split>.json nor in scenes/<split>/, expected the folder of a run. "
-            "Give the folder that `infrablend generate --out` wrote."
-        )
+        raise DatasetError(f"{run}: a run without frames; expected at least one")
     chosen = _spread([e for e in entries if any(i.inserted for i in e.instances)] or entries, count)
     return [
         PreviewFrame(_title(run, e), _read_pixels(run, e.path), e.instances, f"{e.split}/{e.path.stem}") for e in chosen
@@ -446,16 +442,6 @@ def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
         ) from e
 
 
-def _record_entry(run: Path, path: Path) -> _Entry:
-    try:
-        record = load_json(path)
-        split = str(record["frame_id"]).split("/")[0]
-        inserted = tuple(Instance.from_json(i) for i in record["inserted"])
-        return _Entry(split, RunLayout(run).image(str(record["image"])), inserted)
-    except DAMAGED as e:
-        raise DatasetError(f"{path}: not a frame record ({type(e).__name__}: {e}). Run `generate --resume`.") from e
-
-
 def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int, int]) -> Instance:
     x, y, w, h = (float(v) for v in a["bbox"])
     corners = finite(a["obb"]).reshape(4, 2) if a.get("obb") else None
@@ -482,8 +468,8 @@ def _mask(segmentation: Any, size_wh: tuple[int, int]) -> Mask | None:
 
 
 def _image_path(run: Path, split: str, file_name: str) -> Path:
-    usual = RunLayout(run).image(f"{split}/{file_name}")
-    others = (usual, RunLayout(run).image(file_name), run / file_name)
+    usual = RunFolder(run).image(f"{split}/{file_name}")
+    others = (usual, RunFolder(run).image(file_name), run / file_name)
     return next((path for path in others if path.is_file()), usual)
 
 
@@ -493,14 +479,14 @@ def _title(run: Path, entry: _Entry) -> str:
     parts = [f"{entry.split}/{name}"]
     facts: dict[str, Any] = {}
     try:
-        record = load_json(RunLayout(run).record(f"{entry.split}/{name}"))
-        facts = dict(record["background"])
-        if record["scene"] is not None:
+        record = RunFolder(run).record(f"{entry.split}/{name}")
+        facts = dict(record.background)
+        if record.scene is not None:
             # Pitch and height of the camera differ from the metadata if a recipe fixes or draws them.
-            facts["pitch_deg"] = math.degrees(record["scene"]["camera"]["pitch_rad"])
-            if (view := record["scene"].get("view")) is not None:
-                facts["altitude_m"] = round(view["stated_height_m"], 1)
-    except DAMAGED:
+            facts["pitch_deg"] = math.degrees(record.scene.camera.pitch_rad)
+            if (view := record.scene.view) is not None:
+                facts["altitude_m"] = round(view.stated_height_m, 1)
+    except OutputError:
         log.debug("%s: no record, so its title is shorter", entry.path)
     if facts.get("pitch_deg") is not None:
         parts.append(f"pitch {round(float(facts['pitch_deg']), 1):g}\u00b0")

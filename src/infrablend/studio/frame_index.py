@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from infrablend.core.dataset import finite
-from infrablend.core.file_names import leaves
-from infrablend.core.files import read_regular
-from infrablend.core.run_layout import RunLayout
 
 if TYPE_CHECKING:
     from infrablend.studio.disagreement import Disagreement
@@ -32,7 +27,6 @@ SORTS: Mapping[str, str] = {
 """Columns to sort by, with their names in the page."""
 
 NONE: Mapping[str, Disagreement] = {}
-UNREADABLE = "record cannot be read"
 
 
 @dataclass(frozen=True)
@@ -41,8 +35,8 @@ class FrameRow:
 
     Attributes:
         id: Id of the frame.
-        background: Id of its background; empty if the record cannot be read.
-        image: Path of its image below `images/`; empty if the record cannot be read.
+        background: Id of its background; empty until the record is read.
+        image: Path of its image below `images/`; empty until the record is read.
         digest: SHA-256 of the image.
         classes: Classes of its inserts, each once, sorted.
         boxes: Boxes of its inserts, `(left, top, right, bottom)`, pixels.
@@ -74,19 +68,9 @@ class FrameRow:
     warnings: tuple[str, ...] = ()
 
 
-def read_row(layout: RunLayout, record: Path) -> FrameRow:
-    """Return the row of a frame."""
-    try:
-        return row_of(json.loads(read_regular(record)))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return FrameRow(layout.frame_id(record), warnings=(UNREADABLE,))
-
-
 def row_of(record: Mapping[str, Any]) -> FrameRow:
     """Return the row of a frame's record."""
     inserted, background = record["inserted"], record["background"]
-    if leaves(record["image"]):
-        raise ValueError("a path that leads out of its folder")
     corners = [finite(i["box_xyxy"]) for i in inserted]
     boxes = tuple((float(x0), float(y0), float(x1), float(y1)) for x0, y0, x1, y1 in corners)
     extra = [i.get("extra") or {} for i in inserted]

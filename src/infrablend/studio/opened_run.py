@@ -11,11 +11,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from infrablend.core.finished import require_finished
-from infrablend.core.run_layout import SCENES
+from infrablend.core.run_folder import IMAGES, RunFolder
 from infrablend.errors import DatasetError, InfraBlendError, OutputError
 from infrablend.evaluation.files import RECORD
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.review import REVIEW_FILE
 from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.pictures import Thumbnails
@@ -43,14 +41,14 @@ class RunFrames:
         """Check the run, and begin to read its frames.
 
         Raises:
-            DatasetError: The run is being written, or has no frames.
-            OutputError: The folder is not a run.
+            DatasetError: The run has no frames.
+            OutputError: The folder is not a finished run.
         """
         self.layout = RunFolder(folder)
-        self.record: Mapping[str, Any] = self.layout.read_run()
-        require_finished(folder)
-        if not any((self.layout.root / SCENES).rglob("*.json")):
-            raise DatasetError(f"{folder}: a run without frames; expected at least one. Choose another run")
+        with self.layout.ledger() as ledger:
+            self.record: Mapping[str, Any] = ledger.read_run()
+            if not ledger.frame_ids():
+                raise DatasetError(f"{folder}: a run without frames; expected at least one. Choose another run")
         self.thumbnails = Thumbnails(self.layout)
         self._guard = threading.Lock()
         self._begin()
@@ -95,7 +93,7 @@ class RunFrames:
     def _begin(self) -> None:
         self._stamp = self._stamp_now()
         self.labels = RunLabels(self.layout)
-        self._reading = RowReading(self.layout, self.thumbnails.folder / "rows.json")
+        self._reading = RowReading(self.layout)
 
     def _stamp_now(self) -> int:
         try:
@@ -121,8 +119,8 @@ class OpenedRun(RunFrames):
             results: Further folders of reports on it.
 
         Raises:
-            DatasetError: The run is being written, or has no frames.
-            OutputError: The folder is not a run, its review is damaged, or another studio has it open.
+            DatasetError: The run has no frames.
+            OutputError: The folder is not a finished run, its review is damaged, or another studio has it open.
         """
         super().__init__(folder)
         self.review = Review(folder / REVIEW_FILE)
@@ -155,12 +153,12 @@ class OpenedRun(RunFrames):
 
     def _lock_is_stale(self) -> bool:
         with contextlib.suppress(OSError):
-            return not os.path.samestat(os.fstat(self._lock), (self.layout.root / SCENES).stat())
+            return not os.path.samestat(os.fstat(self._lock), (self.layout.root / IMAGES).stat())
         return False  # no folder to lock
 
     def _locked(self) -> int:
-        """Lock the folder of the records: it leaves no file, and does not keep commands from writing the run."""
-        folder = self.layout.root / SCENES
+        """Lock the folder of the pictures: it leaves no file, and does not keep commands from writing the run."""
+        folder = self.layout.root / IMAGES
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from infrablend.core.dataset import Instance
 from infrablend.core.file_names import is_inside
 from infrablend.core.files import LinkOutError, read_regular, write_bytes
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import DatasetError, OutputError
-from infrablend.pipeline.record import RecordError, load_record
 from infrablend.report.preview import INSERTED, decode_picture, draw_labels, to_rgb
 from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.run_labels import RunLabel
@@ -37,7 +36,7 @@ Rgb = NDArray[np.uint8]
 class Thumbnails:
     """Small pictures of a run's frames, cached in the user's cache folder by the digest of the frame's image."""
 
-    def __init__(self, layout: RunLayout) -> None:
+    def __init__(self, layout: RunFolder) -> None:
         """Use a cache folder of the run's own."""
         self._layout = layout
         place = hashlib.sha256(os.fsencode(os.path.realpath(layout.root))).hexdigest()[:24]
@@ -60,7 +59,7 @@ class Thumbnails:
         return data
 
 
-def read_pixels(layout: RunLayout, row: FrameRow) -> NDArray[Any]:
+def read_pixels(layout: RunFolder, row: FrameRow) -> NDArray[Any]:
     """Return the grey levels of a frame of a run.
 
     Raises:
@@ -108,7 +107,7 @@ def to_png(rgb: Rgb) -> bytes:
     return bytes(cv2.imencode(".png", rgb[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
-def frame_picture(layout: RunLayout, row: FrameRow, *, boxes: bool, originals: Sequence[RunLabel] = ()) -> bytes:
+def frame_picture(layout: RunFolder, row: FrameRow, *, boxes: bool, originals: Sequence[RunLabel] = ()) -> bytes:
     """Return the PNG of a frame, with the boxes and masks of its inserts if `boxes` is set.
 
     Args:
@@ -142,20 +141,16 @@ def with_originals(rgb: Rgb, originals: Sequence[RunLabel]) -> Rgb:
     return canvas
 
 
-def inserted_labels(layout: RunLayout, row: FrameRow) -> tuple[Instance, ...]:
+def inserted_labels(layout: RunFolder, row: FrameRow) -> tuple[Instance, ...]:
     """Return the labels of a frame's inserts.
 
     Raises:
-        DatasetError: The record cannot be read.
+        OutputError: The run has no such frame.
     """
-    path = layout.record(row.id)
-    try:
-        return load_record(path).inserted
-    except RecordError as error:
-        raise DatasetError(f"{path}: {error}; expected a frame record. Run `generate --resume`") from error
+    return layout.record(row.id).inserted
 
 
-def crop_picture(layout: RunLayout, row: FrameRow, number: int, *, zoom: int = 4) -> bytes:
+def crop_picture(layout: RunFolder, row: FrameRow, number: int, *, zoom: int = 4) -> bytes:
     """Return the PNG of an insert, enlarged without smoothing.
 
     Raises:

@@ -10,7 +10,7 @@ from typing import Any
 
 from infrablend.core.dataset import SPLITS, finite
 from infrablend.core.files import read_regular
-from infrablend.core.run_layout import PICTURE_TABLES, RunLayout
+from infrablend.core.run_folder import PICTURE_TABLES, RunFolder
 
 Box = tuple[float, float, float, float]
 
@@ -35,7 +35,7 @@ class RunLabel:
 class RunLabels:
     """The labels of all frames of a run, read when they are first asked for."""
 
-    def __init__(self, layout: RunLayout) -> None:
+    def __init__(self, layout: RunFolder) -> None:
         """Read nothing yet."""
         self._layout = layout
         self._lock = threading.Lock()
@@ -53,7 +53,7 @@ class RunLabels:
         return tuple(label for label in self.of(image) if not label.inserted)
 
 
-def _from_tables(layout: RunLayout) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
+def _from_tables(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
     for split, name in zip(SPLITS, PICTURE_TABLES, strict=True):
         try:
             lines = read_regular(layout.root / name, layout.root).splitlines()
@@ -71,7 +71,7 @@ def _from_tables(layout: RunLayout) -> Iterator[tuple[str, tuple[RunLabel, ...]]
                 continue
 
 
-def _from_coco(layout: RunLayout) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
+def _from_coco(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
     """Yield the labels of runs that have no tables, which older versions did not write."""
     for split in SPLITS:
         try:

@@ -9,7 +9,7 @@ import pytest
 
 from infrablend.formats import shard_tar
 from infrablend.pipeline import merge, shard_source, shard_table, sharded_run
-from infrablend.pipeline.folder import sealed
+from infrablend.core.run_folder import sealed
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed

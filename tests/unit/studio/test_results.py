@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError
 from infrablend.studio.disagreement import Disagreement, compare, read_disagreement
 from infrablend.studio.frame_index import FrameRow, View
@@ -100,9 +100,9 @@ def test_frames_are_sorted_by_the_disagreement_of_an_evaluation(tmp_path: Path) 
     evaluation = written(tmp_path / "evaluation", "evaluation.json", EVALUATION)
     written(evaluation, "predictions.json", predictions)
     images = [f"test/{n}.png" for n in "abc"]
-    found = read_disagreement(evaluation, RunLabels(RunLayout(run)), images)
+    found = read_disagreement(evaluation, RunLabels(RunFolder(run)), images)
     assert found == {"test/a.png": Disagreement(0, 0), "test/b.png": Disagreement(1, 1)}
     rows = [FrameRow(f"test/{n}_c0", image=f"test/{n}.png") for n in "abc"]
     assert View(sort="disagreement", descending=True).apply(rows, {}, found) == [1, 0, 2]
     with pytest.raises(DatasetError, match="not an evaluation"):
-        read_disagreement(run, RunLabels(RunLayout(run)), images)
+        read_disagreement(run, RunLabels(RunFolder(run)), images)

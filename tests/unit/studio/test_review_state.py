@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.review import Verdict, read_verdicts
 from infrablend.studio.frame_index import UNREADABLE, FrameRow, View, read_row
@@ -65,7 +65,7 @@ def test_rows_are_read_from_the_records_and_damaged_ones_are_shown(tmp_path: Pat
     (tmp_path / "scenes/test/b_c0.json").write_text("{")
     leaving = frame_record("test/c_c0") | {"image": "../../../etc/passwd"}
     (tmp_path / "scenes/test/c_c0.json").write_text(json.dumps(leaving))
-    a, b, c = RowReading(RunLayout(tmp_path), tmp_path / "cache.json").wait()
+    a, b, c = RowReading(RunFolder(tmp_path), tmp_path / "cache.json").wait()
     assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (("drone",), 10, 12, 60)
     assert b.warnings == c.warnings == (UNREADABLE,)
 
@@ -74,11 +74,11 @@ def test_rows_of_an_earlier_studio_are_taken_unless_the_record_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = [f"test/{n}_c0" for n in "abc"]
-    layout, cache = RunLayout(write_run(tmp_path / "run", {n: frame_record(n) for n in names})), tmp_path / "rows.json"
+    layout, cache = RunFolder(write_run(tmp_path / "run", {n: frame_record(n) for n in names})), tmp_path / "rows.json"
     first = RowReading(layout, cache).wait()
     read: list[str] = []
 
-    def counted(of: RunLayout, record: Path) -> FrameRow:
+    def counted(of: RunFolder, record: Path) -> FrameRow:
         read.append(record.stem)
         return read_row(of, record)
 

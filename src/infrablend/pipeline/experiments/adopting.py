@@ -15,12 +15,11 @@ from infrablend.config.loading import read_recipe
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import LINK_OUT, link_or_copy, load_json
-from infrablend.core.run_layout import RUN_FILE
+from infrablend.core.run_folder import RUN_FILE, RunFolder
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.job import StageJob
 from infrablend.pipeline.experiments.recipe_inputs import deciding_fields
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.plan import make_plan
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.training.presets import Preset
@@ -95,7 +94,6 @@ def _check_run(job: StageJob, folder: Path) -> None:
         keys.append(make_plan(recipe, part, seed).key["backgrounds"])
     backgrounds = (record.get("key") or {}).get("backgrounds")
     pairs = {
-        "status": (record.get("status"), "complete"),
         "seed": (record.get("seed"), seed),
         "version": (record.get("infrablend"), __version__),
         "renderer": ((record.get("machine") or {}).get("renderer"), job.request.renderer),

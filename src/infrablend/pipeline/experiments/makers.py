@@ -9,7 +9,7 @@ from typing import Any
 
 from infrablend.config.experiment import Convert, Evaluation, Generate, Resplit, Training
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.run_layout import RUN_FILE
+from infrablend.core.run_folder import RUN_FILE
 from infrablend.core.tasks import paced
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations

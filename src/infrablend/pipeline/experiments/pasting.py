@@ -19,7 +19,7 @@ from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, TimeOfDay
 from infrablend.core.files import link_or_copy
 from infrablend.core.rng import stream
-from infrablend.core.run_layout import RunLayout
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.skyline import find_skyline
 from infrablend.core.tasks import paced
 from infrablend.errors import DatasetError, Problem
@@ -27,7 +27,6 @@ from infrablend.formats import coco
 from infrablend.formats.images import Background, load_background, save_image
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.job import StageJob
-from infrablend.pipeline.record import read_record
 
 # Cut-outs tried at the place of an insert, then elsewhere in the sky, and places in the sky tried for each.
 _THERE, _ELSEWHERE, _PLACES = 8, 8, 40
@@ -45,15 +44,12 @@ def make_paste(job: StageJob) -> dict[str, Any]:
         found = f"no usable object of {spec.category} in the split {spec.split}; unusable: {dict(unusable) or 'none'}"
         problem = Problem(job.stage.id, "class-none", found, "objects that stand out from their surroundings")
         raise DatasetError(f"{job.stage.id}: nothing to paste", [problem])
-    made, scenes, out = read_dataset(run.dataset), RunLayout(run.dataset.parent), job.empty_out()
+    made, scenes, out = read_dataset(run.dataset), RunFolder(run.dataset.parent), job.empty_out()
     paster = Paster(cuts, spec.category, job.stage.inputs["seed"])
     report = paced(job.on_progress)
     images = []
     for number, frame in enumerate(made.images, 1):
-        record = read_record(scenes.record(f"{frame.split}/{Path(frame.name).with_suffix('').as_posix()}"))
-        if record is None:
-            problem = Problem(frame.id, "frame-record", "no record of the frame", "the record that the run wrote")
-            raise DatasetError(f"{job.stage.id}: the run {spec.like} is incomplete; delete {run.folder}", [problem])
+        record = scenes.record(f"{frame.split}/{Path(frame.name).with_suffix('').as_posix()}")
         background = onto.dataset / record.background["path"]
         images.append(paster.replace_inserts(frame, background, out / "images" / frame.split / frame.name))
         if report is not None:

@@ -1,12 +1,13 @@
-"""Writes the label files and the card of a run from its frame records once all frames are finished."""
+"""Exports a run from its ledger once all frames are finished: labels in each format, and the card."""
 
 from __future__ import annotations
 
 import math
+import os
 import statistics
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,19 +15,21 @@ from typing import Any
 from infrablend.annotation.looseness import Looseness
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.run_layout import EIGHT_BIT, IMAGES
+from infrablend.core.files import sha256_of
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.ledger import LEDGER, Ledger
+from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
 from infrablend.core.spool import Spool
 from infrablend.core.stored_images import store_images
+from infrablend.core.workspace import Workspace
 from infrablend.errors import Problem
 from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
 from infrablend.formats.writing import WriteSettings
 from infrablend.pipeline.card import run_card
 from infrablend.pipeline.eight_bit import eight_bit_copies
-from infrablend.pipeline.folder import RunFolder
 from infrablend.pipeline.labelled import labelled_image
 from infrablend.pipeline.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.run_warnings import (
     absent_warnings,
     air_warnings,
@@ -57,49 +60,25 @@ class LabelSummary:
     problems: tuple[Problem, ...] = ()
 
 
-@dataclass(frozen=True)
-class FinishedFrames:
-    """Finished frames of a run, in the order of the plan.
-
-    Attributes:
-        frames: The frames.
-        records: Record of each; all but the first are on disk, see `Spool`.
-    """
-
-    frames: list[PlannedFrame]
-    records: Spool[FrameRecord]
-
-    @classmethod
-    def none(cls, folder: RunFolder) -> FinishedFrames:
-        """Return no frames, to be added to; the records are on the disk of the folder of the run."""
-        return cls([], Spool(folder.root))
-
-    def add(self, frame: PlannedFrame, record: FrameRecord) -> None:
-        """Add a frame."""
-        self.frames.append(frame)
-        self.records.append(record)
-
-
-def read_frames(plan: RunPlan, folder: RunFolder) -> FinishedFrames:
-    """Return the frames that have a record, in the order of the plan."""
-    found = FinishedFrames.none(folder)
-    for frame in plan.frames:
-        if (record := read_record(folder.record(frame.frame_id))) is not None:
-            found.add(frame, record)
-    return found
-
-
-def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFrames) -> LabelSummary:
-    """Write the card and all formats of the recipe; the same records give the same bytes.
+def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequence[PlannedFrame]) -> LabelSummary:
+    """Write the card and all formats of the recipe; the same ledger gives the same bytes.
 
     One record is in memory at a time beyond the first `spool.IN_MEMORY`, whatever the number of frames.
+
+    Args:
+        plan: Plan of the run.
+        folder: Its folder.
+        ledger: Its ledger.
+        frames: Its finished frames, in the order of the plan.
     """
-    records = finished_frames.records
+    records: Spool[FrameRecord] = Spool(folder.root)  # on disk, see `Spool`
+    for record in ledger.records(f.frame_id for f in frames):
+        records.append(record)
     loosened, looseness = 0, Looseness.of_labels(plan.recipe.labels)
 
     def labelled() -> Iterator[ImageRecord]:
         nonlocal loosened
-        for frame, record in zip(finished_frames.frames, records, strict=True):
+        for frame, record in zip(frames, records, strict=True):
             # The records keep the exact boxes.
             image, count = labelled_image(frame, record, folder.image(record.image), looseness)
             loosened += count
@@ -132,6 +111,69 @@ def write_formats(plan: RunPlan, folder: RunFolder, finished_frames: FinishedFra
     # The three YOLO formats warn alike of a missing split.
     unique = tuple(dict.fromkeys(problems))
     return replace(finished, losses=dict(sorted(losses.items())), problems=unique)
+
+
+def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
+    """Delete what an earlier call exported, and pictures without a finished frame.
+
+    Raises:
+        OutputError: It cannot be deleted.
+    """
+    space.clear(keep=(IMAGES, EXCLUDED, WORKERS_LOG, LEDGER, f"{LEDGER}-journal"))
+    out = ledger.excluded()
+    images = {f"{IMAGES}/{frame.image}" for frame_id, frame in ledger.done().items() if frame_id not in out}
+    for name in _files_below(folder.root, IMAGES):
+        if name not in images:
+            (folder.root / name).unlink()
+
+
+def list_exports(folder: RunFolder, ledger: Ledger, foreign: Collection[str]) -> Iterator[tuple[str, int, str]]:
+    """Yield path, size and digest of all files of a run but its pictures, for the ledger.
+
+    Args:
+        folder: The run.
+        ledger: Its ledger.
+        foreign: Names at the top of the folder that are not part of the run.
+    """
+    done = ledger.done().values()
+    pictures = {f"{IMAGES}/{frame.image}" for frame in done}
+    # Label folders have hard links to the pictures, which need not be read again.
+    known = {path.stat().st_ino: f.sha256 for f in done if (path := folder.image(f.image)).is_file()}
+    left_out = {*foreign, EXCLUDED, WORKERS_LOG, RUN_FILE, LEDGER, f"{LEDGER}-journal", ".workspace.json"}
+    for top in sorted({p.name for p in folder.root.iterdir()} - left_out):
+        for name in [top] if (folder.root / top).is_file() else _files_below(folder.root, top):
+            if name not in pictures:
+                status = (folder.root / name).stat()
+                yield name, status.st_size, known.get(status.st_ino) or sha256_of(folder.root / name, folder.root)
+
+
+def lost_exports(folder: RunFolder, ledger: Ledger) -> list[str]:
+    """Return the files of a finished run, other than pictures, that are gone or have another size."""
+    return [name for name, size, _ in ledger.exports() if not _has_size(folder.root / name, size)]
+
+
+def unknown_files(folder: RunFolder, ledger: Ledger) -> list[str]:
+    """Return the files in the folders of a run that are neither its pictures nor its exports, sorted."""
+    exports = {name for name, _, _ in ledger.exports()}
+    known = exports | {f"{IMAGES}/{frame.image}" for frame in ledger.done().values()}
+    tops = {name.split("/")[0] for name in exports if "/" in name} | {IMAGES}
+    return [name for top in sorted(tops) for name in _files_below(folder.root, top) if name not in known]
+
+
+def _has_size(path: Path, size: int) -> bool:
+    try:
+        return path.lstat().st_size == size
+    except OSError:
+        return False
+
+
+def _files_below(root: Path, top: str) -> list[str]:
+    """Return the files below a folder, relative to `root`, sorted."""
+    found = []
+    for folder, _, names in os.walk(root / top):
+        inside = Path(folder).relative_to(root).as_posix()
+        found += [f"{inside}/{name}" for name in names]
+    return sorted(found)
 
 
 def _write_eight_bit(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord], agc: Agc) -> list[Problem]:
