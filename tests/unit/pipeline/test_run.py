@@ -18,9 +18,9 @@ from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.plan import make_plan
-from infrablend.pipeline.record import FrameRecord, read_record
+from infrablend.core.frame_record import FrameRecord
 from infrablend.pipeline.run_warnings import absent_warnings, limit_warnings
-from tests.run_files import without_times
+from tests.run_files import hashes, without_times
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
 SPLIT = {"train": NAMES[:2], "val": NAMES[2:3], "test": NAMES[3:]}
@@ -73,23 +73,6 @@ def dataset(tmp_path) -> Path:
 def generate(data, out, **kwargs):
     options = {"execution": api.Execution(renderer="flat", in_process=True), "settings": ["output.image=png"]}
     return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
-
-
-def hashes(run: Path) -> dict[str, str]:
-    """Digest of every file but logs; of run.json and the report without the timing and the machine's facts."""
-    found = {}
-    for path in sorted(p for p in run.rglob("*") if p.is_file()):
-        name = path.relative_to(run).as_posix()
-        if name.startswith("log/"):
-            continue
-        data = without_times(name, path.read_bytes())
-        if name == "run.json":
-            record = json.loads(data)
-            for key in ("timing", "machine"):
-                record.pop(key)
-            data = json.dumps(record, sort_keys=True).encode()
-        found[name] = hashlib.sha256(data).hexdigest()
-    return found
 
 
 def test_run_end_to_end(dataset, tmp_path):
