@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from infrablend.pipeline.record import read_record
 from PIL import Image
 
 from infrablend import api
 from infrablend.compositing.overlay import blur_radius_px
 from infrablend.core.tasks import Progress
 from infrablend.errors import Interrupted
-from infrablend.pipeline.record import read_record
 from tests.run_files import without_times
 
 SETTINGS = {"output.image": "png", "objects.0.count": 2, "placement.size_px": [10, 160]}

@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import read_record
 
 from infrablend import api
 from infrablend.core.margin import find_margin
-from infrablend.pipeline.record import read_record
 
 
 @pytest.mark.realdata

@@ -5,9 +5,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import read_record
 
 from infrablend import api
-from infrablend.pipeline.record import read_record
 
 STATED = ["camera.pitch={fixed_deg: 45}", "camera.altitude={fixed_m: 60}"]
 CASES = [

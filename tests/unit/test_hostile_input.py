@@ -17,11 +17,11 @@ from infrablend.assets.user_model import read_description
 from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.config.loading import list_recipes, load_recipe, parse_recipe
 from infrablend.core.files import part_path
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import scratch
 from infrablend.pipeline import request, run
-from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.generate import prepare_run
 from infrablend.pipeline.request import Execution, RunRequest
 

@@ -38,6 +38,7 @@ CREATE TABLE frames (
     failure TEXT,               -- JSON: why there is no picture
     excluded TEXT               -- reason for which the frame is left out of the finished run
 ) WITHOUT ROWID;
+CREATE TABLE tracebacks (frame_id TEXT PRIMARY KEY, text TEXT) WITHOUT ROWID;  -- of failures; differ between equal runs
 CREATE TABLE records (frame_id TEXT PRIMARY KEY, record TEXT NOT NULL);  -- JSON, see `FrameRecord`
 CREATE TABLE backgrounds (path TEXT PRIMARY KEY, bytes INTEGER, changed_ns INTEGER, sha256 TEXT) WITHOUT ROWID;
 CREATE TABLE exports (path TEXT PRIMARY KEY, bytes INTEGER, sha256 TEXT) WITHOUT ROWID;  -- files of the finished run
@@ -179,13 +180,14 @@ class Ledger:
     def add_failure(self, frame_id: str, failure: Failure) -> None:
         """Note why a frame has no picture; a later call tries it again."""
         self.forget(frame_id)
-        text = _text({**failure.to_json(), "traceback": failure.traceback})
-        self._write("INSERT INTO frames (frame_id, failure) VALUES (?, ?)", frame_id, text)
+        self._write("INSERT INTO frames (frame_id, failure) VALUES (?, ?)", frame_id, _text(failure.to_json()))
+        self._write("INSERT INTO tracebacks VALUES (?, ?)", frame_id, failure.traceback)
 
     def forget(self, frame_id: str) -> None:
         """Remove a frame that has to be made again."""
         self._write("DELETE FROM frames WHERE frame_id = ?", frame_id)
         self._write("DELETE FROM records WHERE frame_id = ?", frame_id)
+        self._write("DELETE FROM tracebacks WHERE frame_id = ?", frame_id)
 
     def done(self) -> dict[str, DoneFrame]:
         """Return the frames that have a picture, excluded ones too, by id."""
@@ -199,8 +201,9 @@ class Ledger:
 
     def failures(self) -> dict[str, Failure]:
         """Return why frames have no picture, by id."""
-        rows = self._rows("SELECT frame_id, failure FROM frames WHERE failure IS NOT NULL ORDER BY frame_id")
-        return {frame_id: Failure.from_json(json.loads(text)) for frame_id, text in rows}
+        query = "SELECT frame_id, failure, text FROM frames LEFT JOIN tracebacks USING (frame_id)"
+        rows = self._rows(f"{query} WHERE failure IS NOT NULL ORDER BY frame_id")
+        return {frame_id: Failure.from_json({**json.loads(text), "traceback": t or ""}) for frame_id, text, t in rows}
 
     def record_text(self, frame_id: str) -> str:
         """Return the record of a frame as it was added.

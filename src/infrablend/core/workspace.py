@@ -31,7 +31,7 @@ from typing import Any, Literal, get_args
 from infrablend import __version__
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import real_path
-from infrablend.core.files import output_error, read_object, write_json
+from infrablend.core.files import output_error, part_path, read_object, write_json
 from infrablend.core.typed_command import command_facts, recorded_command
 from infrablend.errors import OutputError
 
@@ -287,7 +287,9 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
     """
     root, partial = space.out, space.partial
     entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
-    left = sorted(p.name for p in partial.iterdir())
+    left = sorted(
+        {p.name for p in partial.iterdir()} - {part_path(partial / NOTE).name}
+    )  # a kill may leave half a note
     started = read_object(partial / NOTE) is not None
     if left and not started:
         raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(left)}. Move it away.")

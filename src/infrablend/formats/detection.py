@@ -14,7 +14,7 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
 from infrablend.core.format_table import FORMATS, Format, find_format
-from infrablend.core.run_folder import SHARDS_FILE
+from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
@@ -171,8 +171,10 @@ def _require_merged(root: Path) -> None:
         DatasetError: It is one.
     """
     plan = read_object(root / SHARDS_FILE) or {}
-    if "shards" in plan and plan.get("layout") != "shards":
-        found, todo = "shards of a run, which have no label files", f"merge them: infrablend merge {root} DST"
+    one = "shard" in (read_object(root / RUN_FILE) or {})
+    if one or ("shards" in plan and plan.get("layout") != "shards"):
+        found = "shards of a run, which have no label files"
+        todo = f"merge them: infrablend merge {root.parent if one else root} DST"
         raise DatasetError(f"{root}: cannot be read", [Problem(str(root), "shards-unmerged", found, "a dataset", todo)])
 
 

@@ -8,7 +8,6 @@ Headers are constant, so that equal frames give equal bytes.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import tarfile
 from collections import Counter
@@ -29,7 +28,6 @@ from infrablend.formats.coco import FLIGHT_FIELDS
 LABEL = "json"
 SCENE = "scene.json"
 _BLOCK = 512
-_CHUNK = 2**20
 _NUMBER, _TEXT = (int, float, type(None)), (str, type(None))
 _FACTS: Mapping[str, tuple[type, ...]] = {
     **dict.fromkeys(("pitch_deg", "altitude_m", "hfov_deg", "roll_deg"), _NUMBER),
@@ -126,37 +124,6 @@ class TarWriter:
         self._tar.addfile(info, BytesIO(data))
         self._tar.members.clear()  # type: ignore[attr-defined]  # the list of all files would grow with the tar
         return int(self._tar.offset) - _padded(len(data))
-
-    def add_files_of(self, tar: BinaryIO, seen: int) -> tuple[int, str]:
-        """Append all files of another tar that a `TarWriter` wrote, without unpacking them.
-
-        Args:
-            tar: The other tar.
-            seen: End of the content of one of its last files, from which on the end of the last one is looked for; 0 if
-                it is empty.
-
-        Returns:
-            How much larger offsets are here than in the other tar, and the SHA-256 of the other tar.
-
-        Raises:
-            OSError, tarfile.TarError: The other tar cannot be read.
-        """
-        shift, left, digest = int(self._tar.offset), _end_of_files(tar, _padded(seen)), hashlib.sha256()
-        tar.seek(0)
-        while chunk := tar.read(_CHUNK):
-            digest.update(chunk)
-            files = chunk[:left]
-            self._tar.fileobj.write(files)
-            self._tar.offset += len(files)
-            left -= len(files)
-        return shift, digest.hexdigest()
-
-
-def _end_of_files(tar: BinaryIO, start: int) -> int:
-    """Return the end of the last file of a tar, reading headers from `start` on."""
-    tar.seek(start)
-    with tarfile.open(fileobj=tar, mode="r:") as rest:
-        return max((_padded(i.offset_data + i.size) for i in rest), default=start)
 
 
 def _padded(size: int) -> int:

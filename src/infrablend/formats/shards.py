@@ -6,6 +6,7 @@ shards.json   shard-00001-of-00002.tar   shard-00001-of-00002.parquet   shard-00
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -94,6 +95,15 @@ class _Frames:
     def __init__(self, root: Path, wanted: Collection[str]) -> None:
         self._root, self._wanted = root, wanted
         self._shards = _markers(root)
+        count = (read_object(root / SHARDS_FILE) or {}).get("shards")
+        if len(self._shards) != count:
+            found = f"{len(self._shards)} of {count} shards"
+            todo = (
+                f"finish them, see infrablend status {shlex.quote(str(root))}; or merge those that are finished: "
+                "infrablend merge --partial"
+            )
+            problem = Problem(str(root), "shards-unmerged", found, "all shards", todo)
+            raise DatasetError(f"{root}: belongs to an unfinished run in shards", [problem])
         self._categories: tuple[Category, ...] = ()
         self._source: object = None
         self.problems: list[Problem] = []

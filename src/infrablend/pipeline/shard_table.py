@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -61,7 +60,6 @@ class TableWriter:
 
         self._ids = ids
         self._rows: list[dict[str, Any]] = []
-        self._tables: list[Any] = []  # rows of other tables
         # The compression is stated, because another default would give other bytes.
         self._writer = pq.ParquetWriter(path, _schema(), compression="zstd", version="2.6")
 
@@ -71,7 +69,6 @@ class TableWriter:
     def __exit__(self, kind: object, error: object, at: object) -> None:
         if kind is None:
             self._write()
-            self._write_tables(1)
         self._writer.close()
 
     def add(self, record: FrameRecord, image: ImageRecord, key: str, files: Mapping[str, Any]) -> None:
@@ -103,37 +100,6 @@ class TableWriter:
         if len(self._rows) == _ROWS:
             self._write()
 
-    def add_rows_of(self, table: Path, shift: int) -> None:
-        """Append all rows of another table that a `TableWriter` wrote.
-
-        Args:
-            table: The other table.
-            shift: How much larger the offsets of the pictures are in the tar of this table.
-
-        Raises:
-            OSError, pyarrow.ArrowException: The other table cannot be read.
-        """
-        import pyarrow as pa
-        import pyarrow.compute as pc
-        import pyarrow.parquet as pq
-
-        schema = _schema()
-        offset = schema.get_field_index("image_offset")
-        with pq.ParquetFile(table) as file:
-            for batch in file.iter_batches(_ROWS):
-                rows = pa.Table.from_batches([batch]).cast(schema)
-                self._tables.append(rows.set_column(offset, schema.field(offset), pc.add(rows[offset], shift)))
-                self._write_tables(_ROWS)
-
-    def _write_tables(self, least: int) -> None:
-        """Write the rows taken from other tables in groups of the usual size, as long as there are at least so many."""
-        import pyarrow as pa
-
-        while sum(t.num_rows for t in self._tables) >= least:
-            rows = pa.concat_tables(self._tables)
-            self._writer.write_table(rows[:_ROWS].combine_chunks())
-            self._tables = [rows[_ROWS:]] if rows.num_rows > _ROWS else []
-
     def _object(self, instance: Instance) -> dict[str, Any]:
         corners, mask = instance.corners_xy, instance.mask
         return {
@@ -154,32 +120,6 @@ class TableWriter:
         if self._rows:
             self._writer.write_table(pa.Table.from_pylist(self._rows, _schema()))
             self._rows = []
-
-
-@dataclass(frozen=True)
-class PackedPictures:
-    """What the table of a shard says about the pictures in its tar.
-
-    Attributes:
-        frames: Ids of the frames, in their order.
-        end: End of the content of the last picture, as an offset in the tar; 0 if there is none.
-    """
-
-    frames: tuple[str, ...]
-    end: int
-
-
-def packed_pictures(table: Path) -> PackedPictures:
-    """Return what the table of a shard says about its pictures.
-
-    Raises:
-        OSError, pyarrow.ArrowException: The table cannot be read.
-    """
-    import pyarrow.parquet as pq
-
-    columns = pq.read_table(table, columns=["frame_id", "image_offset", "image_bytes"]).to_pydict()
-    ends = [a + b for a, b in zip(columns["image_offset"], columns["image_bytes"], strict=True)]
-    return PackedPictures(tuple(columns["frame_id"]), max(ends, default=0))
 
 
 def _draws(scene: SceneSpec) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import read_record
 from PIL import Image
 
 from infrablend import api
@@ -25,7 +26,6 @@ from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
 from infrablend.formats.images import encode_image, load_background
 from infrablend.pipeline.frame import nearest_range_m
-from infrablend.pipeline.record import read_record
 
 LEVELS = (16.0, 235.0)
 GREY = GreyMapping(0.0, 255.0, (0.0, 255.0))

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from infrablend.pipeline.record import read_record
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Instance
 from infrablend.formats import detection
-from infrablend.pipeline.record import read_record
 from infrablend.pipeline.request import Execution
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import FrameKey, sample_scene

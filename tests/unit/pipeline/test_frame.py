@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import FrameRecord, read_record
 from PIL import Image
 
 from infrablend import api
@@ -14,7 +15,6 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import LocalMatching
 from infrablend.errors import DatasetError
 from infrablend.pipeline.frame_settings import local_settings
-from infrablend.pipeline.record import FrameRecord, read_record
 
 RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")
 

@@ -9,13 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import FrameRecord, read_record
 from PIL import Image
 
 from infrablend import api
 from infrablend.compositing.occlusion import Occluder, Scenery
 from infrablend.config.recipe import Occlusion
 from infrablend.pipeline.occlusion import Cover
-from infrablend.pipeline.record import FrameRecord, read_record
 
 SHARE = "occlusion={share: 1, visible: [0.4, 0.75]}"
 

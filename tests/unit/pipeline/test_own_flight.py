@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from infrablend.pipeline.record import FrameRecord, read_record
 from PIL import Image
 
 from infrablend import api
@@ -14,7 +15,6 @@ from infrablend.errors import DatasetError
 from infrablend.formats.rjpeg.lens import fov_of_35mm
 from infrablend.formats.rjpeg.writing import Maker
 from infrablend.pipeline.generate import prepare_run
-from infrablend.pipeline.record import FrameRecord, read_record
 from infrablend.pipeline.request import RunRequest
 from tests.flights import SIZE_WH, flight, shot
 

@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import FrameRecord, read_record
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -19,7 +20,6 @@ from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.record import FrameRecord, read_record
 
 AIR_C = 12.0
 _UM = np.linspace(8e-6, 14e-6, 2001)

@@ -1,7 +1,6 @@
 """The pipeline with the flat renderer, on a small dataset in HIT-UAV's layout."""
 
 import dataclasses
-import hashlib
 import json
 import os
 import shutil
@@ -14,13 +13,13 @@ from PIL import Image
 from infrablend import api
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.plan import make_plan
-from infrablend.core.frame_record import FrameRecord
 from infrablend.pipeline.run_warnings import absent_warnings, limit_warnings
-from tests.run_files import hashes, without_times
+from tests.run_files import hashes
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
 SPLIT = {"train": NAMES[:2], "val": NAMES[2:3], "test": NAMES[3:]}

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
-from infrablend.core import checked_files, spool
-from infrablend.core.output import OutputFolder
+from infrablend.core import spool
+from infrablend.core.ledger import Ledger
+from infrablend.core.workspace import workspace
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.shard import Shard, ShardRequest
@@ -72,20 +73,6 @@ def test_merged_shards_have_the_bytes_of_one_run(dataset, tmp_path, monkeypatch)
     done("check", tmp_path / "merged7")
 
 
-def test_merge_reads_every_picture_once(dataset, tmp_path, monkeypatch):
-    make_shards(dataset, tmp_path / "out", 2)
-    read = []
-    sha256_of = checked_files.sha256_of
-
-    def counted(path: Path, folder: Path | None = None) -> str:
-        read.append(path.name)
-        return sha256_of(path, folder)
-
-    monkeypatch.setattr(checked_files, "sha256_of", counted)
-    done("merge", tmp_path / "out", tmp_path / "merged")
-    assert len(read) == len(set(read)) == sum(p.is_file() for p in (tmp_path / "merged/images").rglob("*.jpg"))
-
-
 def test_levels_are_those_of_the_plan(dataset, tmp_path):
     make_shards(dataset, tmp_path / "out", 3, only=range(1, 2))
     shared = json.loads((tmp_path / "out/shards.json").read_text())
@@ -100,9 +87,9 @@ def test_levels_are_those_of_the_plan(dataset, tmp_path):
 def test_status_and_unfinished_shards(dataset, tmp_path):
     out = tmp_path / "out"
     make_shards(dataset, out, 3, only=range(1, 3))
-    record = out / "shard-00002-of-00003/run.json"
-    record.write_text(json.dumps({**json.loads(record.read_text()), "status": "running"}))  # as a kill leaves it
-    with OutputFolder(out / "shard-00001-of-00003", "shard").claimed():
+    with workspace(out / "shard-00002-of-00003", "shard", "run.json", "resume", keep=True) as space:
+        space.reopen()  # as a kill leaves it
+    with workspace(out / "shard-00001-of-00003", "shard", "run.json", "resume", keep=True):
         ended = run("status", out, "--json")
     assert ended.exit_code == 1
     assert [s["state"] for s in json.loads(ended.stdout)["shards"]] == ["running", "stopped", "missing"]
@@ -117,8 +104,8 @@ def test_status_and_unfinished_shards(dataset, tmp_path):
 
     # The finished part is the run of its frames.
     done("merge", "--partial", out, tmp_path / "part")
-    ids = [f"{p.parent.name}/{p.stem}" for p in sorted((out / "shard-00001-of-00003/scenes").rglob("*.json"))]
-    frames = ",".join(ids)
+    with Ledger.open(out / "shard-00001-of-00003") as ledger:
+        frames = ",".join(ledger.frame_ids())
     done(*command(dataset, tmp_path / "chosen", "--frames", frames))
     assert hashes(tmp_path / "part") == hashes(tmp_path / "chosen")
 
@@ -130,7 +117,7 @@ def test_status_and_unfinished_shards(dataset, tmp_path):
 
 def test_two_jobs_on_one_shard(dataset, tmp_path):
     make_shards(dataset, tmp_path / "out", 3, only=range(1, 2))
-    with OutputFolder(tmp_path / "out/shard-00002-of-00003", "shard").claimed():
+    with workspace(tmp_path / "out/shard-00002-of-00003", "shard", "run.json"):
         ended = run(*command(dataset, tmp_path / "out", "--shard", "2/3"))
         assert ended.exit_code == 2
         assert "another process is writing this shard" in ended.output
@@ -143,15 +130,6 @@ def test_shard_with_folders_as_texts(dataset, tmp_path):
     request = api.RunRequest("hit-uav-drone", str(dataset), out, execution=flat, shard=ShardRequest(1, 3))  # type: ignore[arg-type]
     report = api.generate_shard(request)
     assert report.counts["frames"] and (tmp_path / "out" / "shard-00001-of-00003").is_dir()
-
-
-def test_temporary_plans_of_killed_jobs_are_removed(dataset, tmp_path):
-    out = tmp_path / "out"
-    out.mkdir()
-    for name in (".shards.other.123.part.json", ".shards.notes.json"):
-        (out / name).write_text("half")
-    make_shards(dataset, out, 3, only=range(1, 2))
-    assert sorted(p.name for p in out.iterdir()) == [".shards.notes.json", "shard-00001-of-00003", "shards.json"]
 
 
 @pytest.mark.parametrize(
@@ -194,34 +172,6 @@ def test_shards_of_other_runs(dataset, tmp_path):
     assert not (tmp_path / "merged").exists()
 
 
-@pytest.mark.parametrize(
-    ("damage", "words"),
-    [
-        (lambda record: record["recipe"]["placement"].update(mode="nowhere"), "ValidationError"),
-        (lambda record: record["recipe"].update(output=[]), "TypeError"),
-        (lambda record: record["machine"].pop("renderer"), "machine.renderer"),
-        (lambda record: record.update(machine=3), "machine: "),
-        (lambda record: record.update(data=None), "data: "),
-        (lambda record: record.update(seed="x"), "seed"),
-        (lambda record: record.setdefault("request", {}).update(reading={"what": 1}), "what"),
-        (lambda record: record.setdefault("request", {}).update(selection={"limit": -1}), "limit"),
-    ],
-)
-def test_damaged_records_are_named(dataset, tmp_path, damage, words):
-    out = tmp_path / "out"
-    make_shards(dataset, out, 1)
-    file = out / "shard-00001-of-00001" / "run.json"
-    record = json.loads(file.read_text())
-    del record["sha256"]  # an earlier version wrote none
-    damage(record)
-    file.write_text(json.dumps(record))
-    ended = run("merge", out, tmp_path / "merged")
-    assert ended.exit_code == 2, ended.output
-    assert "run.json: damaged" in ended.output.replace("\n", "")
-    assert words in ended.output
-    assert not (tmp_path / "merged").exists()
-
-
 def test_a_damaged_plan_is_named(dataset, tmp_path):
     out = tmp_path / "out"
     make_shards(dataset, out, 2)
@@ -233,16 +183,6 @@ def test_a_damaged_plan_is_named(dataset, tmp_path):
             ended = run(*words)
             assert ended.exit_code == 2, (change, ended.output)
             assert "shards.json: damaged" in ended.output.replace("\n", "")
-
-
-@pytest.mark.parametrize("counts", [None, [], {"frames": "x"}, {"frames": 1e400}])
-def test_a_shard_with_damaged_counts_is_not_finished(dataset, tmp_path, counts):
-    out = tmp_path / "out"
-    make_shards(dataset, out, 1)
-    file = out / "shard-00001-of-00001" / "run.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"counts": counts}))
-    assert "stopped" in run("status", out).output
-    assert run("merge", out, tmp_path / "merged").exit_code == 2
 
 
 def test_truncated_shards_are_repaired(dataset, tmp_path):

@@ -9,13 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 from PIL import Image
 from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
-from infrablend.pipeline.record import read_record
 
 APP = build_app()
 SHAPE = (128, 160)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from infrablend.pipeline.record import load_record
 from PIL import Image
 
 from infrablend import api
@@ -21,7 +22,6 @@ from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, MissingDependencyError, OutputError
 from infrablend.pipeline.compare_objects import ComparisonRequest, measure_populations
 from infrablend.pipeline.measure_objects import MeasuringSettings, ObjectMeasurer, PictureJob
-from infrablend.pipeline.record import load_record
 from infrablend.realism import class_comparison, classify, controls, features, nets
 from infrablend.realism.class_comparison import compare_class, validity
 from infrablend.realism.distance import dct_features, mmd, standardised

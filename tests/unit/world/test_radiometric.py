@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from infrablend.pipeline.record import load_record
 from numpy.typing import NDArray
 
 from infrablend import api
 from infrablend.formats import detection
 from infrablend.formats.images import load_background
-from infrablend.pipeline.record import load_record
 from infrablend.world.dataset import WorldRequest, write_world
 from infrablend.world.frame_files import FinishedFrame, make_frame
 from infrablend.world.frames import FrameFacts
