@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import logging
 import os
 import shutil
 import tempfile
@@ -22,11 +23,11 @@ from typing import Any
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
-from infrablend.core.files import read_object, read_regular, sha256_of_json
+from infrablend.core.files import read_object, read_regular, sha256_of_json, write_bytes
 from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
-from infrablend.errors import ArgumentError, OutputError
+from infrablend.errors import ArgumentError, OutputError, StorageError
 from infrablend.pipeline.composed import MadeFrame
 from infrablend.pipeline.packed_shard import ARCHIVE
 from infrablend.pipeline.plan import RunPlan
@@ -36,6 +37,8 @@ from infrablend.pipeline.shard import Shard
 from infrablend.pipeline.shard_source import ShardArchive, ShardSource
 from infrablend.pipeline.sharded_run import ShardedRun, joined_reports, run_shard, shifted
 from infrablend.storage.store import Store
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -64,8 +67,9 @@ class StoredRun(ShardedRun):
                 path.unlink()
         for name, size in self.sizes.items():
             copy = self.root / name
-            if name.endswith(".json") and not (copy.is_file() and copy.stat().st_size == size):
-                self.store.download(name, copy)
+            known = copy.is_file() and copy.stat().st_size == size
+            if name.endswith(".json") and not known and (text := _read_marker(self.store, name)) is not None:
+                write_bytes(copy, text)
 
     def states(self) -> list[Any]:
         """Return the state of every shard, as the storage has it now."""
@@ -211,10 +215,10 @@ def _run_stored_shard(
     """Make one shard here, and copy its files: the record is removed first and comes last."""
     files = local.shard_files(shard)
     marker = Path(store.place(files.marker.name))
-    if existing != "overwrite" and (text := store.read(files.marker.name)) is not None:
+    if existing != "overwrite" and (text := _read_marker(store, files.marker.name)) is not None:
         if existing == "refuse":
             raise OutputError(
-                f"{marker}: exists already; expected no such shard. Use --resume to make it only if it is not whole, "
+                f"{store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make it only if it is not whole, "
                 "or --overwrite to replace it."
             )
         files.marker.write_bytes(text)
@@ -222,7 +226,7 @@ def _run_stored_shard(
         stored = StoredRun(local.root, store, store.files())
         whole = record.get("shard") == str(shard) and stored.damage(shard, record) is None
         if whole and record["counts"]["frames"] == len(shard.part_of(plan.frames)):
-            require_same_key(record, plan, marker)
+            require_same_key(record, plan, store.place(files.marker.name))
             return RunReport.of_record(record, Path(store.address), marker)
     for path in (files.marker, files.tar, files.table):
         path.unlink(missing_ok=True)
@@ -230,6 +234,17 @@ def _run_stored_shard(
     report = run_shard(plan, shard, local.root, execution, here, on_progress)
     _upload(files, store)
     return replace(report, out=Path(store.address), record_file=marker)
+
+
+def _read_marker(store: Store, name: str) -> bytes | None:
+    """Return the record of a shard, or the plan; None if there is none, or it is damaged: the shard is made again."""
+    try:
+        return store.read(name)
+    except StorageError as error:
+        if "Checksum" not in error.message:
+            raise
+        log.warning("%s", error)
+        return None
 
 
 def _upload(files: ShardFiles, store: Store) -> None:
