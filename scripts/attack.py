@@ -34,7 +34,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 from tests.attack import broken_inputs, kills, surroundings  # noqa: E402
 from tests.attack.child import fork_command, imported_modules, keep_commands  # noqa: E402
 from tests.attack.findings import Finding, Tally  # noqa: E402
-from tests.attack.scenarios import SCENARIOS, new_lab  # noqa: E402
+from tests.attack.scenarios import PLACE, SCENARIOS, new_lab  # noqa: E402
 
 Attack = Callable[[Path, int, int, tuple[int, int]], Iterator[tuple[str, list[Finding]]]]
 
@@ -80,7 +80,7 @@ def _warm_up(folder: Path) -> None:
     keep_commands()
     for scenario in SCENARIOS.values():
         lab = new_lab(folder / "warm", scenario.prepare)
-        fork_command(scenario.words(lab), lab, lab / "out", flat=scenario.flat)
+        fork_command(scenario.words(lab), lab, lab / PLACE, flat=scenario.flat)
         for name in imported_modules(lab):
             with contextlib.suppress(Exception), contextlib.redirect_stdout(sys.stderr):
                 importlib.import_module(name)

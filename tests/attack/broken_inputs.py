@@ -26,7 +26,7 @@ from infrablend.pipeline.review import REVIEW_FILE
 from tests.attack.child import TIMED_OUT, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.models import choose_model, write_models
-from tests.attack.scenarios import EXPERIMENT, PACKED, Words, done, generate_words, new_lab, write_shards
+from tests.attack.scenarios import EXPERIMENT, PACKED, PLACE, Words, done, generate_words, new_lab, output, write_shards
 from tests.attack.trees import contents, differences, snapshot
 from tests.clips import write_clips, write_detections
 from tests.fuzzing import WEIRD_JSON, WEIRD_WORDS, mutate
@@ -207,18 +207,23 @@ def _same_labels(lab: Path, outcome: Outcome, before: dict[str, str]) -> str:
 
 
 def _same_output(lab: Path, outcome: Outcome, before: dict[str, str]) -> str:
-    """Return a message if a command that succeeded left other files than an undisturbed one, or removed a user's."""
-    if not (lab / "out" / "mine" / "mine.txt").is_file():
-        return "a file of the user was removed"
+    """Return a message if a command that succeeded left other files than an undisturbed one."""
     if outcome.code:
         return ""
-    now = contents(lab / "out", _NOT_COMPARED)
+    now = contents(output(lab), _NOT_COMPARED)
     if "an edited card" in outcome.output:  # which is kept, with a warning
         now["README.md"] = before["README.md"]
     return differences(now, before) if any(now.get(k) != v for k, v in before.items()) else ""
 
 
-_NOT_COMPARED = ("log/", "mine/", "replaced/", "convert.json", "run.json", "preview.png", "report.html", ".files.jsonl")
+def _same_output_beside_mine(lab: Path, outcome: Outcome, before: dict[str, str]) -> str:
+    """Return a message as `_same_output` does, or if a file of the user was removed."""
+    if not (output(lab) / "mine" / "mine.txt").is_file():
+        return "a file of the user was removed"
+    return _same_output(lab, outcome, before)
+
+
+_NOT_COMPARED = ("workers.log", "mine/", "convert.json", "run.json", "run.sqlite", "preview.png", "report.html")
 """Files that list warnings and times, and what is not of the command."""
 
 
@@ -234,8 +239,8 @@ def _sample(name: str) -> Input:
         lambda lab: [
             ["-q", "check", lab / "in" / "data", "--json"],
             ["-q", "inspect", lab / "in" / "data", "--format", form, "--json"],
-            ["-q", "convert", lab / "in" / "data", lab / "out", "--format", form, "--to", "coco", "--json"],
-            ["-q", "inspect", lab / "out", "--json"],
+            ["-q", "convert", lab / "in" / "data", output(lab), "--format", form, "--to", "coco", "--json"],
+            ["-q", "inspect", output(lab), "--json"],
         ],
         0.5 / len(SAMPLES),
         _same_labels,
@@ -283,33 +288,27 @@ def _table(lab: Path) -> None:
     (lab / "in" / "tables" / "table.json").write_text(json.dumps(table))
 
 
-def _with_mine(lab: Path) -> None:
-    (lab / "out" / "mine").mkdir()
-    (lab / "out" / "mine" / "mine.txt").write_text("mine")
-
-
 def _finished_run(lab: Path) -> None:
     SAMPLES["coco"](lab / "in" / "data")
-    done(lab, *generate_words(lab, lab / "out"))
-    _with_mine(lab)
+    done(lab, *generate_words(lab, output(lab)))
+    (output(lab) / "mine").mkdir()
+    (output(lab) / "mine" / "mine.txt").write_text("mine")
 
 
 def _finished_merge(lab: Path) -> None:
     write_shards(lab)
-    done(lab, "-q", "merge", lab / "in" / "shards", lab / "out")
-    _with_mine(lab)
+    done(lab, "-q", "merge", lab / "in" / "shards", output(lab))
 
 
 def _finished_packed_merge(lab: Path) -> None:
     write_shards(lab, *PACKED)
-    done(lab, "-q", "merge", lab / "in" / "shards", lab / "out")
-    _with_mine(lab)
+    done(lab, "-q", "merge", lab / "in" / "shards", output(lab))
 
 
 def _reviewed_run(lab: Path) -> None:
     """Write a run, and a review of its frames beside it."""
     _finished_run(lab)
-    shutil.rmtree(lab / "out" / "mine")
+    shutil.rmtree(output(lab) / "mine")
     frames = {"train/0_60_30_0_00001_c0": {"verdict": "reject", "reason": "too bright"}}
     frames |= {"val/1_90_60_0_00023_c0": {"verdict": "accept"}}
     (lab / "in" / "review").mkdir()
@@ -326,27 +325,38 @@ def _break_review(lab: Path, choose: Choice) -> str:
         said = "; ".join(break_value(top, choose) for _ in range(choose.randint(1, 3)))
         file.write_text(json.dumps(top))
     for path in file.parent.iterdir():
-        shutil.move(path, lab / "out" / path.name)
+        shutil.move(path, output(lab) / path.name)
     return said
 
 
 def _finished_conversion(lab: Path) -> None:
     SAMPLES["coco"](lab / "in" / "data")
-    done(lab, "-q", "convert", lab / "in" / "data", lab / "out", "--to", "voc")
-    _with_mine(lab)
+    done(lab, "-q", "convert", lab / "in" / "data", output(lab), "--to", "voc")
 
 
 def _break_records(lab: Path, choose: Choice) -> str:
-    """Break the records of a run, and now and then anything else in it, but the user's file."""
-    out = lab / "out"
-    aside = lab / "aside"
+    """Break the ledger of a run, or anything else in it but the user's file."""
+    out, aside = output(lab), lab / "aside"
+    part = choose.choice(("run.sqlite", "run.sqlite", "images", "", "yolo", "coco"))
+    if part == "run.sqlite":
+        data = bytearray((out / part).read_bytes())
+        at = choose.randrange(len(data))
+        for n in range(at, min(at + choose.choice((1, 1, 100, 5000)), len(data))):
+            data[n] ^= 1 << choose.randrange(8)
+        (out / part).write_bytes(data[: choose.choice((len(data), len(data), at))])
+        return f"{part} at {at}"
     shutil.move(out / "mine", aside)
-    part = choose.choice(("scenes", "scenes", "log", "", "yolo", "coco"))
     said = mutate(out / part, lab / "canary", choose)
-    if not out.is_dir():
-        out.mkdir()
+    out.mkdir(exist_ok=True)
     shutil.move(aside, out / "mine")
     return f"{part}: {said}"
+
+
+def _break_conversion(lab: Path, choose: Choice) -> str:
+    """Break a finished conversion."""
+    said = mutate(output(lab), lab / "canary", choose)
+    output(lab).mkdir(exist_ok=True)
+    return said
 
 
 def _archive(lab: Path) -> None:
@@ -386,7 +396,7 @@ def _break_model(lab: Path, choose: Choice) -> str:
 def _recipe_words(lab: Path) -> list[Words]:
     found = sorted((lab / "in" / "chosen").rglob("*"))
     file = found[0] if found else lab / "in" / "chosen"
-    words: Words = ["-q", "generate", file, "--data", lab / "in" / "data", "--out", lab / "out", "--to", "coco"]
+    words: Words = ["-q", "generate", file, "--data", lab / "in" / "data", "--out", output(lab), "--to", "coco"]
     return [[*words, "--plan"], [*words, "--limit", "1", "--workers", "1"]]
 
 
@@ -398,7 +408,7 @@ INPUTS: tuple[Input, ...] = (
         _profile,
         _break_profile,
         lambda lab: [
-            generate_words(lab, lab / "out", "--limit", "1", "--set", f"sensor.profile={lab}/in/profile.json"),
+            generate_words(lab, output(lab), "--limit", "1", "--set", f"sensor.profile={lab}/in/profile.json"),
         ],
         0.02,
     ),
@@ -433,13 +443,13 @@ INPUTS: tuple[Input, ...] = (
         _finished_run,
         _break_records,
         lambda lab: [
-            ["-q", "check", lab / "out" / "coco"],
-            ["-q", "preview", lab / "out", "--out", lab / "own" / "sheet.png"],
-            ["-q", "report", lab / "out"],
-            generate_words(lab, lab / "out", "--resume"),
+            ["-q", "check", output(lab) / "coco"],
+            ["-q", "preview", output(lab), "--out", lab / "own" / "sheet.png"],
+            ["-q", "report", output(lab)],
+            generate_words(lab, output(lab), "--resume"),
         ],
         0.05,
-        _same_output,
+        _same_output_beside_mine,
     ),
     Input(
         "shards of a run",
@@ -447,7 +457,7 @@ INPUTS: tuple[Input, ...] = (
         _break_files("in/shards"),
         lambda lab: [
             ["-q", "status", lab / "in" / "shards"],
-            ["-q", "merge", lab / "in" / "shards", lab / "out", "--overwrite"],
+            ["-q", "merge", lab / "in" / "shards", output(lab), "--overwrite"],
         ],
         0.02,
         _same_output,
@@ -459,7 +469,7 @@ INPUTS: tuple[Input, ...] = (
         lambda lab: [
             ["-q", "status", lab / "in" / "shards"],
             ["-q", "check", lab / "in" / "shards"],
-            ["-q", "merge", lab / "in" / "shards", lab / "out", "--overwrite"],
+            ["-q", "merge", lab / "in" / "shards", output(lab), "--overwrite"],
             ["-q", "inspect", lab / "in" / "shards", "--json"],
         ],
         0.02,
@@ -470,19 +480,19 @@ INPUTS: tuple[Input, ...] = (
         _reviewed_run,
         _break_review,
         lambda lab: [
-            ["-q", "exclude", lab / "out", "--review"],
-            ["-q", "report", lab / "out"],
-            ["-q", "check", lab / "out" / "coco"],
+            ["-q", "exclude", output(lab), "--review"],
+            ["-q", "report", output(lab)],
+            ["-q", "check", output(lab) / "coco"],
         ],
         0.03,
     ),
     Input(
         "records of a conversion",
         _finished_conversion,
-        _break_records,
+        _break_conversion,
         lambda lab: [
-            ["-q", "check", lab / "out"],
-            ["-q", "convert", lab / "in" / "data", lab / "out", "--to", "voc", "--overwrite"],
+            ["-q", "check", output(lab)],
+            ["-q", "convert", lab / "in" / "data", output(lab), "--to", "voc", "--overwrite"],
         ],
         0.06,
         _same_output,
@@ -491,7 +501,7 @@ INPUTS: tuple[Input, ...] = (
         "archive",
         _archive,
         _break_archive,
-        lambda lab: [["-q", "fetch", "hit-uav", lab / "out", "--archive", lab / "in" / "data.zip"]],
+        lambda lab: [["-q", "fetch", "hit-uav", output(lab), "--archive", lab / "in" / "data.zip"]],
         0.07,
     ),
     Input(
@@ -499,7 +509,7 @@ INPUTS: tuple[Input, ...] = (
         _predictions,
         _break_files("in/saved"),
         lambda lab: [
-            ["-q", "evaluate", lab / "in" / "saved" / "predictions.json", lab / "in" / "data", "--out", lab / "out",
+            ["-q", "evaluate", lab / "in" / "saved" / "predictions.json", lab / "in" / "data", "--out", output(lab),
              "--bootstrap", "2"],
         ],
         0.06,
@@ -509,7 +519,7 @@ INPUTS: tuple[Input, ...] = (
 
 def comparable(lab: Path) -> dict[str, str]:
     """Return the digests of the intact output in a lab, where the attack begins with one."""
-    return contents(lab / "out", _NOT_COMPARED) if (lab / "out").is_dir() else {}
+    return contents(output(lab), _NOT_COMPARED) if (output(lab)).is_dir() else {}
 
 
 def attack(kind: Input, intact: Path, lab: Path, before: dict[str, str], seed: str) -> list[Finding]:
@@ -526,8 +536,8 @@ def attack(kind: Input, intact: Path, lab: Path, before: dict[str, str], seed: s
             # A user who names a pipe waits for it, and one who names a link wants its target.
             if path.is_fifo() or (path.is_symlink() and not is_inside(path, lab / "in")):
                 path.unlink()
-    around = snapshot(lab, "in", "out", "own")
-    outcome = fork_command(kind.words(lab), lab, lab / "out")
+    around = snapshot(lab, "in", PLACE, "own")
+    outcome = fork_command(kind.words(lab), lab, lab / PLACE)
     findings: list[Finding] = []
     name = f"broken {kind.name.partition(':')[0]}"
     if outcome.code == TIMED_OUT:
@@ -537,7 +547,7 @@ def attack(kind: Input, intact: Path, lab: Path, before: dict[str, str], seed: s
         findings.append(Finding(name, case, "unexpected error", said))
     elif lost := kind.judge(lab, outcome, before):
         findings.append(Finding(name, case, "silent loss", lost))
-    changed = differences(snapshot(lab, "in", "out", "own"), around)
+    changed = differences(snapshot(lab, "in", PLACE, "own"), around)
     if outcome.outside or changed:
         findings.append(Finding(name, case, "file outside", f"{'; '.join(outcome.outside[:4])} {changed}"))
     return findings

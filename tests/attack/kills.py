@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.attack.child import TIMED_OUT, UNDISTURBED, Disturbance, Outcome, fork_command, kill, kill_torn
 from tests.attack.findings import Finding
-from tests.attack.scenarios import SCENARIOS, Scenario, new_lab
+from tests.attack.scenarios import PLACE, SCENARIOS, Scenario, new_lab, output
 from tests.attack.trees import contents, differences, snapshot
 
 
@@ -45,7 +45,7 @@ def make_reference(scenario: Scenario, root: Path) -> Reference:
         RuntimeError: It fails.
     """
     lab = new_lab(root / scenario.name.replace(" ", "-").replace(",", ""), scenario.prepare)
-    around = snapshot(lab, "out", "own")
+    around = snapshot(lab, PLACE, "own")
     scenario.begin(lab)
     ended = _call(scenario, lab, UNDISTURBED)
     if ended.code:
@@ -53,21 +53,21 @@ def make_reference(scenario: Scenario, root: Path) -> Reference:
     if ended.outside:
         raise RuntimeError(f"{scenario.name}: writes outside: {ended.outside}")
     for reader in scenario.readers:
-        words = reader(lab / "out", lab / "own" / "other")
+        words = reader(output(lab), lab / "own" / "other")
         shutil.rmtree(lab / "own" / "other", ignore_errors=True)
         read = fork_command(words, lab, lab / "own" / "other", flat=scenario.flat)
         if read.code:
             raise RuntimeError(f"{scenario.name}: {words} of finished output: exit {read.code}\n{read.output}")
     files, start = (
         contents(folder, scenario.left_out, scenario.trained) if folder.is_dir() else {}
-        for folder in (lab / "out", lab / (scenario.start or "none"))
+        for folder in (output(lab), lab / (scenario.start or "none"))
     )
     return Reference(scenario, lab, files, start, around, ended.writes, ended.seconds)
 
 
 def _call(scenario: Scenario, lab: Path, disturbance: Disturbance, options: tuple[str, ...] = ()) -> Outcome:
     words = [*scenario.words(lab), *options]
-    return fork_command(words, lab, lab / "out", disturbance, flat=scenario.flat)
+    return fork_command(words, lab, lab / PLACE, disturbance, flat=scenario.flat)
 
 
 def disturbances(reference: Reference, number: int, choose: random.Random) -> Iterator[tuple[str, Disturbance]]:
@@ -85,7 +85,7 @@ def disturbances(reference: Reference, number: int, choose: random.Random) -> It
 
 def attack(reference: Reference, case: str, disturbance: Disturbance, number: int) -> list[Finding]:
     """Disturb the command once, and check what is left and how it is finished."""
-    scenario, lab, out = reference.scenario, reference.lab, reference.lab / "out"
+    scenario, lab, out = reference.scenario, reference.lab, output(reference.lab)
     scenario.begin(lab)
     judge = Judge(f"kill {scenario.name}", case, reference)
     ended = _call(scenario, lab, disturbance)
@@ -147,7 +147,7 @@ class Judge:
 
     def unchanged_around(self) -> None:
         """Check that nothing but the output has changed."""
-        around = snapshot(self._reference.lab, "out", "own")
+        around = snapshot(self._reference.lab, PLACE, "own")
         if around != self._reference.around:
             self.found("file outside", f"changed: {differences(around, self._reference.around)}")
 

@@ -141,6 +141,6 @@ def _other_user() -> tuple[str, ...]:
 
 
 def _pictures_and_labels(folder: Path) -> dict[str, str]:
-    found = contents(folder, ("log/", ".files.jsonl", "run.json", "README.md"))
+    found = contents(folder, ("run.json", "README.md"))
     wanted = (".png", ".jpg", ".txt", ".npz")
     return {k: v for k, v in found.items() if k.endswith(wanted) and "plots" not in k}

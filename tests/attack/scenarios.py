@@ -1,7 +1,7 @@
 """The commands that are attacked, each with tiny inputs, what finishes it, and what reads its output.
 
-Every attack has a folder of its own, the lab: inputs in `in`, the output in `out`, and `canary` beside them. Nothing
-but `out` may change.
+Every attack has a folder of its own, the lab: inputs in `in`, `canary`, and `place`, in which the output `out` and its
+workspace are. Nothing but `place` may change.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from tests.fuzzing import make_outside
 from tests.samples import SAMPLES, picture
 
 Words = list[object]
+
+PLACE = "place"
+"""Folder of a lab that a command may change."""
 
 _CAMERA = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
 
@@ -49,7 +52,7 @@ class Scenario:
     finishes: tuple[tuple[str, ...], ...]
     readers: tuple[Callable[[Path, Path], Words], ...] = ()
     flat: bool = True
-    left_out: tuple[str, ...] = ("log/", "train.log", ".files.jsonl")
+    left_out: tuple[str, ...] = ("workers.log", "train.log")
     trained: bool = False
     share: float = 0.1
     working: tuple[str, ...] = ()
@@ -57,9 +60,20 @@ class Scenario:
 
     def begin(self, lab: Path) -> None:
         """Remove the output of an earlier attack, and copy what the command changes."""
-        shutil.rmtree(lab / "out", ignore_errors=True)
+        empty_place(lab)
         if self.start:
-            shutil.copytree(lab / self.start, lab / "out")
+            shutil.copytree(lab / self.start, output(lab))
+
+
+def output(lab: Path) -> Path:
+    """Return the output folder of the command in a lab."""
+    return lab / PLACE / "out"
+
+
+def empty_place(lab: Path) -> None:
+    """Remove the output of an earlier attack and its workspace."""
+    shutil.rmtree(lab / PLACE, ignore_errors=True)
+    (lab / PLACE).mkdir()
 
 
 def new_lab(root: Path, prepare: Callable[[Path], object]) -> Path:
@@ -69,13 +83,14 @@ def new_lab(root: Path, prepare: Callable[[Path], object]) -> Path:
     make_outside(root / "canary")
     for name in ("mine.txt", "run.json", "inner/a.jpg"):
         (root / "canary" / name).write_text("mine")
+    empty_place(root)
     prepare(root)
     return root
 
 
 def done(lab: Path, *words: object, flat: bool = True) -> Outcome:
     """Run a command that prepares an input; it must succeed."""
-    ended = fork_command(words, lab, lab / "in", flat=flat)
+    ended = fork_command(words, lab, lab / "in", flat=flat, allowed=[lab / PLACE])
     if ended.code:
         raise RuntimeError(f"{words}: exit {ended.code}\n{ended.output}")
     return ended
@@ -174,7 +189,7 @@ def _of(part: str, reader: Callable[[Path, Path], Words]) -> Callable[[Path, Pat
 
 
 def _evaluate(out: Path, other: Path) -> Words:
-    return ["-q", "evaluate", out, out.parent / "in" / "data", "--out", other, "--bootstrap", "0"]
+    return ["-q", "evaluate", out, out.parents[1] / "in" / "data", "--out", other, "--bootstrap", "0"]
 
 
 READ_DATASET = (_check, _convert, _inspect, _train)
@@ -184,11 +199,11 @@ RESUME, OVERWRITE, SAME = ("--resume",), ("--overwrite",), ()
 SCENARIOS: dict[str, Scenario] = {
     s.name: s
     for s in (
-        Scenario("generate", _coco, lambda lab: generate_words(lab, lab / "out"), (RESUME, OVERWRITE), READ_RUN),
+        Scenario("generate", _coco, lambda lab: generate_words(lab, output(lab)), (RESUME, OVERWRITE), READ_RUN),
         Scenario(
             "generate, workers",
             _coco,
-            lambda lab: generate_words(lab, lab / "out", "--set", "configurations=3"),
+            lambda lab: generate_words(lab, output(lab), "--set", "configurations=3"),
             (RESUME, OVERWRITE),
             READ_RUN,
             flat=False,
@@ -197,21 +212,21 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario(
             "generate --shard",
             _coco,
-            lambda lab: generate_words(lab, lab / "out", "--shard", "1/2"),
+            lambda lab: generate_words(lab, output(lab), "--shard", "1/2"),
             (RESUME, OVERWRITE),
             share=0.06,
         ),
         Scenario(
             "generate --shard, packed",
             _coco,
-            lambda lab: generate_words(lab, lab / "out", "--shard", "1/2", *PACKED),
+            lambda lab: generate_words(lab, output(lab), "--shard", "1/2", *PACKED),
             (RESUME, OVERWRITE),
             share=0.06,
         ),
         Scenario(
             "merge",
             write_shards,
-            lambda lab: ["-q", "merge", lab / "in" / "shards", lab / "out"],
+            lambda lab: ["-q", "merge", lab / "in" / "shards", output(lab)],
             (RESUME, OVERWRITE),
             READ_RUN,
             share=0.06,
@@ -219,52 +234,52 @@ SCENARIOS: dict[str, Scenario] = {
         Scenario(
             "exclude",
             _run,
-            lambda lab: ["-q", "exclude", lab / "out", "train/0_60_30_0_00001_c0"],
+            lambda lab: ["-q", "exclude", output(lab), "train/0_60_30_0_00001_c0"],
             (SAME,),
             READ_RUN,
             share=0.06,
             start="in/run",
         ),
-        Scenario("report", _run, lambda lab: ["-q", "report", lab / "out"], (SAME,), share=0.02, start="in/run"),
+        Scenario("report", _run, lambda lab: ["-q", "report", output(lab)], (SAME,), share=0.02, start="in/run"),
         Scenario(
             "convert",
             _coco,
-            lambda lab: ["-q", "convert", lab / "in" / "data", lab / "out", "--to", "voc"],
+            lambda lab: ["-q", "convert", lab / "in" / "data", output(lab), "--to", "voc"],
             (OVERWRITE,),
             READ_DATASET,
         ),
         Scenario(
             "split",
             write_clips,
-            lambda lab: ["-q", "split", lab / "in" / "data", lab / "out", "--by", "gap", "--gap", "3"],
+            lambda lab: ["-q", "split", lab / "in" / "data", output(lab), "--by", "gap", "--gap", "3"],
             (OVERWRITE,),
             READ_DATASET,
         ),
         Scenario(
-            "inspect --out", _coco, lambda lab: ["-q", "inspect", lab / "in" / "data", "--out", lab / "out"], (SAME,)
+            "inspect --out", _coco, lambda lab: ["-q", "inspect", lab / "in" / "data", "--out", output(lab)], (SAME,)
         ),
         Scenario(
             "preview",
             _run,
-            lambda lab: ["-q", "preview", lab / "in" / "run", "--out", lab / "out" / "sheet.png"],
+            lambda lab: ["-q", "preview", lab / "in" / "run", "--out", output(lab) / "sheet.png"],
             (SAME,),
         ),
         Scenario(
             "evaluate",
             write_detections,
             lambda lab: [
-                "-q", "evaluate", lab / "in" / "predictions.json", lab / "in" / "data", "--out", lab / "out",
+                "-q", "evaluate", lab / "in" / "predictions.json", lab / "in" / "data", "--out", output(lab),
                 "--bootstrap", "20",
             ],
             (OVERWRITE,),
         ),
         Scenario(
-            "profile", _pictures, lambda lab: ["-q", "profile", lab / "in" / "data", "--out", lab / "out"], (SAME,)
+            "profile", _pictures, lambda lab: ["-q", "profile", lab / "in" / "data", "--out", output(lab)], (SAME,)
         ),
         Scenario(
             "fetch --archive",
             _archive,
-            lambda lab: ["-q", "fetch", "hit-uav", lab / "out", "--archive", lab / "in" / "data.zip"],
+            lambda lab: ["-q", "fetch", "hit-uav", output(lab), "--archive", lab / "in" / "data.zip"],
             (SAME,),
             READ_DATASET,
         ),
@@ -273,7 +288,7 @@ SCENARIOS: dict[str, Scenario] = {
             _hit_uav,
             lambda lab: [
                 "-q", "experiment", "datasets", "--scale", "smoke", "--data", lab / "in" / "data",
-                "--work", lab / "out" / "work", "--results", lab / "out" / "results",
+                "--work", output(lab) / "work", "--results", output(lab) / "results",
             ],
             (SAME,),
         ),
@@ -282,7 +297,7 @@ SCENARIOS: dict[str, Scenario] = {
             _experiment,
             lambda lab: [
                 "-q", "experiment", lab / "in" / "small.yaml", "--scale", "smoke", "--data", lab / "in" / "data",
-                "--work", lab / "out" / "work", "--results", lab / "out" / "results",
+                "--work", output(lab) / "work", "--results", output(lab) / "results",
             ],
             (SAME,),
             share=0.02, trained=True,
@@ -291,7 +306,7 @@ SCENARIOS: dict[str, Scenario] = {
             "train",
             write_clips,
             lambda lab: [
-                "-q", "train", lab / "in" / "data", "--out", lab / "out", "--preset", "smoke", "--weights", "scratch",
+                "-q", "train", lab / "in" / "data", "--out", output(lab), "--preset", "smoke", "--weights", "scratch",
             ],
             (RESUME, OVERWRITE),
             (_evaluate,),

@@ -1,4 +1,4 @@
-"""Take things away from a running command: disk, folder, rights, time, and the output folder for itself."""
+"""Take things away from a running command: disk, rights, time, and the output folder for itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.attack import plain_user
 from tests.attack.child import UNDISTURBED, Disturbance, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.kills import Judge, Reference, make_reference
-from tests.attack.scenarios import SCENARIOS
+from tests.attack.scenarios import PLACE, SCENARIOS, empty_place, output
 from tests.attack.trees import contents, differences
 
 ATTACKED = ("generate", "convert", "split", "evaluate", "fetch --archive", "experiment", "inspect --out", "preview")
@@ -32,13 +32,6 @@ def _full(event: str, path: Path) -> None:
 
 def _broken(event: str, path: Path) -> None:
     raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
-
-
-def _removing(folder: Path) -> Callable[[str, Path], None]:
-    def remove(event: str, path: Path) -> None:
-        shutil.rmtree(folder, ignore_errors=True)
-
-    return remove
 
 
 def _set_clock_back() -> None:
@@ -72,12 +65,12 @@ def small_disk(folder: Path, kilobytes: int) -> Iterator[None]:
 
 def _call(reference: Reference, disturbance: Disturbance, *options: str) -> Outcome:
     words = [*reference.scenario.words(reference.lab), *options]
-    return fork_command(words, reference.lab, reference.lab / "out", disturbance, flat=reference.scenario.flat)
+    return fork_command(words, reference.lab, reference.lab / PLACE, disturbance, flat=reference.scenario.flat)
 
 
 def _finish(reference: Reference, judge: Judge, number: int) -> None:
     """Finish what a disturbed command left, as its error recommends, and compare it with an undisturbed one."""
-    scenario, out = reference.scenario, reference.lab / "out"
+    scenario, out = reference.scenario, output(reference.lab)
     options = scenario.finishes[number % len(scenario.finishes)]
     ended = _call(reference, UNDISTURBED)
     if ended.code == 2 and options:
@@ -93,18 +86,17 @@ def _finish(reference: Reference, judge: Judge, number: int) -> None:
 
 def _judge_success(reference: Reference, judge: Judge, outcome: Outcome) -> None:
     """Complain if a disturbed command claims success although its output is not whole."""
-    files = contents(reference.lab / "out", reference.scenario.left_out, reference.scenario.trained)
+    files = contents(output(reference.lab), reference.scenario.left_out, reference.scenario.trained)
     if outcome.code == 0 and files != reference.files:
         judge.found("silent loss", f"exit 0 with other bytes: {differences(files, reference.files)}")
 
 
 def _disk_full(reference: Reference, number: int, choose: random.Random) -> list[Finding]:
     """Fail one write, or all of them from a size on."""
-    out = reference.lab / "out"
     act = (_full, _broken)[number % 2]
     at = choose.randrange(max(1, reference.writes))
     judge = Judge("disk full", f"{reference.scenario.name}: {act.__name__} at write {at}", reference)
-    shutil.rmtree(out, ignore_errors=True)
+    empty_place(reference.lab)
     ended = _call(reference, Disturbance(at, act))
     judge.ended("the command", ended)
     _judge_success(reference, judge, ended)
@@ -113,7 +105,7 @@ def _disk_full(reference: Reference, number: int, choose: random.Random) -> list
 
 
 def _small_disk(reference: Reference, number: int, choose: random.Random) -> list[Finding]:
-    out = reference.lab / "out"
+    out = output(reference.lab)
     size = choose.choice((0, 4, 8, 16, 24, 32, 48, 64, 96, 128))
     judge = Judge("small disk", f"{reference.scenario.name}: file system of {size + 4} KiB", reference)
     with small_disk(out, size + 4):
@@ -128,33 +120,16 @@ def _small_disk(reference: Reference, number: int, choose: random.Random) -> lis
     return judge.findings
 
 
-def _folder_removed(reference: Reference, number: int, choose: random.Random) -> list[Finding]:
-    folders = ["", *sorted({k.partition("/")[0] for k in reference.files if "/" in k})]
-    return remove_folder(reference, choose.choice(folders), choose.randrange(max(1, reference.writes)), number)
-
-
-def remove_folder(reference: Reference, folder: str, at: int, number: int = 0) -> list[Finding]:
-    """Remove a folder of the output, or all of it, before a write of the command."""
-    out = reference.lab / "out"
-    judge = Judge("folder removed", f"{reference.scenario.name}: {folder or 'all'} at write {at}", reference)
-    shutil.rmtree(out, ignore_errors=True)
-    ended = _call(reference, Disturbance(at, _removing(out / folder)))
-    judge.ended("the command", ended)
-    _judge_success(reference, judge, ended)
-    _finish(reference, judge, number)
-    return judge.findings
-
-
 def _read_only(reference: Reference, number: int, choose: random.Random) -> list[Finding]:
     """Let another user write to a folder that belongs to root, and to one of its own."""
-    out, own = reference.lab / "out", reference.lab / "own"
+    out, own = output(reference.lab), reference.lab / "own"
     allowed = number % 2 == 0
     judge = Judge("other user", f"{reference.scenario.name}: {'own' if allowed else 'read-only'} folder", reference)
-    shutil.rmtree(out, ignore_errors=True)
+    empty_place(reference.lab)
     shutil.rmtree(own, ignore_errors=True)
     for folder in (out, own, own / "tmp"):
         folder.mkdir()
-    for folder in (own, own / "tmp", *([out] if allowed else [])):
+    for folder in (own, own / "tmp", *([out.parent, out] if allowed else [])):
         os.chown(folder, NOBODY, NOBODY)
     ended = _call(reference, Disturbance(before=_as_nobody))
     judge.ended("the command", ended)
@@ -173,10 +148,9 @@ def _read_only(reference: Reference, number: int, choose: random.Random) -> list
 
 def _clock(reference: Reference, number: int, choose: random.Random) -> list[Finding]:
     """Interrupt a command, set the clock back two years, and finish it."""
-    out = reference.lab / "out"
     at = choose.randrange(max(1, reference.writes))
     judge = Judge("clock set back", f"{reference.scenario.name}: at write {at}", reference)
-    shutil.rmtree(out, ignore_errors=True)
+    empty_place(reference.lab)
     ended = _call(reference, Disturbance(at, lambda event, path: _set_clock_back()))
     judge.ended("the command", ended)
     _judge_success(reference, judge, ended)
@@ -188,18 +162,18 @@ def _clock(reference: Reference, number: int, choose: random.Random) -> list[Fin
 
 def _second_process(reference: Reference, number: int, choose: random.Random) -> list[Finding]:
     """Start the same command again, with every option, at a write of the first."""
-    out, lab = reference.lab / "out", reference.lab
+    out, lab = output(reference.lab), reference.lab
     at = choose.randrange(max(1, reference.writes))
     options = reference.scenario.finishes[number % len(reference.scenario.finishes)] if number % 3 else ()
     judge = Judge("second process", f"{reference.scenario.name}: {options} at write {at}", reference)
     second = lab / "own" / "second"
-    shutil.rmtree(out, ignore_errors=True)
+    empty_place(lab)
     shutil.rmtree(lab / "own", ignore_errors=True)
 
     def start(event: str, path: Path) -> None:
         (second).mkdir(parents=True, exist_ok=True)
         words = [*reference.scenario.words(lab), *options]
-        ended = fork_command(words, second, out, flat=reference.scenario.flat, allowed=[lab / "own"])
+        ended = fork_command(words, second, out.parent, flat=reference.scenario.flat, allowed=[lab / "own"])
         (second / "code").write_text(f"{ended.code} {ended.output[-500:]}")
 
     ended = _call(reference, Disturbance(at, start))
@@ -232,7 +206,6 @@ class Attack:
 ATTACKS = (
     Attack("disk full", _disk_full),
     Attack("small disk", _small_disk, needs_root=True),
-    Attack("folder removed", _folder_removed),
     Attack("other user", _read_only, needs_root=True),
     Attack("clock set back", _clock),
     Attack("second process", _second_process),

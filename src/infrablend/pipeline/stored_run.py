@@ -218,8 +218,8 @@ def _run_stored_shard(
     if existing != "overwrite" and (text := _read_marker(store, files.marker.name)) is not None:
         if existing == "refuse":
             raise OutputError(
-                f"{store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make it only if it is not whole, "
-                "or --overwrite to replace it."
+                f"{store.place(files.marker.name)}: exists already; expected no such shard. Use --resume to make it "
+                "only if it is not whole, or --overwrite to replace it."
             )
         files.marker.write_bytes(text)
         record = read_object(files.marker) or {}
