@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import near_edge
 from infrablend.core.boxes import box_iou
-from infrablend.core.dataset import ImageRecord, Instance, TimeOfDay
+from infrablend.core.capture import TimeOfDay
+from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
 from infrablend.formats import coco

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from infrablend.core.capture import FACTS
 from infrablend.errors import UnknownFormatError
 
 NATIVE = "native"
@@ -50,6 +51,7 @@ class Writer:
         reader: Name of the format that reads the result back; the row in which this writer stands.
         title: One line that describes what is written.
         lacks: What cannot be held: keys of `FIELDS`.
+        facts: Facts of a picture that can be held, by the names of `Capture`.
         fixed: Arguments of the module's `write` that select this variant.
         takes: Fields of `WriteSettings` that the function accepts, and `extra` (the source's own top-level fields).
         layout: Where pictures may be. `nested`: they keep their folders and names; `stems`: the same, but no two
@@ -70,6 +72,7 @@ class Writer:
     table: str = ""
     trains: LabelTask | None = None
     own_page: str = ""
+    facts: frozenset[str] = frozenset(FACTS)
 
     @property
     def page(self) -> str:
@@ -103,6 +106,8 @@ class Format:
 
 
 _ALL_BUT_BOXES = frozenset(FIELDS) - {"boxes", "fractions", "telemetry", "sequence"}
+# Facts of a picture that names in HIT-UAV's grammar contain, too.
+_VIEW = frozenset({"pitch_deg", "altitude_m", "time_of_day"})
 _YOLO_TAKES = frozenset({"dont_care", "without_mask"})
 _YOLO_TABLE = "images/{split}/{name}"
 
@@ -116,7 +121,7 @@ FORMATS: tuple[Format, ...] = (
                     "masks", "tracks", "visibility", "occlusion", "truncated", "fractions", "sequence", "temperature",
                 }),
                 fixed={"forms": ("normal_json", "rotate_json")}, takes=frozenset({"ids", "extra", "pictures"}),
-                layout="unique",
+                layout="unique", facts=_VIEW,
             ),
             Writer(
                 "hit-uav-xml", "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
@@ -124,6 +129,7 @@ FORMATS: tuple[Format, ...] = (
                     "masks", "tracks", "visibility", "occlusion", "fractions", "telemetry", "sequence", "temperature",
                 }),
                 fixed={"forms": ("normal_xml", "rotate_xml")}, takes=frozenset({"pictures"}), layout="shared",
+                facts=frozenset(),
             ),
         ),
     ),
@@ -177,7 +183,7 @@ FORMATS: tuple[Format, ...] = (
                         "temperature",
                     }
                 ),
-                takes=frozenset({"dont_care", "pictures"}),
+                takes=frozenset({"dont_care", "pictures"}), facts=_VIEW | {"sequence", "captured", "frame"},
             ),
         ),
     ),

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, polygon_area
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import (
     SEEN_BOX,
     SEEN_OBB,
@@ -49,12 +50,12 @@ from infrablend.formats.base import (
     split_parts,
 )
 from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
-from infrablend.formats.capture import Capture, Captures, find_table, read_table
+from infrablend.formats.capture import Captures, find_table, read_table
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name, read_size
 from infrablend.formats.temperatures import info_of_scale
-from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_share, to_size
+from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "coco"
 
@@ -71,8 +72,8 @@ _SCALE = "temperature_scale"
 # What the camera was told about the scene, beside the scale of a picture.
 _SETTINGS = "camera_settings"
 SETTINGS = ("air_k", "humidity", "reflected_k", "emissivity", "distance_m")
-# Facts from the header of a picture that decide how far its height and lens can be trusted; see `formats.flight`.
-FLIGHT_FIELDS = ("camera", "altitude_from")
+# Facts that COCO has fields of its own for.
+_KEYS = {"captured": "date_captured", "frame": "frame_id"}
 # Boxes of partly hidden objects, as x, y, width and height.
 _OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
 # Exact and visible boxes of inserted objects, where others were written, with the number of their values.
@@ -184,14 +185,17 @@ def _numbered(
 def _file_record(image: ImageRecord, number: int, new: bool, one_scale: bool) -> dict[str, Any]:
     """Return the record of a picture, with its temperature scale unless all pictures of the file share one."""
     record = _image_record(image, number, new)
-    if not one_scale and image.radiometry is not None and image.radiometry.scale is not None:
-        record[_SCALE] = image.radiometry.scale.to_json()
-    record |= _camera_settings(image)
-    return record | {k: v for k in FLIGHT_FIELDS if isinstance(v := image.extra.get(k), str)}
+    if not one_scale and image.capture.scale is not None:
+        record[_SCALE] = image.capture.scale.to_json()
+    return record | _camera_settings(image)
 
 
 def _camera_settings(image: ImageRecord) -> dict[str, Any]:
-    found = {} if image.radiometry is None else _known(**{k: getattr(image.radiometry, k) for k in SETTINGS})
+    found = (
+        {}
+        if image.capture.radiometry is None
+        else _known(**{k: getattr(image.capture.radiometry, k) for k in SETTINGS})
+    )
     return {_SETTINGS: found} if found else {}
 
 
@@ -217,10 +221,12 @@ def _known(**fields: Any) -> dict[str, Any]:
 def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
     w, h = require_size(image)
     record = {"id": number, "file_name": image.name, "width": w, "height": h} | source_id_field(image, new)
-    record |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
-    return record | _known(
-        sequence=image.sequence, date_captured=image.captured, hfov_deg=image.hfov_deg, roll_deg=image.roll_deg
-    )
+    return record | fact_fields(image)
+
+
+def fact_fields(image: ImageRecord) -> dict[str, Any]:
+    """Return the known facts about a picture by the names of COCO's fields."""
+    return {_KEYS.get(name, name): value for name, value in image.capture.to_json().items()}
 
 
 def _tidy(values: NDArray[np.float64]) -> list[float]:
@@ -396,7 +402,7 @@ def read(
     images = [replace(record, id=ids[key]) for key, record in found]
     if not images:
         raise DatasetError(f"{root}: no picture to read", shorten(problems))
-    if table is not None and (unused := table.unused([r.name for r in images], [r.sequence for r in images])):
+    if table is not None and (unused := table.unused([r.name for r in images], [r.capture.sequence for r in images])):
         text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
         problems.append(Problem(root.name, "table-unused", text, "a picture per row", severity="warning"))
     notes = {"labels": "coco", "table": table_path.name if table_path else None, "pitch": captures.note()}
@@ -483,7 +489,8 @@ def read_records(
         annotations = [pickle.loads(a) for a in of_image.pop(number, ())]
         instances = _read_annotations(annotations, names, size_wh, where, problems)
         image = _image(r, number, name, file, split, size_wh, instances, captures, here)
-        records.append((f"{split}/{name}", replace(image, radiometry=_read_scale(r, top, here, problems))))
+        known = replace(image.capture, radiometry=_read_scale(r, top, here, problems))
+        records.append((f"{split}/{name}", replace(image, capture=known)))
     if twice:
         found = f"{twice} picture(s) that another annotation file contains too; left out here"
         found += f" with {twice_labels} annotation(s)"
@@ -508,23 +515,10 @@ def _image(
     captures: Captures,
     where: str,
 ) -> ImageRecord:
-    pitch, altitude = (to_floats([r.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
-    time = r.get("time_of_day")
-    own = Capture(
-        pitch[0] if pitch and -90 <= pitch[0] <= 90 else None,
-        altitude[0] if altitude and altitude[0] >= 0 else None,
-        time if time in ("day", "night") else None,
-        hfov_deg=to_float_within(r.get("hfov_deg"), 0.1, 170),
-        roll_deg=to_float_within(r.get("roll_deg"), -180, 180),
-    )
-    capture = captures.of(name, where, own, _text(r.get("sequence")))
-    extra = capture.extra | ({"source_id": r["source_id"]} if "source_id" in r else {})
-    extra |= {k: v for k in FLIGHT_FIELDS if isinstance(v := r.get(k), str)}
-    return ImageRecord(
-        "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
-        number, extra, name, _text(r.get("sequence")) or capture.sequence,
-        _text(r.get("date_captured")) or capture.captured, hfov_deg=capture.hfov_deg, roll_deg=capture.roll_deg,
-    )  # fmt: skip
+    own = Capture.from_json({**r, **{fact: r.get(key) for fact, key in _KEYS.items()}}, strict=False)
+    capture = captures.of(name, where, own)
+    extra = {"source_id": r["source_id"]} if "source_id" in r else {}
+    return ImageRecord("", file, split, size_wh, instances, capture, number, extra, name)
 
 
 def _read_scale(r: Mapping[str, Any], top: Mapping[str, Any], where: str, problems: list[Problem]) -> Radiometry | None:
@@ -546,10 +540,6 @@ def _settings(value: object) -> dict[str, Any]:
     given = value if isinstance(value, dict) else {}
     known = {name: to_floats([given.get(name)], 1) for name in SETTINGS}
     return {name: v[0] for name, v in known.items() if v and 0 <= v[0] <= 1e5}
-
-
-def _text(value: object) -> str | None:
-    return value if isinstance(value, str) and value else None
 
 
 def _read_annotations(

@@ -301,9 +301,7 @@ def _read_task(
     stated += [(r.get("original_width"), r.get("original_height")) for r in rows]
     sizes = [s for w, h in stated if (s := to_size(w, h))]
     instances = tuple(_read_objects(rows, where, problems))
-    return ImageRecord(
-        "", picture, split, sizes[0] if sizes else None, None, None, None, instances, file_name=name
-    )  # fmt: skip
+    return ImageRecord("", picture, split, sizes[0] if sizes else None, instances, file_name=name)
 
 
 def _name_of(address: str, split: Split) -> tuple[str, Split]:

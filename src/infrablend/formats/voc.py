@@ -206,7 +206,7 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
             problems += [problem] if problem else []
         instances = _objects(top, name, size_wh, origin, problems, counts)
         categories |= {i.category for i in instances}
-        record = ImageRecord("", paths[picture], split, size_wh, None, None, None, instances)
+        record = ImageRecord("", paths[picture], split, size_wh, instances)
         records[picture] = replace(record, file_name=_file_name(picture))
     left = [n for n in paths if n not in records and n not in skipped]
     left = [n for n in left if (split_of.get(key_of(n)[-1], "train") if split_of else _folder_split(n)) in splits]
@@ -214,7 +214,7 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
     counts["unlabelled"] = len(left)
     for name in left if unlabelled == "keep" else ():
         split = split_of.get(key_of(name)[-1], "train") if split_of else _folder_split(name)
-        record = ImageRecord("", paths[name], split, None, None, None, None, (), extra={"labelled": False})
+        record = ImageRecord("", paths[name], split, None, (), extra={"labelled": False})
         records[name] = replace(record, file_name=_file_name(name))
     if unlisted:
         found = f"{len(unlisted)} file(s) in no list of ImageSets/Main are read as train: {', '.join(unlisted[:3])}"

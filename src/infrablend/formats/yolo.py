@@ -534,13 +534,8 @@ def _record(
     captures: Captures,
     where: str,
 ) -> ImageRecord:
-    named = captures.of(p.unique_name, where)
-    return ImageRecord(
-        id_, p.path, p.split, size_wh, named.pitch_deg, named.altitude_m, named.time_of_day, instances,
-        extra=named.extra,
-        file_name=p.name, sequence=named.sequence, captured=named.captured, hfov_deg=named.hfov_deg,
-        roll_deg=named.roll_deg,
-    )  # fmt: skip
+    capture = captures.of(p.unique_name, where)
+    return ImageRecord(id_, p.path, p.split, size_wh, instances, capture, file_name=p.name)
 
 
 def check_table(table: CaptureTable | None, pictures: Sequence[FoundPicture], root: Path) -> list[Problem]:

@@ -267,10 +267,10 @@ def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
         "height": h,
         "depth": image.extra.get("depth", 1),
         "filename": image.name,
-        "scenario": {"day": "0", "night": "1"}.get(str(image.time_of_day), ""),
+        "scenario": {"day": "0", "night": "1"}.get(str(image.capture.time_of_day), ""),
         "weather": str(image.extra.get("weather", "")),
-        "perspective": "" if image.pitch_deg is None else f"{image.pitch_deg:.10g}",
-        "altitude": "" if image.altitude_m is None else f"{image.altitude_m:.10g}",
+        "perspective": "" if image.capture.pitch_deg is None else f"{image.capture.pitch_deg:.10g}",
+        "altitude": "" if image.capture.altitude_m is None else f"{image.capture.altitude_m:.10g}",
         "date": str(image.extra.get("date", "")),
     }
 
@@ -329,7 +329,7 @@ def _xml_text(
         "  </size>",
         "  <segmented>0</segmented>",
     ]
-    pitch = "Unspecified" if image.pitch_deg is None else f"{image.pitch_deg:.10g}"
+    pitch = "Unspecified" if image.capture.pitch_deg is None else f"{image.capture.pitch_deg:.10g}"
     for instance in image.instances:
         if instance.category not in known:
             raise ValueError(f"{image.id}: category {instance.category!r} is not in the list of categories")

@@ -113,13 +113,13 @@ def read(
     captures, notes["table"] = apply_table(root, metadata, frames, problems)
     if not chosen.keep_empty:
         require_pitch(root, frames, chosen, problems)
-        has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.pitch_deg is not None}
+        has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.capture.pitch_deg is not None}
         bare = {(f.record.split, f.sequence) for f in frames} - has_pitch
         excluded = _leave_out(dataset, frames, bare, "empty")
         notes["excluded"] |= excluded
         captures.sources["none"] -= sum(entry["images"] for entry in excluded.values())
     notes["pitch"] = captures.note()
-    without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.pitch_deg is None)
+    without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.capture.pitch_deg is None)
     notes["frames_without_pitch"] = dict(sorted(without.items()))
     return Dataset(root, NAME, tuple(dataset.categories), _records(frames), tuple(problems), notes, extra)
 
@@ -180,7 +180,8 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
         own = fields.get(number, {})
         in_split = of_file or split_in(PurePosixPath(record.name).parent.parts) or of_root or "train"
         sequence = sequence_of(record.name, path.stem, real_path(root).name)
-        record = replace(record, split=in_split, sequence=sequence or record.sequence)
+        known = replace(record.capture, sequence=sequence or record.capture.sequence)
+        record = replace(record, split=in_split, capture=known)
         frames.append(frame_of(record, where, own, dataset.options, tally))
     expected = {
         "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
