@@ -10,6 +10,7 @@ import pytest
 from infrablend.annotation.labels import annotate
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.raster import inside_fraction
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import ModelError
@@ -19,7 +20,7 @@ MODELS = {"drone": load_model("drone")}
 
 
 def key(k=0, name="0_60_50_0_00001", pitch=50.0):
-    return FrameKey(name, "train", k, (640, 512), pitch)
+    return FrameKey(name, "train", k, (640, 512), Capture(pitch_deg=pitch))
 
 
 def test_scene_depends_on_the_key():
