@@ -55,7 +55,7 @@ def test_tracks_species_and_flags(tmp_path: Path) -> None:
         ("elephant", 7, 1), ("unknown", 8, 0), ("human", 9, 0),
     ]  # fmt: skip
     assert first.instances[0].box_xyxy.tolist() == [10, 12, 30, 20]
-    assert (second.instances, second.extra) == ((), {"frame": 1, "labelled": False})
+    assert (second.instances, second.capture.frame, second.extra) == ((), 1, {"labelled": False})
     assert {i.capture.sequence for i in d.images} == {SEQ} and d.images[0].size_wh == (64, 48)
     assert (d.category("human").id, d.category("elephant").id, d.category("unknown").id) == (0, 1, 9)
     rows = d.notes["rows"]

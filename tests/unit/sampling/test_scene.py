@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from infrablend.core.raster import inside_fraction
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import ModelError
 from infrablend.sampling.scene import FrameKey, rebuild_scene, require_parts, sample_scene
+from tests.samples import with_facts
 
 MODELS = {"drone": load_model("drone")}
 
@@ -110,7 +110,7 @@ def test_numbers_of_objects_follow_time_of_day_height_and_angle():
     recipe = load_recipe("hit-uav-drone", {"objects.0.count": count})
 
     def number(**flight):
-        return sample_scene(replace(key(), **flight), recipe, MODELS, 3).spec.draws["wanted"]
+        return sample_scene(with_facts(key(), **flight), recipe, MODELS, 3).spec.draws["wanted"]
 
     assert number(time_of_day="day", altitude_m=84.0) == 4
     assert number(time_of_day="day", altitude_m=85.0) == 3
