@@ -5,7 +5,6 @@ from __future__ import annotations
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +17,8 @@ from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import folder, shards, temperatures
-from infrablend.formats.base import Match, shorten
+from infrablend.formats import folder, temperatures
+from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
@@ -35,8 +34,7 @@ PART_FRAMES = 2000
 
 def reader_options(format: Format) -> Mapping[str, str]:
     """Return the options of the format's reader and what each does; empty if it has none."""
-    options: Mapping[str, str] = getattr(import_module(format.module), "OPTIONS", {})
-    return options
+    return FormatModule.load(format.module).OPTIONS
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class Detection:
 
 def detect(root: Path) -> Detection:
     """Return the first format of the table that fits a folder, with the reasons of all formats."""
-    matches = tuple(import_module(f.module).detect(root) for f in FORMATS)
+    matches = tuple(FormatModule.load(f.module).detect(root) for f in FORMATS)
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
@@ -83,10 +81,10 @@ def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Itera
         reading: See `read`.
     """
     reader = _Reader.of(root, reading)
-    if reader.module is not shards:
+    if reader.module.read_parts is None:
         yield reader.completed(reader.module.read(reader.root, splits=reading.splits, **reader.options))
         return
-    for part in shards.read_parts(reader.root, pictures, splits=reading.splits, most=PART_FRAMES):
+    for part in reader.module.read_parts(reader.root, pictures, splits=reading.splits, most=PART_FRAMES):
         yield reader.completed(part)
 
 
@@ -103,7 +101,7 @@ class _Reader:
     """
 
     root: Path
-    module: Any
+    module: FormatModule
     options: Mapping[str, Any]
     stated: bool
     scale: TemperatureScale | None
@@ -127,14 +125,14 @@ class _Reader:
         if reading.form is not None:
             given["form"] = reading.form
         table = None if reading.metadata is None else Path(reading.metadata)
-        module = import_module(chosen.module)
-        known = reader_options(chosen)
+        module = FormatModule.load(chosen.module)
+        known = module.OPTIONS
         problems = [
             Problem(f"option {name}", "option-unknown", f"{name}={value}", _options_text(chosen.name, known))
             for name, value in sorted(given.items())
             if name not in known
         ]
-        if table is not None and not getattr(module, "TAKES_TABLE", True):
+        if table is not None and not module.TAKES_TABLE:
             message = f"{chosen.name} already contains pitch and altitude"
             problems.append(Problem(table.name, "table-unused", message, "no table", "leave it out"))
         if problems:

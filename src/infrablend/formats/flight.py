@@ -21,14 +21,13 @@ from infrablend.core.capture import AltitudeOrigin, Capture, TimeOfDay
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import open_regular
 from infrablend.core.finished import FRAMES_FILE, TEMPERATURES_FILE
+from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
 from infrablend.formats.values import is_place
 from infrablend.thermal.sun import sun_position, time_of
 
-# Only these formats hold pictures of any camera; those of the public datasets are known.
-ANY_CAMERA = ("folder", "yolo", "coco", "voc", "dota", "masks")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
 _HEAD_BYTES = 65536
@@ -57,7 +56,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
 
     `notes["flight"]` then holds the table of facts: per field and source the number of pictures and the range.
     """
-    if dataset.format not in ANY_CAMERA:
+    if not any(f.any_camera for f in FORMATS if f.name == dataset.format):
         return dataset
     dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
     jpegs = [i for i in dataset.images if _is_jpeg(i)]

@@ -5,9 +5,8 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
@@ -32,7 +31,7 @@ from infrablend.core.format_table import (
 )
 from infrablend.core.stored_images import StoredImages
 from infrablend.errors import Problem
-from infrablend.formats.base import in_order, sort_images
+from infrablend.formats.base import FormatModule, in_order, sort_images
 from infrablend.formats.capture import facts_from_name, fits_table
 from infrablend.formats.losses import Written
 from infrablend.formats.pictures import assign_ids
@@ -69,8 +68,9 @@ class WriteSettings:
 
 def load_writer(writer: Writer) -> Callable[..., Written]:
     """Return the function `write` of the writer's format."""
-    found: Callable[..., Written] = import_module(find_format(writer.reader).module).write
-    return found
+    write = FormatModule.load(find_format(writer.reader).module).write
+    assert write is not None
+    return write
 
 
 def native_writer(source: Dataset) -> Writer | None:
@@ -78,22 +78,12 @@ def native_writer(source: Dataset) -> Writer | None:
 
     WiSARD has YOLO's labels and DUT-Anti-UAV has VOC's, so these are written in the layout of YOLO or VOC.
     """
-    kind = source.notes.get("labels") if source.format == "folder" else source.format
-    kind = next((f.written_as for f in FORMATS if f.name == kind and f.written_as), kind)
-    if kind == "hit-uav":
-        forms = source.notes.get("forms") or ("normal_json",)
-        return find_writer("hit-uav" if any(f.endswith("_json") for f in forms) else "hit-uav-xml")
-    if kind == "yolo":
-        return find_writer(_yolo_kind(source))
-    return next((w for w in WRITERS if w.name == kind), None)
-
-
-def _yolo_kind(source: Dataset) -> str:
-    """Return the YOLO format for a dataset's labels: oriented boxes, polygons, or boxes."""
-    instances = [i for image in source.images for i in image.instances]
-    if any(i.corners_xy is not None for i in instances):
-        return "yolo-obb"
-    return "yolo-seg" if any(i.mask is not None for i in instances) else "yolo"
+    name = source.format
+    if name in {f.name for f in FORMATS}:
+        name = find_format(name).written_as or name
+        choose = FormatModule.load(find_format(name).module).native_writer
+        name = name if choose is None else choose(source)
+    return next((w for w in WRITERS if w.name == name), None)
 
 
 def write(
@@ -132,7 +122,7 @@ def write(
         writer = find_writer(name)
     if settings.category_ids == "from_one":
         categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
-    ordered, renamed = fitting_names(in_order(images), writer.layout, _MISREAD_FOLDERS.get(writer.reader, ()))
+    ordered, renamed = fitting_names(in_order(images), writer.layout, writer.misread)
     arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
     if "extra" in writer.takes and source is not None and source.format == writer.reader:
         arguments["extra"] = source.extra
@@ -149,11 +139,6 @@ def _native_not_writable(source: Dataset) -> Written:
     return Written(
         problems=(Problem("native", "format-none", found, f"one of {', '.join(written_names())}", todo, "warning"),)
     )
-
-
-# Folders in the names of pictures that make readers of a format look elsewhere: YOLO's, Ultralytics among them, put
-# `labels` in place of the last `images` of a picture's path, and ours takes no pictures from `labels`.
-_MISREAD_FOLDERS: Mapping[str, Collection[str]] = {"yolo": ("images", "labels")}
 
 
 def fitting_names(
@@ -231,8 +216,6 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
 
 def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, int]:
     """Count what all formats lose alike: boxes beside oriented ones, tracks, inserted marks, telemetry, and more."""
-    # HIT-UAV's reader derives sequence and date from fields that its writer keeps.
-    dated = writer.reader == "hit-uav"
     own_boxes = "obb" not in writer.lacks
     found: Counter[str] = Counter()
     for i in images:
@@ -241,18 +224,17 @@ def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, 
         found["inserted"] += sum(o.inserted for o in i.instances)
         found["temperature"] += i.capture.scale is not None
     losses = {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks}
-    facts = Counter(
-        k for i in images for k in _lost_facts(i, writer) if not (k == "sequence" and dated and i.extra.get("date"))
-    )
+    facts = Counter(field for i in images for field in _lost_facts(i, writer))
     return losses | {FIELDS[k][1]: n for k, n in facts.items()}
 
 
 def _lost_facts(image: ImageRecord, writer: Writer) -> set[str]:
     """Return what is lost of the facts of a picture: keys of `FIELDS`."""
+    derived = {fact for key, facts in writer.derived.items() if image.extra.get(key) for fact in facts}
     return {
         FACTS[name].field
         for name, value in _unsaid(image).items()
-        if name not in writer.facts or (writer.table and not fits_table(name, value))
+        if name not in (writer.facts | derived) or (writer.table and not fits_table(name, value))
     }
 
 

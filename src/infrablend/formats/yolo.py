@@ -64,6 +64,14 @@ _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 # -- writing ---------------------------------------------------------------------------------------------------
 
 
+def native_writer(dataset: Dataset) -> str:
+    """Return the name of the writer for a dataset's labels: of oriented boxes, polygons, or boxes."""
+    instances = [i for image in dataset.images for i in image.instances]
+    if any(i.corners_xy is not None for i in instances):
+        return "yolo-obb"
+    return "yolo-seg" if any(i.mask is not None for i in instances) else "yolo"
+
+
 def yolo_classes(categories: Iterable[Category], dont_care: Literal["drop", "keep"] = "drop") -> dict[str, int]:
     """Return class numbers by category name, from 0 in the order of the ids; ignore regions are left out or kept.
 

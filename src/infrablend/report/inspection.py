@@ -6,7 +6,6 @@ import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import FormatModule
 from infrablend.formats.groups import Leakage, leakage
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
@@ -255,7 +255,7 @@ def _remarks(dataset: Dataset) -> tuple[str, ...]:
     """Return the remarks of the format modules on published datasets."""
     found: list[str] = []
     for known in FORMATS:
-        remarks = getattr(import_module(known.module), "remarks", None)
+        remarks = FormatModule.load(known.module).remarks
         if remarks is not None:
             found += remarks(dataset)
     return tuple(found)

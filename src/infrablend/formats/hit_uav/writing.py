@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
-from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_stream import SPACED, Streamed, json_chunks
 from infrablend.formats.base import (
@@ -35,6 +35,12 @@ from infrablend.formats.occlusion import loses_occlusion
 _COORDINATE_DIGITS = 8
 _ANGLE_DIGITS = 10
 _INFO = {"description": "HIT-UAV layout, written by InfraBlend"}
+
+
+def native_writer(dataset: Dataset) -> str:
+    """Return the name of the writer for the forms that a dataset was read from."""
+    forms = dataset.notes.get("forms") or ("normal_json",)
+    return "hit-uav" if any(f.endswith("_json") for f in forms) else "hit-uav-xml"
 
 
 def write(
