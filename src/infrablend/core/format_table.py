@@ -1,11 +1,11 @@
 """The table of dataset formats: names, titles, capabilities, and the places of code and documentation.
 
 Recipes, the command line, readers, writers, the reference page and the tests take the formats from here. To add a
-format, write its file in `infrablend.formats` (`formats.base.FormatModule` lists what it offers), add one row to `FORMATS`, add a sample to `tests/samples.py` with its
+format, write its file in `infrablend.formats`, add one row to `FORMATS`, add a sample to `tests/samples.py` with its
 tests, and describe it in `docs/formats/<page>.md`.
 
 Only names and facts are here, no code of any format: modules are given as dotted paths and loaded by
-`formats.detection` and `formats.writing`.
+`formats.base.FormatModule`, which lists what a module may offer.
 """
 
 from __future__ import annotations

@@ -432,52 +432,32 @@ def read_records(
         taken: Pictures of earlier files, by split, which are left out; those of this file are added.
     """
     earlier = frozenset(taken or ())
-    names: dict[int, str] = {}
-    for i, c in enumerate(top["categories"]):
-        number = to_int(c.get("id")) if isinstance(c, dict) else None
-        if number is None or not isinstance(c.get("name"), str) or number in names:
-            problems.append(
-                Problem(f"{where}: category {i}", "category-malformed", repr(c)[:80], "a new id and a name")
-            )
-            continue
-        names[number] = c["name"]
-        if all(k.name != c["name"] for k in categories):
-            free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
-            ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
-            categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
-    # As bytes they take a fifth of the memory, until the picture is known that they belong to.
-    of_image: dict[int, list[bytes]] = {}
-    for i, a in enumerate(top["annotations"]):
-        number = to_int(a.get("image_id")) if isinstance(a, dict) else None
-        if number is None:
-            found = repr(a)[:80]
-            problems.append(Problem(f"{where}: annotation {i}", "annotation-malformed", found, "an annotation record"))
-            continue
-        of_image.setdefault(number, []).append(pickle.dumps(a, pickle.HIGHEST_PROTOCOL))
+    names = _category_names(top["categories"], where, categories, problems)
+    of_image = _by_image(top["annotations"], where, problems)
+    videos = _video_names(top.get("videos"))
     records: list[tuple[str, ImageRecord]] = []
     seen_names: set[str] = set()
     seen_ids: set[int] = set()
-    twice = twice_labels = measured = 0
+    left_out: list[int] = []
+    measured = 0
     for i, r in enumerate(top["images"]):
         here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
         number = to_int(r.get("id")) if isinstance(r, dict) else None
         if number is None:
             problems.append(Problem(here, "image-malformed", repr(r)[:80], "an image record with an id"))
             continue
+        annotations = of_image.pop(number, [])
         name, file, fault = folder.find_named(r.get("file_name"), here, "a file in the picture folder")
         if fault is None and (name in seen_names or number in seen_ids):
             found = f"a second record with name {name!r} or id {number}"
             fault = Problem(here, "image-duplicate", found, "each picture once")
         if fault is not None or file is None:
             problems += [fault] if fault else []
-            if number not in seen_ids:
-                of_image.pop(number, None)
             continue
         seen_names.add(name)
         seen_ids.add(number)
         if (split, file) in earlier:
-            twice += 1
-            twice_labels += len(of_image.pop(number, ()))
+            left_out.append(len(annotations))
             continue
         if taken is not None:
             taken.add((split, file))
@@ -486,39 +466,88 @@ def read_records(
             size_wh, fault = read_size(file, here)
             problems += [fault] if fault else []
             measured += size_wh is not None
-        annotations = [pickle.loads(a) for a in of_image.pop(number, ())]
-        instances = _read_annotations(annotations, names, size_wh, where, problems)
-        image = _image(r, number, name, file, split, size_wh, instances, captures, here)
-        known = replace(image.capture, radiometry=_read_scale(r, top, here, problems))
-        records.append((f"{split}/{name}", replace(image, capture=known)))
-    if twice:
-        found = f"{twice} picture(s) that another annotation file contains too; left out here"
-        found += f" with {twice_labels} annotation(s)"
+        instances = _read_annotations([pickle.loads(a) for a in annotations], names, size_wh, here, problems)
+        stated = replace(_stated_facts(r, videos), radiometry=_read_scale(r, top, here, problems))
+        capture = captures.of(name, here, stated)
+        extra = {"source_id": r["source_id"]} if "source_id" in r else {}
+        records.append(
+            (f"{split}/{name}", ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
+        )
+    problems += _remarks(where, left_out, measured, of_image)
+    return records
+
+
+def _category_names(
+    rows: Iterable[Any], where: str, categories: list[Category], problems: list[Problem]
+) -> dict[int, str]:
+    """Return the name of each category of a file by its number; new categories are appended to those of all files."""
+    names: dict[int, str] = {}
+    for i, c in enumerate(rows):
+        number = to_int(c.get("id")) if isinstance(c, dict) else None
+        if number is None or not isinstance(c.get("name"), str) or number in names:
+            here = f"{where}: category {i}"
+            problems.append(Problem(here, "category-malformed", repr(c)[:80], "a new id and a name"))
+            continue
+        names[number] = c["name"]
+        if all(k.name != c["name"] for k in categories):
+            free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
+            ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
+            categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
+    return names
+
+
+def _by_image(rows: Iterable[Any], where: str, problems: list[Problem]) -> dict[int, list[bytes]]:
+    """Return the annotations by `image_id`, pickled: as bytes they take a fifth of the memory until they are needed."""
+    of_image: dict[int, list[bytes]] = {}
+    for i, a in enumerate(rows):
+        number = to_int(a.get("image_id")) if isinstance(a, dict) else None
+        if number is None:
+            here = f"{where}: annotation {i}"
+            problems.append(Problem(here, "annotation-malformed", repr(a)[:80], "an annotation record"))
+            continue
+        of_image.setdefault(number, []).append(pickle.dumps(a, pickle.HIGHEST_PROTOCOL))
+    return of_image
+
+
+def _video_names(rows: object) -> dict[int, str]:
+    """Return the name of each video by its number."""
+    videos = (v for v in rows if isinstance(v, dict)) if is_list(rows) else ()
+    numbered = ((to_int(v.get("id")), v.get("name")) for v in videos)
+    return {number: name for number, name in numbered if number is not None and isinstance(name, str)}
+
+
+def _stated_facts(r: Mapping[str, Any], videos: Mapping[int, str]) -> Capture:
+    """Return what the record of a picture states; values that cannot be are left out."""
+    facts = {**r, **{fact: r.get(key) for fact, key in _KEYS.items()}}
+    video = to_int(r.get("video_id"))
+    if not facts.get("sequence") and video is not None:
+        facts["sequence"] = videos.get(video)
+    return Capture.from_json(facts, strict=False)
+
+
+def _remarks(
+    where: str, left_out: Sequence[int], measured: int, unknown: Mapping[int, Sequence[bytes]]
+) -> list[Problem]:
+    """Return what is to be said about a file as a whole.
+
+    Args:
+        where: Name of the file.
+        left_out: Number of annotations of each picture that another file contains, too.
+        measured: Number of pictures whose size was read from them.
+        unknown: Annotations of pictures that the file does not list.
+    """
+    problems = []
+    if left_out:
+        found = f"{len(left_out)} picture(s) that another annotation file contains too; left out here"
+        found += f" with {sum(left_out)} annotation(s)"
         problems.append(Problem(where, "image-duplicate", found, "each picture once", "remove or join the files"))
     if measured:
         found = f"{measured} image(s) without width and height, which were read from the pictures"
         problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
-    for number, left in sorted(of_image.items()):
+    for number, left in sorted(unknown.items()):
         text = f"{len(left)} annotation(s) of image_id {number}"
         problems.append(Problem(where, "image-unknown", text, "the id of a picture that can be read"))
-    return records
-
-
-def _image(
-    r: Mapping[str, Any],
-    number: int,
-    name: str,
-    file: Path,
-    split: Split,
-    size_wh: tuple[int, int] | None,
-    instances: tuple[Instance, ...],
-    captures: Captures,
-    where: str,
-) -> ImageRecord:
-    own = Capture.from_json({**r, **{fact: r.get(key) for fact, key in _KEYS.items()}}, strict=False)
-    capture = captures.of(name, where, own)
-    extra = {"source_id": r["source_id"]} if "source_id" in r else {}
-    return ImageRecord("", file, split, size_wh, instances, capture, number, extra, name)
+    return problems
 
 
 def _read_scale(r: Mapping[str, Any], top: Mapping[str, Any], where: str, problems: list[Problem]) -> Radiometry | None:

@@ -294,13 +294,16 @@ def test_hit_uav_gives_as_many_real_boxes_as_asked_for(real_data, name, pictures
     assert min(sum(o.category == name for o in i.instances) for i in real.images) > 0
 
 
+_VIEW = Capture(pitch_deg=60.0, altitude_m=80.0, time_of_day="night")
+
+
 @pytest.mark.parametrize(
     "change",
     [
-        {"sequence": "flight 2"},
-        {"captured": "2024-05-01T12:00:00"},
-        {"radiometry": Radiometry(TemperatureScale(0.04, 0.0, "counts"), "stated")},
-        {"extra": {"altitude_from": "barometer"}},
+        {"capture": replace(_VIEW, sequence="flight 2")},
+        {"capture": replace(_VIEW, captured="2024-05-01T12:00:00")},
+        {"capture": replace(_VIEW, radiometry=Radiometry(TemperatureScale(0.04, 0.0, "counts"), "stated"))},
+        {"capture": replace(_VIEW, altitude_from="laser")},
         {"instances": (Instance("Person", np.array([1.0, 2, 3, 4]), extra={"iscrowd": 1}),)},
         {"instances": (Instance("Person", np.array([1.0, 2, 3, 4]), mask=Mask.from_array(np.eye(8, dtype=bool))),)},
     ],
@@ -313,7 +316,7 @@ def test_everything_that_decides_a_result_changes_the_digest(change):
         "train",
         (8, 8),
         (Instance("Person", np.array([1.0, 2, 3, 4])),),
-        capture=Capture(pitch_deg=60.0, altitude_m=80.0, time_of_day="night"),
+        capture=_VIEW,
     )
     categories = (Category(0, "Person"),)
     before, after = (Dataset(Path("x"), "coco", categories, (i,)) for i in (one, replace(one, **change)))
