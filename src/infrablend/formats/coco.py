@@ -127,7 +127,8 @@ def coco_chunks(
 ) -> dict[str, Iterator[str]]:
     """Return the texts of the files `<split>.json` in pieces, by name; equal records give equal bytes.
 
-    `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their ids. A category to
+    `file_name` is `ImageRecord.name`, relative to the split's picture folder. Pictures with a number in their sequence
+    get COCO's fields of videos. Categories keep their ids. A category to
     ignore gets `"ignore": 1`, and its annotations get `"iscrowd": 1`.
 
     Args:
@@ -159,13 +160,14 @@ def coco_chunks(
     for split, images_of_split in split_parts(ordered).items():
         end = start + len(images_of_split)
         part = partial(_numbered, images_of_split, image_ids[start:end], object_ids[start:end])
-        common = info_of_scale(images_of_split)
+        common, videos = info_of_scale(images_of_split), _videos(images_of_split)
         top = {
             "info": {**(info or _INFO), **({} if common is None else {_SCALE: common})},
             "licenses": [],
-            "images": Streamed(_file_record(i, n, new, common is not None) for i, n, _ in part()),
+            "images": Streamed(_file_record(i, n, new, common is not None, videos) for i, n, _ in part()),
             "annotations": Streamed(annotations(part)),
             "categories": category_records(categories),
+            **({"videos": [{"id": number, "name": name} for name, number in videos.items()]} if videos else {}),
         }
         texts[f"{split}.json"] = chain(json_chunks(top, losses), "\n")
         start = end
@@ -182,9 +184,21 @@ def _numbered(
     return zip(images, image_ids, object_ids, strict=True)
 
 
-def _file_record(image: ImageRecord, number: int, new: bool, one_scale: bool) -> dict[str, Any]:
+def _videos(images: Iterable[ImageRecord]) -> dict[str, int]:
+    """Return the number of each sequence in a file; none if the pictures have no numbers in their sequences."""
+    known = {(i.capture.sequence, i.capture.frame is not None) for i in images}
+    if not any(numbered for _, numbered in known):
+        return {}
+    return {name: number for number, name in enumerate(sorted({n for n, _ in known if n is not None}), 1)}
+
+
+def _file_record(
+    image: ImageRecord, number: int, new: bool, one_scale: bool, videos: Mapping[str, int]
+) -> dict[str, Any]:
     """Return the record of a picture, with its temperature scale unless all pictures of the file share one."""
     record = _image_record(image, number, new)
+    if (video := videos.get(image.capture.sequence or "")) is not None:
+        record["video_id"] = video
     if not one_scale and image.capture.scale is not None:
         record[_SCALE] = image.capture.scale.to_json()
     return record | _camera_settings(image)

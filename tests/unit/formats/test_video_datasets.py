@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ from typer.testing import CliRunner
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, UnknownFormatError
-from infrablend.formats import detection
+from infrablend.formats import coco, detection
 from infrablend.formats.reading import Reading
-from tests.samples import SAMPLES, picture
+from tests.samples import SAMPLES, picture, with_facts
 from tests.videos import level, write_ground_truth, write_video
 
 
@@ -49,6 +50,27 @@ def test_frames_of_thermal_videos_are_read(tmp_path: Path) -> None:
     again = detection.read(tmp_path)
     assert [i.path for i in again.images] == [i.path for i in d.images]
     assert not (tmp_path / "train" / "20190925_101846_1_1" / "frames").exists()
+
+
+def test_coco_has_fields_of_videos_if_pictures_are_numbered(tmp_path: Path) -> None:
+    d = detection.read(anti_uav_video(tmp_path / "in"))
+    tracked = [replace(i, instances=(replace(i.instances[0], track_id=4),)) for i in d.images]
+    coco.write(tmp_path / "out", tracked, d.categories, pictures=True)
+    path = tmp_path / "out" / "annotations" / "instances_train.json"
+    top = json.loads(path.read_text())
+    assert top["videos"] == [{"id": 1, "name": "20190925_101846_1_1"}]
+    assert [(i["video_id"], i["frame_id"]) for i in top["images"]] == [(1, 0), (1, 25), (1, 50)]
+    assert {a["track_id"] for a in top["annotations"]} == {4}
+    # Other programs name the video of a picture by its number alone.
+    for image in top["images"]:
+        del image["sequence"]
+    path.write_text(json.dumps(top))
+    again = detection.read(tmp_path / "out").images
+    assert [(i.capture.sequence, i.capture.frame, i.instances[0].track_id) for i in again] == [
+        ("20190925_101846_1_1", k, 4) for k in (0, 25, 50)
+    ]
+    coco.write(tmp_path / "still", [with_facts(i, frame=None) for i in tracked], d.categories)
+    assert not {"videos", "video_id", "frame_id"} & set((tmp_path / "still" / "train.json").read_text().split('"'))
 
 
 def test_visible_videos_are_marked(tmp_path: Path) -> None:
