@@ -15,8 +15,7 @@ from typing import Any
 from infrablend.core.capture import FACTS, UNKNOWN, Capture
 from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_json, read_text
-from infrablend.formats.csv_text import comma_of, delimiter_of
+from infrablend.formats.annotation_files import comma_of, delimiter_of, read_json, read_text
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _KEYS = ("file", "stem", "sequence")

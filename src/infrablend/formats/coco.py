@@ -55,7 +55,7 @@ from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name, read_size
 from infrablend.formats.temperatures import info_of_scale
-from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
+from infrablend.formats.values import to_bool, to_floats, to_id, to_int, to_share, to_size
 
 NAME = "coco"
 
@@ -640,14 +640,10 @@ def _read_annotations(
                 a.get("inserted") is True,
                 number,
                 extra,
-                _track(a.get("track_id")),
+                to_id(a.get("track_id")),
             )
         )
     return tuple(instances)
-
-
-def _track(value: object) -> int | str | None:
-    return value if isinstance(value, int | str) and not isinstance(value, bool) else None
 
 
 def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None) -> tuple[float, float]:

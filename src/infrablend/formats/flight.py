@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from infrablend.core.capture import AltitudeOrigin, Capture, TimeOfDay
+from infrablend.core.capture import Capture, TimeOfDay
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import open_regular
 from infrablend.core.finished import FRAMES_FILE, TEMPERATURES_FILE
@@ -212,20 +212,11 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
     """Return a record with the facts that it lacks."""
     if f is None:
         return image
-    captured, height = f.facts.get("captured"), f.facts.get("altitude_m")
-    origin: AltitudeOrigin | None = None
-    if height is not None and image.capture.altitude_m is None:
-        origin = "laser" if "LRF" in height.source else "take-off"
-    stated = Capture(
-        pitch_deg=f.value("pitch_deg"),
-        altitude_m=f.value("altitude_m"),
-        hfov_deg=f.value("hfov_deg"),
-        # Level cameras need no entry: a roll of 0 is written nowhere.
-        roll_deg=f.value("roll_deg") or None,
-        altitude_from=origin,
-        captured=None if captured is None else str(captured.value),
-        camera=f.camera or None,
-    )
+    stated = Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False)
+    if image.capture.altitude_m is None and stated.altitude_m is not None:
+        stated = replace(stated, altitude_from="laser" if "LRF" in f.facts["altitude_m"].source else "take-off")
+    # Level cameras need no entry: a roll of 0 is written nowhere.
+    stated = replace(stated, roll_deg=stated.roll_deg or None)
     known = replace(image.capture.over(stated), camera=f.camera or image.capture.camera)
     if known.time_of_day is None:
         when = time_of_day(known.captured, f.value("latitude_deg"), f.value("longitude_deg"))

@@ -43,7 +43,7 @@ from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_link
-from infrablend.formats.values import to_bool, to_floats, to_int, to_size
+from infrablend.formats.values import to_bool, to_floats, to_id, to_int, to_size
 
 NAME = "masks"
 TAKES_TABLE = False  # the tables contain pitch and altitude
@@ -248,7 +248,7 @@ def _read_table(
             found = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
             problems.append(Problem(where, "mask-unknown", found, "an object per value", severity="warning"))
     capture = Capture.from_json(top, strict=False)
-    source_id = _id(top.get("source_id"))
+    source_id = to_id(top.get("source_id"))
     return ImageRecord("", picture, split, size_wh, tuple(instances), capture, source_id, file_name=name)
 
 
@@ -301,7 +301,7 @@ def _read_object(
     return Instance(
         str(row["category"]), inside, corners, mask, visibility[0] if visibility else None,
         to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
-        _id(row.get("source_id")), read_occlusion(row), _id(row.get("track_id")),
+        to_id(row.get("source_id")), read_occlusion(row), to_id(row.get("track_id")),
     )  # fmt: skip
 
 
@@ -312,7 +312,3 @@ def _corners(value: object) -> NDArray[np.float64] | None:
     if not all(p is not None and is_near(p) for p in points):
         return None
     return clockwise_corners(np.array(points, np.float64))
-
-
-def _id(value: object) -> int | str | None:
-    return value if isinstance(value, int | str) and not isinstance(value, bool) else None
