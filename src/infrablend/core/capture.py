@@ -28,13 +28,13 @@ class Fact:
             value is no such fact.
         expected: Such values in words.
         field: What a format lacks that cannot hold the fact: `telemetry` or `sequence`, see `format_table.FIELDS`.
-        is_number: Whether it is a number; otherwise it is a text.
+        type: Type of the fact.
     """
 
     read: Callable[[Any], Any]
     expected: str
     field: Literal["telemetry", "sequence"] = "telemetry"
-    is_number: bool = False
+    type: type[float] | type[str] = str
 
 
 def _number(low: float, high: float, unit: str) -> Fact:
@@ -44,7 +44,7 @@ def _number(low: float, high: float, unit: str) -> Fact:
             raise ValueError
         return number
 
-    return Fact(read, f"{low:g} to {high:g} {unit}", is_number=True)
+    return Fact(read, f"{low:g} to {high:g} {unit}", type=float)
 
 
 def _roll() -> Fact:
@@ -104,7 +104,7 @@ class Capture:
         default=None, metadata={"fact": Fact(_text, "a date or time such as 2024-05-01T06:30:00+02:00", "sequence")}
     )
     frame: int | None = field(
-        default=None, metadata={"fact": Fact(_frame_number, "a whole number from 0", "sequence", is_number=True)}
+        default=None, metadata={"fact": Fact(_frame_number, "a whole number from 0", "sequence", type=int)}
     )
     camera: str | None = field(default=None, metadata={"fact": Fact(_text, "a name")})
     radiometry: Radiometry | None = None

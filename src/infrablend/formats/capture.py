@@ -103,7 +103,7 @@ class Captures:
             inside: Values in the annotation.
         """
         facts = facts_from_name(name)
-        sources = [("annotation", inside), ("file names", facts.capture if facts else Capture())]
+        sources = [("annotation", inside), ("file names", facts.capture if facts else UNKNOWN)]
         if self.table is not None:
             row = self.table.find(name)
             if row is not None:
@@ -199,7 +199,7 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 def _records(
     titles: Sequence[str], lines: Sequence[tuple[str, Sequence[str]]], comma: str
 ) -> list[tuple[str, dict[str, Any]]]:
-    numbers = {name for name, fact in FACTS.items() if fact.is_number}
+    numbers = {name for name, fact in FACTS.items() if fact.type is not str}
     records = []
     for where, cells in lines:
         row: dict[str, Any] = dict(zip(titles, cells, strict=False))

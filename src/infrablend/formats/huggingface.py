@@ -57,7 +57,7 @@ FILE = "metadata.jsonl"
 _FOLDERS: Mapping[str, Split] = {"train": "train", "val": "val", "validation": "val", "valid": "val", "test": "test"}
 _SCALE = "temperature_scale"
 # Columns of pictures that may be null, and what is lost where a split has no value at all.
-_NULLABLE = {n: FIELDS[f.field][1] for n, f in FACTS.items() if f.is_number} | {_SCALE: FIELDS["temperature"][1]}
+_NULLABLE = {n: FIELDS[f.field][1] for n, f in FACTS.items() if f.type is not str} | {_SCALE: FIELDS["temperature"][1]}
 # Columns of texts that every line has, empty where unknown; further texts are columns if any picture has one.
 _TEXTS = ("time_of_day", "sequence", "captured")
 _UNKNOWN_VISIBILITY = -1.0
@@ -123,7 +123,7 @@ class _Columns:
             for o in image.instances:
                 needed |= {n for n, (is_needed, _) in _OPTIONAL.items() if n not in needed and is_needed(o)}
         optional = {n: value for n, (_, value) in _OPTIONAL.items() if n in needed}
-        texts = [n for n, f in FACTS.items() if not f.is_number and (n in _TEXTS or n in needed)]
+        texts = [n for n, f in FACTS.items() if f.type is str and (n in _TEXTS or n in needed)]
         ignored = frozenset(c.name for c in categories if c.ignore)
         return cls(category_ids(categories), ignored, optional, tuple(texts))
 
@@ -147,7 +147,8 @@ class _Columns:
             "file_name": image.name,
             "width": w,
             "height": h,
-            **{name: facts.get(name) for name in _NULLABLE if name != _SCALE},
+            # A column of one type: no whole numbers among others.
+            **{n: None if (v := facts.get(n)) is None else FACTS[n].type(v) for n in _NULLABLE if n != _SCALE},
             _SCALE: None if scale is None else scale.to_json(),
             **{name: _as_text(facts.get(name)) for name in self.texts},
             _OBJECTS: {

@@ -53,6 +53,16 @@ def test_the_first_line_gives_every_column_its_type(tmp_path: Path) -> None:
     assert {r["file_name"] for r in (first, second)} == {"0_60_30_0_00001.jpg", "1_90_60_0_00012.jpg"}
 
 
+def test_a_column_of_numbers_has_one_type(tmp_path: Path) -> None:
+    """Arrow takes 60 and 60.5 for two types."""
+    _, out = written(
+        tmp_path, lambda i: with_facts(i, pitch_deg=60, frame=3, camera="M3T" if i.split == "val" else None)
+    )
+    rows = [r for s in ("train", "val", "test") for r in lines(out, s)]
+    assert {(str(r["pitch_deg"]), str(r["frame"])) for r in rows} == {("60.0", "3")}
+    assert {r["camera"] for r in rows} == {"M3T", ""} and all("altitude_from" not in r for r in rows)
+
+
 def test_a_split_without_any_object_is_left_out_with_a_warning(tmp_path: Path) -> None:
     done, out = written(tmp_path, lambda i: replace(i, instances=()) if i.split == "test" else i)
     (problem,) = done.problems
