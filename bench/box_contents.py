@@ -29,9 +29,9 @@ def main() -> None:
     for data in options.data:
         for image in read(data).images:
             if image.split == options.split:
-                below = next(limit for limit in BELOW_DEG if (image.pitch_deg or 0) < limit)
+                below = next(limit for limit in BELOW_DEG if (image.capture.pitch_deg or 0) < limit)
                 found = _rows(image, options.category)
-                rows[image.time_of_day or "unknown", below, str(data)] += found
+                rows[image.capture.time_of_day or "unknown", below, str(data)] += found
     for (when, below, name), found in sorted(rows.items()):
         if found:
             quartiles = np.percentile(np.array(found), (25, 50, 75), axis=0).T
@@ -49,7 +49,7 @@ def _rows(image: ImageRecord, category: str) -> list[tuple[float, ...]]:
         if contrast is not None:
             w, h = instance.box_xyxy[2:] - instance.box_xyxy[:2]
             levels = (level - contrast.ring for level in (contrast.low, contrast.middle, contrast.high))
-            out.append((max(w, h), max(w, h) * (image.altitude_m or np.nan), w / h, *levels))
+            out.append((max(w, h), max(w, h) * (image.capture.altitude_m or np.nan), w / h, *levels))
     return out
 
 

@@ -59,7 +59,7 @@ def main() -> None:
         for box in drawn:
             shares = box_iou(box[None], sure)[0]
             if shares.max() >= MEET:
-                rows.append([image.pitch_deg or 0, *box, *sure[int(shares.argmax())]])
+                rows.append([image.capture.pitch_deg or 0, *box, *sure[int(shares.argmax())]])
     table = np.array(rows).reshape(-1, 9)
     _print_groups(table, (table[:, 3:5] - table[:, 1:3]).max(axis=1), LONGEST_BELOW_PX, "longer side below")
     _print_groups(table, table[:, 0], PITCH_BELOW_DEG, "pitch below")

@@ -36,7 +36,7 @@ def main() -> None:
     options = parser.parse_args()
     print(f"height in the box: {HEIGHTS.round(1).tolist()}")
     for data in options.data:
-        images = [i for i in read(data).images if i.split == options.split and i.time_of_day == options.time]
+        images = [i for i in read(data).images if i.split == options.split and i.capture.time_of_day == options.time]
         rows = np.array([row for image in images for row in profiles(image, options.category)])
         rows = rows.reshape(-1, 2 + len(HEIGHTS))
         low = 0.0
@@ -67,7 +67,7 @@ def profiles(image: ImageRecord, category: str) -> Iterator[list[float]]:
         grey = cv2.remap(picture, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
         levels = grey.mean(axis=1) - contrast.ring
         if levels[MIDDLE].mean() <= -LEAST_GREY:
-            yield [image.pitch_deg or 0.0, (x1 - x0) / (y1 - y0), *levels.tolist()]
+            yield [image.capture.pitch_deg or 0.0, (x1 - x0) / (y1 - y0), *levels.tolist()]
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ def main() -> None:
     for data in options.data:
         found: dict[str, list[NDArray[np.float64]]] = defaultdict(list)
         for image in read(data).images:
-            if image.split == options.split and image.time_of_day == options.time:
+            if image.split == options.split and image.capture.time_of_day == options.time:
                 for side, levels in profiles(image, options.category):
                     found[side].append(levels)
         for side, rows in found.items():

@@ -39,9 +39,9 @@ def main() -> None:
         if image.split == options.split:
             of = found.get(image_key(image))
             ordered = [] if of is None else list(of.boxes_xyxy[of.scores >= options.confidence])
-            below = next(limit for limit in BELOW_DEG if (image.pitch_deg or 0) < limit)
+            below = next(limit for limit in BELOW_DEG if (image.capture.pitch_deg or 0) < limit)
             seen = count(image, options.category, ordered)
-            counts[f"{image.time_of_day or 'unknown'}, pitch below {below:g}"] += seen
+            counts[f"{image.capture.time_of_day or 'unknown'}, pitch below {below:g}"] += seen
             counts["all"] += seen
     for group, seen in sorted(counts.items()):
         print(

@@ -34,7 +34,8 @@ def main() -> None:
     for image in read(options.data).images:
         if image.split == options.split:
             for category, rows in measure(image):
-                found.setdefault((category, image.time_of_day or "unknown"), []).append(rows - rows.mean(axis=0))
+                key = category, image.capture.time_of_day or "unknown"
+                found.setdefault(key, []).append(rows - rows.mean(axis=0))
     for (category, time_of_day), parts in sorted(found.items()):
         rows = np.concatenate(parts)
         if len(rows) >= MIN_COMPARED:
@@ -45,7 +46,7 @@ def measure(image: ImageRecord) -> Iterator[tuple[str, NDArray[np.float64]]]:
     """Yield each class that has enough objects, with an (n, 1 + widths) array: level of the object, of its rings."""
     pixels = cv2.imread(str(image.path), cv2.IMREAD_GRAYSCALE)
     picture = pixels.astype(np.float32)
-    free = Backdrop(pixels, image.instances, image.time_of_day, (0, 255)).free()
+    free = Backdrop(pixels, image.instances, image.capture.time_of_day, (0, 255)).free()
     for category in sorted({i.category for i in image.instances}):
         rows = []
         for instance in image.instances:

@@ -53,15 +53,15 @@ def main() -> None:
     for image in detection.read(options.data, reading).images:
         if image.split != options.split or image.size_wh is None:
             continue
-        if image.pitch_deg is None or image.altitude_m is None:
+        if image.capture.pitch_deg is None or image.capture.altitude_m is None:
             continue
         camera = CameraSpec(
-            1.0, math.radians(image.pitch_deg), 0.0, lens.focal_length_mm, lens.sensor_width_mm, image.size_wh
+            1.0, math.radians(image.capture.pitch_deg), 0.0, lens.focal_length_mm, lens.sensor_width_mm, image.size_wh
         )
-        camera = at_height(camera, image.altitude_m)
-        ground = ground_z_m(camera, image.altitude_m)
+        camera = at_height(camera, image.capture.altitude_m)
+        ground = ground_z_m(camera, image.capture.altitude_m)
         yaws = [y for i in image.instances if i.category == options.category and (y := yaw_of(i, camera, ground))]
-        when: str = image.time_of_day or "unknown"
+        when: str = image.capture.time_of_day or "unknown"
         pairs[when] += [_apart(a - b, 180) for a, b in itertools.combinations(yaws, 2)]
         # The camera looks along +Y.
         from_view[when] += [_apart(yaw - 90, 180) for yaw in yaws]

@@ -41,11 +41,13 @@ def main() -> None:
     assert isinstance(camera, MetricCamera), f"{options.recipe}: expected a recipe with placement.mode metric"
     factors: dict[tuple[str, str, float], list[float]] = defaultdict(list)
     for image in detection.read(options.data).images:
-        if image.split == options.split and image.altitude_m and image.pitch_deg is not None:
-            value, limits = (image.pitch_deg, BELOW_DEG) if options.by_pitch else (image.altitude_m, BELOW_M)
+        if image.split == options.split and image.capture.altitude_m and image.capture.pitch_deg is not None:
+            value, limits = (
+                (image.capture.pitch_deg, BELOW_DEG) if options.by_pitch else (image.capture.altitude_m, BELOW_M)
+            )
             below = next(limit for limit in limits if value < limit)
             for kind, factor in factors_of(image, camera).items():
-                factors[kind, image.time_of_day or "unknown", below].append(factor)
+                factors[kind, image.capture.time_of_day or "unknown", below].append(factor)
     for (kind, time_of_day, below), found in sorted(factors.items()):
         logs = np.log(found)
         limit = "below_pitch_deg" if options.by_pitch else "below_m"
@@ -56,13 +58,13 @@ def main() -> None:
 
 def factors_of(image: ImageRecord, camera: MetricCamera) -> dict[KnownClass, float]:
     """Return true over stated height of one picture by the median of the boxes of each class."""
-    if image.pitch_deg is None or image.altitude_m is None:
+    if image.capture.pitch_deg is None or image.capture.altitude_m is None:
         return {}
     view = CameraSpec(
-        1.0, math.radians(image.pitch_deg), 0.0, camera.focal_length_mm, camera.sensor_width_mm, image.size_wh
+        1.0, math.radians(image.capture.pitch_deg), 0.0, camera.focal_length_mm, camera.sensor_width_mm, image.size_wh
     )
-    view = at_height(view, image.altitude_m)
-    ground = ground_z_m(view, image.altitude_m)
+    view = at_height(view, image.capture.altitude_m)
+    ground = ground_z_m(view, image.capture.altitude_m)
     logs: dict[KnownClass, list[float]] = defaultdict(list)
     for label in image.instances:
         kind = known_class(label.category)

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import near_edge
 from infrablend.core.boxes import box_iou
-from infrablend.core.dataset import ImageRecord, Instance, TimeOfDay
+from infrablend.core.capture import TimeOfDay
+from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
 from infrablend.formats import coco
@@ -101,11 +102,11 @@ def cut(data: Path, category: str) -> tuple[list[Patch], Counter[str]]:
                 unused["at the edge"] += 1
             elif overlap(boxes[n], others) > MOST_OVERLAP:
                 unused["overlap"] += 1
-            elif not is_seen(picture, boxes[n], others, category, image.time_of_day):
+            elif not is_seen(picture, boxes[n], others, category, image.capture.time_of_day):
                 unused["low contrast"] += 1
             else:
                 box = boxes[n] - np.array([x0, y0, x0, y0])
-                facts = (image.time_of_day, image.pitch_deg or 0.0, image.altitude_m or 0.0)
+                facts = (image.capture.time_of_day, image.capture.pitch_deg or 0.0, image.capture.altitude_m or 0.0)
                 patches.append(Patch(picture[y0:y1, x0:x1].copy(), box, *facts))
     return patches, unused
 
@@ -117,9 +118,9 @@ def alike(patches: Sequence[Patch], frame: ImageRecord) -> list[Patch]:
         found = [
             p
             for p in patches
-            if p.time_of_day == frame.time_of_day
-            and abs(p.pitch_deg - (frame.pitch_deg or 0)) <= pitch_deg
-            and abs(p.altitude_m - (frame.altitude_m or 0)) <= height_m
+            if p.time_of_day == frame.capture.time_of_day
+            and abs(p.pitch_deg - (frame.capture.pitch_deg or 0)) <= pitch_deg
+            and abs(p.altitude_m - (frame.capture.altitude_m or 0)) <= height_m
         ]
         if len(found) >= ENOUGH:
             break
@@ -141,7 +142,7 @@ def fill(
             if done is None or overlap(done[1], taken) > MOST_PASTED_OVERLAP:
                 continue
             pasted, box = done
-            if is_seen(pasted, box, taken, category, frame.time_of_day):
+            if is_seen(pasted, box, taken, category, frame.capture.time_of_day):
                 picture = pasted
                 patch.used += 1
                 taken.append(box)

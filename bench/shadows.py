@@ -49,7 +49,7 @@ def main() -> int:
     empty: list[float] = []
     for record in filter(None, map(read_record, folder.records())):
         source = images[Path(record.background["path"]).name]
-        if source.time_of_day != "day" or not record.inserted:
+        if source.capture.time_of_day != "day" or not record.inserted:
             continue
         before, after = (_picture(p) for p in (data / record.background["path"], folder.image(record.image)))
         boxes = [i.box_xyxy for i in (*record.originals(source.instances), *record.inserted)]
@@ -59,7 +59,7 @@ def main() -> int:
                 empty.append(ground)
                 inserted.append(shaded)
     real: list[float] = []
-    by_day = [i for i in images.values() if i.time_of_day == "day" and i.split == "train"]
+    by_day = [i for i in images.values() if i.capture.time_of_day == "day" and i.split == "train"]
     for k in np.random.default_rng(0).permutation(len(by_day))[: args.pictures]:
         source, pixels = by_day[k], _picture(by_day[k].path)
         boxes = [i.box_xyxy for i in source.instances]

@@ -24,7 +24,9 @@ def main() -> None:
     """Print a line per dataset and range of pitch."""
     options = data_parser(__doc__).parse_args()
     for data in options.data:
-        images = [i for i in read(data).images if i.split == options.split and i.pitch_deg is not None and i.size_wh]
+        images = [
+            i for i in read(data).images if i.split == options.split and i.capture.pitch_deg is not None and i.size_wh
+        ]
         rows = np.concatenate([np.empty((0, 5)), *(spacing(i, options.category) for i in images)])
         low = 0.0
         for high in PITCH_BELOW_DEG:
@@ -52,7 +54,7 @@ def spacing(image: ImageRecord, category: str) -> NDArray[np.float64]:
         away = np.linalg.norm((others[:, :2] + others[:, 2:] - box[:2] - box[2:]) / 2, axis=1) / sides.max()
         at_edge = (box[:2] <= AT_EDGE_PX).any() or (box[2:] >= np.array([w, h]) - AT_EDGE_PX).any()
         covered = shared.prod(axis=1).max(initial=0) / sides.prod()
-        rows.append([image.pitch_deg or 0.0, away.min(initial=ALONE), covered, float(at_edge), sides.max()])
+        rows.append([image.capture.pitch_deg or 0.0, away.min(initial=ALONE), covered, float(at_edge), sides.max()])
     return np.array(rows).reshape(-1, 5)
 
 

@@ -49,7 +49,7 @@ def main() -> int:
         source = images[Path(record.background["path"]).name]
         before, after = (_picture(p) for p in (data / record.background["path"], folder.image(record.image)))
         boxes = [i.box_xyxy for i in record.inserted]
-        changes[source.time_of_day or "unknown"].append(largest_changes(before, after, boxes))
+        changes[source.capture.time_of_day or "unknown"].append(largest_changes(before, after, boxes))
         labels = (*record.originals(source.instances), *record.inserted)
         _collect(levels, "inserted", source, after, labels)
     for k in np.random.default_rng(0).permutation(len(images))[: args.pictures]:
@@ -71,7 +71,8 @@ def _collect(
         found = levels_around(picture, label.box_xyxy, [o.box_xyxy for k, o in enumerate(labels) if k != n])
         if found is not None:
             side = "bright" if found[0] > 0 else "dark"
-            levels[label.category, source.time_of_day or "unknown", side, kind].append(np.array([found[0], *found[1]]))
+            time_of_day = source.capture.time_of_day or "unknown"
+            levels[label.category, time_of_day, side, kind].append(np.array([found[0], *found[1]]))
 
 
 def _print(changes: dict[str, list[NDArray[np.float64]]], levels: Levels) -> int:

@@ -44,7 +44,7 @@ def measure(data: Path, split: str, least_px: float) -> dict[tuple[str, str], li
             x0, y0, x1, y1 = instance.box_xyxy
             contrast = object_contrast(pixels, instance, image.instances)
             if contrast is not None and max(x1 - x0, y1 - y0) >= least_px:
-                key = instance.category, image.time_of_day or "unknown"
+                key = instance.category, image.capture.time_of_day or "unknown"
                 found.setdefault(key, []).append(contrast.high - contrast.ring)
     return found
 

@@ -347,8 +347,8 @@ def assert_sound(dataset: Dataset, root: Path) -> None:
     for image in dataset.images:
         assert os.path.realpath(image.path).startswith((real, made)), image.path
         assert ".." not in Path(image.name).parts and not Path(image.name).is_absolute()
-        assert image.pitch_deg is None or -90 <= image.pitch_deg <= 90
-        assert image.time_of_day in (None, "day", "night")
+        assert image.capture.pitch_deg is None or -90 <= image.capture.pitch_deg <= 90
+        assert image.capture.time_of_day in (None, "day", "night")
         for o in image.instances:
             x0, y0, x1, y1 = o.box_xyxy
             assert np.isfinite(o.box_xyxy).all() and x0 < x1 and y0 < y1, o

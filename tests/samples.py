@@ -18,13 +18,15 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.files import sha256_of
 from infrablend.core.masks import Mask
@@ -35,6 +37,11 @@ from infrablend.formats.shard_tar import TarWriter, label_text
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
 SIZE_WH = (64, 48)
+
+
+def with_facts(item: Any, **facts: object) -> Any:
+    """An `ImageRecord` or `FrameKey` of whose picture other facts are known."""
+    return replace(item, capture=replace(item.capture, **facts))
 
 
 def sample(name: str) -> Callable[[Build], Build]:
@@ -88,10 +95,17 @@ def records(folder: Path) -> tuple[tuple[ImageRecord, ...], tuple[Category, ...]
         of_day = "night" if time == "1" else "day"
         images.append(
             ImageRecord(
-                path.stem, path, split, SIZE_WH, float(pitch), float(altitude), of_day, instances,
-                k, {"date": f"2021010{k + 1}"}, name,
-            )  # type: ignore[arg-type]
-        )  # fmt: skip
+                path.stem,
+                path,
+                split,
+                SIZE_WH,
+                instances,
+                capture=Capture(pitch_deg=float(pitch), altitude_m=float(altitude), time_of_day=of_day),
+                source_id=k,
+                extra={"date": f"2021010{k + 1}"},
+                file_name=name,
+            )
+        )
     return tuple(images), hit_uav.CATEGORIES
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from infrablend.api import LookRequest, SceneRequest
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.placed import PlacedScene
 
@@ -34,7 +35,7 @@ class Gradients:
         images = [
             ImageRecord(
                 id=f"gradient_{k}", path=Path(f"gradient_{k}.png"), split="train", size_wh=(320, 256),
-                pitch_deg=60.0, altitude_m=50.0, time_of_day="night", instances=(),
+                instances=(), capture=Capture(pitch_deg=60.0, altitude_m=50.0, time_of_day="night"),
             )
             for k in range(self.count)
         ]  # fmt: skip

@@ -45,7 +45,7 @@ def test_world_has_monets_layout(world):
     for image in dataset.images:
         # With the sign reversed, the pitch in the JSON is that of the camera.
         pitch = np.degrees(facts[image.split, image.name]["camera"]["pitch_rad"])
-        assert image.pitch_deg is None or image.pitch_deg == pytest.approx(pitch)
+        assert image.capture.pitch_deg is None or image.capture.pitch_deg == pytest.approx(pitch)
         objects = facts[image.split, image.name]["objects"]
         assert len(image.instances) == sum(not o["dropped"] for o in objects)
 
@@ -61,9 +61,13 @@ def test_deer_are_put_into_every_usable_frame(world, run):
     assert [c.name for c in again.categories] == ["person", "vehicle", "deer"]
     for image in again.images:
         source = backgrounds[image.id.removesuffix("_c0")]
-        assert (image.split, image.sequence, image.size_wh) == (source.split, source.sequence, (800, 600))
-        assert (image.pitch_deg, image.altitude_m, image.captured) == (
-            source.pitch_deg, source.altitude_m, source.captured,
+        assert (image.split, image.capture.sequence, image.size_wh) == (
+            source.split,
+            source.capture.sequence,
+            (800, 600),
+        )
+        assert (image.capture.pitch_deg, image.capture.altitude_m, image.capture.captured) == (
+            source.capture.pitch_deg, source.capture.altitude_m, source.capture.captured,
         )  # fmt: skip
         assert image.extra["fields"] == source.extra["fields"]
         (deer,) = (o for o in image.instances if o.category == "deer")

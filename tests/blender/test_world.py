@@ -105,7 +105,7 @@ def test_dataset_reads_back_and_repeats(tmp_path):
         with Image.open(image.path) as picture:
             assert picture.mode == "L" and picture.size == (640, 512) and picture.format == "JPEG"
             grey = np.asarray(picture, np.float64)
-        assert image.path.name == entry["name"] and image.pitch_deg is not None
+        assert image.path.name == entry["name"] and image.capture.pitch_deg is not None
         assert 90 < grey.mean() < 168 and 8 < grey.std() < 70
         for instance in image.instances:
             x0, y0, x1, y1 = instance.box_xyxy

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FORMATS
 from infrablend.core.masks import Mask
@@ -64,13 +65,13 @@ def golden_images(folder: Path) -> tuple[ImageRecord, ...]:
                 path,
                 split,
                 SIZE_WH,
-                float(pitch),
-                float(altitude),
-                "night" if night else "day",
                 tuple(instances),
-                source_id,
-                {"date": "20210101", "weather": "0"},
-                name,
+                capture=Capture(
+                    pitch_deg=float(pitch), altitude_m=float(altitude), time_of_day="night" if night else "day"
+                ),
+                source_id=source_id,
+                extra={"date": "20210101", "weather": "0"},
+                file_name=name,
             )
         )
     return sort_images(images)
@@ -205,8 +206,8 @@ def test_written_dataset_reads_back_equal(case: Case, tmp_path: Path) -> None:
     assert [p for p in again.problems if p.severity == "error"] == []
     assert [i.id for i in again.images] == [i.id for i in images]
     for before, after in zip(images, again.images, strict=True):
-        assert (after.split, after.pitch_deg, after.altitude_m, after.time_of_day) == (
-            before.split, before.pitch_deg, before.altitude_m, before.time_of_day,
+        assert (after.split, after.capture.pitch_deg, after.capture.altitude_m, after.capture.time_of_day) == (
+            before.split, before.capture.pitch_deg, before.capture.altitude_m, before.capture.time_of_day,
         )  # fmt: skip
         assert after.size_wh == SIZE_WH
         assert after.path.read_bytes() == before.path.read_bytes()

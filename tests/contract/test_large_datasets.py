@@ -16,6 +16,7 @@ from tests.contract.test_formats import CATEGORIES, golden_images
 from tests.samples import picture
 
 from infrablend.core import spool
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
 from infrablend.core.json_stream import COMPACT, SPACED, Streamed, json_chunks
@@ -35,9 +36,12 @@ def varied_images(folder: Path) -> list[ImageRecord]:
                     id=f"{image.id}-{k}",
                     file_name=f"sub/{image.id}-{k}.png" if k == 3 else f"{image.id}-{k}.png",
                     split=("train", "val", "test", "train")[k],
-                    sequence=f"s{k}" if k else None,
-                    captured="2020-01-01" if k == 2 else None,
-                    pitch_deg=None if k == 1 else image.pitch_deg,
+                    capture=replace(
+                        image.capture,
+                        sequence=f"s{k}" if k else None,
+                        captured="2020-01-01" if k == 2 else None,
+                        pitch_deg=None if k == 1 else image.capture.pitch_deg,
+                    ),
                     instances=() if k == 2 else image.instances,
                 )
             )
@@ -64,7 +68,9 @@ def made_up_images(folder: Path, count: int) -> Iterator[ImageRecord]:
         box = np.array([1.0, 2.0, 30.0 + n % 7, 40.0])
         objects = tuple(Instance("drone", box + k, inserted=True) for k in range(15))
         name = f"{n:06d}"
-        yield ImageRecord(name, path, "train", (64, 64), 30.0, None, None, objects, file_name=f"{name}.png")
+        yield ImageRecord(
+            name, path, "train", (64, 64), objects, capture=Capture(pitch_deg=30.0), file_name=f"{name}.png"
+        )
 
 
 @pytest.mark.parametrize("name", [w.name for w in WRITERS])

@@ -13,6 +13,7 @@ from tests.samples import picture
 
 from infrablend.config.recipe import Output
 from infrablend.core.boxes import box_of_points, corners_of_box, corners_of_cxcywha
+from infrablend.core.capture import FACTS, Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FIELDS, NATIVE, WRITERS, Writer, find_format, written_names
 from infrablend.core.format_table import FORMATS as TABLE
@@ -61,8 +62,7 @@ WITH: dict[str, Instance | dict[str, object]] = {
 
 def image_with(folder: Path, instance: Instance, name: str = "a.png", **facts: object) -> ImageRecord:
     path = picture(folder / name, 1)
-    known = {"pitch_deg": None, "altitude_m": None, "time_of_day": None} | facts
-    return ImageRecord(path.stem, path, "train", SIZE_WH, instances=(instance,), file_name=name, **known)  # type: ignore[arg-type]
+    return ImageRecord(path.stem, path, "train", SIZE_WH, (instance,), Capture(**facts), file_name=name)  # type: ignore[arg-type]
 
 
 def round_trip(
@@ -97,13 +97,13 @@ def round_trip(
 def held(field: str, given: ImageRecord, found: ImageRecord) -> bool:
     """Return whether the field that `WITH[field]` adds was read back."""
     if field == "telemetry":
-        facts = (found.pitch_deg, found.altitude_m, found.time_of_day)
-        return facts == (given.pitch_deg, given.altitude_m, given.time_of_day)
+        facts = (found.capture.pitch_deg, found.capture.altitude_m, found.capture.time_of_day)
+        return facts == (given.capture.pitch_deg, given.capture.altitude_m, given.capture.time_of_day)
     if field == "temperature":
-        scales = [None if i.radiometry is None else i.radiometry.scale for i in (found, given)]
+        scales = [None if i.capture.radiometry is None else i.capture.radiometry.scale for i in (found, given)]
         return scales[0] == scales[1]
     if field == "sequence":
-        return (found.sequence, found.captured) == (given.sequence, given.captured)
+        return (found.capture.sequence, found.capture.captured) == (given.capture.sequence, given.capture.captured)
     a = given.instances[0]
     if not found.instances:
         return False
@@ -143,31 +143,40 @@ def test_declared_losses_occur(writer: Writer, field: str, tmp_path: Path) -> No
         assert held(field, image, again.images[0]), again.images[0]
 
 
-@every_writer
-def test_roll_and_field_of_view_are_kept_or_counted(writer: Writer, tmp_path: Path) -> None:
-    facts = {"pitch_deg": 60.0, "altitude_m": 50.0, "time_of_day": "night", "roll_deg": -7.5, "hfov_deg": 33.0}
-    again, losses = round_trip(writer, [image_with(tmp_path, PLAIN, **facts)], tmp_path / "out", without_mask="obb")
-    held_both = (again.images[0].roll_deg, again.images[0].hfov_deg) == (-7.5, 33.0)
-    assert held_both != bool(losses.get("telemetry_dropped"))
+# Without the origin, a height that the aircraft measured would be multiplied by the factor for published tables.
+FACT = {
+    "pitch_deg": 37.5,
+    "altitude_m": 61.25,
+    "time_of_day": "night",
+    "hfov_deg": 33.0,
+    "roll_deg": -7.5,
+    "altitude_from": "laser",
+    "sequence": "flight 1",
+    "captured": "2021-01-31T08:30:00+01:00",
+    "frame": 12,
+    "camera": "DJI M3T",
+}
 
 
 @every_writer
-@pytest.mark.parametrize("origin", ["take-off", "laser"])
-def test_the_origin_of_a_height_is_kept_or_counted(writer: Writer, origin: str, tmp_path: Path) -> None:
-    """Without it, a height that the aircraft measured would be multiplied by the factor for published tables."""
-    facts = {"pitch_deg": 60.0, "altitude_m": 50.0, "time_of_day": "night", "extra": {"altitude_from": origin}}
-    again, losses = round_trip(writer, [image_with(tmp_path, PLAIN, **facts)], tmp_path / "out", without_mask="obb")
-    found = again.images[0].extra.get("altitude_from")
-    assert (found == origin) != bool(losses.get("telemetry_dropped"))
-    if writer.table:
-        assert found == origin
+@pytest.mark.parametrize("fact", sorted(FACTS))
+def test_every_fact_of_a_picture_is_kept_or_counted(writer: Writer, fact: str, tmp_path: Path) -> None:
+    image = image_with(tmp_path, PLAIN, **{"pitch_deg": 60.0, "altitude_m": 50.0, fact: FACT[fact]})
+    again, losses = round_trip(writer, [image], tmp_path / "out", without_mask="obb")
+    kept = getattr(again.images[0].capture, fact) == FACT[fact]
+    assert kept == (fact in writer.facts)
+    assert kept or losses[FIELDS[FACTS[fact].field][1]] == 1
 
 
 @pytest.mark.parametrize("writer", [w for w in WRITERS if w.table], ids=lambda w: w.name)
 def test_dates_that_a_table_cannot_hold_are_counted(writer: Writer, tmp_path: Path) -> None:
     facts = {"pitch_deg": 60.0, "sequence": "one", "captured": "some day"}
     again, losses = round_trip(writer, [image_with(tmp_path, PLAIN, **facts)], tmp_path / "out", without_mask="obb")
-    assert (again.images[0].sequence, again.images[0].captured, losses["sequence_dropped"]) == ("one", None, 1)
+    assert (again.images[0].capture.sequence, again.images[0].capture.captured, losses["sequence_dropped"]) == (
+        "one",
+        None,
+        1,
+    )
 
 
 REAL = {

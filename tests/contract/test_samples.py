@@ -43,7 +43,9 @@ def test_no_format_takes_what_another_one_wrote(writer: Writer, tmp_path: Path) 
     for name in sorted(SAMPLES):
         source = detection.read(SAMPLES[name](tmp_path / name))
         images = [i if i.size_wh else replace(i, size_wh=read_size(i.path, i.id)[0]) for i in source.images]
-        if not source.categories or (writer.name == "monet" and not any(i.pitch_deg is not None for i in images)):
+        if not source.categories or (
+            writer.name == "monet" and not any(i.capture.pitch_deg is not None for i in images)
+        ):
             continue  # MONET is recognised by its telemetry
         out = tmp_path / f"{name}-out"
         writing.write(writer.name, out, images, source.categories)

@@ -21,7 +21,7 @@ SHARES = st.floats(0, 1, allow_subnormal=False)
 
 
 def image(size_wh: tuple[int, int], instance: Instance) -> ImageRecord:
-    return ImageRecord("a", Path("a.png"), "train", size_wh, None, None, None, (instance,))
+    return ImageRecord("a", Path("a.png"), "train", size_wh, (instance,))
 
 
 @given(SIZES, SHARES, SHARES, SHARES, SHARES)

@@ -20,7 +20,10 @@ COUNTS = {"train": (1000, 8706), "val": (290, 2460), "test": (579, 4811)}
 def assert_equal(a: Dataset, b: Dataset, atol_px: float = 0.0) -> None:
     assert [i.id for i in a.images] == [i.id for i in b.images]
     for x, y in zip(a.images, b.images, strict=True):
-        facts = [(i.split, i.size_wh, i.pitch_deg, i.altitude_m, i.time_of_day, i.source_id) for i in (x, y)]
+        facts = [
+            (i.split, i.size_wh, i.capture.pitch_deg, i.capture.altitude_m, i.capture.time_of_day, i.source_id)
+            for i in (x, y)
+        ]
         assert facts[0] == facts[1]
         assert len(x.instances) == len(y.instances)
         for p, q in zip(x.instances, y.instances, strict=True):
@@ -57,7 +60,7 @@ def test_all_forms_agree_on_every_object_and_each_file_is_parsed_once(
     assert set(d.notes["disagreements"].values()) == {0}
     assert d.notes["boxes_checked"] == 15977 + 513 + 513
     assert [p.code for p in d.problems] == ["form-partial", "form-partial"]
-    assert all(i.pitch_deg is not None and i.altitude_m is not None for i in d.images)
+    assert all(i.capture.pitch_deg is not None and i.capture.altitude_m is not None for i in d.images)
     assert sum(o.truncated is not None for i in d.images for o in i.instances) == 513
 
 

@@ -20,7 +20,7 @@ def night(real_data_or_none: Path | None):
     if real_data_or_none is None:
         return ()
     dataset = api.read_dataset(real_data_or_none / "hit-uav", api.Reading(splits=["train"]))
-    return tuple(i for i in dataset.images if i.time_of_day == "night")
+    return tuple(i for i in dataset.images if i.capture.time_of_day == "night")
 
 
 def survey(images, category, most_images):

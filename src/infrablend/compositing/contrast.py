@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
+from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
-from infrablend.core.dataset import TimeOfDay
 from infrablend.core.rings import MIN_RING_PX, ring_levels
 
 # Boxes nearer to the frame's edge are not measured.

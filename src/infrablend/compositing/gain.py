@@ -24,8 +24,9 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage, grey_unit
 from infrablend.core.boxes import boxes_mask, pixel_box
+from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
-from infrablend.core.dataset import Instance, TimeOfDay
+from infrablend.core.dataset import Instance
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 
 # A level within this distance of the dataset's darkest or brightest one counts as clipped; 8-bit levels.

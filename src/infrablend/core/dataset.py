@@ -10,13 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.masks import Mask
-from infrablend.core.temperature import Radiometry
 from infrablend.errors import Problem
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
-TimeOfDay = Literal["day", "night"]
 
 # Keys of `Instance.extra` with the exact box (x, y, width, height) and the exact corners of the oriented box (x, y of
 # each) of an object whose box was enlarged or fitted, see `annotation.looseness`.
@@ -148,45 +147,30 @@ class Instance:
 
 @dataclass(frozen=True, eq=False)
 class ImageRecord:
-    """Labels and metadata of one image of a dataset. The picture itself is not decoded.
+    """Labels and facts of one image of a dataset. The picture itself is not decoded.
 
     Attributes:
         id: Stable id, unique in the dataset; the file stem where that is unique.
         path: Image file.
         split: Split of the image.
         size_wh: Size in pixels according to the annotation; None if unknown.
-        pitch_deg: Camera depression angle: 0 level, 90 straight down, negative looking up; None if unknown.
-        altitude_m: Height above ground according to the metadata; None if unknown.
-        time_of_day: Time of day; None if unknown.
         instances: Labels in the order of the source.
+        capture: How the picture was taken.
         source_id: Id of the image in the source; None if it has none.
         extra: Further fields of the source, kept for writing.
         file_name: Path relative to the split's picture folder, POSIX, with extension, used by writers; empty means
             `path.name`.
-        sequence: Flight or clip of the image; None if unknown.
-        captured: Date or time of capture, ISO 8601; None if unknown.
-        radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air; None if
-            nothing is known.
-        hfov_deg: Field of view of the camera across the width of the picture; None if unknown.
-        roll_deg: Rotation of the camera about its axis, positive clockwise as seen from behind it; None if unknown.
     """
 
     id: str
     path: Path
     split: Split
     size_wh: tuple[int, int] | None
-    pitch_deg: float | None
-    altitude_m: float | None
-    time_of_day: TimeOfDay | None
     instances: tuple[Instance, ...]
+    capture: Capture = UNKNOWN
     source_id: int | str | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
     file_name: str = ""
-    sequence: str | None = None
-    captured: str | None = None
-    radiometry: Radiometry | None = None
-    hfov_deg: float | None = None
-    roll_deg: float | None = None
 
     @property
     def name(self) -> str:

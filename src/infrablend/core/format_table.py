@@ -5,7 +5,7 @@ format, write its file in `infrablend.formats`, add one row to `FORMATS`, add a 
 tests, and describe it in `docs/formats/<page>.md`.
 
 Only names and facts are here, no code of any format: modules are given as dotted paths and loaded by
-`formats.detection` and `formats.writing`.
+`formats.base.FormatModule`, which lists what a module may offer.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+from infrablend.core.capture import FACTS
 from infrablend.errors import UnknownFormatError
 
 NATIVE = "native"
@@ -50,6 +51,9 @@ class Writer:
         reader: Name of the format that reads the result back; the row in which this writer stands.
         title: One line that describes what is written.
         lacks: What cannot be held: keys of `FIELDS`.
+        facts: Facts of a picture that can be held, by the names of `Capture`.
+        derived: Facts that the reader derives from a field of `ImageRecord.extra` that is kept, by the field's name.
+        misread: Folders in the names of pictures that make readers of the format look elsewhere.
         fixed: Arguments of the module's `write` that select this variant.
         takes: Fields of `WriteSettings` that the function accepts, and `extra` (the source's own top-level fields).
         layout: Where pictures may be. `nested`: they keep their folders and names; `stems`: the same, but no two
@@ -70,6 +74,9 @@ class Writer:
     table: str = ""
     trains: LabelTask | None = None
     own_page: str = ""
+    facts: frozenset[str] = frozenset(FACTS)
+    derived: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    misread: tuple[str, ...] = ()
 
     @property
     def page(self) -> str:
@@ -86,6 +93,7 @@ class Format:
         module: Dotted path of the module or package with `detect`, `read` and, if there are writers, `write`.
         title: One line that describes the format.
         writers: Ways to write it; none if it is only read.
+        any_camera: Whether it holds pictures of any camera, whose headers may state facts about the flight.
         written_as: Name of the format that `native` writes instead, for formats that are only read but share the
             labels of another.
     """
@@ -95,6 +103,7 @@ class Format:
     title: str
     writers: tuple[Writer, ...] = ()
     written_as: str = ""
+    any_camera: bool = False
 
     @property
     def page(self) -> str:
@@ -103,6 +112,13 @@ class Format:
 
 
 _ALL_BUT_BOXES = frozenset(FIELDS) - {"boxes", "fractions", "telemetry", "sequence"}
+# Facts of a picture that names in HIT-UAV's grammar contain, too.
+_VIEW = frozenset({"pitch_deg", "altitude_m", "time_of_day"})
+# HIT-UAV's reader derives the flight from the date.
+_BY_DATE = {"date": frozenset({"sequence", "captured"})}
+# YOLO's readers, Ultralytics' among them, put `labels` in place of the last `images` of a picture's path, and ours
+# takes no pictures from `labels`.
+_MISREAD = ("images", "labels")
 _YOLO_TAKES = frozenset({"dont_care", "without_mask"})
 _YOLO_TABLE = "images/{split}/{name}"
 
@@ -116,7 +132,7 @@ FORMATS: tuple[Format, ...] = (
                     "masks", "tracks", "visibility", "occlusion", "truncated", "fractions", "sequence", "temperature",
                 }),
                 fixed={"forms": ("normal_json", "rotate_json")}, takes=frozenset({"ids", "extra", "pictures"}),
-                layout="unique",
+                layout="unique", facts=_VIEW, derived=_BY_DATE,
             ),
             Writer(
                 "hit-uav-xml", "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
@@ -124,6 +140,7 @@ FORMATS: tuple[Format, ...] = (
                     "masks", "tracks", "visibility", "occlusion", "fractions", "telemetry", "sequence", "temperature",
                 }),
                 fixed={"forms": ("normal_xml", "rotate_xml")}, takes=frozenset({"pictures"}), layout="shared",
+                facts=frozenset(), derived=_BY_DATE,
             ),
         ),
     ),
@@ -136,6 +153,7 @@ FORMATS: tuple[Format, ...] = (
                 lacks=frozenset({"temperature"}), takes=frozenset({"pictures"}), layout="stems",
             ),
         ),
+        any_camera=True,
     ),
     Format(
         "huggingface", "infrablend.formats.huggingface", "Hugging Face's imagefolder with `metadata.jsonl`",
@@ -177,7 +195,7 @@ FORMATS: tuple[Format, ...] = (
                         "temperature",
                     }
                 ),
-                takes=frozenset({"dont_care", "pictures"}),
+                takes=frozenset({"dont_care", "pictures"}), facts=_VIEW | {"sequence", "captured", "frame"},
             ),
         ),
     ),
@@ -218,6 +236,7 @@ FORMATS: tuple[Format, ...] = (
                 takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
             ),
         ),
+        any_camera=True,
     ),
     Format(
         "monet", "infrablend.formats.monet", "MONET: COCO JSON that contains the drone's telemetry",
@@ -241,24 +260,26 @@ FORMATS: tuple[Format, ...] = (
                 takes=frozenset({"ids", "pictures"}),
             ),
         ),
+        any_camera=True,
     ),
     Format(
         "yolo", "infrablend.formats.yolo", "Ultralytics YOLO with a `data.yaml`: detect, OBB or segment",
         (
             Writer(
                 "yolo", "yolo", "Ultralytics YOLO, axis-aligned boxes", _ALL_BUT_BOXES,
-                {"task": "detect"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "detect",
+                {"task": "detect"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "detect", misread=_MISREAD,
             ),
             Writer(
                 "yolo-obb", "yolo", "Ultralytics YOLO, oriented boxes", (_ALL_BUT_BOXES | {"boxes"}) - {"obb"},
-                {"task": "obb"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "obb", "yolo-obb.md",
+                {"task": "obb"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "obb", "yolo-obb.md", misread=_MISREAD,
             ),
             Writer(
                 "yolo-seg", "yolo", "Ultralytics YOLO, one polygon per object",
                 (_ALL_BUT_BOXES | {"boxes"}) - {"masks"},
-                {"task": "seg"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "segment", "yolo-seg.md",
+                {"task": "seg"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "segment", "yolo-seg.md", misread=_MISREAD,
             ),
         ),
+        any_camera=True,
     ),
     Format(
         "voc", "infrablend.formats.voc", "Pascal VOC: one XML file per picture",
@@ -269,8 +290,11 @@ FORMATS: tuple[Format, ...] = (
                 takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
             ),
         ),
+        any_camera=True,
     ),
-    Format("folder", "infrablend.formats.folder", "a plain folder of pictures, with or without labels"),
+    Format(
+        "folder", "infrablend.formats.folder", "a plain folder of pictures, with or without labels", any_camera=True
+    ),
 )  # fmt: skip
 """All formats, in the order in which detection tries them: the most specific first."""
 

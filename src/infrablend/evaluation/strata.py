@@ -19,9 +19,9 @@ _SINGLE_VALUES = 10
 def image_strata(images: Sequence[ImageRecord]) -> dict[str, dict[str, NDArray[np.bool_]]]:
     """Return (i,) masks of the images in each bin of pitch, altitude and time; `unknown` has those without a value."""
     return {
-        "pitch": _binned([i.pitch_deg for i in images], PITCH_EDGES_DEG),
-        "altitude": _binned([i.altitude_m for i in images], ALTITUDE_EDGES_M),
-        "time": _time_of_day_bins([i.time_of_day for i in images]),
+        "pitch": _binned([i.capture.pitch_deg for i in images], PITCH_EDGES_DEG),
+        "altitude": _binned([i.capture.altitude_m for i in images], ALTITUDE_EDGES_M),
+        "time": _time_of_day_bins([i.capture.time_of_day for i in images]),
     }
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -185,3 +186,32 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     except Exception as error:  # unknown encodings, nesting without end
         found, todo = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name), "fetch it again"
     return None, Problem(where, "annotation-not-xml", found, "an XML file with labels", todo)
+
+
+# -- CSV files of different countries ------------------------------------------------------------------------------
+
+_DECIMAL_POINT = re.compile(r"[-+]?\d+\.\d+", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+", re.ASCII)
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+", re.ASCII)
+# Characters that are searched for separators, and rows for decimal points and commas.
+_LINE_CHARACTERS, _ROWS = 20_000, 200
+
+
+def delimiter_of(text: str, lines: int = 1) -> str:
+    """Return what separates columns: what occurs most often in the first lines, comma, semicolon or tab."""
+    start = "\n".join(text[:_LINE_CHARACTERS].splitlines()[:lines])
+    return max(",;\t", key=start.count)
+
+
+def comma_of(rows: Sequence[Sequence[str]], delimiter: str) -> str:
+    """Return what stands for a comma in numbers: nothing where it separates thousands, else a decimal point.
+
+    Args:
+        rows: Cells of the table; some rows are looked at.
+        delimiter: What separates its columns.
+    """
+    cells = [cell.strip() for row in rows[:: max(1, len(rows) // _ROWS)] for cell in row]
+    if any(_DECIMAL_POINT.fullmatch(c) for c in cells):
+        return ""
+    decimal = any(_DECIMAL_COMMA.fullmatch(c) and not _THOUSANDS.fullmatch(c) for c in cells)
+    return "." if decimal or delimiter != "," else ""

@@ -19,6 +19,7 @@ from itertools import repeat
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_list
@@ -208,15 +209,23 @@ def _read_sequence(state: _Reading, sequence: _Sequence, split: Split) -> list[I
             continue
         state.counts["frames"] += 1
         instances = _instance(state, box, flag, size_wh, here)
-        extra: dict[str, Any] = {"frame": number} | ({"modality": "visible"} if sequence.kind == "rgb" else {})
+        extra: dict[str, Any] = {"modality": "visible"} if sequence.kind == "rgb" else {}
         date = _DATE.match(sequence.name)
         name = f"{sequence.name}/{sequence.kind}/{path.name}"
         records.append(
             ImageRecord(
-                "", path, split, size_wh, None, None, None, instances, extra=extra, file_name=name,
-                sequence=sequence.name, captured="-".join(date.groups()) if date else None,
+                "",
+                path,
+                split,
+                size_wh,
+                instances,
+                capture=Capture(
+                    sequence=sequence.name, captured="-".join(date.groups()) if date else None, frame=number
+                ),
+                extra=extra,
+                file_name=name,
             )
-        )  # fmt: skip
+        )
     return records
 
 

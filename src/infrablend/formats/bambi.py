@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_table
@@ -213,13 +214,20 @@ def _frame_record(state: _Reading, flight: _Flight, frame: Any, where: str) -> I
             size_wh, problem = read_size(path, where)
             if size_wh is not None:
                 instances = tuple(_instances(state, given, size_wh, where))
-                extra = {} if (k := to_int(frame.get("frame_idx"))) is None else {"frame": k}
-                pose = state.poses.get(flight.key, {}).get(extra.get("frame", -1))
+                number = to_int(frame.get("frame_idx"))
+                pose = state.poses.get(flight.key, {}).get(-1 if number is None else number)
                 pitch, captured = (STRAIGHT_DOWN_DEG, None) if pose is None else (pose.pitch_deg, pose.captured)
                 return ImageRecord(
-                    "", path, flight.split, size_wh, pitch, None, None, instances,
-                    extra=extra, file_name=name, sequence=flight.key, captured=captured or flight.captured,
-                )  # fmt: skip
+                    "",
+                    path,
+                    flight.split,
+                    size_wh,
+                    instances,
+                    capture=Capture(
+                        pitch_deg=pitch, sequence=flight.key, captured=captured or flight.captured, frame=number
+                    ),
+                    file_name=name,
+                )
     state.problems += [problem] if problem else []
     return None
 
@@ -264,10 +272,8 @@ def _add_unlabelled(state: _Reading, name: str) -> None:
                 path,
                 "train",
                 size_wh,
-                STRAIGHT_DOWN_DEG,
-                None,
-                None,
                 (),
+                capture=Capture(pitch_deg=STRAIGHT_DOWN_DEG),
                 extra={"labelled": False},
                 file_name=name,
             )

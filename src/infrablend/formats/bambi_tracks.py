@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_tilt
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_list
@@ -334,10 +335,15 @@ def _add(
     captured = day if pose is None or pose.captured is None else pose.captured
     found.records.append(
         ImageRecord(
-            "", path, split, size_wh, pitch, None, None, instances, extra={"frame": number},
-            file_name=f"{flight}_{number}{path.suffix}", sequence=flight, captured=captured,
+            "",
+            path,
+            split,
+            size_wh,
+            instances,
+            capture=Capture(pitch_deg=pitch, sequence=flight, captured=captured, frame=number),
+            file_name=f"{flight}_{number}{path.suffix}",
         )
-    )  # fmt: skip
+    )
 
 
 # -- YOLO --------------------------------------------------------------------------------------------------------

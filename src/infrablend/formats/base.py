@@ -5,14 +5,16 @@ from __future__ import annotations
 import itertools
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
-from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.stored_images import StoredImages
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.losses import Written
 
 _SPLIT_WORDS: Mapping[str, Split] = {
     "train": "train", "training": "train", "trainset": "train",
@@ -29,6 +31,37 @@ class Match:
     format: str
     ok: bool
     reason: str
+
+
+@dataclass(frozen=True)
+class FormatModule:
+    """What the module of a format offers by these names; all but `detect` and `read` may be missing.
+
+    Attributes:
+        detect: Decides whether a folder has the format.
+        read: Reads a folder; takes `splits`, `metadata` if `TAKES_TABLE`, and the options.
+        write: Writes images below a folder; takes images, categories and what `format_table.Writer` names.
+        read_parts: As `read`, but yields parts of a dataset too large for memory; takes a folder for their pictures.
+        native_writer: Returns the name of the writer for `native`, where that is not the name of the format.
+        remarks: Returns known faults of a public dataset, for `inspect`.
+        OPTIONS: Options of the reader, and what each does.
+        TAKES_TABLE: Whether the reader takes a table of pitch and altitude.
+    """
+
+    detect: Callable[[Path], Match]
+    read: Callable[..., Dataset]
+    write: Callable[..., Written] | None = None
+    read_parts: Callable[..., Iterator[Dataset]] | None = None
+    native_writer: Callable[[Dataset], str] | None = None
+    remarks: Callable[[Dataset], Sequence[str]] | None = None
+    OPTIONS: Mapping[str, str] = field(default_factory=dict)
+    TAKES_TABLE: bool = True
+
+    @classmethod
+    def load(cls, name: str) -> FormatModule:
+        """Return what a module offers; `name` is its dotted path."""
+        found = vars(import_module(name))
+        return cls(**{f.name: found[f.name] for f in fields(cls) if f.name in found})
 
 
 def require_options(root: Path, **given: tuple[object, Sequence[str]]) -> None:

@@ -22,6 +22,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
@@ -281,7 +282,10 @@ def _read_names(root: Path, problems: list[Problem]) -> dict[str, tuple[str, str
 
 
 def _renamed(record: ImageRecord, said: tuple[str, str] | None) -> ImageRecord:
-    return record if said is None else replace(record, sequence=said[0] or None, captured=said[1] or None)
+    if said is None:
+        return record
+    sequence, captured = said
+    return replace(record, capture=replace(record.capture, sequence=sequence or None, captured=captured or None))
 
 
 def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabelled: str) -> list[ImageRecord]:
@@ -321,13 +325,19 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
                 reading.problems += [problem] if problem else []
                 continue
             instances = _instances(reading, of_frame.get(number, []), size_wh)
-            extra = {"frame": number} | ({} if number in of_frame else {"labelled": False})
+            extra = {} if number in of_frame else {"labelled": False}
             records.append(
                 ImageRecord(
-                    "", path, part.split, size_wh, None, None, None, instances, extra=extra,
-                    file_name=f"{sequence}/{path.name}", sequence=sequence,
+                    "",
+                    path,
+                    part.split,
+                    size_wh,
+                    instances,
+                    capture=Capture(sequence=sequence, frame=number),
+                    extra=extra,
+                    file_name=f"{sequence}/{path.name}",
                 )
-            )  # fmt: skip
+            )
     reading.counts["unlabelled"] += missing
     reading.problems += unlabelled_problems(where, missing, unlabelled, "no row in the annotation table")
     return records
@@ -482,9 +492,9 @@ def write(
         if pictures:
             files.append(link_or_copy(image.path, out / name))
         losses["name_changed"] += base != image.name
-        if base != image.name or image.sequence != sequence or image.captured is not None:
-            renamed.append((name, image.name, image.sequence or "", image.captured or ""))
-        facts = (image.pitch_deg, image.altitude_m, image.time_of_day)
+        if base != image.name or image.capture.sequence != sequence or image.capture.captured is not None:
+            renamed.append((name, image.name, image.capture.sequence or "", image.capture.captured or ""))
+        facts = (image.capture.pitch_deg, image.capture.altitude_m, image.capture.time_of_day)
         if any(v is not None for v in facts):
             known.append((name, *("" if v is None else v for v in facts)))
     ignore = {c.name: int(c.ignore) for c in categories}
@@ -522,7 +532,7 @@ def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
     """Return (sequence, frame) by image id; images keep their own if these are unique names in BIRDSAI's form."""
     groups: dict[tuple[Split, str], list[tuple[str, int | None]]] = defaultdict(list)
     for image in images:
-        groups[image.split, image.sequence or ""].append((image.id, _frame_of(image)))
+        groups[image.split, image.capture.sequence or ""].append((image.id, _frame_of(image)))
     names = sorted({sequence for _, sequence in groups})
     own = {n for n in names if _SEQUENCE.fullmatch(n)}
     free = iter(s for k in range(len(names) + len(own)) if (s := f"{k:010d}_{0:010d}") not in own)
@@ -539,8 +549,8 @@ def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
 def _frame_of(image: ImageRecord) -> int | None:
     """Return the frame number from the image's name, else the one that was read; None if there is neither."""
     named = _FRAME.fullmatch(PurePosixPath(image.name).stem)
-    number = int(named[2]) if named and named[1] == image.sequence else image.extra.get("frame")
-    return number if isinstance(number, int) and 0 <= number < 10**10 else None
+    number = int(named[2]) if named and named[1] == image.capture.sequence else image.capture.frame
+    return number if number is not None and number < 10**10 else None
 
 
 def _grouped(

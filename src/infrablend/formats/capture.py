@@ -1,80 +1,32 @@
-"""How a picture was taken (pitch, altitude, time, flight), from its file name or from a table."""
+"""How pictures were taken, from their file names or from a table."""
 
 from __future__ import annotations
 
 import csv
 import datetime
 import io
-import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from infrablend.core.camera_angles import roll_of_gimbal
-from infrablend.core.dataset import TimeOfDay
+from infrablend.core.capture import FACTS, UNKNOWN, Capture
 from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_json, read_text
-from infrablend.formats.csv_text import comma_of, delimiter_of
+from infrablend.formats.annotation_files import comma_of, delimiter_of, read_json, read_text
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
-_FIELDS = ("pitch_deg", "altitude_m", "time_of_day", "hfov_deg", "roll_deg")
 _KEYS = ("file", "stem", "sequence")
-# Further columns that `infrablend frames` writes: read for single pictures, or there for people and other programs.
-FURTHER = ("captured", "altitude_from", "frame", "time_s", "yaw_deg", "latitude_deg", "longitude_deg")
-ALTITUDE_ORIGINS = ("take-off", "laser")
-"""Heights that the aircraft measured, which need no correction for the errors of published tables."""
+# Columns that `infrablend frames` writes for people and other programs.
+UNREAD = ("time_s", "yaw_deg", "latitude_deg", "longitude_deg")
+# Facts that a row for a whole sequence cannot state, because they are those of one picture.
+_OF_PICTURE = ("sequence", "captured", "frame")
 # Key of the cells of a row beyond the last column.
 _SURPLUS = "\0"
-_RANGES = (
-    ("pitch_deg", -90.0, 90.0, "degrees"), ("altitude_m", 0.0, 1e5, "metres"), ("hfov_deg", 0.1, 170.0, "degrees"),
-    ("roll_deg", -360.0, 360.0, "degrees"),
-)  # fmt: skip
 # HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.
 _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", re.ASCII)
-
-
-@dataclass(frozen=True)
-class Capture:
-    """Pitch, roll, altitude, time, field of view and flight of a picture; None where unknown.
-
-    Attributes:
-        pitch_deg: Depression of the optical axis below the horizon, 90 straight down.
-        altitude_m: Height above ground according to the source.
-        time_of_day: Day or night.
-        sequence: Flight or clip of the picture.
-        captured: Date or time of capture, ISO 8601.
-        hfov_deg: Field of view across the width of the picture.
-        altitude_from: Origin of the height if it was measured in flight: `take-off` or `laser`.
-        roll_deg: Rotation of the camera about its axis, positive clockwise as seen from behind it.
-    """
-
-    pitch_deg: float | None = None
-    altitude_m: float | None = None
-    time_of_day: TimeOfDay | None = None
-    sequence: str | None = None
-    captured: str | None = None
-    hfov_deg: float | None = None
-    altitude_from: str | None = None
-    roll_deg: float | None = None
-
-    @property
-    def extra(self) -> dict[str, Any]:
-        """The further fields of a record (`ImageRecord.extra`): where its height comes from, if that is known."""
-        return {} if self.altitude_from is None else {"altitude_from": self.altitude_from}
-
-    def over(self, other: Capture) -> Capture:
-        """Return these values, completed by `other`'s."""
-        mine = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(other, **{name: value for name, value in mine.items() if value is not None})
-
-    def conflicts(self, other: Capture) -> list[str]:
-        """Return `field: this, that` for every field with different known values."""
-        pairs = ((f, getattr(self, f), getattr(other, f)) for f in _FIELDS)
-        return [f"{f}: {a} and {b}" for f, a, b in pairs if a is not None and b is not None and a != b]
 
 
 @dataclass(frozen=True)
@@ -142,30 +94,29 @@ class Captures:
     problems: list[Problem]
     sources: Counter[str] = field(default_factory=Counter)
 
-    def of(self, name: str, where: str, inside: Capture | None = None, sequence: str | None = None) -> Capture:
-        """Return pitch, altitude, time and flight of a picture.
+    def of(self, name: str, where: str, inside: Capture = UNKNOWN) -> Capture:
+        """Return how a picture was taken; what the annotation says of its sequence precedes a table, too.
 
         Args:
             name: Relative path, as in tables; the file name itself may contain the values, too.
             where: Name of the picture in problems.
             inside: Values in the annotation.
-            sequence: Sequence of the picture, for tables with one row per sequence.
         """
         facts = facts_from_name(name)
-        sources = [("annotation", inside or Capture()), ("file names", facts.capture if facts else Capture())]
+        sources = [("annotation", inside), ("file names", facts.capture if facts else UNKNOWN)]
         if self.table is not None:
             row = self.table.find(name)
             if row is not None:
-                for conflict in row.conflicts(sources[0][1].over(sources[1][1])):
+                for conflict in row.conflicts(inside.over(sources[1][1])):
                     found = f"{conflict} (table, annotation or file name); the table is used"
                     self.problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
                 sources.insert(0, (f"table {self.table.name} per file", row))
-            flight = sequence or (row.sequence if row is not None else None)
+            flight = inside.sequence or (row.sequence if row is not None else None)
             of_sequence = self.table.rows.get(flight or "")
             if of_sequence is not None and of_sequence is not row:
                 sources.append((f"table {self.table.name} per sequence", of_sequence))
         self.sources[next((kind for kind, c in sources if c.pitch_deg is not None), "none")] += 1
-        known = Capture()
+        known = Capture(**{name: getattr(inside, name) for name in _OF_PICTURE})
         for _, c in sources:
             known = known.over(c)
         return known
@@ -195,13 +146,14 @@ def read_table(path: Path) -> CaptureTable:
     """
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
     columns = {k for _, row in rows for k in row}
-    if not rows or not columns & set(_KEYS) or not columns & set(_FIELDS):
+    telemetry = [name for name, fact in FACTS.items() if fact.field == "telemetry"]
+    if not rows or not columns & set(_KEYS) or not columns & set(telemetry):
         found = f"columns {', '.join(sorted(columns)) or 'none'}"
-        expected = f"one of {', '.join(_KEYS)} and some of {', '.join(_FIELDS)}"
+        expected = f"one of {', '.join(_KEYS)} and some of {', '.join(telemetry)}"
         problem = Problem(path.name, "table-columns", found, expected, "rename the columns")
         raise DatasetError(f"{path}: no table of pitch and altitude", [problem])
     problems: list[Problem] = []
-    unknown = sorted(columns - {*_KEYS, *_FIELDS, *FURTHER, _SURPLUS, ""})
+    unknown = sorted(columns - {*_KEYS, *FACTS, *UNREAD, _SURPLUS, ""})
     if unknown:
         found = f"unknown columns {', '.join(unknown)}, ignored"
         problems.append(Problem(path.name, "table-columns", found, severity="warning"))
@@ -219,7 +171,8 @@ def read_table(path: Path) -> CaptureTable:
             problems.append(Problem(f"{path.name}: {where}", *fault, "correct the table"))
             continue
         of_picture = any(str(row.get(k) or "").strip() for k in ("file", "stem"))
-        captures[key.removeprefix("./")] = capture if of_picture else replace(capture, sequence=None, captured=None)
+        known = capture if of_picture else replace(capture, **dict.fromkeys(_OF_PICTURE))
+        captures[key.removeprefix("./")] = known
     return CaptureTable(captures, tuple(problems), path.name)
 
 
@@ -246,7 +199,7 @@ def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 def _records(
     titles: Sequence[str], lines: Sequence[tuple[str, Sequence[str]]], comma: str
 ) -> list[tuple[str, dict[str, Any]]]:
-    numbers = {name for name, *_ in _RANGES}
+    numbers = {name for name, fact in FACTS.items() if fact.type is not str}
     records = []
     for where, cells in lines:
         row: dict[str, Any] = dict(zip(titles, cells, strict=False))
@@ -267,33 +220,30 @@ def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | None]:
-    values: dict[str, float | None] = {}
-    for name, low, high, unit in _RANGES:
-        raw = row.get(name)
-        if raw is None or str(raw).strip() == "":
-            values[name] = None
-            continue
+    """Return the facts of a row, or what is wrong with it."""
+    known = {name: text for name in FACTS if (text := str("" if (v := row.get(name)) is None else v).strip())}
+    values: dict[str, Any] = {}
+    for name, text in known.items():
         try:
-            number = float(raw)
-        except (TypeError, ValueError, OverflowError):
-            number = math.nan
-        if not low <= number <= high:
-            return Capture(), ("table-value", f"{name} {raw!r}", f"{low:g} to {high:g} {unit}")
-        values[name] = number
-    time = str(row.get("time_of_day") or "").strip().casefold()
-    if time not in ("", "day", "night"):
-        return Capture(), ("table-value", f"time_of_day {row['time_of_day']!r}", "day, night or nothing")
-    of_day: TimeOfDay | None = "day" if time == "day" else "night" if time == "night" else None
-    captured = str(row.get("captured") or "").strip()
-    if captured and not is_time(captured):
-        return Capture(), ("table-value", f"captured {captured!r}", "a date or time such as 2024-05-01T06:30:00+02:00")
-    sequence = str(row.get("sequence") or "").strip()
-    known = values["pitch_deg"], values["altitude_m"], of_day
-    origin = str(row.get("altitude_from") or "").strip()
-    if origin not in ("", *ALTITUDE_ORIGINS):
-        return Capture(), ("table-value", f"altitude_from {origin!r}", f"{' or '.join(ALTITUDE_ORIGINS)}, or nothing")
-    roll = None if values["roll_deg"] is None else roll_of_gimbal(values["roll_deg"])
-    return Capture(*known, sequence or None, captured or None, values["hfov_deg"], origin or None, roll), None
+            values[name] = _read_cell(name, text)
+        except (ValueError, OverflowError):
+            return Capture(), ("table-value", f"{name} {row[name]!r}", f"{FACTS[name].expected}, or nothing")
+    return Capture(**values), None
+
+
+def _read_cell(name: str, text: str) -> Any:
+    """Return a fact; ValueError if the text is no such fact."""
+    if name == "captured" and not is_time(text):
+        raise ValueError
+    return FACTS[name].read(text.casefold() if name == "time_of_day" else text)
+
+
+def fits_table(name: str, value: object) -> bool:
+    """Return whether a table gives back this value of a fact."""
+    try:
+        return bool(_read_cell(name, str(value).strip()) == value)
+    except (ValueError, OverflowError):
+        return False
 
 
 def is_time(text: str) -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, polygon_area
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import (
     SEEN_BOX,
     SEEN_OBB,
@@ -49,12 +50,12 @@ from infrablend.formats.base import (
     split_parts,
 )
 from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
-from infrablend.formats.capture import Capture, Captures, find_table, read_table
+from infrablend.formats.capture import Captures, find_table, read_table
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_name, read_size
 from infrablend.formats.temperatures import info_of_scale
-from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_share, to_size
+from infrablend.formats.values import to_bool, to_floats, to_id, to_int, to_share, to_size
 
 NAME = "coco"
 
@@ -71,8 +72,8 @@ _SCALE = "temperature_scale"
 # What the camera was told about the scene, beside the scale of a picture.
 _SETTINGS = "camera_settings"
 SETTINGS = ("air_k", "humidity", "reflected_k", "emissivity", "distance_m")
-# Facts from the header of a picture that decide how far its height and lens can be trusted; see `formats.flight`.
-FLIGHT_FIELDS = ("camera", "altitude_from")
+# Facts that COCO has fields of its own for.
+_KEYS = {"captured": "date_captured", "frame": "frame_id"}
 # Boxes of partly hidden objects, as x, y, width and height.
 _OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
 # Exact and visible boxes of inserted objects, where others were written, with the number of their values.
@@ -126,7 +127,8 @@ def coco_chunks(
 ) -> dict[str, Iterator[str]]:
     """Return the texts of the files `<split>.json` in pieces, by name; equal records give equal bytes.
 
-    `file_name` is `ImageRecord.name`, relative to the split's picture folder. Categories keep their ids. A category to
+    `file_name` is `ImageRecord.name`, relative to the split's picture folder. Pictures with a number in their sequence
+    get COCO's fields of videos. Categories keep their ids. A category to
     ignore gets `"ignore": 1`, and its annotations get `"iscrowd": 1`.
 
     Args:
@@ -158,13 +160,14 @@ def coco_chunks(
     for split, images_of_split in split_parts(ordered).items():
         end = start + len(images_of_split)
         part = partial(_numbered, images_of_split, image_ids[start:end], object_ids[start:end])
-        common = info_of_scale(images_of_split)
+        common, videos = info_of_scale(images_of_split), _videos(images_of_split)
         top = {
             "info": {**(info or _INFO), **({} if common is None else {_SCALE: common})},
             "licenses": [],
-            "images": Streamed(_file_record(i, n, new, common is not None) for i, n, _ in part()),
+            "images": Streamed(_file_record(i, n, new, common is not None, videos) for i, n, _ in part()),
             "annotations": Streamed(annotations(part)),
             "categories": category_records(categories),
+            **({"videos": [{"id": number, "name": name} for name, number in videos.items()]} if videos else {}),
         }
         texts[f"{split}.json"] = chain(json_chunks(top, losses), "\n")
         start = end
@@ -181,17 +184,32 @@ def _numbered(
     return zip(images, image_ids, object_ids, strict=True)
 
 
-def _file_record(image: ImageRecord, number: int, new: bool, one_scale: bool) -> dict[str, Any]:
+def _videos(images: Iterable[ImageRecord]) -> dict[str, int]:
+    """Return the number of each sequence in a file; none if the pictures have no numbers in their sequences."""
+    known = {(i.capture.sequence, i.capture.frame is not None) for i in images}
+    if not any(numbered for _, numbered in known):
+        return {}
+    return {name: number for number, name in enumerate(sorted({n for n, _ in known if n is not None}), 1)}
+
+
+def _file_record(
+    image: ImageRecord, number: int, new: bool, one_scale: bool, videos: Mapping[str, int]
+) -> dict[str, Any]:
     """Return the record of a picture, with its temperature scale unless all pictures of the file share one."""
     record = _image_record(image, number, new)
-    if not one_scale and image.radiometry is not None and image.radiometry.scale is not None:
-        record[_SCALE] = image.radiometry.scale.to_json()
-    record |= _camera_settings(image)
-    return record | {k: v for k in FLIGHT_FIELDS if isinstance(v := image.extra.get(k), str)}
+    if (video := videos.get(image.capture.sequence or "")) is not None:
+        record["video_id"] = video
+    if not one_scale and image.capture.scale is not None:
+        record[_SCALE] = image.capture.scale.to_json()
+    return record | _camera_settings(image)
 
 
 def _camera_settings(image: ImageRecord) -> dict[str, Any]:
-    found = {} if image.radiometry is None else _known(**{k: getattr(image.radiometry, k) for k in SETTINGS})
+    found = (
+        {}
+        if image.capture.radiometry is None
+        else _known(**{k: getattr(image.capture.radiometry, k) for k in SETTINGS})
+    )
     return {_SETTINGS: found} if found else {}
 
 
@@ -217,10 +235,12 @@ def _known(**fields: Any) -> dict[str, Any]:
 def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
     w, h = require_size(image)
     record = {"id": number, "file_name": image.name, "width": w, "height": h} | source_id_field(image, new)
-    record |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
-    return record | _known(
-        sequence=image.sequence, date_captured=image.captured, hfov_deg=image.hfov_deg, roll_deg=image.roll_deg
-    )
+    return record | fact_fields(image)
+
+
+def fact_fields(image: ImageRecord) -> dict[str, Any]:
+    """Return the known facts about a picture by the names of COCO's fields."""
+    return {_KEYS.get(name, name): value for name, value in image.capture.to_json().items()}
 
 
 def _tidy(values: NDArray[np.float64]) -> list[float]:
@@ -396,7 +416,7 @@ def read(
     images = [replace(record, id=ids[key]) for key, record in found]
     if not images:
         raise DatasetError(f"{root}: no picture to read", shorten(problems))
-    if table is not None and (unused := table.unused([r.name for r in images], [r.sequence for r in images])):
+    if table is not None and (unused := table.unused([r.name for r in images], [r.capture.sequence for r in images])):
         text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
         problems.append(Problem(root.name, "table-unused", text, "a picture per row", severity="warning"))
     notes = {"labels": "coco", "table": table_path.name if table_path else None, "pitch": captures.note()}
@@ -426,52 +446,32 @@ def read_records(
         taken: Pictures of earlier files, by split, which are left out; those of this file are added.
     """
     earlier = frozenset(taken or ())
-    names: dict[int, str] = {}
-    for i, c in enumerate(top["categories"]):
-        number = to_int(c.get("id")) if isinstance(c, dict) else None
-        if number is None or not isinstance(c.get("name"), str) or number in names:
-            problems.append(
-                Problem(f"{where}: category {i}", "category-malformed", repr(c)[:80], "a new id and a name")
-            )
-            continue
-        names[number] = c["name"]
-        if all(k.name != c["name"] for k in categories):
-            free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
-            ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
-            categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
-    # As bytes they take a fifth of the memory, until the picture is known that they belong to.
-    of_image: dict[int, list[bytes]] = {}
-    for i, a in enumerate(top["annotations"]):
-        number = to_int(a.get("image_id")) if isinstance(a, dict) else None
-        if number is None:
-            found = repr(a)[:80]
-            problems.append(Problem(f"{where}: annotation {i}", "annotation-malformed", found, "an annotation record"))
-            continue
-        of_image.setdefault(number, []).append(pickle.dumps(a, pickle.HIGHEST_PROTOCOL))
+    names = _category_names(top["categories"], where, categories, problems)
+    of_image = _by_image(top["annotations"], where, problems)
+    videos = _video_names(top.get("videos"))
     records: list[tuple[str, ImageRecord]] = []
     seen_names: set[str] = set()
     seen_ids: set[int] = set()
-    twice = twice_labels = measured = 0
+    left_out: list[int] = []
+    measured = 0
     for i, r in enumerate(top["images"]):
         here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
         number = to_int(r.get("id")) if isinstance(r, dict) else None
         if number is None:
             problems.append(Problem(here, "image-malformed", repr(r)[:80], "an image record with an id"))
             continue
+        annotations = of_image.pop(number, [])
         name, file, fault = folder.find_named(r.get("file_name"), here, "a file in the picture folder")
         if fault is None and (name in seen_names or number in seen_ids):
             found = f"a second record with name {name!r} or id {number}"
             fault = Problem(here, "image-duplicate", found, "each picture once")
         if fault is not None or file is None:
             problems += [fault] if fault else []
-            if number not in seen_ids:
-                of_image.pop(number, None)
             continue
         seen_names.add(name)
         seen_ids.add(number)
         if (split, file) in earlier:
-            twice += 1
-            twice_labels += len(of_image.pop(number, ()))
+            left_out.append(len(annotations))
             continue
         if taken is not None:
             taken.add((split, file))
@@ -480,51 +480,88 @@ def read_records(
             size_wh, fault = read_size(file, here)
             problems += [fault] if fault else []
             measured += size_wh is not None
-        annotations = [pickle.loads(a) for a in of_image.pop(number, ())]
-        instances = _read_annotations(annotations, names, size_wh, where, problems)
-        image = _image(r, number, name, file, split, size_wh, instances, captures, here)
-        records.append((f"{split}/{name}", replace(image, radiometry=_read_scale(r, top, here, problems))))
-    if twice:
-        found = f"{twice} picture(s) that another annotation file contains too; left out here"
-        found += f" with {twice_labels} annotation(s)"
+        instances = _read_annotations([pickle.loads(a) for a in annotations], names, size_wh, here, problems)
+        stated = replace(_stated_facts(r, videos), radiometry=_read_scale(r, top, here, problems))
+        capture = captures.of(name, here, stated)
+        extra = {"source_id": r["source_id"]} if "source_id" in r else {}
+        records.append(
+            (f"{split}/{name}", ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
+        )
+    problems += _remarks(where, left_out, measured, of_image)
+    return records
+
+
+def _category_names(
+    rows: Iterable[Any], where: str, categories: list[Category], problems: list[Problem]
+) -> dict[int, str]:
+    """Return the name of each category of a file by its number; new categories are appended to those of all files."""
+    names: dict[int, str] = {}
+    for i, c in enumerate(rows):
+        number = to_int(c.get("id")) if isinstance(c, dict) else None
+        if number is None or not isinstance(c.get("name"), str) or number in names:
+            here = f"{where}: category {i}"
+            problems.append(Problem(here, "category-malformed", repr(c)[:80], "a new id and a name"))
+            continue
+        names[number] = c["name"]
+        if all(k.name != c["name"] for k in categories):
+            free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
+            ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
+            categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
+    return names
+
+
+def _by_image(rows: Iterable[Any], where: str, problems: list[Problem]) -> dict[int, list[bytes]]:
+    """Return the annotations by `image_id`, pickled: as bytes they take a fifth of the memory until they are needed."""
+    of_image: dict[int, list[bytes]] = {}
+    for i, a in enumerate(rows):
+        number = to_int(a.get("image_id")) if isinstance(a, dict) else None
+        if number is None:
+            here = f"{where}: annotation {i}"
+            problems.append(Problem(here, "annotation-malformed", repr(a)[:80], "an annotation record"))
+            continue
+        of_image.setdefault(number, []).append(pickle.dumps(a, pickle.HIGHEST_PROTOCOL))
+    return of_image
+
+
+def _video_names(rows: object) -> dict[int, str]:
+    """Return the name of each video by its number."""
+    videos = (v for v in rows if isinstance(v, dict)) if is_list(rows) else ()
+    numbered = ((to_int(v.get("id")), v.get("name")) for v in videos)
+    return {number: name for number, name in numbered if number is not None and isinstance(name, str)}
+
+
+def _stated_facts(r: Mapping[str, Any], videos: Mapping[int, str]) -> Capture:
+    """Return what the record of a picture states; values that cannot be are left out."""
+    facts = {**r, **{fact: r.get(key) for fact, key in _KEYS.items()}}
+    video = to_int(r.get("video_id"))
+    if not facts.get("sequence") and video is not None:
+        facts["sequence"] = videos.get(video)
+    return Capture.from_json(facts, strict=False)
+
+
+def _remarks(
+    where: str, left_out: Sequence[int], measured: int, unknown: Mapping[int, Sequence[bytes]]
+) -> list[Problem]:
+    """Return what is to be said about a file as a whole.
+
+    Args:
+        where: Name of the file.
+        left_out: Number of annotations of each picture that another file contains, too.
+        measured: Number of pictures whose size was read from them.
+        unknown: Annotations of pictures that the file does not list.
+    """
+    problems = []
+    if left_out:
+        found = f"{len(left_out)} picture(s) that another annotation file contains too; left out here"
+        found += f" with {sum(left_out)} annotation(s)"
         problems.append(Problem(where, "image-duplicate", found, "each picture once", "remove or join the files"))
     if measured:
         found = f"{measured} image(s) without width and height, which were read from the pictures"
         problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
-    for number, left in sorted(of_image.items()):
+    for number, left in sorted(unknown.items()):
         text = f"{len(left)} annotation(s) of image_id {number}"
         problems.append(Problem(where, "image-unknown", text, "the id of a picture that can be read"))
-    return records
-
-
-def _image(
-    r: Mapping[str, Any],
-    number: int,
-    name: str,
-    file: Path,
-    split: Split,
-    size_wh: tuple[int, int] | None,
-    instances: tuple[Instance, ...],
-    captures: Captures,
-    where: str,
-) -> ImageRecord:
-    pitch, altitude = (to_floats([r.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
-    time = r.get("time_of_day")
-    own = Capture(
-        pitch[0] if pitch and -90 <= pitch[0] <= 90 else None,
-        altitude[0] if altitude and altitude[0] >= 0 else None,
-        time if time in ("day", "night") else None,
-        hfov_deg=to_float_within(r.get("hfov_deg"), 0.1, 170),
-        roll_deg=to_float_within(r.get("roll_deg"), -180, 180),
-    )
-    capture = captures.of(name, where, own, _text(r.get("sequence")))
-    extra = capture.extra | ({"source_id": r["source_id"]} if "source_id" in r else {})
-    extra |= {k: v for k in FLIGHT_FIELDS if isinstance(v := r.get(k), str)}
-    return ImageRecord(
-        "", file, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
-        number, extra, name, _text(r.get("sequence")) or capture.sequence,
-        _text(r.get("date_captured")) or capture.captured, hfov_deg=capture.hfov_deg, roll_deg=capture.roll_deg,
-    )  # fmt: skip
+    return problems
 
 
 def _read_scale(r: Mapping[str, Any], top: Mapping[str, Any], where: str, problems: list[Problem]) -> Radiometry | None:
@@ -546,10 +583,6 @@ def _settings(value: object) -> dict[str, Any]:
     given = value if isinstance(value, dict) else {}
     known = {name: to_floats([given.get(name)], 1) for name in SETTINGS}
     return {name: v[0] for name, v in known.items() if v and 0 <= v[0] <= 1e5}
-
-
-def _text(value: object) -> str | None:
-    return value if isinstance(value, str) and value else None
 
 
 def _read_annotations(
@@ -607,14 +640,10 @@ def _read_annotations(
                 a.get("inserted") is True,
                 number,
                 extra,
-                _track(a.get("track_id")),
+                to_id(a.get("track_id")),
             )
         )
     return tuple(instances)
-
-
-def _track(value: object) -> int | str | None:
-    return value if isinstance(value, int | str) and not isinstance(value, bool) else None
 
 
 def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None) -> tuple[float, float]:

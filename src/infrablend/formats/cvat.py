@@ -266,7 +266,7 @@ def _read_image(
         return None
     size_wh = to_size(element.get("width"), element.get("height"))
     instances = tuple(_read_objects(element, where, size_wh, problems))
-    return ImageRecord("", picture, split, size_wh, None, None, None, instances, file_name=name)
+    return ImageRecord("", picture, split, size_wh, instances, file_name=name)
 
 
 def _read_objects(

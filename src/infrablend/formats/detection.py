@@ -5,7 +5,6 @@ from __future__ import annotations
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -14,16 +13,15 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
 from infrablend.core.format_table import FORMATS, Format, find_format
-from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE
+from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import folder, shards, temperatures
-from infrablend.formats.base import Match, shorten
+from infrablend.formats import folder, temperatures
+from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.formats.run_root import labels_of_run
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import hidden_pictures, unread_label_files
 
@@ -31,12 +29,13 @@ DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
 PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
+# Read from runs that have it, whatever else they have.
+_FIRST_OF_RUN = "coco"
 
 
 def reader_options(format: Format) -> Mapping[str, str]:
     """Return the options of the format's reader and what each does; empty if it has none."""
-    options: Mapping[str, str] = getattr(import_module(format.module), "OPTIONS", {})
-    return options
+    return FormatModule.load(format.module).OPTIONS
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Detection:
 
 def detect(root: Path) -> Detection:
     """Return the first format of the table that fits a folder, with the reasons of all formats."""
-    matches = tuple(import_module(f.module).detect(root) for f in FORMATS)
+    matches = tuple(FormatModule.load(f.module).detect(root) for f in FORMATS)
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
@@ -83,10 +82,10 @@ def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Itera
         reading: See `read`.
     """
     reader = _Reader.of(root, reading)
-    if reader.module is not shards:
+    if reader.module.read_parts is None:
         yield reader.completed(reader.module.read(reader.root, splits=reading.splits, **reader.options))
         return
-    for part in shards.read_parts(reader.root, pictures, splits=reading.splits, most=PART_FRAMES):
+    for part in reader.module.read_parts(reader.root, pictures, splits=reading.splits, most=PART_FRAMES):
         yield reader.completed(part)
 
 
@@ -103,7 +102,7 @@ class _Reader:
     """
 
     root: Path
-    module: Any
+    module: FormatModule
     options: Mapping[str, Any]
     stated: bool
     scale: TemperatureScale | None
@@ -113,7 +112,7 @@ class _Reader:
         if not root.is_dir():
             raise _missing(root)
         _require_merged(root)
-        root, format = labels_of_run(root, reading.format)
+        root, format = _labels_of_run(root, reading.format)
         if format is None:
             found = detect(root)
             if found.format is None:
@@ -127,14 +126,14 @@ class _Reader:
         if reading.form is not None:
             given["form"] = reading.form
         table = None if reading.metadata is None else Path(reading.metadata)
-        module = import_module(chosen.module)
-        known = reader_options(chosen)
+        module = FormatModule.load(chosen.module)
+        known = module.OPTIONS
         problems = [
             Problem(f"option {name}", "option-unknown", f"{name}={value}", _options_text(chosen.name, known))
             for name, value in sorted(given.items())
             if name not in known
         ]
-        if table is not None and not getattr(module, "TAKES_TABLE", True):
+        if table is not None and not module.TAKES_TABLE:
             message = f"{chosen.name} already contains pitch and altitude"
             problems.append(Problem(table.name, "table-unused", message, "no table", "leave it out"))
         if problems:
@@ -231,3 +230,34 @@ def _options_text(name: str, known: Mapping[str, str]) -> str:
     if not known:
         return f"no option: {name} has none"
     return "one of " + "; ".join(f"{k} ({what})" for k, what in known.items())
+
+
+def _labels_of_run(root: Path, format: str | None) -> tuple[Path, str | None]:
+    """Return the folder to read a run from, and the format of its labels; other folders are returned as they are.
+
+    COCO files are read from the root of the run, the labels of the other formats from their own folders, so that each
+    picture is read once and with its labels.
+
+    Args:
+        root: Folder of a dataset, perhaps of a run.
+        format: Wanted format; None takes COCO if the run has it, else the first of the run's formats.
+
+    Raises:
+        DatasetError: The run has no labels of the wanted format.
+    """
+    record = (read_object(root / RUN_FILE) if (root / RUN_FILE).is_file() else None) or {}
+    formats = record.get("formats")
+    if "infrablend" not in record or not isinstance(formats, list):
+        return root, format
+    layout = RunFolder(root)
+    there = [str(f) for f in formats if str(f) in {*(x.name for x in FORMATS), "native"} and layout.labels(f).is_dir()]
+    wanted = format or (_FIRST_OF_RUN if _FIRST_OF_RUN in there or not there else there[0])
+    if not there or (wanted == _FIRST_OF_RUN and _FIRST_OF_RUN in there):
+        return root, format
+    if wanted in there:
+        return layout.labels(wanted), None if wanted == "native" else wanted
+    found = f"a run with labels in {', '.join(there)}"
+    problem = Problem(
+        str(root), "format-none", found, f"labels in {wanted}", f"leave out --format, or give one of {', '.join(there)}"
+    )
+    raise DatasetError(f"{root}: cannot be read as {wanted}", [problem])

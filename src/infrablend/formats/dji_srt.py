@@ -23,8 +23,7 @@ import numpy as np
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight_log import FlightLog, with_places, with_rolls
-from infrablend.formats.log_text import read_log_text
+from infrablend.formats.flight_log import FlightLog, read_log_text, with_places, with_rolls
 
 _TIME = re.compile(r"\s*(\d{1,3}):(\d{1,2}):(\d{1,2})[,.](\d{1,3})\s*-->", re.ASCII)
 _NUMBER = r"([-+]?\d{1,12}(?:\.\d{1,12})?)"

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.boxes import box_of_points, corners_of_box
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
@@ -38,7 +39,7 @@ from infrablend.formats.base import (
     unmarked_regions,
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, clockwise_corners, overhang_px
-from infrablend.formats.capture import Capture, CaptureTable, facts_from_name, find_table, read_table
+from infrablend.formats.capture import CaptureTable, facts_from_name, find_table, read_table
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import assign_ids, check_link, list_pictures, read_size
@@ -260,11 +261,7 @@ def _read_split(
         unlabelled += file is None
         instances, extra = _read_file(root, file, size_wh, problems) if file else ((), {})
         capture = _capture(name, key, table, problems)
-        record = ImageRecord(
-            "", path, split, size_wh, capture.pitch_deg, capture.altitude_m, capture.time_of_day, instances,
-            None, {**capture.extra, **extra}, name, capture.sequence, capture.captured, hfov_deg=capture.hfov_deg,
-            roll_deg=capture.roll_deg,
-        )  # fmt: skip
+        record = ImageRecord("", path, split, size_wh, instances, capture, extra=extra, file_name=name)
         records.append((key, record))
     for stem in sorted(set(files) - set(taken)):
         where = files[stem].relative_to(root).as_posix()

@@ -156,7 +156,7 @@ def _read_split(state: _Reading, split: Split, folder: Path, kind: str, unlabell
             state.counts["pairs"] += 1
             extra["twin"] = (twins / name).relative_to(state.root).as_posix()
         file = f"{path.parent.name}/{path_read.name}"
-        records.append(ImageRecord("", path_read, split, size_wh, None, None, None, instances, None, extra, file))
+        records.append(ImageRecord("", path_read, split, size_wh, instances, extra=extra, file_name=file))
     state.counts["unlabelled"] += without
     where = f"{split}{_KINDS[kind][0]}"
     state.problems += unlabelled_problems(where, without, unlabelled)

@@ -17,17 +17,17 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from infrablend.core.dataset import Dataset, ImageRecord, TimeOfDay
+from infrablend.core.capture import Capture, TimeOfDay
+from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import open_regular
 from infrablend.core.finished import FRAMES_FILE, TEMPERATURES_FILE
+from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
 from infrablend.formats.values import is_place
 from infrablend.thermal.sun import sun_position, time_of
 
-# Only these formats hold pictures of any camera; those of the public datasets are known.
-ANY_CAMERA = ("folder", "yolo", "coco", "voc", "dota", "masks")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
 _HEAD_BYTES = 65536
@@ -48,7 +48,6 @@ _ASKED = {
 }
 FOR_ALL = " for all pictures, also those that have one"
 """What a field of the recipe does that replaces a value which only some pictures lack."""
-_RECORD_FIELDS = ("pitch_deg", "roll_deg", "altitude_m", "hfov_deg", "captured")
 GIVEN = "table, annotation or file name"
 
 
@@ -57,7 +56,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
 
     `notes["flight"]` then holds the table of facts: per field and source the number of pictures and the range.
     """
-    if dataset.format not in ANY_CAMERA:
+    if not any(f.any_camera for f in FORMATS if f.name == dataset.format):
         return dataset
     dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
     jpegs = [i for i in dataset.images if _is_jpeg(i)]
@@ -136,7 +135,9 @@ def _names_a_drone_camera(image: ImageRecord) -> bool:
 
 def _without_level_roll(image: ImageRecord) -> ImageRecord:
     """Return the record without a roll of 0, which only matters where a header states another."""
-    return replace(image, roll_deg=None) if image.roll_deg == 0 and not _is_jpeg(image) else image
+    if image.capture.roll_deg != 0 or _is_jpeg(image):
+        return image
+    return replace(image, capture=replace(image.capture, roll_deg=None))
 
 
 def _read(image: ImageRecord) -> CameraFacts | Problem:
@@ -211,25 +212,16 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
     """Return a record with the facts that it lacks."""
     if f is None:
         return image
-    captured = f.facts.get("captured")
-    extra = {"camera": f.camera} if f.camera else {}
-    height = f.facts.get("altitude_m")
-    if height is not None and image.altitude_m is None:
-        extra["altitude_from"] = "laser" if "LRF" in height.source else "take-off"
-    image = replace(
-        image,
-        size_wh=image.size_wh or f.size_wh,
-        pitch_deg=f.value("pitch_deg") if image.pitch_deg is None else image.pitch_deg,
-        altitude_m=f.value("altitude_m") if image.altitude_m is None else image.altitude_m,
-        hfov_deg=f.value("hfov_deg") if image.hfov_deg is None else image.hfov_deg,
-        # Level cameras need no entry: a roll of 0 is written nowhere.
-        roll_deg=(f.value("roll_deg") or None) if image.roll_deg is None else image.roll_deg,
-        captured=image.captured or (None if captured is None else str(captured.value)),
-        extra={**image.extra, **extra},
-    )
-    if image.time_of_day:
-        return image
-    return replace(image, time_of_day=time_of_day(image.captured, f.value("latitude_deg"), f.value("longitude_deg")))
+    stated = Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False)
+    if image.capture.altitude_m is None and stated.altitude_m is not None:
+        stated = replace(stated, altitude_from="laser" if "LRF" in f.facts["altitude_m"].source else "take-off")
+    # Level cameras need no entry: a roll of 0 is written nowhere.
+    stated = replace(stated, roll_deg=stated.roll_deg or None)
+    known = replace(image.capture.over(stated), camera=f.camera or image.capture.camera)
+    if known.time_of_day is None:
+        when = time_of_day(known.captured, f.value("latitude_deg"), f.value("longitude_deg"))
+        known = replace(known, time_of_day=when)
+    return replace(image, size_wh=image.size_wh or f.size_wh, capture=known)
 
 
 def time_of_day(captured: str | None, latitude: float | None, longitude: float | None) -> TimeOfDay | None:
@@ -263,9 +255,9 @@ def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
     """Return the records with a flight each: pictures of a folder and camera without a break of ten minutes."""
     groups: dict[tuple[str, str], list[tuple[datetime, int]]] = defaultdict(list)
     for k, image in enumerate(images):
-        when = _naive(image.captured)
-        if image.sequence is None and when is not None:
-            groups[str(image.path.parent), str(image.extra.get("camera", ""))].append((when, k))
+        when = _naive(image.capture.captured)
+        if image.capture.sequence is None and when is not None:
+            groups[str(image.path.parent), image.capture.camera or ""].append((when, k))
     flights: dict[int, str] = {}
     for times in groups.values():
         start, last = None, None
@@ -275,7 +267,9 @@ def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
             last = when
             assert start is not None
             flights[k] = f"flight-{start:%Y%m%d-%H%M%S}"
-    return [replace(i, sequence=flights[k]) if k in flights else i for k, i in enumerate(images)]
+    return [
+        replace(i, capture=replace(i.capture, sequence=flights[k])) if k in flights else i for k, i in enumerate(images)
+    ]
 
 
 def _naive(captured: str | None) -> datetime | None:
@@ -294,7 +288,7 @@ def _naive(captured: str | None) -> datetime | None:
 def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
     problems = []
     for name, (title, setting) in _ASKED.items():
-        lacking = [i.name for i in images if getattr(i, name) is None]
+        lacking = [i.name for i in images if getattr(i.capture, name) is None]
         if lacking:
             found = f"{title} missing in {len(lacking)} of {len(images)} pictures: {_some(lacking)}"
             todo = f"give a column {name} in metadata.csv, or {setting}"
@@ -402,7 +396,7 @@ def _rows(given: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> lis
         values: dict[str, list[float | str]] = defaultdict(list)
         lacking = 0
         for image in given:
-            own = getattr(image, name) if name in _RECORD_FIELDS else None
+            own = getattr(image.capture, name, None)
             f = facts.get(_key(image))
             fact = None if f is None else f.facts.get(name)
             if own is not None:

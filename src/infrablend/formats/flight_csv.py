@@ -22,9 +22,16 @@ import numpy as np
 
 from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.csv_text import comma_of, delimiter_of
-from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order, with_places, with_rolls
-from infrablend.formats.log_text import read_log_text
+from infrablend.formats.annotation_files import comma_of, delimiter_of
+from infrablend.formats.flight_log import (
+    MAX_DAMAGED,
+    FlightLog,
+    Values,
+    in_order,
+    read_log_text,
+    with_places,
+    with_rolls,
+)
 
 _HEADER_LINES = 5
 _UNIT = re.compile(r"[\s]*[(\[]\s*([A-Za-z/ ]+?)\s*[)\]]\s*$")

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+import stat
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.camera_angles import is_plausible_roll, roll_of_gimbal
-from infrablend.errors import Problem
+from infrablend.errors import DatasetError, Problem
 from infrablend.formats.values import is_place
 
 Values = NDArray[np.float64]
@@ -21,6 +23,7 @@ LINEAR = ("pitch_deg", "altitude_m", "latitude_deg", "longitude_deg")
 ROUND = ("roll_deg", "yaw_deg")
 """Angles around a full circle: interpolated the short way round."""
 FIELDS = (*LINEAR, *ROUND)
+MAX_LOG_BYTES = 200_000_000
 MAX_GAP_S = 2.0
 """Longest time between two samples over which values are interpolated."""
 MAX_DAMAGED = 0.1
@@ -220,3 +223,35 @@ def _iso(seconds: float, in_utc: bool) -> str | None:
     when = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=round(seconds * 1000))
     text = when.isoformat(timespec="milliseconds")
     return text if in_utc else text.removesuffix("+00:00")
+
+
+def read_log_text(path: Path) -> str:
+    """Return the text of a log: UTF-8 with or without a mark, UTF-16 with one, else Latin-1; without null characters.
+
+    Raises:
+        DatasetError: The file is missing, not a regular file, too large or empty.
+    """
+    found, expected, todo = "", "a log", "check the path"
+    data = b""
+    try:
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode):
+            found = "not a regular file"
+        elif status.st_size > MAX_LOG_BYTES:
+            found, expected = f"{status.st_size / 1e6:.0f} MB", f"at most {MAX_LOG_BYTES / 1e6:.0f} MB"
+            todo = "split the log"
+        else:
+            data = path.read_bytes()
+            found = "" if data.strip() else "an empty file"
+    except OSError as error:
+        found = error.strerror or str(error)
+    if found:
+        problem = Problem(path.name, "log-unreadable", found, expected, todo)
+        raise DatasetError(f"{path}: cannot be read", [problem])
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data.decode("utf-16", "replace").replace("\0", "")
+    data = data.replace(b"\0", b"")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")

@@ -31,6 +31,7 @@ from infrablend.formats.yolo import (
     orphan_labels,
     read_yaml,
 )
+from infrablend.formats.yolo import native_writer as yolo_writer
 
 NAME = "folder"
 
@@ -78,6 +79,12 @@ def _belongs_to(root: Path) -> Path | None:
         if file.is_file():
             return file
     return None
+
+
+def native_writer(dataset: Dataset) -> str:
+    """Return the name of the writer for the labels that were found beside the pictures."""
+    labels = str(dataset.notes.get("labels"))
+    return yolo_writer(dataset) if labels == "yolo" else labels
 
 
 def read(

@@ -43,12 +43,11 @@ def frame_place(image: ImageRecord) -> tuple[str, int] | None:
         return "", facts.frame
     name = PurePosixPath(image.name)
     match = _LAST_NUMBER.match(background_stem(name.stem))
-    own = image.extra.get("frame")
-    if type(own) is int and image.sequence is not None:
-        return image.sequence, own
+    if image.capture.frame is not None and image.capture.sequence is not None:
+        return image.capture.sequence, image.capture.frame
     if match is None:
         return None
-    clip = image.sequence if image.sequence is not None else f"{name.parent}/{match[1]}*{match[3]}"
+    clip = image.capture.sequence if image.capture.sequence is not None else f"{name.parent}/{match[1]}*{match[3]}"
     return clip, int(match[2])
 
 
@@ -118,10 +117,10 @@ def group_images(images: Sequence[ImageRecord], by: Grouping, gap: int = NEAR) -
         keys = _runs(images, gap)
         lacks, todo = "a frame number in their name", "use --by sequence or --by date"
     elif by == "date":
-        keys = {i.id: None if i.captured is None else i.captured[:10] for i in images}
+        keys = {i.id: None if i.capture.captured is None else i.capture.captured[:10] for i in images}
         lacks, todo = "a date of capture", "use --by sequence or --by gap"
     else:
-        keys = {i.id: i.sequence for i in images}
+        keys = {i.id: i.capture.sequence for i in images}
         lacks, todo = "a sequence", "use --by gap, which needs numbers in the file names"
     without = [i.name for i in images if keys[i.id] is None]
     if without:

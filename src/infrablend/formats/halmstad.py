@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import read_regular
@@ -174,8 +175,13 @@ def _read_clip(
                 instances = (Instance(category, box, track_id=0),)
         records.append(
             ImageRecord(
-                "", picture, "train", size_wh, None, None, None, instances, extra={"frame": number},
-                file_name=f"{clip}/{clip}_{number:05d}.png", sequence=clip,
+                "",
+                picture,
+                "train",
+                size_wh,
+                instances,
+                capture=Capture(sequence=clip, frame=number),
+                file_name=f"{clip}/{clip}_{number:05d}.png",
             )
-        )  # fmt: skip
+        )
     return records

@@ -23,8 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box
+from infrablend.core.capture import FACTS, Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import finite, link_or_copy, write_chunks
+from infrablend.core.format_table import FIELDS
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
@@ -45,7 +47,7 @@ from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import BOXES
 from infrablend.formats.pictures import PictureFolder, assign_ids
-from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_share, to_size
+from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "huggingface"
 TAKES_TABLE = False  # the lines contain pitch and altitude
@@ -53,14 +55,11 @@ FILE = "metadata.jsonl"
 
 # `datasets` takes any of these for the name of a split.
 _FOLDERS: Mapping[str, Split] = {"train": "train", "val": "val", "validation": "val", "valid": "val", "test": "test"}
+_SCALE = "temperature_scale"
 # Columns of pictures that may be null, and what is lost where a split has no value at all.
-_NUMBERS = {
-    "pitch_deg": "telemetry_dropped",
-    "altitude_m": "telemetry_dropped",
-    "hfov_deg": "telemetry_dropped",
-    "roll_deg": "telemetry_dropped",
-    "temperature_scale": "temperature_dropped",
-}
+_NULLABLE = {n: FIELDS[f.field][1] for n, f in FACTS.items() if f.type is not str} | {_SCALE: FIELDS["temperature"][1]}
+# Columns of texts that every line has, empty where unknown; further texts are columns if any picture has one.
+_TEXTS = ("time_of_day", "sequence", "captured")
 _UNKNOWN_VISIBILITY = -1.0
 _OBJECTS = "objects"
 _DIGITS = 9
@@ -105,12 +104,14 @@ class _Columns:
         ids: Number of each category.
         ignored: Names of the categories to ignore.
         optional: Value of each further column for an object.
+        texts: Columns of pictures with texts.
         dropped: Columns of pictures that are left out.
     """
 
     ids: Mapping[str, int]
     ignored: frozenset[str]
     optional: Mapping[str, Callable[[Instance], Any]]
+    texts: Sequence[str] = _TEXTS
     dropped: frozenset[str] = frozenset()
 
     @classmethod
@@ -118,10 +119,13 @@ class _Columns:
         """Return the columns that the objects of the images need."""
         needed: set[str] = set()
         for image in images:
+            needed |= image.capture.to_json().keys()
             for o in image.instances:
                 needed |= {n for n, (is_needed, _) in _OPTIONAL.items() if n not in needed and is_needed(o)}
         optional = {n: value for n, (_, value) in _OPTIONAL.items() if n in needed}
-        return cls(category_ids(categories), frozenset(c.name for c in categories if c.ignore), optional)
+        texts = [n for n, f in FACTS.items() if f.type is str and (n in _TEXTS or n in needed)]
+        ignored = frozenset(c.name for c in categories if c.ignore)
+        return cls(category_ids(categories), ignored, optional, tuple(texts))
 
     def lines(self, images: Sequence[ImageRecord], typed: _Typed, losses: Counter[str]) -> Iterator[str]:
         """Yield the lines of a split: first those that give each column its type, then the others in order."""
@@ -133,23 +137,20 @@ class _Columns:
             yield json.dumps(finite(row, losses), allow_nan=False, separators=(",", ":")) + "\n"
 
     def row(self, image: ImageRecord) -> dict[str, Any]:
-        """Return the line of a picture; the columns in `_NUMBERS` may be null."""
+        """Return the line of a picture; the columns in `_NULLABLE` may be null."""
         w, h = require_size(image)
-        scale = None if image.radiometry is None else image.radiometry.scale
+        facts, scale = image.capture.to_json(), image.capture.scale
         unknown = [i.category for i in image.instances if i.category not in self.ids]
         if unknown:
             raise ValueError(f"{image.id}: category {unknown[0]!r} is not in the list of categories")
-        numbers = {"pitch_deg": image.pitch_deg, "altitude_m": image.altitude_m, "hfov_deg": image.hfov_deg}
-        numbers["roll_deg"] = image.roll_deg
         return {
             "file_name": image.name,
             "width": w,
             "height": h,
-            **{k: None if v is None else float(v) for k, v in numbers.items()},
-            "temperature_scale": None if scale is None else scale.to_json(),
-            "time_of_day": image.time_of_day or "",
-            "sequence": _as_text(image.sequence),
-            "captured": _as_text(image.captured),
+            # A column of one type: no whole numbers among others.
+            **{n: None if (v := facts.get(n)) is None else FACTS[n].type(v) for n in _NULLABLE if n != _SCALE},
+            _SCALE: None if scale is None else scale.to_json(),
+            **{name: _as_text(facts.get(name)) for name in self.texts},
             _OBJECTS: {
                 "bbox": [_xywh(i.box_xyxy) for i in image.instances],
                 "category": [i.category for i in image.instances],
@@ -221,9 +222,9 @@ class _Typed:
         known: Counter[str] = Counter()
         first: dict[str, int] = {}
         for n, image in enumerate(images):
-            scale = None if image.radiometry is None else image.radiometry.scale
-            values = {"temperature_scale": scale, _OBJECTS: image.instances or None}
-            values |= {name: getattr(image, name) for name in _NUMBERS if name not in values}
+            facts = image.capture.to_json()
+            values = {name: facts.get(name) for name in _NULLABLE}
+            values |= {_SCALE: image.capture.scale, _OBJECTS: image.instances or None}
             for name in (k for k, v in values.items() if v is not None):
                 known[name] += 1
                 first.setdefault(name, n)
@@ -238,7 +239,7 @@ def _drop_untyped(
     A column would have another type in a split without any of its values; what is left out is counted or reported.
     """
     dropped = set()
-    for name, loss in _NUMBERS.items():
+    for name, loss in _NULLABLE.items():
         known = [t.known.get(name, 0) for t in typed.values()]
         if not all(known):
             losses[loss] += sum(known)
@@ -371,18 +372,11 @@ def _read_row(
         state.problems += [fault] if fault else []
         return None
     size_wh = to_size(row.get("width"), row.get("height"))
-    pitch, altitude = (to_floats([row.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
-    time = row.get("time_of_day")
-    return ImageRecord(
-        "", picture, split, size_wh,
-        pitch[0] if pitch and -90 <= pitch[0] <= 90 else None,
-        altitude[0] if altitude and 0 <= altitude[0] <= 1e6 else None,
-        time if time in ("day", "night") else None,
-        _read_objects(row.get("objects"), where, size_wh, state), None, {}, name,
-        _text(row.get("sequence")), _text(row.get("captured")), _read_scale(row, where, state),
-        hfov_deg=to_float_within(row.get("hfov_deg"), 0.1, 170),
-        roll_deg=to_float_within(row.get("roll_deg"), -180, 180),
-    )  # fmt: skip
+    facts = {fact: _text(v) if isinstance(v := row.get(fact), str) else v for fact in FACTS}
+    capture = Capture.from_json(facts, strict=False)
+    capture = replace(capture, radiometry=_read_scale(row, where, state))
+    instances = _read_objects(row.get("objects"), where, size_wh, state)
+    return ImageRecord("", picture, split, size_wh, instances, capture, file_name=name)
 
 
 def _text(value: object) -> str | None:
@@ -390,7 +384,7 @@ def _text(value: object) -> str | None:
 
 
 def _read_scale(row: Mapping[str, Any], where: str, state: _Reading) -> Radiometry | None:
-    value = row.get("temperature_scale")
+    value = row.get(_SCALE)
     if value is None:
         return None
     try:

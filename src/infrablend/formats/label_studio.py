@@ -56,7 +56,7 @@ from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import loses_occlusion
 from infrablend.formats.pictures import MAX_PIXELS, PictureFolder, check_name
 from infrablend.formats.records import annotated_twice, make_dataset
-from infrablend.formats.values import to_bool, to_floats, to_share, to_size
+from infrablend.formats.values import to_bool, to_floats, to_id, to_share, to_size
 
 NAME = "label-studio"
 CONFIG_FILE = "label_config.xml"
@@ -301,9 +301,7 @@ def _read_task(
     stated += [(r.get("original_width"), r.get("original_height")) for r in rows]
     sizes = [s for w, h in stated if (s := to_size(w, h))]
     instances = tuple(_read_objects(rows, where, problems))
-    return ImageRecord(
-        "", picture, split, sizes[0] if sizes else None, None, None, None, instances, file_name=name
-    )  # fmt: skip
+    return ImageRecord("", picture, split, sizes[0] if sizes else None, instances, file_name=name)
 
 
 def _name_of(address: str, split: Split) -> tuple[str, Split]:
@@ -380,12 +378,11 @@ def _read_result(row: Mapping[str, Any], where: str, problems: list[Problem]) ->
     if box is None:
         return None
     flags = {k: to_bool(meta[k]) if k in meta else None for k in _FLAGS}
-    track = meta.get("track_id")
     return Instance(
         str(labels[0]), box, corners, mask, to_share(meta.get("visibility")),
         flags["truncated"], flags["difficult"], flags["inserted"] is True, None,
         {} if flags["occluded"] is None else {"occluded": flags["occluded"]},
-        track if isinstance(track, int | str) and not isinstance(track, bool) else None,
+        to_id(meta.get("track_id")),
     )  # fmt: skip
 
 

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split, TimeOfDay
+from infrablend.core.capture import Capture
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_bytes, write_json
 from infrablend.core.json_records import is_list
 from infrablend.core.masks import Mask
@@ -38,12 +39,11 @@ from infrablend.formats.base import (
     sort_images,
 )
 from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
-from infrablend.formats.capture import Capture
 from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.losses import Written
 from infrablend.formats.occlusion import occlusion_fields, read_occlusion
 from infrablend.formats.pictures import PictureFolder, assign_ids, check_link
-from infrablend.formats.values import to_bool, to_float_within, to_floats, to_int, to_size
+from infrablend.formats.values import to_bool, to_floats, to_id, to_int, to_size
 
 NAME = "masks"
 TAKES_TABLE = False  # the tables contain pitch and altitude
@@ -139,10 +139,7 @@ def _table(
         row |= occlusion_fields(i)
         objects.append(row | _known(track_id=i.track_id, source_id=i.source_id))
     top: dict[str, Any] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
-    top |= _known(pitch_deg=image.pitch_deg, altitude_m=image.altitude_m, time_of_day=image.time_of_day)
-    top |= _known(hfov_deg=image.hfov_deg, roll_deg=image.roll_deg)
-    top |= _known(altitude_from=image.extra.get("altitude_from"))
-    return top | _known(sequence=image.sequence, captured=image.captured, source_id=image.source_id)
+    return top | image.capture.to_json() | _known(source_id=image.source_id)
 
 
 # -- reading ---------------------------------------------------------------------------------------------------
@@ -250,15 +247,9 @@ def _read_table(
         if unknown:
             found = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
             problems.append(Problem(where, "mask-unknown", found, "an object per value", severity="warning"))
-    pitch, altitude = (to_floats([top.get(k)], 1) for k in ("pitch_deg", "altitude_m"))
-    extra = Capture(altitude_from=_text(top.get("altitude_from"))).extra
-    time: TimeOfDay | None = top["time_of_day"] if top.get("time_of_day") in ("day", "night") else None
-    return ImageRecord(
-        "", picture, split, size_wh, pitch[0] if pitch else None, altitude[0] if altitude else None, time,
-        tuple(instances), _id(top.get("source_id")), extra, name, _text(top.get("sequence")),
-        _text(top.get("captured")), hfov_deg=to_float_within(top.get("hfov_deg"), 0.1, 170),
-        roll_deg=to_float_within(top.get("roll_deg"), -180, 180),
-    )  # fmt: skip
+    capture = Capture.from_json(top, strict=False)
+    source_id = to_id(top.get("source_id"))
+    return ImageRecord("", picture, split, size_wh, tuple(instances), capture, source_id, file_name=name)
 
 
 def _read_pixels(
@@ -310,7 +301,7 @@ def _read_object(
     return Instance(
         str(row["category"]), inside, corners, mask, visibility[0] if visibility else None,
         to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
-        _id(row.get("source_id")), read_occlusion(row), _id(row.get("track_id")),
+        to_id(row.get("source_id")), read_occlusion(row), to_id(row.get("track_id")),
     )  # fmt: skip
 
 
@@ -321,11 +312,3 @@ def _corners(value: object) -> NDArray[np.float64] | None:
     if not all(p is not None and is_near(p) for p in points):
         return None
     return clockwise_corners(np.array(points, np.float64))
-
-
-def _id(value: object) -> int | str | None:
-    return value if isinstance(value, int | str) and not isinstance(value, bool) else None
-
-
-def _text(value: object) -> str | None:
-    return value if isinstance(value, str) and value else None

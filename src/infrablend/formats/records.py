@@ -10,7 +10,7 @@ from typing import Any
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import shorten, sort_images
-from infrablend.formats.capture import Capture, Captures, find_table, read_table
+from infrablend.formats.capture import Captures, find_table, read_table
 from infrablend.formats.pictures import assign_ids
 
 KEEP_OR_DROP = ("keep", "drop")
@@ -54,26 +54,11 @@ def make_dataset(
     ids = assign_ids(inside)
     complete = []
     for name, record in sorted(inside.items()):
-        view = Capture(record.pitch_deg, hfov_deg=record.hfov_deg, roll_deg=record.roll_deg)
-        own = view.over(Capture(altitude_m=record.altitude_m, time_of_day=record.time_of_day))
-        known = captures.of(name, name, own, record.sequence)
-        complete.append(
-            replace(
-                record,
-                id=ids[name],
-                pitch_deg=known.pitch_deg,
-                altitude_m=known.altitude_m,
-                time_of_day=known.time_of_day,
-                sequence=record.sequence or known.sequence,
-                captured=record.captured or known.captured,
-                extra={**known.extra, **record.extra},
-                hfov_deg=known.hfov_deg,
-                roll_deg=known.roll_deg,
-            )
-        )
+        capture = captures.of(name, name, record.capture)
+        complete.append(replace(record, id=ids[name], capture=capture))
     if table is not None:
         found += table.problems
-        unused = table.unused(inside, {r.sequence for r in inside.values()})
+        unused = table.unused(inside, {r.capture.sequence for r in inside.values()})
         if unused:
             text = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
             found.append(

@@ -12,27 +12,24 @@ import json
 import tarfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, ImageRecord, Instance
 from infrablend.core.file_names import join_inside
 from infrablend.core.files import LARGEST_READ_BYTES, finite, open_regular
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.coco import FLIGHT_FIELDS
 
 LABEL = "json"
 SCENE = "scene.json"
 _BLOCK = 512
-_NUMBER, _TEXT = (int, float, type(None)), (str, type(None))
-_FACTS: Mapping[str, tuple[type, ...]] = {
-    **dict.fromkeys(("pitch_deg", "altitude_m", "hfov_deg", "roll_deg"), _NUMBER),
-    **dict.fromkeys(("time_of_day", "sequence", "captured"), _TEXT),
-}
+# Facts that labels of every version have, if only as null.
+_ALWAYS = ("pitch_deg", "altitude_m", "hfov_deg", "roll_deg", "time_of_day", "sequence", "captured")
 
 
 def key_of(frame_id: str) -> str:
@@ -53,9 +50,9 @@ def label_text(frame_id: str, image: ImageRecord, ids: Mapping[str, int]) -> byt
         "file_name": image.name,
         "width": image.size_wh[0],
         "height": image.size_wh[1],
-        **{name: getattr(image, name) for name in _FACTS},
-        **{name: value for name in FLIGHT_FIELDS if isinstance(value := image.extra.get(name), str)},
-        "radiometry": None if image.radiometry is None else asdict(image.radiometry),
+        **dict.fromkeys(_ALWAYS),
+        **image.capture.to_json(),
+        "radiometry": None if image.capture.radiometry is None else asdict(image.capture.radiometry),
         "objects": [{**i.to_json(), "category_id": ids[i.category]} for i in image.instances],
     }
     text = json.dumps(finite(label, Counter()), sort_keys=True, separators=(",", ":"), allow_nan=False, default=str)
@@ -68,17 +65,8 @@ def image_of(label: Mapping[str, Any], folder: Path) -> ImageRecord:
     Raises:
         LookupError, TypeError, ValueError, AttributeError: The label is damaged.
     """
-    for name, kinds in _FACTS.items():
-        value = label[name]
-        if not isinstance(value, kinds) or isinstance(value, bool) or value != value:
-            raise ValueError(f"{name}: found {value!r}")
-    # Only with pictures that state them, and not in shards of earlier versions.
-    extra = {name: label[name] for name in FLIGHT_FIELDS if label.get(name) is not None}
-    for name, value in extra.items():
-        if not isinstance(value, str):
-            raise ValueError(f"{name}: found {value!r}")
-    if label["split"] not in SPLITS or label["time_of_day"] not in (None, "day", "night"):
-        raise ValueError(f"split {label['split']!r} and time of day {label['time_of_day']!r}")
+    if not label.keys() >= set(_ALWAYS) or label["split"] not in SPLITS:
+        raise ValueError(f"split {label['split']!r}, or no {', '.join(_ALWAYS)}")
     objects = [{k: v for k, v in o.items() if k != "category_id"} for o in label["objects"]]
     radiometry = label["radiometry"]
     if radiometry is not None:
@@ -90,10 +78,8 @@ def image_of(label: Mapping[str, Any], folder: Path) -> ImageRecord:
         split=label["split"],
         size_wh=(int(label["width"]), int(label["height"])),
         instances=tuple(Instance.from_json(o) for o in objects),
-        extra=extra,
+        capture=replace(Capture.from_json(label), radiometry=radiometry),
         file_name=str(label["file_name"]),
-        radiometry=radiometry,
-        **{name: label[name] for name in _FACTS},
     )
 
 

@@ -74,7 +74,7 @@ def with_scale(dataset: Dataset, scale: TemperatureScale | None) -> Dataset:
 
     It goes above what the files state, with a warning; without a scale, the pictures are only counts.
     """
-    own = [i.radiometry.scale for i in dataset.images if i.radiometry is not None and i.radiometry.scale is not None]
+    own = [i.capture.scale for i in dataset.images if i.capture.scale is not None]
     other = [s for s in own if s != scale]
     remarks = dataset.problems
     if other:
@@ -87,8 +87,9 @@ def with_scale(dataset: Dataset, scale: TemperatureScale | None) -> Dataset:
     def stated(image: ImageRecord) -> ImageRecord:
         if image.path.suffix.lower() not in DEEP_SUFFIXES:
             return image
-        known = image.radiometry or Radiometry(None)
-        return replace(image, radiometry=replace(known, scale=scale, source="stated"))
+        known = image.capture.radiometry or Radiometry(None)
+        known = replace(known, scale=scale, source="stated")
+        return replace(image, capture=replace(image.capture, radiometry=known))
 
     return replace(dataset, images=tuple(stated(i) for i in dataset.images), problems=remarks)
 
@@ -117,7 +118,7 @@ def is_deep(image: ImageRecord) -> bool:
 def scale_warnings(dataset: Dataset) -> list[Problem]:
     """Return warnings if 16-bit pictures have no temperature scale or one that makes no sense; a few are opened."""
     implausible = implausible_scales(dataset, shows_ground)
-    if not any(is_deep(i) for i in _some([i for i in dataset.images if i.radiometry is None])):
+    if not any(is_deep(i) for i in _some([i for i in dataset.images if i.capture.radiometry is None])):
         return implausible
     found = "16-bit pictures without a temperature scale: their levels are only counts"
     todo = "state it if it is known, with --read unit=... or data.unit in the recipe; unit=counts accepts them"
@@ -140,7 +141,7 @@ def from_radiometric_files(dataset: Dataset) -> bool:
 
 def shows_ground(image: ImageRecord) -> bool:
     """Return False for pictures of cameras that look level or up, as far as is known: they may show the sky alone."""
-    return image.pitch_deg is None or image.pitch_deg > 0
+    return image.capture.pitch_deg is None or image.capture.pitch_deg > 0
 
 
 def implausible_scales(dataset: Dataset, ground: Callable[[ImageRecord], bool]) -> list[Problem]:
@@ -151,14 +152,14 @@ def implausible_scales(dataset: Dataset, ground: Callable[[ImageRecord], bool]) 
         ground: Whether a picture shows the ground, not the sky alone.
     """
     medians, of_ground = [], False
-    for image in _some([i for i in dataset.images if i.radiometry is not None and i.radiometry.scale is not None]):
+    for image in _some([i for i in dataset.images if i.capture.scale is not None]):
         try:
             pixels = load_background(image.path).pixels
         except DatasetError:  # unreadable pictures are reported where they are read
             continue
         if pixels.dtype == np.uint16:
-            assert image.radiometry is not None and image.radiometry.scale is not None
-            medians.append(implausible_counts(pixels, image.radiometry.scale, ground(image)))
+            assert image.capture.scale is not None
+            medians.append(implausible_counts(pixels, image.capture.scale, ground(image)))
             of_ground |= ground(image)
     wrong = [m for m in medians if m is not None]
     if not wrong or len(wrong) < len(medians):
@@ -172,16 +173,16 @@ def describe_scales(dataset: Dataset) -> dict[str, int]:
     """Return the number of pictures by their temperature scale and its source; 8-bit pictures do not count."""
     found: dict[str, int] = {}
     for image in dataset.images:
-        if image.radiometry is None:
+        if image.capture.radiometry is None:
             continue
-        scale = image.radiometry.scale
-        text = "counts without a scale" if scale is None else f"{scale.describe()} ({image.radiometry.source})"
+        scale = image.capture.scale
+        text = "counts without a scale" if scale is None else f"{scale.describe()} ({image.capture.radiometry.source})"
         found[text] = found.get(text, 0) + 1
     return dict(sorted(found.items()))
 
 
 def info_of_scale(images: Iterable[ImageRecord]) -> dict[str, Any] | None:
     """Return the scale that all pictures share, as JSON values; None if there is none."""
-    scales = {None if i.radiometry is None else i.radiometry.scale for i in images}
+    scales = {i.capture.scale for i in images}
     (scale,) = scales if len(scales) == 1 else (None,)
     return None if scale is None else scale.to_json()

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, Instance
 from infrablend.core.file_names import escape_unfit
 from infrablend.errors import Problem
@@ -25,8 +26,7 @@ def with_fitting_fields(dataset: Dataset) -> Dataset:
     for image in dataset.images:
         instances = tuple(_instance(i, names, counts) for i in image.instances)
         changed: dict[str, Any] = {
-            "sequence": _fitting(image.sequence, counts),
-            "captured": _fitting(image.captured, counts),
+            "capture": _capture(image.capture, counts),
             "source_id": _fitting(image.source_id, counts),
             "extra": _fitting(image.extra, counts) if image.extra else image.extra,
         }
@@ -84,6 +84,13 @@ def _instance(instance: Instance, names: Mapping[str, str], counts: Counter[str]
         if value and (fitting := _fitting(value, counts)) is not value:
             changed[key] = fitting
     return replace(instance, **changed) if changed else instance
+
+
+def _capture(capture: Capture, counts: Counter[str]) -> Capture:
+    """Return the facts with fitting texts; the same object if all fit."""
+    facts = capture.to_json()
+    changed = {k: fitting for k, v in facts.items() if (fitting := _fitting(v, counts)) is not v}
+    return replace(capture, **changed) if changed else capture
 
 
 def _fitting(value: Any, counts: Counter[str]) -> Any:

@@ -39,6 +39,11 @@ def to_int(value: object) -> int | None:
     return int(number) if math.isfinite(number) and number == int(number) else None
 
 
+def to_id(value: object) -> int | str | None:
+    """Return the id of an image, object or track that a JSON field states, or None."""
+    return value if isinstance(value, int | str) and not isinstance(value, bool) else None
+
+
 def to_bool(value: object) -> bool | None:
     """Return the flag that a JSON or XML field means (true, 1, "1", "True"), or None."""
     text = str(value).strip().casefold()

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
-from infrablend.formats.log_text import MAX_LOG_BYTES
+from infrablend.formats.flight_log import MAX_LOG_BYTES
 from infrablend.formats.pictures import MAX_PIXELS
 
 SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".m4v", ".ts", ".mts", ".webm", ".lrv", ".lrf")

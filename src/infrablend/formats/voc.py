@@ -175,7 +175,6 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
         pictures.setdefault(key_of(name), []).append(name)
     split_of = _splits(root, {key[-1] for key in pictures}, problems)
     records: dict[str, ImageRecord] = {}
-    categories: set[str] = set()
     unlisted: list[str] = []
     skipped: set[str] = set()
     for name in list_xml(root):
@@ -186,10 +185,7 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
         if split not in splits:
             skipped.update(pictures.get(key_of(name), ()))
             continue
-        top, problem = read_xml(root / name, name)
-        if problem is None and top.tag != "annotation":
-            found = f"root element <{top.tag}>"
-            problem = Problem(name, "annotation-layout", found, "<annotation>", "use VOC or roLabelImg files")
+        top, problem = _read_annotation(root, name)
         picture: str | None = None
         if problem is None:
             picture, problem = _find_picture(name, top, pictures, records, problems)
@@ -198,32 +194,57 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
             skipped.update(pictures.get(key_of(name), ()))
             continue
         counts["files"] += 1
-        size_wh = to_size(_text(top, "size/width"), _text(top, "size/height"))
-        if size_wh is None:
-            found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}; the picture's size is used"
-            problems.append(Problem(name, "image-size-unknown", found, "width and height in px", severity="warning"))
-            size_wh, problem = read_size(paths[picture], picture)
-            problems += [problem] if problem else []
+        size_wh = _size(top, name, paths[picture], picture, problems)
         instances = _objects(top, name, size_wh, origin, problems, counts)
-        categories |= {i.category for i in instances}
-        record = ImageRecord("", paths[picture], split, size_wh, None, None, None, instances)
-        records[picture] = replace(record, file_name=_file_name(picture))
-    left = [n for n in paths if n not in records and n not in skipped]
-    left = [n for n in left if (split_of.get(key_of(n)[-1], "train") if split_of else _folder_split(n)) in splits]
+        file_name = _file_name(picture)
+        records[picture] = ImageRecord("", paths[picture], split, size_wh, instances, file_name=file_name)
+    left = {
+        name: split_of.get(key_of(name)[-1], "train") if split_of else _folder_split(name)
+        for name in paths
+        if name not in records and name not in skipped
+    }
+    left = {name: split for name, split in left.items() if split in splits}
     problems += unlabelled_problems(root.name, len(left), unlabelled, "no XML file")
     counts["unlabelled"] = len(left)
-    for name in left if unlabelled == "keep" else ():
-        split = split_of.get(key_of(name)[-1], "train") if split_of else _folder_split(name)
-        record = ImageRecord("", paths[name], split, None, None, None, None, (), extra={"labelled": False})
-        records[name] = replace(record, file_name=_file_name(name))
+    for name, split in left.items() if unlabelled == "keep" else ():
+        unsaid = {"labelled": False}
+        records[name] = ImageRecord("", paths[name], split, None, (), extra=unsaid, file_name=_file_name(name))
+    problems += _remarks(root.name, unlisted, counts["parts"])
+    counted = {k: counts[k] for k in ("files", "objects", "read", "parts", "unlabelled")}
+    categories = {i.category for r in records.values() for i in r.instances}
+    return Read(tuple(records.values()), tuple(sorted(categories)), tuple(problems), counted)
+
+
+def _read_annotation(root: Path, name: str) -> tuple[Any, Problem | None]:
+    """Return the root element of an XML file, and what is wrong with it."""
+    top, problem = read_xml(root / name, name)
+    if problem is None and top.tag != "annotation":
+        found = f"root element <{top.tag}>"
+        problem = Problem(name, "annotation-layout", found, "<annotation>", "use VOC or roLabelImg files")
+    return top, problem
+
+
+def _size(top: Any, where: str, path: Path, picture: str, problems: list[Problem]) -> tuple[int, int] | None:
+    """Return the size that the XML file states, else that of the picture."""
+    size_wh = to_size(_text(top, "size/width"), _text(top, "size/height"))
+    if size_wh is None:
+        found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}; the picture's size is used"
+        problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
+        size_wh, problem = read_size(path, picture)
+        problems += [problem] if problem else []
+    return size_wh
+
+
+def _remarks(where: str, unlisted: Sequence[str], parts: int) -> list[Problem]:
+    """Return warnings about files that no list names, and parts of objects."""
+    problems = []
     if unlisted:
         found = f"{len(unlisted)} file(s) in no list of ImageSets/Main are read as train: {', '.join(unlisted[:3])}"
-        problems.append(Problem(root.name, "split-unknown", found, "every stem in one list", severity="warning"))
-    if counts["parts"]:
-        found = f"{counts['parts']} part(s) of objects were left out"
-        problems.append(Problem(root.name, "part-unread", found, "objects without parts", severity="warning"))
-    counted = {k: counts[k] for k in ("files", "objects", "read", "parts", "unlabelled")}
-    return Read(tuple(records.values()), tuple(sorted(categories)), tuple(problems), counted)
+        problems.append(Problem(where, "split-unknown", found, "every stem in one list", severity="warning"))
+    if parts:
+        found = f"{parts} part(s) of objects were left out"
+        problems.append(Problem(where, "part-unread", found, "objects without parts", severity="warning"))
+    return problems
 
 
 def _file_name(name: str) -> str:

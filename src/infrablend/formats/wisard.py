@@ -16,6 +16,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
@@ -121,14 +122,19 @@ def read(
             counts["logos"] += len(logos := _logo(clip, region, p.size_wh, p.where, problems))
             frame = _FRAME.search(p.path.stem)
             extra: dict[str, Any] = {} if p.labelled else {"labelled": False}
-            extra |= {"frame": int(frame[1])} if frame else {}
             extra |= {"modality": "visible"} if kind == "vis" else {}
             records.append(
                 ImageRecord(
-                    "", p.path, of_all, p.size_wh, None, None, None, (*p.instances, *logos), extra=extra,
-                    file_name=f"{clip}/{p.name}", sequence=clip, captured=_captured(clip),
+                    "",
+                    p.path,
+                    of_all,
+                    p.size_wh,
+                    (*p.instances, *logos),
+                    capture=Capture(sequence=clip, captured=_captured(clip), frame=int(frame[1]) if frame else None),
+                    extra=extra,
+                    file_name=f"{clip}/{p.name}",
                 )
-            )  # fmt: skip
+            )
     problems += _summary(root, modality, logo, counts)
     categories = CATEGORIES if counts["logos"] else CATEGORIES[:1]
     keys = ("clips", "labelled", "empty", "unlabelled", "objects", "read", "snapped", "without_area", "logos")

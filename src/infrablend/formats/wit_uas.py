@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import Problem
 from infrablend.formats.annotation_files import read_text
@@ -101,10 +102,16 @@ def read(
             extra |= {} if p.labelled else {"labelled": False}
             records.append(
                 ImageRecord(
-                    "", p.path, split, p.size_wh, None, None, None, p.instances, extra=extra,
-                    file_name="/".join([*parts, p.name]), sequence=run, captured=date[1] if date else None,
+                    "",
+                    p.path,
+                    split,
+                    p.size_wh,
+                    p.instances,
+                    capture=Capture(sequence=run, captured=date[1] if date else None),
+                    extra=extra,
+                    file_name="/".join([*parts, p.name]),
                 )
-            )  # fmt: skip
+            )
     if counts["other_camera"]:
         text = f"{counts['other_camera']} picture(s) of the other camera left out"
         problems.append(Problem(root.name, "camera-excluded", text, f"camera={camera}", "", "warning"))

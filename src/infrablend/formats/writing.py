@@ -5,16 +5,16 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path, PurePosixPath
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from infrablend.core.arguments import require_choice
 from infrablend.core.boxes import box_of_points
+from infrablend.core.capture import FACTS
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.file_names import distinct_names, fit_name, fold_name
 from infrablend.core.files import write_text
@@ -31,8 +31,8 @@ from infrablend.core.format_table import (
 )
 from infrablend.core.stored_images import StoredImages
 from infrablend.errors import Problem
-from infrablend.formats.base import in_order, sort_images
-from infrablend.formats.capture import ALTITUDE_ORIGINS, Capture, facts_from_name, is_time
+from infrablend.formats.base import FormatModule, in_order, sort_images
+from infrablend.formats.capture import facts_from_name, fits_table
 from infrablend.formats.losses import Written
 from infrablend.formats.pictures import assign_ids
 
@@ -68,8 +68,9 @@ class WriteSettings:
 
 def load_writer(writer: Writer) -> Callable[..., Written]:
     """Return the function `write` of the writer's format."""
-    found: Callable[..., Written] = import_module(find_format(writer.reader).module).write
-    return found
+    write = FormatModule.load(find_format(writer.reader).module).write
+    assert write is not None
+    return write
 
 
 def native_writer(source: Dataset) -> Writer | None:
@@ -77,22 +78,12 @@ def native_writer(source: Dataset) -> Writer | None:
 
     WiSARD has YOLO's labels and DUT-Anti-UAV has VOC's, so these are written in the layout of YOLO or VOC.
     """
-    kind = source.notes.get("labels") if source.format == "folder" else source.format
-    kind = next((f.written_as for f in FORMATS if f.name == kind and f.written_as), kind)
-    if kind == "hit-uav":
-        forms = source.notes.get("forms") or ("normal_json",)
-        return find_writer("hit-uav" if any(f.endswith("_json") for f in forms) else "hit-uav-xml")
-    if kind == "yolo":
-        return find_writer(_yolo_kind(source))
-    return next((w for w in WRITERS if w.name == kind), None)
-
-
-def _yolo_kind(source: Dataset) -> str:
-    """Return the YOLO format for a dataset's labels: oriented boxes, polygons, or boxes."""
-    instances = [i for image in source.images for i in image.instances]
-    if any(i.corners_xy is not None for i in instances):
-        return "yolo-obb"
-    return "yolo-seg" if any(i.mask is not None for i in instances) else "yolo"
+    name = source.format
+    if name in {f.name for f in FORMATS}:
+        name = find_format(name).written_as or name
+        choose = FormatModule.load(find_format(name).module).native_writer
+        name = name if choose is None else choose(source)
+    return next((w for w in WRITERS if w.name == name), None)
 
 
 def write(
@@ -131,7 +122,7 @@ def write(
         writer = find_writer(name)
     if settings.category_ids == "from_one":
         categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
-    ordered, renamed = fitting_names(in_order(images), writer.layout, _MISREAD_FOLDERS.get(writer.reader, ()))
+    ordered, renamed = fitting_names(in_order(images), writer.layout, writer.misread)
     arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
     if "extra" in writer.takes and source is not None and source.format == writer.reader:
         arguments["extra"] = source.extra
@@ -148,11 +139,6 @@ def _native_not_writable(source: Dataset) -> Written:
     return Written(
         problems=(Problem("native", "format-none", found, f"one of {', '.join(written_names())}", todo, "warning"),)
     )
-
-
-# Folders in the names of pictures that make readers of a format look elsewhere: YOLO's, Ultralytics among them, put
-# `labels` in place of the last `images` of a picture's path, and ours takes no pictures from `labels`.
-_MISREAD_FOLDERS: Mapping[str, Collection[str]] = {"yolo": ("images", "labels")}
 
 
 def fitting_names(
@@ -196,86 +182,60 @@ def _file_key(name: str, by_stem: bool) -> str:
     return fold_name(str(PurePosixPath(name).with_suffix("")) if by_stem else name)
 
 
-# Formats that hold pitch and height, but neither field of view nor roll; and those without the height's origin.
-_WITHOUT_LENS = ("hit-uav", "monet", "birdsai")
-_WITHOUT_ORIGIN = (*_WITHOUT_LENS, "huggingface")
+# Columns of `metadata.csv` that every table has.
 _COLUMNS = ("pitch_deg", "altitude_m", "time_of_day")
-_FURTHER_COLUMNS = ("hfov_deg", "roll_deg", "altitude_from", "sequence", "captured")
 
 
-def _origin(image: ImageRecord) -> str | None:
-    """Return where the height of a picture comes from, if the aircraft measured it."""
-    origin = image.extra.get("altitude_from")
-    return origin if image.altitude_m is not None and origin in ALTITUDE_ORIGINS else None
-
-
-def _not_in_name(image: ImageRecord, known: Capture) -> Capture | None:
-    """Return what is known of a picture, unless its name contains all of it."""
+def _unsaid(image: ImageRecord) -> dict[str, Any]:
+    """Return the facts of a picture that its name does not contain."""
     facts = facts_from_name(image.name)
-    said = facts.capture if facts else Capture()
-    return None if known.over(said) == said else known
-
-
-def _telemetry(image: ImageRecord) -> Capture:
-    """Return pitch, roll, altitude, field of view and time of day of a picture."""
-    angles = Capture(image.pitch_deg, hfov_deg=image.hfov_deg, roll_deg=image.roll_deg)
-    height = Capture(altitude_m=image.altitude_m, time_of_day=image.time_of_day, altitude_from=_origin(image))
-    return angles.over(height)
-
-
-def _flight(image: ImageRecord) -> Capture:
-    """Return sequence and date of a picture as far as a table can hold them."""
-    sequence, captured = image.sequence, image.captured
-    return Capture(
-        sequence=sequence if sequence and sequence == sequence.strip() else None,
-        captured=captured if captured and captured == captured.strip() and is_time(captured) else None,
-    )
+    said = facts.capture.to_json() if facts else {}
+    return {name: value for name, value in image.capture.to_json().items() if said.get(name) != value}
 
 
 def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Written:
     """Write `metadata.csv` with what neither the format nor the pictures' names say about the flight."""
     if not writer.table:
         return Written()
-    rows = [
-        (writer.table.format(split=i.split, name=i.name), known)
+    rows = {
+        writer.table.format(split=i.split, name=i.name): i.capture.to_json()
         for i in images
-        if (known := _not_in_name(i, _telemetry(i).over(_flight(i))))
-    ]
+        if any(fits_table(*fact) for fact in _unsaid(i).items())
+    }
     if not rows:
         return Written()
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    columns = [*_COLUMNS, *(k for k in _FURTHER_COLUMNS if any(getattr(c, k) is not None for _, c in rows))]
+    rows = {name: {k: v for k, v in facts.items() if fits_table(k, v)} for name, facts in rows.items()}
+    columns = [n for n in FACTS if n in _COLUMNS or any(n in facts for facts in rows.values())]
     table.writerow(("file", *columns))
-    for name, c in rows:
-        table.writerow((name, *("" if (v := getattr(c, k)) is None else v for k in columns)))
+    for name, facts in rows.items():
+        table.writerow((name, *(facts.get(k, "") for k in columns)))
     return Written((write_text(out / "metadata.csv", text.getvalue()),))
 
 
 def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, int]:
     """Count what all formats lose alike: boxes beside oriented ones, tracks, inserted marks, telemetry, and more."""
-    # HIT-UAV's reader derives sequence and date from fields that its writer keeps.
-    dated = writer.reader == "hit-uav"
     own_boxes = "obb" not in writer.lacks
     found: Counter[str] = Counter()
-    partly = unfit = 0
     for i in images:
         found["boxes"] += sum(_has_own_box(o) for o in i.instances) if own_boxes else 0
         found["tracks"] += sum(o.track_id is not None for o in i.instances)
         found["inserted"] += sum(o.inserted for o in i.instances)
-        found["telemetry"] += _not_in_name(i, _telemetry(i)) is not None
-        found["sequence"] += (i.sequence is not None or i.captured is not None) and not (dated and i.extra.get("date"))
-        found["temperature"] += i.radiometry is not None and i.radiometry.scale is not None
-        lens = writer.name in _WITHOUT_LENS and bool(i.hfov_deg or i.roll_deg)
-        partly += lens or (writer.name in _WITHOUT_ORIGIN and _origin(i) is not None)
-        held = _flight(i)
-        unfit += bool(writer.table) and (held.sequence, held.captured) != (i.sequence or None, i.captured or None)
+        found["temperature"] += i.capture.scale is not None
     losses = {FIELDS[k][1]: n for k, n in found.items() if n and k in writer.lacks}
-    if partly:
-        losses[FIELDS["telemetry"][1]] = partly
-    if unfit:
-        losses[FIELDS["sequence"][1]] = unfit
-    return losses
+    facts = Counter(field for i in images for field in _lost_facts(i, writer))
+    return losses | {FIELDS[k][1]: n for k, n in facts.items()}
+
+
+def _lost_facts(image: ImageRecord, writer: Writer) -> set[str]:
+    """Return what is lost of the facts of a picture: keys of `FIELDS`."""
+    derived = {fact for key, facts in writer.derived.items() if image.extra.get(key) for fact in facts}
+    return {
+        FACTS[name].field
+        for name, value in _unsaid(image).items()
+        if name not in (writer.facts | derived) or (writer.table and not fits_table(name, value))
+    }
 
 
 def _has_own_box(instance: Instance) -> bool:

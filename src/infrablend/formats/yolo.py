@@ -64,6 +64,14 @@ _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 # -- writing ---------------------------------------------------------------------------------------------------
 
 
+def native_writer(dataset: Dataset) -> str:
+    """Return the name of the writer for a dataset's labels: of oriented boxes, polygons, or boxes."""
+    instances = [i for image in dataset.images for i in image.instances]
+    if any(i.corners_xy is not None for i in instances):
+        return "yolo-obb"
+    return "yolo-seg" if any(i.mask is not None for i in instances) else "yolo"
+
+
 def yolo_classes(categories: Iterable[Category], dont_care: Literal["drop", "keep"] = "drop") -> dict[str, int]:
     """Return class numbers by category name, from 0 in the order of the ids; ignore regions are left out or kept.
 
@@ -534,13 +542,8 @@ def _record(
     captures: Captures,
     where: str,
 ) -> ImageRecord:
-    named = captures.of(p.unique_name, where)
-    return ImageRecord(
-        id_, p.path, p.split, size_wh, named.pitch_deg, named.altitude_m, named.time_of_day, instances,
-        extra=named.extra,
-        file_name=p.name, sequence=named.sequence, captured=named.captured, hfov_deg=named.hfov_deg,
-        roll_deg=named.roll_deg,
-    )  # fmt: skip
+    capture = captures.of(p.unique_name, where)
+    return ImageRecord(id_, p.path, p.split, size_wh, instances, capture, file_name=p.name)
 
 
 def check_table(table: CaptureTable | None, pictures: Sequence[FoundPicture], root: Path) -> list[Problem]:

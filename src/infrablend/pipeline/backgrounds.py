@@ -103,8 +103,6 @@ def background_facts(source: ImageRecord, background: Background, data_root: Pat
         "path": Path(os.path.relpath(source.path, data_root)).as_posix(),
         "sha256": digest,
         "size_wh": list(background.size_wh),
-        "pitch_deg": source.pitch_deg,
-        "altitude_m": source.altitude_m,
-        "time_of_day": source.time_of_day,
+        **source.capture.to_json(),
         "source_id": source.source_id,
     }

@@ -136,7 +136,7 @@ def measure_populations(
     dataset = rename_classes(dataset, recipe.labels.rename)
     real = dataset if request.real is None else request.real
     records = _records(run, request.time_of_day)
-    backgrounds = {image_key(i): i for i in dataset.images if request.time_of_day in ("all", i.time_of_day)}
+    backgrounds = {image_key(i): i for i in dataset.images if request.time_of_day in ("all", i.capture.time_of_day)}
     lost = sorted({_background_key(r) for r in records} - set(backgrounds))
     if lost:
         raise DatasetError(
@@ -148,7 +148,9 @@ def measure_populations(
     chosen = _categories(run, real, records, request.categories)
     splits = set(SPLITS) if request.real else {r.frame_id.split("/")[0] for r in records}
     originals = {
-        image_key(i): i for i in real.images if i.split in splits and request.time_of_day in ("all", i.time_of_day)
+        image_key(i): i
+        for i in real.images
+        if i.split in splits and request.time_of_day in ("all", i.capture.time_of_day)
     }
     people = named_as(_REFERENCE, (c.name for c in real.categories))
     measured = chosen if people is None or people in chosen else (*chosen, people)
@@ -192,11 +194,11 @@ def _background_key(record: FrameRecord) -> str:
 def _records(run: Path, time_of_day: Time) -> list[FrameRecord]:
     inserted = [r for r in RunFolder(run).records() if r.inserted]
     inserted.sort(key=lambda r: (SPLITS.index(r.frame_id.split("/")[0]), r.frame_id))
-    found = [r for r in inserted if time_of_day in ("all", r.background["time_of_day"])]
+    found = [r for r in inserted if time_of_day in ("all", r.background.get("time_of_day"))]
     if not inserted:
         raise DatasetError(f"{run}: no frame has an inserted object; there is nothing to compare")
     if not found:
-        times = Counter(r.background["time_of_day"] or "unknown" for r in inserted)
+        times = Counter(r.background.get("time_of_day") or "unknown" for r in inserted)
         raise DatasetError(
             f"{run}: no frame taken by {time_of_day} has an inserted object; frames with one: "
             f"{', '.join(f'{t} {n}' for t, n in sorted(times.items()))}. Omit --time, or generate on more "
@@ -254,7 +256,7 @@ def _require_like_levels(backgrounds: Mapping[str, ImageRecord], real: Dataset) 
         return
     background = next(iter(backgrounds.values()))
     inserted = is_deep(background)
-    scales = [None if i.radiometry is None else i.radiometry.scale for i in (first, background)]
+    scales = [i.capture.scale for i in (first, background)]
     another = not background.path.is_relative_to(real.root)
     if another and inserted == is_deep(first) and scales[0] != scales[1]:
         found = f"levels with the scale {scales[0]}, and with {scales[1]} in the run"

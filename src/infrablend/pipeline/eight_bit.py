@@ -34,12 +34,13 @@ def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> t
     for image in images:
         pixels = load_background(image.path, image.size_wh).pixels
         if pixels.dtype == np.uint16:
-            scale = None if image.radiometry is None else image.radiometry.scale
+            scale = image.capture.scale
             levels = apply_agc(np.asarray(pixels, np.uint16), agc, scale)
         else:
             levels, as_they_are = np.asarray(pixels, np.uint8), as_they_are + 1
         name = str(PurePosixPath(image.name).with_suffix(".png"))
         path = write_bytes(join_inside(folder / image.split, name), png_bytes(levels))
-        copies.append(replace(image, path=path, file_name=name, radiometry=None))
+        known = replace(image.capture, radiometry=None)
+        copies.append(replace(image, path=path, file_name=name, capture=known))
     stored = isinstance(images, StoredImages)
     return StoredImages(copies, range(len(copies))) if stored else list(copies), as_they_are

@@ -98,7 +98,7 @@ class FrameComposer:
         if isinstance(recipe.matching, LocalMatching):
             require_thermal_levels(background)
         elif isinstance(recipe.matching, RadiometricMatching):
-            radiometry = frame.as_read.radiometry
+            radiometry = frame.as_read.capture.radiometry
             scale = None if radiometry is None else radiometry.scale
             require_temperatures(background, scale, is_ground(source, recipe))
 
@@ -134,7 +134,7 @@ class FrameComposer:
                 first.add(scene, {i.number: i.to_json() for i in inserts})
                 least = recipe.placement.min_visibility
                 hidden = movable(scene, too_hidden(labels, label_report, occluders, rules, least))
-                faint = movable(scene, {*faint_inserts(inserts, recipe, source.time_of_day), *hidden})
+                faint = movable(scene, {*faint_inserts(inserts, recipe, source.capture.time_of_day), *hidden})
             if not faint:
                 break
             moves += 1
@@ -190,27 +190,27 @@ class FrameComposer:
         if isinstance(recipe.matching, GreyMatching):
             black_hot = recipe.matching.polarity == "black-hot"
         else:
-            scale = None if source.radiometry is None else source.radiometry.scale
+            scale = source.capture.scale
             black_hot = scale is not None and scale.black_hot
         return Site(
             background.pixels,
             source.instances,
             frozenset(self._settings.ignored),
-            source.altitude_m,
+            source.capture.altitude_m,
             unit,
             black_hot,
             recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
             cover,
             self._height_prior(source),
-            source.time_of_day,
+            source.capture.time_of_day,
         )
 
     def _height_prior(self, source: ImageRecord) -> HeightPrior:
         """Return what is known about the picture's stated height, by its origin."""
-        known = PRIORS.get(str(source.extra.get("altitude_from")))
+        known = PRIORS.get(str(source.capture.altitude_from))
         if known is None and isinstance(self._recipe, MetricSections):
             heights = self._recipe.camera.stated_heights
-            return prior_of(heights, source.altitude_m, source.pitch_deg, source.time_of_day)
+            return prior_of(heights, source.capture.altitude_m, source.capture.pitch_deg, source.capture.time_of_day)
         return known or FROM_TABLE
 
     def _match(
@@ -225,7 +225,7 @@ class FrameComposer:
         """
         matching, source, levels = self._recipe.matching, frame.as_read, self._settings.levels
         facts: dict[str, Any] = {}
-        scale = None if source.radiometry is None else source.radiometry.scale
+        scale = source.capture.scale
         if isinstance(matching, RadiometricMatching) and scene.objects and scale is not None:
             thermal = ThermalBackdrop(background.pixels, source.instances, scale)
             source_of_air = air_source(frame.key(background.size_wh), self._recipe)
@@ -233,10 +233,10 @@ class FrameComposer:
             return scene, mapping, {"matching": found}, {}
         if isinstance(matching, LocalMatching) and scene.objects:
             assert levels is not None
-            backdrop = Backdrop(background.pixels, source.instances, source.time_of_day, levels)
+            backdrop = Backdrop(background.pixels, source.instances, source.capture.time_of_day, levels)
             sensor = self._recipe.sensor
             last = sensor if isinstance(sensor, PaperSensor | MetricSensor) else None
-            settings = local_settings(matching, source.time_of_day, last)
+            settings = local_settings(matching, source.capture.time_of_day, last)
             # The same stream at each attempt, so that a moved object does not influence the gain.
             rng = stream(self._settings.seed, frame.frame_id, "matching")
             match = match_locally(scene, backdrop, settings, rng)
@@ -245,7 +245,7 @@ class FrameComposer:
             if not ((match.untrusted or height_at_limit) and matching.on_untrusted == "skip"):
                 faint = {}
                 for k, (placed, contrast) in enumerate(zip(scene.objects, match.contrasts, strict=True)):
-                    least = least_contrast(self._recipe, placed.spec.category, source.time_of_day)
+                    least = least_contrast(self._recipe, placed.spec.category, source.capture.time_of_day)
                     if least is not None and contrast < least.change * backdrop.grey_unit:
                         faint[k] = contrast / backdrop.grey_unit
                 return scene, match.mapping, facts, faint

@@ -22,7 +22,7 @@ from infrablend.config.recipe import (
     Recipe,
 )
 from infrablend.config.sensor_profile import SensorProfile, find_profile
-from infrablend.core.dataset import TimeOfDay
+from infrablend.core.capture import TimeOfDay
 from infrablend.pipeline.extensions import NO_EXTENSIONS, Extensions
 
 

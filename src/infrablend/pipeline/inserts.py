@@ -12,7 +12,8 @@ from infrablend.annotation.visible_fit import add_seen_box
 from infrablend.compositing.contrast import Contrast, measure_contrast, visible_change
 from infrablend.compositing.mapping import GreyImage
 from infrablend.config.recipe import Recipe
-from infrablend.core.dataset import Instance, TimeOfDay
+from infrablend.core.capture import TimeOfDay
+from infrablend.core.dataset import Instance
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.pipeline.frame_settings import least_contrast

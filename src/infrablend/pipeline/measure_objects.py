@@ -220,7 +220,7 @@ class ObjectMeasurer:
         key: str,
     ) -> list[tuple[Instance, ObjectContrast]]:
         """Return the contrasts of the objects of the wanted classes; objects with too small a ring are left out."""
-        level, time = float(np.median(picture)), source.time_of_day or "unknown"
+        level, time = float(np.median(picture)), source.capture.time_of_day or "unknown"
         wanted = [i for i in objects if i.category in self._settings.categories]
         return [
             (i, ObjectContrast(i.category, key, time, contrast, level))
@@ -316,7 +316,7 @@ def _extents(
 
 
 def _measure(picture: Picture, instance: Instance, free: Bool, source: ImageRecord, key: str) -> Measured:
-    return measure(picture, instance, free, key=key, group=image_key(source), altitude_m=source.altitude_m)
+    return measure(picture, instance, free, key=key, group=image_key(source), altitude_m=source.capture.altitude_m)
 
 
 def _after_saving(pixels: GreyImage, like: Background, kind: SaveKind) -> GreyImage:

@@ -107,19 +107,15 @@ class PlannedFrame:
         """Return the key of the frame's random streams."""
         assert self.configuration is not None
         b = self.background
-        when = b.time_of_day, b.sequence, b.captured
-        return FrameKey(
-            b.id, b.split, self.configuration, size_wh, b.pitch_deg, *when, b.radiometry, b.hfov_deg, b.altitude_m,
-            b.roll_deg,
-        )  # fmt: skip
+        return FrameKey(b.id, b.split, self.configuration, size_wh, b.capture)
 
     def image_path(self, group_by: Sequence[str], suffix: str) -> str:
         """Return the path below `images/`: split, requested groups, file name."""
         b = self.background
         groups = {
-            "pitch": "pitch_unknown" if b.pitch_deg is None else f"pitch_{b.pitch_deg:g}",
-            "altitude": "altitude_unknown" if b.altitude_m is None else f"altitude_{b.altitude_m:g}",
-            "day_night": b.time_of_day or "time_unknown",
+            "pitch": "pitch_unknown" if b.capture.pitch_deg is None else f"pitch_{b.capture.pitch_deg:g}",
+            "altitude": "altitude_unknown" if b.capture.altitude_m is None else f"altitude_{b.capture.altitude_m:g}",
+            "day_night": b.capture.time_of_day or "time_unknown",
         }
         return "/".join([b.split, *(groups[g] for g in group_by), self.name + suffix])
 
@@ -309,7 +305,7 @@ def make_plan(
         ):
             problems.append(unknown)
         elif (isinstance(recipe.matching, RadiometricMatching) or isinstance(recipe.output.agc, FixedAgc)) and (
-            image.radiometry is None or not image.radiometry.scale
+            image.capture.radiometry is None or not image.capture.scale
         ):
             problems.append(_scale_missing(image, recipe, dataset))
         else:
@@ -457,17 +453,19 @@ def _place(image: ImageRecord) -> str:
 
 def _telemetry_missing(recipe: Recipe, image: ImageRecord, others: _Telemetry) -> Problem | None:
     """Return a problem if the recipe needs the camera's pitch, height or field of view and it is unknown, or None."""
-    pitch = recipe.camera.pitch == "metadata" and image.pitch_deg is None
-    height = isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.altitude_m is None
+    pitch = recipe.camera.pitch == "metadata" and image.capture.pitch_deg is None
+    height = (
+        isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.capture.altitude_m is None
+    )
     # A picture from a card names its camera, and a table where its height comes from. The recipe's lens is another
     # camera's: it would give a wrong scale.
-    own = others.extracted or "camera" in image.extra or "altitude_from" in image.extra
+    own = others.extracted or image.capture.camera is not None or image.capture.altitude_from is not None
     metric = isinstance(recipe, MetricSections) and recipe.camera.field_of_view == "metadata"
-    lens = metric and own and image.hfov_deg is None
+    lens = metric and own and image.capture.hfov_deg is None
     if not pitch and not height and not lens:
         return None
     found = ["unknown camera pitch"] * pitch + ["unknown camera height, which metric placement needs"] * height
-    found += ["unknown field of view of " + str(image.extra.get("camera", "the video's camera"))] * lens
+    found += ["unknown field of view of " + (image.capture.camera or "the video's camera")] * lens
     wanted = ["a pitch"] * pitch + ["an altitude"] * height + ["a field of view (hfov_deg)"] * lens
     fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
     fields += ["camera.field_of_view to recipe, with the camera's own camera.focal_length_mm"] * lens
@@ -502,7 +500,7 @@ class _Telemetry:
     @classmethod
     def of(cls, dataset: Dataset) -> _Telemetry:
         names = ("pitch_deg", "altitude_m", "hfov_deg")
-        known = (any(getattr(i, name) is not None for i in dataset.images) for name in names)
+        known = (any(getattr(i.capture, name) is not None for i in dataset.images) for name in names)
         return cls(was_extracted(dataset), *known)
 
 
@@ -512,7 +510,11 @@ def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     if not isinstance(c, MetricCamera) or c.field_of_view != "recipe":
         return []
     stated = 2 * math.degrees(math.atan(c.sensor_width_mm / 2 / c.focal_length_mm))
-    other = [i.hfov_deg for i in images if i.hfov_deg is not None and abs(stated / i.hfov_deg - 1) > _LENS_TOLERANCE]
+    other = [
+        i.capture.hfov_deg
+        for i in images
+        if i.capture.hfov_deg is not None and abs(stated / i.capture.hfov_deg - 1) > _LENS_TOLERANCE
+    ]
     if not other:
         return []
     span = f"{min(other):.1f}" if max(other) - min(other) < 0.1 else f"{min(other):.1f} to {max(other):.1f}"
@@ -535,7 +537,11 @@ def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]
         case _:
             return []
     low, high = low - _PITCH_TOLERANCE_DEG, high + _PITCH_TOLERANCE_DEG
-    other = [i.pitch_deg for i in images if i.pitch_deg is not None and not low <= i.pitch_deg <= high]
+    other = [
+        i.capture.pitch_deg
+        for i in images
+        if i.capture.pitch_deg is not None and not low <= i.capture.pitch_deg <= high
+    ]
     if not other:
         return []
     found = (
@@ -551,7 +557,7 @@ def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
         return []
     place, count = recipe.environment.place, 0
     for image in images:
-        when = None if image.time_of_day == "day" else time_of(image.captured)
+        when = None if image.capture.time_of_day == "day" else time_of(image.capture.captured)
         if when is not None:
             _, elevation = sun_position(when, place.latitude_deg, place.longitude_deg)
             count += elevation > _SUN_IS_UP_RAD
@@ -565,7 +571,7 @@ def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
 def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem:
     """Return the problem of a picture whose temperatures are needed and whose scale is unknown."""
     needed = "matching.mode radiometric" if isinstance(recipe.matching, RadiometricMatching) else "output.agc fixed"
-    if "camera" in image.extra and any(p.code == "image-radiometric" for p in dataset.problems):
+    if image.capture.camera is not None and any(p.code == "image-radiometric" for p in dataset.problems):
         layers = f"{dataset.root.resolve().name}_k"
         return Problem(
             _place(image),
@@ -588,16 +594,16 @@ def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Prob
 
 def _above_horizon(recipe: Recipe, image: ImageRecord) -> Problem | None:
     """Return a problem if no part of the ground is in view, as far as pitch and field of view are known."""
-    if not isinstance(recipe, MetricSections) or recipe.camera.pitch != "metadata" or image.hfov_deg is None:
+    if not isinstance(recipe, MetricSections) or recipe.camera.pitch != "metadata" or image.capture.hfov_deg is None:
         return None
     w, h = image.size_wh or recipe.camera.size_px
-    half_deg = math.degrees(math.atan(math.tan(math.radians(image.hfov_deg) / 2) * h / w))
-    if image.pitch_deg is None or image.pitch_deg + half_deg > 0:
+    half_deg = math.degrees(math.atan(math.tan(math.radians(image.capture.hfov_deg) / 2) * h / w))
+    if image.capture.pitch_deg is None or image.capture.pitch_deg + half_deg > 0:
         return None
     return Problem(
         _place(image),
         "above-horizon",
-        f"a camera pitch of {image.pitch_deg:g} degrees, so the whole picture is above the horizon",
+        f"a camera pitch of {image.capture.pitch_deg:g} degrees, so the whole picture is above the horizon",
         "ground in view, for metric placement on the ground",
         "leave the picture out, or correct its pitch in a metadata table",
     )
@@ -658,14 +664,7 @@ def fingerprint(dataset: Dataset) -> str:
     for c in dataset.categories:
         digest.update(f"{c.id}\x1f{c.name}\x1e".encode())
     for image in dataset.images:
-        facts = (image.id, image.split, image.pitch_deg, image.altitude_m, image.time_of_day, image.size_wh)
-        digest.update(repr(facts if image.hfov_deg is None else (*facts, image.hfov_deg)).encode())
-        if image.roll_deg:
-            digest.update(repr(("roll", image.roll_deg)).encode())
-        # The sun follows sequence and time, temperatures the scale, and the camera's height where its altitude is from.
-        more = (image.sequence, image.captured, image.radiometry, image.extra.get("altitude_from"))
-        if any(v is not None for v in more):
-            digest.update(repr(more).encode())
+        digest.update(repr((image.id, image.split, image.size_wh, image.capture)).encode())
         for i in image.instances:
             digest.update(i.category.encode() + i.box_xyxy.tobytes())
             if i.corners_xy is not None:

@@ -164,7 +164,7 @@ def pictures_taken_by(dataset: Dataset, time: str) -> Dataset:
     Raises:
         DatasetError: There are no such pictures.
     """
-    chosen = tuple(i for i in dataset.images if i.time_of_day == time)
+    chosen = tuple(i for i in dataset.images if i.capture.time_of_day == time)
     if not chosen:
         raise DatasetError(f"{dataset.root}: none of {len(dataset.images)} picture(s) is known to be taken by {time}")
     return replace(dataset, images=chosen)

@@ -80,7 +80,7 @@ def _read_picture(picture: Picture, image: ImageRecord, objects: Sequence[Instan
         contrast = None if o.truncated else object_contrast(picture, o, image.instances)
         if contrast is None:
             continue
-        of_object = ObjectContrast(o.category, key, image.time_of_day or "unknown", contrast, level)
+        of_object = ObjectContrast(o.category, key, image.capture.time_of_day or "unknown", contrast, level)
         found.contrasts.append(of_object)
         extent = box_extent(picture, o, image.instances, of_object)
         if extent is not None:

@@ -179,8 +179,8 @@ def conditions(image: ImageRecord) -> Conditions:
     Where the sun shines the picture's processing has made the ground bright and the shade dark, and objects look
     different there: pictures of the same height, pitch and time of day are not yet alike.
     """
-    height, pitch = (-1.0 if v is None else round(v, -1) for v in (image.altitude_m, image.pitch_deg))
-    return Conditions(image.time_of_day or "", height, pitch, _level(image))
+    height, pitch = (-1.0 if v is None else round(v, -1) for v in (image.capture.altitude_m, image.capture.pitch_deg))
+    return Conditions(image.capture.time_of_day or "", height, pitch, _level(image))
 
 
 def _level(image: ImageRecord) -> float:

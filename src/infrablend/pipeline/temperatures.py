@@ -230,14 +230,14 @@ def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, o
     path = write_bytes(out / "images" / image.split / name, png_bytes(layer.levels))
     h, w = layer.levels.shape
     facts = read_facts(image.path)
-    hfov = image.hfov_deg
+    hfov = image.capture.hfov_deg
     if hfov is not None and facts.value("hfov_deg") == hfov:
         # The layer shows what digital zoom cuts off the picture. A field of view from a table is taken literally.
         hfov = zoomed(hfov, 1 / facts.zoom)
     fits = facts.size_wh == (w, h) and facts.zoom == 1 and not facts.turned
     record = replace(
-        image, path=path, file_name=name, size_wh=(w, h), instances=image.instances if fits else (), hfov_deg=hfov,
-        radiometry=raw.facts(layer.scale, layer.source),
+        image, path=path, file_name=name, size_wh=(w, h), instances=image.instances if fits else (),
+        capture=replace(image.capture, hfov_deg=hfov, radiometry=raw.facts(layer.scale, layer.source)),
     )  # fmt: skip
     lost = 0 if fits else len(image.instances)
     if layer.scale is None or not layer.kelvin.size:
@@ -287,7 +287,7 @@ def _tiff(folder: Path, stem: str) -> Path | None:
 
 
 def _scale_text(image: ImageRecord) -> str:
-    known = image.radiometry
+    known = image.capture.radiometry
     return _COUNTS_ALONE if known is None or known.scale is None else f"{known.scale.describe()} ({known.source})"
 
 
@@ -320,7 +320,7 @@ def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
     where = dataset.root.name
     alone = [w for w in layers if _scale_text(w.record) == _COUNTS_ALONE]
     if alone:
-        makers = {w.record.extra.get("camera", "") for w in alone}
+        makers = {w.record.capture.camera or "" for w in alone}
         why = "the files lack the constants of their conversion"
         if any(str(m).upper().startswith("DJI") for m in makers) or makers == {""}:
             why = "DJI does not publish how to convert them"

@@ -87,9 +87,9 @@ class Trial:
         """
         image = self.frame.image
         facts = [f"{name} {value:g}{unit}" for name, value, unit in (
-            ("pitch", image.pitch_deg, "\u00b0"), ("altitude", image.altitude_m, " m"),
+            ("pitch", image.capture.pitch_deg, "\u00b0"), ("altitude", image.capture.altitude_m, " m"),
         ) if value is not None]  # fmt: skip
-        title = "   ".join([self.frame.id, *facts, *([image.time_of_day] if image.time_of_day else [])])
+        title = "   ".join([self.frame.id, *facts, *([image.capture.time_of_day] if image.capture.time_of_day else [])])
         shown = PreviewFrame(title, self.frame.pixels, self.frame.labels, self.frame.id)
         return contact_sheet([shown], Path(out), compress_level=1)
 

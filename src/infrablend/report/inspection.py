@@ -6,7 +6,6 @@ import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.base import FormatModule
 from infrablend.formats.groups import Leakage, leakage
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
@@ -141,8 +141,8 @@ def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False)
             x0, y0, x1, y1 = o.box_xyxy
             sizes[o.category].append(float(np.sqrt((x1 - x0) * (y1 - y0))))
     problems = list(dataset.problems)
-    pitch_of, pitches = _binned([i.pitch_deg for i in images], "°", 10)
-    altitude_of, altitudes = _binned([i.altitude_m for i in images], " m", 10)
+    pitch_of, pitches = _binned([i.capture.pitch_deg for i in images], "°", 10)
+    altitude_of, altitudes = _binned([i.capture.altitude_m for i in images], " m", 10)
     decoded, more = _decode(images) if decode else ({}, [])
     problems += more
     sizes_known = [_size(i, problems) for i in images]
@@ -166,14 +166,14 @@ def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False)
         pitches=pitches,
         altitudes=altitudes,
         time_of_day={
-            s: _counted((i.time_of_day or UNKNOWN for i in images if i.split == s), ("day", "night", UNKNOWN))
+            s: _counted((i.capture.time_of_day or UNKNOWN for i in images if i.split == s), ("day", "night", UNKNOWN))
             for s in present
         },
         labels=_label_kinds(images),
-        sequences=_counted(i.sequence for i in images if i.sequence is not None),
-        dates=_counted(i.captured[:10] for i in images if i.captured is not None),
+        sequences=_counted(i.capture.sequence for i in images if i.capture.sequence is not None),
+        dates=_counted(i.capture.captured[:10] for i in images if i.capture.captured is not None),
         tracks=_counted(
-            f"{i.sequence or ''}/{o.track_id}" for i in images for o in i.instances if o.track_id is not None
+            f"{i.capture.sequence or ''}/{o.track_id}" for i in images for o in i.instances if o.track_id is not None
         ),
         picture_sizes=_counted(f"{s[0]}x{s[1]}" if s else UNKNOWN for s in sizes_known),
         temperatures=describe_scales(dataset),
@@ -255,7 +255,7 @@ def _remarks(dataset: Dataset) -> tuple[str, ...]:
     """Return the remarks of the format modules on published datasets."""
     found: list[str] = []
     for known in FORMATS:
-        remarks = getattr(import_module(known.module), "remarks", None)
+        remarks = FormatModule.load(known.module).remarks
         if remarks is not None:
             found += remarks(dataset)
     return tuple(found)

@@ -49,7 +49,7 @@ class HeightPrior:
 # Heights in file names and tables, as in HIT-UAV: 1.15 times too low, with the spread between its groups.
 FROM_TABLE = HeightPrior(NOMINAL_FACTOR, 0.16)
 PRIORS: Mapping[str, HeightPrior] = {"take-off": HeightPrior(1.0, 0.16), "laser": HeightPrior(1.0, 0.03)}
-"""Heights in a picture's own header, by their origin (`ImageRecord.extra["altitude_from"]`): above take-off, where only
+"""Heights in a picture's own header, by their origin (`Capture.altitude_from`): above take-off, where only
 the relief between there and here is unknown, or from the laser range finder."""
 
 

@@ -31,12 +31,11 @@ from infrablend.config.recipe import (
     SkyEnvironment,
 )
 from infrablend.core.camera import CameraSpec
-from infrablend.core.dataset import TimeOfDay
+from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.mesh import Mesh
 from infrablend.core.placed import PlacedObject, PlacedScene, place
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Sun, Weather
-from infrablend.core.temperature import Radiometry
 from infrablend.errors import ModelError
 from infrablend.sampling.by_hand import place_by_hand
 from infrablend.sampling.calibration import is_below
@@ -58,28 +57,14 @@ class FrameKey:
         split: Split of the image record.
         configuration: Number of the scene on this background, from 0.
         size_wh: Size of the background.
-        pitch_deg: Depression angle according to the metadata, or None.
-        time_of_day: Time of day of the background, or None if unknown.
-        sequence: Flight or clip of the background; None if unknown. All its frames have the same sun.
-        captured: Date or time of capture, ISO 8601; None if unknown.
-        radiometry: What the picture's file states about the air; None if unknown.
-        hfov_deg: Horizontal field of view of the background; None if unknown.
-        altitude_m: Height of the camera according to the metadata; None if unknown.
-        roll_deg: Roll of the background's own camera, for metric placement; None if unknown.
+        capture: How the background was taken. All frames of a sequence have the same sun.
     """
 
     background_id: str
     split: str
     configuration: int
     size_wh: tuple[int, int]
-    pitch_deg: float | None
-    time_of_day: TimeOfDay | None = None
-    sequence: str | None = None
-    captured: str | None = None
-    radiometry: Radiometry | None = None
-    hfov_deg: float | None = None
-    altitude_m: float | None = None
-    roll_deg: float | None = None
+    capture: Capture = UNKNOWN
 
     @property
     def frame_id(self) -> str:
@@ -112,8 +97,8 @@ def sample_scene(
     unfit = site.unfit if site is not None and isinstance(recipe, MetricSections) else None
     unfit = "no_horizon" if pitch is None else unfit
     air_k = float(rng["world"].uniform(*recipe.environment.air_temperature_c)) + ZERO_C_K
-    if isinstance(recipe, RadiometricSections) and frame.radiometry is not None:
-        air_k = frame.radiometry.plausible_air_k or air_k
+    if isinstance(recipe, RadiometricSections) and frame.capture.radiometry is not None:
+        air_k = frame.capture.radiometry.plausible_air_k or air_k
     empty = bool(rng["world"].random() < recipe.empty_share)
     wanted = [] if empty else _wanted(recipe, models, rng["shape"], frame)
     weather = None
@@ -128,7 +113,7 @@ def sample_scene(
             tally.leave_out(unfit)
         wanted = []
     c, view = recipe.camera, None
-    roll_rad = math.radians(frame.roll_deg or 0.0)
+    roll_rad = math.radians(frame.capture.roll_deg or 0.0)
     like = CameraSpec(1.0, pitch_rad, roll_rad, _focal_length_mm(frame, recipe), c.sensor_width_mm, frame.size_wh)
     if isinstance(recipe, MetricSections):
         if site is None:
@@ -225,7 +210,7 @@ def _before_camera(
 
 def air_source(frame: FrameKey, recipe: Recipe) -> Literal["metadata", "stated", "drawn"]:
     """Return where the temperature of the air comes from: the picture's file, the recipe, or a draw from its range."""
-    if frame.radiometry is not None and frame.radiometry.plausible_air_k is not None:
+    if frame.capture.radiometry is not None and frame.capture.radiometry.plausible_air_k is not None:
         return "metadata"
     low, high = recipe.environment.air_temperature_c
     return "stated" if low == high else "drawn"
@@ -241,17 +226,20 @@ def _weather(frame: FrameKey, recipe: PhysicalRecipe, air_k: float, seed: int) -
     below = float(rng.uniform(*e.dew_point_below_air_k))
     rng.random()  # unused; keeps the later draws the same as before a quantity was removed
     clear, cover, base = (float(v) for v in rng.random(3))
-    day = frame.time_of_day == "day"
+    day = frame.capture.time_of_day == "day"
     if isinstance(e, PhysicalEnvironment):
         ground_k = air_k + float(rng.uniform(*(e.ground_above_air_day_k if day else e.ground_above_air_night_k)))
     else:
         ground_k = air_k
-        if frame.radiometry is not None and (humidity := frame.radiometry.plausible_humidity) is not None:
+        if (
+            frame.capture.radiometry is not None
+            and (humidity := frame.capture.radiometry.plausible_humidity) is not None
+        ):
             below = air_k - dew_point(air_k, humidity)
     sun = None
     if day:
         # The sun and the clouds are those of the whole sequence.
-        together = stream(seed, "sun", frame.sequence or frame.captured or frame.frame_id)
+        together = stream(seed, "sun", frame.capture.sequence or frame.capture.captured or frame.frame_id)
         clear, cover, share, turn = (float(v) for v in together.random(4))
         sun = _sun(frame, e, share, turn, 0.0 if clear < e.clear_share else cover)
     return Weather(
@@ -279,7 +267,7 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
     low, high = environment.sun_elevation_deg
     elevation = math.radians(low + (high - low) * share)
     source: Literal["computed", "drawn", "contradicted"] = "drawn"
-    when, place = time_of(frame.captured), environment.place
+    when, place = time_of(frame.capture.captured), environment.place
     if place is not None and when is not None:
         _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
         if computed > 0:
@@ -409,9 +397,9 @@ def require_parts(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
 def _focal_length_mm(frame: FrameKey, recipe: Recipe) -> float:
     """Return the focal length of the camera: that of the background's own field of view, or the recipe's."""
     c = recipe.camera
-    if not isinstance(c, MetricCamera) or c.field_of_view == "recipe" or frame.hfov_deg is None:
+    if not isinstance(c, MetricCamera) or c.field_of_view == "recipe" or frame.capture.hfov_deg is None:
         return c.focal_length_mm
-    return c.sensor_width_mm / 2 / math.tan(math.radians(frame.hfov_deg) / 2)
+    return c.sensor_width_mm / 2 / math.tan(math.radians(frame.capture.hfov_deg) / 2)
 
 
 def _pitch_deg(
@@ -425,7 +413,7 @@ def _pitch_deg(
     if isinstance(pitch, RandomPitch):
         low, high = pitch.random_deg
         return float(low + (high - low) * drawn), "recipe"
-    if isinstance(pitch, HorizonPitch) and pitch.from_horizon and frame.pitch_deg is None:
+    if isinstance(pitch, HorizonPitch) and pitch.from_horizon and frame.capture.pitch_deg is None:
         if site is None:
             raise ValueError(f"{frame.frame_id}: the horizon is found in the background, which is missing")
         c = recipe.camera
@@ -440,16 +428,16 @@ def _pitch_deg(
             # The picture shows the sky alone, so the horizon is below its lower edge.
             high = max(low, min(high, -math.degrees(math.atan(half_px / focal_px))))
         return float(low + (high - low) * drawn), "recipe"
-    if frame.pitch_deg is None:
+    if frame.capture.pitch_deg is None:
         raise ValueError(f"{frame.frame_id}: no camera pitch; the plan must have left this background out")
-    return frame.pitch_deg, "metadata"
+    return frame.capture.pitch_deg, "metadata"
 
 
 def _wanted(
     recipe: Recipe, models: Mapping[str, ObjectModel], rng: np.random.Generator, frame: FrameKey
 ) -> list[PlacementRequest]:
     """Draw number, shape and size of the objects of a frame."""
-    time_of_day = frame.time_of_day
+    time_of_day = frame.capture.time_of_day
     result = []
     for kind in recipe.objects:
         options = kind.options
@@ -487,9 +475,9 @@ def _numbers(count: Count, frame: FrameKey) -> Numbers:
     """Return the numbers of objects for the time of day, the height and the angle of a picture."""
     for numbers in count.by_flight:
         if (
-            numbers.time_of_day in (None, frame.time_of_day)
-            and is_below(frame.altitude_m, numbers.below_m)
-            and is_below(frame.pitch_deg, numbers.below_pitch_deg)
+            numbers.time_of_day in (None, frame.capture.time_of_day)
+            and is_below(frame.capture.altitude_m, numbers.below_m)
+            and is_below(frame.capture.pitch_deg, numbers.below_pitch_deg)
         ):
             return numbers
     return count

@@ -176,7 +176,7 @@ class Tuning:
             for other in image.instances:
                 if other.category != label.category or other.truncated:
                     continue
-                rank = (image.time_of_day != time_of_day, abs(math.log(_size(other) / size)))
+                rank = (image.capture.time_of_day != time_of_day, abs(math.log(_size(other) / size)))
                 if best is None or rank < best[0]:
                     best = rank, image, other
         if best is None:

@@ -349,7 +349,7 @@ def _by_agc(image: ImageRecord, detector: Detector) -> NDArray[np.uint8] | None:
     """Return a 16-bit picture after the detector's automatic gain control; None for a detector without one."""
     if detector.agc is None:
         return None
-    scale = None if image.radiometry is None else image.radiometry.scale
+    scale = image.capture.scale
     levels = apply_agc(np.asarray(load_background(image.path).pixels, np.uint16), detector.agc, scale)
     return levels if detector.channels == 1 else np.repeat(levels[..., None], 3, axis=2)
 

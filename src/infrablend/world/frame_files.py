@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.rng import stream
@@ -93,18 +94,20 @@ def _hit_uav_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label],
         path=path,
         split=frame.split,
         size_wh=plan.camera.size_wh,
-        pitch_deg=frame.pitch_deg,
-        altitude_m=frame.altitude_m,
-        time_of_day=frame.time_of_day,
         instances=instances,
+        capture=Capture(
+            pitch_deg=frame.pitch_deg,
+            altitude_m=frame.altitude_m,
+            time_of_day=frame.time_of_day,
+            radiometry=Radiometry(CENTIKELVIN, "virtual world", air_k=plan.air_k) if frame.radiometric else None,
+        ),
         extra={"weather": "0"},
-        radiometry=Radiometry(CENTIKELVIN, "virtual world", air_k=plan.air_k) if frame.radiometric else None,
     )
 
 
 def _bare_record(frame: FrameFacts, plan: WorldPlan, _labels: Sequence[Label], path: Path, _seed: int) -> ImageRecord:
     """Return the record of a camera's file: what it states is in its header, and it has no labels."""
-    return ImageRecord(path.stem, path, frame.split, plan.camera.size_wh, None, None, None, ())
+    return ImageRecord(path.stem, path, frame.split, plan.camera.size_wh, ())
 
 
 def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], path: Path, seed: int) -> ImageRecord:
@@ -116,13 +119,14 @@ def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], p
         path=path,
         split=frame.split,
         size_wh=plan.camera.size_wh,
-        pitch_deg=frame.pitch_deg if frame.telemetry else None,
-        altitude_m=frame.altitude_m if frame.telemetry else None,
-        time_of_day=None,
         instances=tuple(instances),
+        capture=Capture(
+            pitch_deg=frame.pitch_deg if frame.telemetry else None,
+            altitude_m=frame.altitude_m if frame.telemetry else None,
+            sequence=frame.sequence,
+        ),
         extra={"fields": {monet.NEST: telemetry_of(frame, seed)}},
         file_name=frame.name,
-        sequence=frame.sequence,
     )
 
 

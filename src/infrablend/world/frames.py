@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta, timezone
 from typing import Any
 
-from infrablend.core.dataset import SPLITS, Category, Split, TimeOfDay
+from infrablend.core.capture import TimeOfDay
+from infrablend.core.dataset import SPLITS, Category, Split
 from infrablend.core.rng import stream
 from infrablend.errors import Problem, RecipeError
 from infrablend.formats.rjpeg.writing import Maker

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from infrablend.core.camera import CameraSpec
-from infrablend.core.dataset import TimeOfDay
+from infrablend.core.capture import TimeOfDay
 from infrablend.world.buildings import Building
 from infrablend.world.cycles import Cycle
 from infrablend.world.furniture import Furniture

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from infrablend.core.dataset import TimeOfDay
+from infrablend.core.capture import TimeOfDay
 from infrablend.world.draws import Draws
 from infrablend.world.ground_cover import draw_materials
 from infrablend.world.places.airfield import airfield

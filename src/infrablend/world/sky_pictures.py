@@ -58,7 +58,7 @@ def write_sky_pictures(out: Path, count: int, seed: int, classes: Sequence[str])
             path = out / "images" / split / f"sky_{number:05d}.png"
             write_bytes(path, png_bytes(grey))
             label = Instance(category, box)
-            images.append(ImageRecord(f"{split}/{number}", path, split, SIZE_WH, None, None, None, (label,)))
+            images.append(ImageRecord(f"{split}/{number}", path, split, SIZE_WH, (label,)))
     coco.write(out, images, [Category(n, name) for n, name in enumerate(classes, 1)])
     write_json(out / "world.json", {"seed": seed, "layout": "sky", "classes": list(classes), "frames": []})
 

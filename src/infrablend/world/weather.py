@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from infrablend.core.dataset import TimeOfDay
+from infrablend.core.capture import TimeOfDay
 from infrablend.world.draws import Draws
 
 

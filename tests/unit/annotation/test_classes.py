@@ -20,7 +20,7 @@ CATEGORIES = (
 
 def dataset() -> Dataset:
     instances = tuple(Instance(c.name, np.array([1.0, 2, 3, 4]), source_id=c.id) for c in CATEGORIES)
-    image = ImageRecord("a", Path("a.png"), "train", (64, 48), None, None, None, instances)
+    image = ImageRecord("a", Path("a.png"), "train", (64, 48), instances)
     return Dataset(Path(), "yolo", CATEGORIES, (image,))
 
 

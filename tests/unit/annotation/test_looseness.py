@@ -22,7 +22,7 @@ def test_boxes_grow_about_their_centre_and_the_exact_ones_are_kept():
     mask = np.zeros((80, 100), bool)
     mask[30:40, 20:40] = True
     person = Instance("Person", box, corners_of_box(box), Mask.from_array(mask), inserted=True, extra={"scr": 3.0})
-    image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, (person, Instance("Person", box)))
+    image = ImageRecord("a", Path("a.png"), "train", WH, (person, Instance("Person", box)))
     (loose,), count = loosen_inserted([image], Looseness(1.5))
     enlarged, original = loose.instances
     assert count == 1 and original is image.instances[1]
@@ -41,7 +41,7 @@ def test_boxes_grow_about_their_centre_and_the_exact_ones_are_kept():
 def test_classes_that_are_not_listed_keep_their_boxes():
     box = np.array([20.0, 30, 40, 40])
     both = (Instance("Person", box, inserted=True), Instance("Car", box, inserted=True))
-    image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, both)
+    image = ImageRecord("a", Path("a.png"), "train", WH, both)
     (loose,), count = loosen_inserted([image], Looseness({"Car": 1.2, "Dog": 2.0}))
     assert count == 1
     assert loose.instances[0] is both[0]
@@ -52,7 +52,7 @@ def test_a_margin_in_px_moves_each_side_after_the_factor():
     box = np.array([20.0, 30, 40, 40])
     turned = np.array([[50.0, 20], [65, 35], [55, 45], [40, 30]])
     both = (Instance("Person", box, turned, inserted=True), Instance("Car", box, inserted=True))
-    image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, both)
+    image = ImageRecord("a", Path("a.png"), "train", WH, both)
     (loose,), count = loosen_inserted([image], Looseness(1.5, {"Person": 3.5}))
     person, car = loose.instances
     assert count == 2
@@ -70,7 +70,7 @@ def test_a_margin_in_px_moves_each_side_after_the_factor():
 def test_margins_end_at_the_border_and_widen_what_has_no_extent():
     corner = Instance("Person", np.array([0.0, 0, 4, 4]), corners_of_box(np.array([0.0, 0, 4, 4])), inserted=True)
     flat = Instance("Person", np.array([20.0, 30, 28, 30]), corners_of_box(np.array([20.0, 30, 28, 30])), inserted=True)
-    image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, (corner, flat))
+    image = ImageRecord("a", Path("a.png"), "train", WH, (corner, flat))
     (loose,), _ = loosen_inserted([image], Looseness(px=3.0))
     for one, expected in zip(loose.instances, ([0, 0, 7, 7], [17, 27, 31, 33]), strict=True):
         np.testing.assert_allclose(one.box_xyxy, expected)

@@ -135,7 +135,7 @@ def test_oriented_boxes_are_cut_along_their_own_sides() -> None:
 
 def test_boxes_are_fitted_before_they_are_enlarged_and_the_exact_ones_are_kept() -> None:
     label = add_seen_box(car(), picture(((20, 30, 60, 40), -60)), picture(), 60, GROUND)
-    image = ImageRecord("a", Path("a.png"), "train", WH, None, None, None, (label, car((5, 5, 10, 10))))
+    image = ImageRecord("a", Path("a.png"), "train", WH, (label, car((5, 5, 10, 10))))
     by = Looseness(1.2, fit="visible")
     (loose,), count = loosen_inserted([image], by)
     x0, y0, x1, y1 = seen(label)

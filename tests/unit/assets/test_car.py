@@ -11,6 +11,7 @@ from infrablend.assets import car
 from infrablend.assets.car import CHOICES, MODEL, NOMINAL
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
@@ -158,7 +159,9 @@ def test_a_scene_draws_from_the_individuals_own_ranges(state: str) -> None:
         "hit-uav-drone", ["objects.0.model=car", f"objects.0.options={{state: {state}}}", "placement.on_miss=keep"]
     )
     for k in range(8):
-        spec = sample_scene(FrameKey(f"f{k}", "train", 0, (640, 512), 60.0), recipe, {"car": MODEL}, 0).spec
+        spec = sample_scene(
+            FrameKey(f"f{k}", "train", 0, (640, 512), Capture(pitch_deg=60.0)), recipe, {"car": MODEL}, 0
+        ).spec
         (placed,) = spec.objects
         assert placed.category == "car" and placed.params["state"] == state
         for part, found in placed.parts.items():

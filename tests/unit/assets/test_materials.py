@@ -13,6 +13,7 @@ from infrablend.assets.materials import MATERIALS
 from infrablend.assets.model import PartRange, part_role
 from infrablend.assets.user_model import GroupFacts, assign_parts, read_description
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.rng import stream
 from infrablend.core.scene import PartState, SceneSpec
 from infrablend.errors import ModelError, RecipeError
@@ -112,7 +113,7 @@ def test_every_shipped_part_has_a_material() -> None:
 
 
 def frame(time_of_day: str | None) -> FrameKey:
-    return FrameKey("f", "train", 0, (640, 512), 60.0, time_of_day)  # type: ignore[arg-type]
+    return FrameKey("f", "train", 0, (640, 512), Capture(pitch_deg=60.0, time_of_day=time_of_day))  # type: ignore[arg-type]
 
 
 def recipe(model: str, *overrides: str, look: str = "physical"):

@@ -21,6 +21,7 @@ from infrablend.compositing.local import Insert, LocalSettings, _land_anchors, l
 from infrablend.compositing.mapping import GreyMapping, measure_levels
 from infrablend.config.loading import load_recipe
 from infrablend.core.camera import CameraSpec
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Weather
 from infrablend.sampling.metric import Site
@@ -194,7 +195,9 @@ def test_black_hot_objects_have_the_contrast_of_their_mirror_image():
     for polarity in ("white-hot", "black-hot"):
         pixels = picture if polarity == "white-hot" else (sum(LEVELS) - picture).astype(np.uint8)
         site = Site(pixels, altitude_m=60.0, black_hot=polarity == "black-hot", time_of_day="night")
-        placed = sample_scene(FrameKey("a", "train", 0, (640, 512), 60.0, "night"), recipe, models, 0, site)
+        placed = sample_scene(
+            FrameKey("a", "train", 0, (640, 512), Capture(pitch_deg=60.0, time_of_day="night")), recipe, models, 0, site
+        )
         backdrop = Backdrop(pixels, (), "night", LEVELS)
         settings = LocalSettings(polarity=polarity)
         found[polarity] = match_locally(placed, backdrop, settings, np.random.default_rng(0))

@@ -7,6 +7,7 @@ from infrablend.pipeline.record import read_record
 from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.formats import detection
 from infrablend.pipeline.request import Execution
@@ -20,7 +21,7 @@ FLAT = Execution(renderer="flat", in_process=True)
 def draw(recipe: str, settings=(), time_of_day="night", labels=(), number=0):
     loaded = load_recipe(recipe, settings)
     models = {o.model: load_model(o.model) for o in loaded.objects}
-    key = FrameKey(f"f{number}", "train", 0, WH, 60.0, time_of_day)
+    key = FrameKey(f"f{number}", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day=time_of_day))
     site = Site(np.full(WH[::-1], 120, np.uint8), tuple(labels), frozenset({"DontCare"}), 80.0)
     return sample_scene(key, loaded, models, 0, site).spec
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.core.rng import stream
@@ -31,9 +32,8 @@ CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare",
 
 
 def image(stem: str, *objects: tuple[str, list[float]], **facts: object) -> ImageRecord:
-    known = {"pitch_deg": None, "altitude_m": None, "time_of_day": None} | facts
     instances = tuple(Instance(name, np.array(box, np.float64)) for name, box in objects)
-    return ImageRecord(stem, Path(f"{stem}.png"), "test", (200, 100), instances=instances, **known)
+    return ImageRecord(stem, Path(f"{stem}.png"), "test", (200, 100), instances, Capture(**facts))
 
 
 def matched(labels, found, classes=1, task="detect", bins=ALL):

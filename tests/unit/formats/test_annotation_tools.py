@@ -148,7 +148,7 @@ def test_both_hold_a_turned_box_to_a_millionth_of_a_pixel(tmp_path: Path) -> Non
     corners = half @ turn + np.array([30.3, 22.2])
     box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
     path = picture(tmp_path / "a.png", 1)
-    image = ImageRecord("a", path, "train", (64, 48), None, None, None, (Instance("Car", box, corners),))
+    image = ImageRecord("a", path, "train", (64, 48), (Instance("Car", box, corners),))
     for name, module in (("cvat", cvat), ("label-studio", label_studio)):
         module.write(tmp_path / name, [image], [Category(0, "Car")])
         (found,) = detection.read(tmp_path / name).images[0].instances

@@ -37,10 +37,12 @@ def change(root: Path, flight: str, **values: Any) -> dict[str, Any]:
 def test_flights_are_read_with_species_and_a_straight_down_view(data: Path) -> None:
     d = detection.read(data)
     assert d.format == "bambi" and d.problems == ()
-    assert [(i.split, i.id, i.sequence, len(i.instances)) for i in d.images] == [
+    assert [(i.split, i.id, i.capture.sequence, len(i.instances)) for i in d.images] == [
         ("train", "7_100", "7", 2), ("train", "7_101", "7", 0), ("test", "12_102", "12", 2),
     ]  # fmt: skip
-    assert {(i.pitch_deg, i.altitude_m, i.captured) for i in d.images} == {(90.0, None, "2024-03-22")}
+    assert {(i.capture.pitch_deg, i.capture.altitude_m, i.capture.captured) for i in d.images} == {
+        (90.0, None, "2024-03-22")
+    }
     assert [c.name for c in d.categories] == ["red deer", "wild boar"] and d.notes["pitch"] == "annotation"
     boar = d.images[0].instances[1]
     assert (boar.category, boar.source_id, boar.extra) == ("wild boar", 1, {"gender": 0, "age": 2, "visibility": 1})
@@ -112,22 +114,22 @@ def test_a_table_replaces_the_straight_down_view(data: Path) -> None:
     (data / "metadata.csv").write_text("sequence,altitude_m,time_of_day\n7,60,day\n")
     (data / "other.csv").write_text("file,pitch_deg\n12_102,80\n")
     first = detection.read(data).images[0]
-    assert (first.pitch_deg, first.altitude_m, first.time_of_day) == (90.0, 60.0, "day")
+    assert (first.capture.pitch_deg, first.capture.altitude_m, first.capture.time_of_day) == (90.0, 60.0, "day")
     again = bambi.read(data, metadata=data / "other.csv")
-    assert [i.pitch_deg for i in again.images if i.id == "12_102"] == [80.0]
+    assert [i.capture.pitch_deg for i in again.images if i.id == "12_102"] == [80.0]
 
 
 def test_published_tracks_give_species_poses_and_times(tmp_path: Path) -> None:
     d = detection.read(SAMPLES["bambi:tracks"](tmp_path))
     assert d.format == "bambi" and d.problems == ()
-    assert [(i.split, i.sequence, i.file_name, i.pitch_deg) for i in d.images] == [
+    assert [(i.split, i.capture.sequence, i.file_name, i.capture.pitch_deg) for i in d.images] == [
         ("train", "7", "7_3.png", 87.0), ("train", "7", "7_4.png", 86.0),
         ("test", "12", "12_3.png", 87.0), ("test", "12", "12_4.png", 86.0),
     ]  # fmt: skip
     deer, boar = d.images[0].instances
     assert (deer.category, deer.track_id, deer.extra["age"], deer.extra["interpolated"]) == ("red deer", 1, 2.0, False)
     assert boar.box_xyxy.tolist() == [30, 20, 39, 27] and boar.extra["interpolated"] is True
-    assert d.images[0].captured == "2024-03-22T10:47:03"
+    assert d.images[0].capture.captured == "2024-03-22T10:47:03"
     assert d.notes["rows"] == {
         "flights": 2, "frames": 4, "objects": 6, "read": 4, "no_animal": 2, "interpolated_frames": 0, "without_pose": 0,
     }  # fmt: skip
@@ -156,7 +158,7 @@ def test_frames_come_from_the_left_half_of_the_video(tmp_path: Path) -> None:
     videos.write_video(root / "7" / "7_matched_processed.mp4", pictures)
     d = detection.read(root)
     first = d.images[0]
-    assert first.size_wh == (48, 48) and first.extra["frame"] == 3 and d.problems == ()
+    assert first.size_wh == (48, 48) and first.capture.frame == 3 and d.problems == ()
     with Image.open(first.path) as frame:
         assert frame.getextrema() == (videos.level(3),) * 2
 
@@ -165,13 +167,13 @@ def test_annotations_without_a_video_are_reported(tmp_path: Path) -> None:
     root = SAMPLES["bambi:tracks"](tmp_path)
     shutil.rmtree(root / "7" / "thermal")
     d = detection.read(root)
-    assert {i.sequence for i in d.images} == {"12"} and codes(d) == ["image-missing"]
+    assert {i.capture.sequence for i in d.images} == {"12"} and codes(d) == ["image-missing"]
 
 
 def test_yolo_labels_have_the_published_classes(tmp_path: Path) -> None:
     d = detection.read(SAMPLES["bambi:yolo"](tmp_path))
     assert d.format == "bambi" and d.problems == ()
-    assert [(i.id, i.pitch_deg, [o.category for o in i.instances]) for i in d.images] == [
+    assert [(i.id, i.capture.pitch_deg, [o.category for o in i.instances]) for i in d.images] == [
         ("163_0", 90.0, ["red deer", "wild boar"]), ("163_1", 85.0, []), ("163_2", 80.0, []),
     ]  # fmt: skip
     assert [bambi_tracks.species_of(k) for k in (0, 2, 16, 17, 48, 49, 69, 74, 75, -1)] == [
@@ -184,8 +186,8 @@ def test_corrected_boxes_take_the_pose_of_their_frame(data: Path) -> None:
     poses = [{"pitch": 0.0}] * 100 + [{"pitch": 12.5, "timestamp": "2024-03-22T11:00:00"}]
     (data / "7_matched_poses.json").write_text(json.dumps({"images": poses}))
     first, second = detection.read(data).images[:2]
-    assert (first.pitch_deg, first.captured) == (77.5, "2024-03-22T11:00:00")
-    assert (second.pitch_deg, second.captured) == (90.0, "2024-03-22")
+    assert (first.capture.pitch_deg, first.capture.captured) == (77.5, "2024-03-22T11:00:00")
+    assert (second.capture.pitch_deg, second.capture.captured) == (90.0, "2024-03-22")
 
 
 def test_real_frames(real_data: Path) -> None:
@@ -193,4 +195,4 @@ def test_real_frames(real_data: Path) -> None:
     assert d.format == "bambi" and d.problems == ()
     counts = {i.id: [o.category for o in i.instances] for i in d.images}
     assert counts == {"163_6395": ["red deer"] * 10, "277_6760": ["wild boar"] * 6}
-    assert [i.captured for i in d.images] == ["2024-03-22", "2024-08-22"]
+    assert [i.capture.captured for i in d.images] == ["2024-03-22", "2024-08-22"]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.boxes import corners_of_cxcywha, polygon_area
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
 from infrablend.errors import Problem
@@ -68,7 +69,13 @@ def test_corners_are_clockwise_whatever_a_file_says(name: str, tmp_path: Path) -
     box = np.array([*TURNED.min(axis=0), *TURNED.max(axis=0)])
     path = picture(tmp_path / "a.png", 1)
     image = ImageRecord(
-        "a", path, "train", (64, 48), 60.0, 50.0, "day", (Instance("Car", box, BACK),), file_name="a.png"
+        "a",
+        path,
+        "train",
+        (64, 48),
+        (Instance("Car", box, BACK),),
+        capture=Capture(pitch_deg=60.0, altitude_m=50.0, time_of_day="day"),
+        file_name="a.png",
     )
     writing.write(name, tmp_path / "out", [image], [Category(0, "Car")])
     options = {"pitch_sign": "-1"} if name == "monet" else {}

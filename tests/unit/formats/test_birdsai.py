@@ -55,8 +55,8 @@ def test_tracks_species_and_flags(tmp_path: Path) -> None:
         ("elephant", 7, 1), ("unknown", 8, 0), ("human", 9, 0),
     ]  # fmt: skip
     assert first.instances[0].box_xyxy.tolist() == [10, 12, 30, 20]
-    assert (second.instances, second.extra) == ((), {"frame": 1, "labelled": False})
-    assert {i.sequence for i in d.images} == {SEQ} and d.images[0].size_wh == (64, 48)
+    assert (second.instances, second.capture.frame, second.extra) == ((), 1, {"labelled": False})
+    assert {i.capture.sequence for i in d.images} == {SEQ} and d.images[0].size_wh == (64, 48)
     assert (d.category("human").id, d.category("elephant").id, d.category("unknown").id) == (0, 1, 9)
     rows = d.notes["rows"]
     assert (rows["rows"], rows["read"], rows["noisy"], rows["unlabelled"], rows["without_picture"]) == (5, 5, 1, 1, 0)
@@ -165,10 +165,16 @@ def test_new_classes_new_tracks_and_changed_names_come_back(tmp_path: Path) -> N
     box = np.array([1.0, 2.0, 30.25, 40.5])
     new = (Instance("deer", box, inserted=True, visibility=0.5), Instance("Person", box, track_id="ann"))
     both = [
-        replace(image, id=f"{image.id}_c{k}", file_name=f"{SEQ}/{SEQ}_0000000000_c{k}.jpg", split=split, pitch_deg=40.5,
-                instances=(*image.instances, *new))
+        replace(
+            image,
+            id=f"{image.id}_c{k}",
+            file_name=f"{SEQ}/{SEQ}_0000000000_c{k}.jpg",
+            split=split,
+            capture=replace(image.capture, pitch_deg=40.5),
+            instances=(*image.instances, *new),
+        )
         for k, split in enumerate(("train", "train", "val"))
-    ]  # fmt: skip
+    ]
     categories = (*d.categories, Category(10, "deer"), Category(4, "Person"))
     written = birdsai.write(tmp_path / "out", both, categories)
     assert written.losses == {"class_unfit": 3, "name_changed": 3, "track_made": 3, "visibility_dropped": 3}
@@ -178,7 +184,7 @@ def test_new_classes_new_tracks_and_changed_names_come_back(tmp_path: Path) -> N
     again = detection.read(tmp_path / "out")
     assert codes(again) == [] and [i.split for i in again.images] == ["train", "train", "val"]
     assert [[o.category for o in i.instances] for i in again.images] == [["elephant", "deer", "Person"]] * 3
-    assert {i.pitch_deg for i in again.images} == {40.5} and {i.sequence for i in again.images} == {SEQ}
+    assert {i.capture.pitch_deg for i in again.images} == {40.5} and {i.capture.sequence for i in again.images} == {SEQ}
     people = [o.track_id for i in again.images for o in i.instances if o.category == "Person"]
     deer = [o.track_id for i in again.images for o in i.instances if o.category == "deer"]
     assert len(set(people)) == 1 and len(set(deer)) == 3 and not {7, *deer} & set(people)
@@ -209,7 +215,7 @@ def test_any_text_gives_boxes_inside_the_frame(tmp_path_factory: pytest.TempPath
 
 def test_the_shared_frames_are_pictures_without_labels(real_data: Path) -> None:
     d = detection.read(real_data / "birdsai")
-    assert d.format == "birdsai" and len(d.images) == 7 and len({i.sequence for i in d.images}) == 7
+    assert d.format == "birdsai" and len(d.images) == 7 and len({i.capture.sequence for i in d.images}) == 7
     assert codes(d) == [] and codes(d, "warning") == ["label-missing"] and "7 picture(s)" in d.problems[0].found
     assert d.problems[0].todo == "add their labels, or leave them out with --read unlabelled=drop"
     assert all(i.extra["labelled"] is False and i.instances == () for i in d.images)

@@ -128,7 +128,7 @@ def test_names_without_blanks_stay_apart() -> None:
 def test_numbers_are_short_and_exact(tmp_path: Path) -> None:
     corners = np.array([[-1e-12, 0.1 + 0.2], [12.0, 0.3], [12.0, 1 / 3], [0.0, 1 / 3]])
     instance = Instance("a", np.array([0.0, 0.3, 12.0, 1 / 3]), corners)
-    image = ImageRecord("x", picture(tmp_path / "x.png", 1), "train", (64, 48), None, None, None, (instance,))
+    image = ImageRecord("x", picture(tmp_path / "x.png", 1), "train", (64, 48), (instance,))
     dota.write(tmp_path / "out", [image], [Category(0, "a")])
     line = (tmp_path / "out/train/labelTxt/x.txt").read_text().splitlines()[2]
     assert line == "0.0 0.3 12.0 0.3 12.0 0.33333333 0.0 0.33333333 a 0"

@@ -26,16 +26,22 @@ def codes(dataset: Dataset) -> dict[str, str]:
 @pytest.mark.parametrize("maker", ["dji", "flir"])
 def test_every_picture_gets_what_its_header_states(maker: Maker, tmp_path: Path) -> None:
     dataset = api.read_dataset(flight(tmp_path, 3, maker))
-    assert [(i.pitch_deg, i.altitude_m, i.size_wh) for i in dataset.images] == [(60.0, 50.0, (160, 128))] * 3
-    assert all(i.hfov_deg is not None and i.captured is not None for i in dataset.images)
-    assert len({i.sequence for i in dataset.images}) == 1 and not codes(dataset)
+    assert [(i.capture.pitch_deg, i.capture.altitude_m, i.size_wh) for i in dataset.images] == [
+        (60.0, 50.0, (160, 128))
+    ] * 3
+    assert all(i.capture.hfov_deg is not None and i.capture.captured is not None for i in dataset.images)
+    assert len({i.capture.sequence for i in dataset.images}) == 1 and not codes(dataset)
 
 
 def test_a_table_counts_more_than_the_header(tmp_path: Path) -> None:
     flight(tmp_path, 2)
     (tmp_path / "metadata.csv").write_text("file,pitch_deg,altitude_m,hfov_deg\nDJI_0001_T.JPG,80,44,20\n")
     one, two = api.read_dataset(tmp_path).images
-    assert (one.pitch_deg, one.altitude_m, one.hfov_deg) == (80.0, 44.0, 20.0) and two.pitch_deg == 60.0
+    assert (one.capture.pitch_deg, one.capture.altitude_m, one.capture.hfov_deg) == (
+        80.0,
+        44.0,
+        20.0,
+    ) and two.capture.pitch_deg == 60.0
 
 
 def test_visible_twins_and_other_files_are_left_out_and_counted(tmp_path: Path) -> None:
@@ -107,7 +113,9 @@ def test_a_fault_of_many_pictures_is_one_message(tmp_path: Path) -> None:
 def test_a_laser_that_hit_something_else_is_reported(tmp_path: Path) -> None:
     shot(tmp_path / "DJI_0001_T.JPG", altitude_m=100.0, laser_m=12.0)
     dataset = api.read_dataset(tmp_path)
-    assert "gives a height of 10.4 m" in codes(dataset)["flight-laser"] and dataset.images[0].altitude_m == 10.392
+    assert (
+        "gives a height of 10.4 m" in codes(dataset)["flight-laser"] and dataset.images[0].capture.altitude_m == 10.392
+    )
     shot(tmp_path / "DJI_0001_T.JPG", altitude_m=60.0, laser_m=100.0)
     assert not codes(api.read_dataset(tmp_path))
 
@@ -123,7 +131,7 @@ def test_a_laser_that_hit_something_else_is_reported(tmp_path: Path) -> None:
 def test_pictures_changed_since_are_reported(size_wh: tuple[int, int], words: str, known: bool, tmp_path: Path) -> None:
     with_exif_size(shot(tmp_path / "DJI_0001_T.JPG"), size_wh)
     dataset = api.read_dataset(tmp_path)
-    assert words in codes(dataset)["flight-size"] and (dataset.images[0].hfov_deg is not None) == known
+    assert words in codes(dataset)["flight-size"] and (dataset.images[0].capture.hfov_deg is not None) == known
 
 
 def test_the_size_that_the_camera_wrote_is_no_fault(tmp_path: Path) -> None:
@@ -159,7 +167,7 @@ def test_clocks_an_hour_apart_are_reported(tmp_path: Path) -> None:
 def test_day_and_night_come_from_the_sun(tmp_path: Path) -> None:
     for name, hour in (("noon", 12), ("midnight", 0), ("dawn", 7)):
         shot(tmp_path / f"{name}_T.jpg", captured=START.replace(hour=hour))
-    assert {i.id: i.time_of_day for i in api.read_dataset(tmp_path).images} == {
+    assert {i.id: i.capture.time_of_day for i in api.read_dataset(tmp_path).images} == {
         "noon_T": "day", "midnight_T": "night", "dawn_T": None,
     }  # fmt: skip
 
@@ -167,7 +175,7 @@ def test_day_and_night_come_from_the_sun(tmp_path: Path) -> None:
 def test_a_break_starts_another_flight(tmp_path: Path) -> None:
     for k, minutes in enumerate((0, 5, 30, 32)):
         shot(tmp_path / f"DJI_{k:04}_T.JPG", captured=START + timedelta(minutes=minutes))
-    sequences = [i.sequence for i in api.read_dataset(tmp_path).images]
+    sequences = [i.capture.sequence for i in api.read_dataset(tmp_path).images]
     assert sequences == ["flight-20260112-063000"] * 2 + ["flight-20260112-070000"] * 2
 
 
@@ -175,7 +183,7 @@ def test_a_damaged_header_is_named_and_the_others_are_read(tmp_path: Path) -> No
     flight(tmp_path, 2)
     (tmp_path / "DJI_0003_T.JPG").write_bytes(b"\xff\xd8\xff\xe1\xff\xff")
     dataset = api.read_dataset(tmp_path)
-    assert "jpeg-truncated" in {p.code for p in dataset.problems} and dataset.images[0].pitch_deg == 60.0
+    assert "jpeg-truncated" in {p.code for p in dataset.problems} and dataset.images[0].capture.pitch_deg == 60.0
 
 
 @pytest.mark.parametrize("maker", ["dji", "flir"])
@@ -207,7 +215,7 @@ def test_pictures_of_public_datasets_are_not_opened(tmp_path: Path, monkeypatch:
 def test_pipes_are_not_opened(tmp_path: Path) -> None:
     """A pipe among the pictures would make the reader wait for ever."""
     os.mkfifo(tmp_path / "a.jpg")
-    image = ImageRecord("a", tmp_path / "a.jpg", "train", (8, 8), None, None, None, ())
+    image = ImageRecord("a", tmp_path / "a.jpg", "train", (8, 8), ())
     assert flight_data.add_flight_data(Dataset(tmp_path, "folder", (), (image,))).problems == ()
 
 
@@ -249,8 +257,8 @@ def test_clocks_that_jump_within_a_flight_are_one_message(ahead: int, text: str,
     (problem,) = [p for p in dataset.problems if p.code == "flight-clocks"]
     assert f"EXIF DateTimeOriginal is {text} ahead of UTCAtExposure, but 1:00 h in the rest" in problem.found
     assert "2 picture(s): DJI_0004_T.JPG, DJI_0005_T.JPG" in problem.found
-    assert [i.captured for i in dataset.images] == [f"2026-01-12T06:30:{10 * k:02}+01:00" for k in range(5)]
-    assert len({i.sequence for i in dataset.images}) == 1
+    assert [i.capture.captured for i in dataset.images] == [f"2026-01-12T06:30:{10 * k:02}+01:00" for k in range(5)]
+    assert len({i.capture.sequence for i in dataset.images}) == 1
 
 
 def test_a_clock_that_is_no_time_zone_off_gives_none(tmp_path: Path) -> None:
@@ -258,7 +266,7 @@ def test_a_clock_that_is_no_time_zone_off_gives_none(tmp_path: Path) -> None:
     dataset = api.read_dataset(tmp_path / "a")
     (problem,) = [p for p in dataset.problems if p.code == "flight-clocks"]
     assert "which is no time zone; EXIF is used (3 picture(s)" in problem.found
-    assert {i.captured for i in dataset.images} == {f"2026-01-12T06:30:{s}" for s in ("00", "10", "20")}
+    assert {i.capture.captured for i in dataset.images} == {f"2026-01-12T06:30:{s}" for s in ("00", "10", "20")}
 
 
 def test_two_flights_may_have_two_time_zones(tmp_path: Path) -> None:
@@ -267,4 +275,4 @@ def test_two_flights_may_have_two_time_zones(tmp_path: Path) -> None:
         shot(tmp_path / f"DJI_{k + 1:04}_T.JPG", number=k, captured=utc + timedelta(hours=zone), utc=utc)
     dataset = api.read_dataset(tmp_path)
     assert not [p for p in dataset.problems if p.code == "flight-clocks"]
-    assert [str(i.captured)[-6:] for i in dataset.images] == ["+01:00"] * 2 + ["+02:00"] * 2
+    assert [str(i.capture.captured)[-6:] for i in dataset.images] == ["+01:00"] * 2 + ["+02:00"] * 2

@@ -12,14 +12,17 @@ import pytest
 import yaml
 from PIL import Image
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import coco, detection, folder, writing, yolo
-from infrablend.formats.capture import Capture, Captures, read_table
+from infrablend.formats.capture import Captures, read_table
 from infrablend.formats.hit_uav import CATEGORIES
 from infrablend.formats.reading import Reading
 from tests.samples import SAMPLES
+
+FLIGHT = Capture(sequence="flight")
 
 
 def picture(path: Path, size_wh: tuple[int, int] = (100, 80)) -> Path:
@@ -49,7 +52,11 @@ def test_split_folders_are_splits(tmp_path: Path, inside: str) -> None:
     where = inside.replace("/", "__")
     expected = [(f"{where}train__a", "train"), (f"{where}valid__a", "val"), ("0_60_30_0_00001", "test")]
     assert [(i.id, i.split) for i in d.images] == expected
-    assert (d.images[2].pitch_deg, d.images[2].altitude_m, d.images[2].time_of_day) == (30, 60, "day")
+    assert (d.images[2].capture.pitch_deg, d.images[2].capture.altitude_m, d.images[2].capture.time_of_day) == (
+        30,
+        60,
+        "day",
+    )
     assert codes(d, "warning") == ["image-unlisted"]
     assert [i.split for i in folder.read(tmp_path, splits=["test"]).images] == ["test"]
 
@@ -62,9 +69,13 @@ def test_tables_give_pitch_and_altitude(tmp_path: Path) -> None:
     (tmp_path / "metadata.csv").write_text("\n".join(rows))
     d = detection.read(tmp_path)
     by_id = {i.id: i for i in d.images}
-    assert (by_id["a"].pitch_deg, by_id["a"].altitude_m, by_id["a"].time_of_day) == (35.5, 80, "night")
-    assert (by_id["0_60_30_0_00001"].pitch_deg, by_id["0_60_30_0_00001"].altitude_m) == (40, 60)
-    assert by_id["b"].pitch_deg is None
+    assert (by_id["a"].capture.pitch_deg, by_id["a"].capture.altitude_m, by_id["a"].capture.time_of_day) == (
+        35.5,
+        80,
+        "night",
+    )
+    assert (by_id["0_60_30_0_00001"].capture.pitch_deg, by_id["0_60_30_0_00001"].capture.altitude_m) == (40, 60)
+    assert by_id["b"].capture.pitch_deg is None
     assert codes(d) == ["table-value", "table-duplicate", "table-value"]
     assert codes(d, "warning") == ["metadata-disagrees", "table-unused"]
     assert "line 5" in next(p.where for p in d.problems if p.code == "table-value")
@@ -76,7 +87,7 @@ def test_tables_give_pitch_and_altitude(tmp_path: Path) -> None:
 def test_tables_may_be_json(tmp_path: Path, content: Any) -> None:
     picture(tmp_path / "in" / "a.png")
     (tmp_path / "t.json").write_text(json.dumps(content))
-    assert folder.read(tmp_path / "in", metadata=tmp_path / "t.json").images[0].pitch_deg == 45
+    assert folder.read(tmp_path / "in", metadata=tmp_path / "t.json").images[0].capture.pitch_deg == 45
 
 
 def test_table_row_may_name_a_sequence(tmp_path: Path) -> None:
@@ -85,10 +96,12 @@ def test_table_row_may_name_a_sequence(tmp_path: Path) -> None:
     )
     problems: list[Problem] = []
     captures = Captures(read_table(tmp_path / "t.csv"), problems)
-    assert captures.of("flight/a.png", "a", None, "flight") == Capture(30, 80)
-    assert captures.of("flight/b.png", "b", None, "flight") == Capture(30, 70)
-    assert captures.of("flight/c.png", "c", Capture(45), "flight") == Capture(45, 80)  # the annotation takes precedence
-    assert captures.of("0_60_90_0_00001.png", "d", None, "flight") == Capture(90, 60, "day")
+    assert captures.of("flight/a.png", "a", FLIGHT) == Capture(30, 80, sequence="flight")
+    assert captures.of("flight/b.png", "b", FLIGHT) == Capture(30, 70, sequence="flight")
+    assert captures.of("flight/c.png", "c", Capture(45, sequence="flight")) == Capture(
+        45, 80, sequence="flight"
+    )  # the annotation takes precedence
+    assert captures.of("0_60_90_0_00001.png", "d", FLIGHT) == Capture(90, 60, "day", sequence="flight")
     assert captures.of("e.png", "e") == Capture()
     assert (
         captures.note() == "annotation (1 of 5), file names (1 of 5), none (1 of 5), table t.csv per sequence (2 of 5)"

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
 from infrablend.formats import hit_uav
@@ -49,7 +50,12 @@ def test_forms_are_merged(tiny: Path) -> None:
         "0_60_30_0_00001", "1_90_60_0_00002", "1_100_50_0_00003", "0_130_90_0_00004",
     ]  # fmt: skip
     first = d.images[0]
-    assert (first.pitch_deg, first.altitude_m, first.time_of_day, first.size_wh) == (30, 60, "day", (640, 512))
+    assert (first.capture.pitch_deg, first.capture.altitude_m, first.capture.time_of_day, first.size_wh) == (
+        30,
+        60,
+        "day",
+        (640, 512),
+    )
     car, person = first.instances
     assert car.box_xyxy.tolist() == [int(v) for v in car.box_xyxy]
     assert car.corners_xy is not None and car.difficult is False and car.truncated is None
@@ -248,7 +254,7 @@ def test_forms_that_disagree_are_reported_and_the_first_counts(tiny: Path) -> No
     ]
     counts = d.notes["disagreements"]
     assert (counts["boxes"], counts["categories"], counts["metadata"]) == (1, 1, 1)
-    assert d.images[0].pitch_deg == 30
+    assert d.images[0].capture.pitch_deg == 30
     assert d.images[0].instances[1].category == "Car"
 
 
@@ -259,7 +265,7 @@ def test_names_without_grammar_take_pitch_from_the_record(tiny: Path) -> None:
         change(tiny, form, "train", lambda t: t["images"][0].__setitem__("filename", "free.jpg"))
     d = hit_uav.read(tiny)
     (free,) = [i for i in d.images if i.id == "free"]
-    assert (free.pitch_deg, free.altitude_m, free.time_of_day) == (30, 60, "day")
+    assert (free.capture.pitch_deg, free.capture.altitude_m, free.capture.time_of_day) == (30, 60, "day")
     assert codes(d, "warning") == ["name-grammar"]
 
 
@@ -341,7 +347,7 @@ def made(folder: Path, names: list[tuple[str, Split]], instances: tuple[Instance
         path = folder / split / name
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.new("L", (64, 48), 90).save(path)
-        images.append(ImageRecord(path.stem, path, split, (64, 48), None, None, None, instances))
+        images.append(ImageRecord(path.stem, path, split, (64, 48), instances))
     return images
 
 
@@ -370,7 +376,15 @@ def test_a_pose_with_markup_is_written_as_text(tmp_path: Path) -> None:
     picture = tmp_path / "0_60_30_0_00001.png"
     Image.new("L", (64, 48), 90).save(picture)
     car = Instance("Car", np.array([10.0, 20.0, 18.0, 25.0]), extra={"pose": "<b> & 45"})
-    image = ImageRecord(picture.stem, picture, "train", (64, 48), 30.0, 60.0, "day", (car,), file_name=picture.name)
+    image = ImageRecord(
+        picture.stem,
+        picture,
+        "train",
+        (64, 48),
+        (car,),
+        capture=Capture(pitch_deg=30.0, altitude_m=60.0, time_of_day="day"),
+        file_name=picture.name,
+    )
     hit_uav.write(tmp_path / "out", [image], hit_uav.CATEGORIES, forms=("normal_xml",))
     d = hit_uav.read(tmp_path / "out")
     assert d.images[0].instances[0].extra["pose"] == "<b> & 45" and codes(d) == []

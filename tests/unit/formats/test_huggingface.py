@@ -13,7 +13,7 @@ import pytest
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, huggingface
-from tests.samples import records
+from tests.samples import records, with_facts
 
 
 def lines(out: Path, split: str) -> list[dict[str, Any]]:
@@ -39,18 +39,28 @@ def test_columns_of_objects_have_a_value_for_every_object(tmp_path: Path) -> Non
 
 
 def test_a_number_that_a_split_lacks_is_left_out_of_all_and_counted(tmp_path: Path) -> None:
-    done, out = written(tmp_path, lambda i: replace(i, pitch_deg=None) if i.split == "val" else i)
+    done, out = written(tmp_path, lambda i: with_facts(i, pitch_deg=None) if i.split == "val" else i)
     assert done.losses == {"telemetry_dropped": 3}
     assert all("pitch_deg" not in r and "altitude_m" in r for s in ("train", "val", "test") for r in lines(out, s))
 
 
 def test_the_first_line_gives_every_column_its_type(tmp_path: Path) -> None:
     """Arrow takes the types from the first megabytes."""
-    done, out = written(tmp_path, lambda i: replace(i, pitch_deg=None) if i.instances and i.split == "train" else i)
+    done, out = written(tmp_path, lambda i: with_facts(i, pitch_deg=None) if i.instances and i.split == "train" else i)
     assert not done.losses
     first, second = lines(out, "train")
     assert (first["pitch_deg"], first["objects"]["bbox"]) == (90.0, []) or second["pitch_deg"] is not None
     assert {r["file_name"] for r in (first, second)} == {"0_60_30_0_00001.jpg", "1_90_60_0_00012.jpg"}
+
+
+def test_a_column_of_numbers_has_one_type(tmp_path: Path) -> None:
+    """Arrow takes 60 and 60.5 for two types."""
+    _, out = written(
+        tmp_path, lambda i: with_facts(i, pitch_deg=60, frame=3, camera="M3T" if i.split == "val" else None)
+    )
+    rows = [r for s in ("train", "val", "test") for r in lines(out, s)]
+    assert {(str(r["pitch_deg"]), str(r["frame"])) for r in rows} == {("60.0", "3")}
+    assert {r["camera"] for r in rows} == {"M3T", ""} and all("altitude_from" not in r for r in rows)
 
 
 def test_a_split_without_any_object_is_left_out_with_a_warning(tmp_path: Path) -> None:
@@ -69,9 +79,9 @@ def test_a_dataset_without_objects_has_no_column_of_them(tmp_path: Path) -> None
 @pytest.mark.parametrize("moment", ["2021-01-31", "2021-01-31T08:30:00", "2021-01-31 08:30:00.5"])
 def test_a_time_stays_text(tmp_path: Path, moment: str) -> None:
     """Arrow would take it for another type than the empty text of a picture without one."""
-    _, out = written(tmp_path, lambda i: replace(i, captured=moment if i.split == "train" else None))
+    _, out = written(tmp_path, lambda i: with_facts(i, captured=moment if i.split == "train" else None))
     assert {r["captured"] for r in lines(out, "train")} == {f"on {moment}"}
-    assert {i.captured for i in detection.read(out).images if i.split == "train"} == {moment}
+    assert {i.capture.captured for i in detection.read(out).images if i.split == "train"} == {moment}
 
 
 def test_hugging_faces_own_example_is_read(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ def mask(x0: int, x1: int) -> Mask:
 
 def test_numbers_say_which_object_and_the_later_one_wins(tmp_path: Path) -> None:
     objects = (Instance("a", BOX, mask=mask(10, 18)), Instance("b", BOX), Instance("b", BOX, mask=mask(15, 22)))
-    image = ImageRecord("x", picture(tmp_path / "x.jpg", 1), "val", (64, 48), None, None, None, objects)
+    image = ImageRecord("x", picture(tmp_path / "x.jpg", 1), "val", (64, 48), objects)
     written = masks.write(tmp_path / "out", [image], [Category(3, "a"), Category(4, "b")])
     assert written.losses == {"mask_absent": 1, "mask_overlap_px": 15}
     with Image.open(tmp_path / "out/masks/val/x.png") as png:
@@ -48,7 +48,7 @@ def test_more_objects_than_a_byte_holds(tmp_path: Path) -> None:
         pixels[n // 60, n % 60] = True
         box = np.array([n % 60, n // 60, n % 60 + 1, n // 60 + 1], np.float64)
         objects.append(Instance("a", box, mask=Mask.from_array(pixels)))
-    image = ImageRecord("x", picture(tmp_path / "x.jpg", 1), "val", (64, 48), None, None, None, tuple(objects))
+    image = ImageRecord("x", picture(tmp_path / "x.jpg", 1), "val", (64, 48), tuple(objects))
     assert masks.write(tmp_path / "out", [image], [Category(0, "a")]).losses == {}
     (again,) = masks.read(tmp_path / "out").images
     assert [i.mask for i in again.instances] == [i.mask for i in objects]
@@ -117,6 +117,6 @@ def test_a_list_of_categories_is_needed(data: Path) -> None:
 
 def test_a_mask_of_another_size_is_refused(tmp_path: Path) -> None:
     instance = Instance("a", BOX, mask=Mask.from_array(np.ones((4, 4), np.bool_)))
-    image = ImageRecord("x", picture(tmp_path / "x.jpg", 1), "val", (64, 48), None, None, None, (instance,))
+    image = ImageRecord("x", picture(tmp_path / "x.jpg", 1), "val", (64, 48), (instance,))
     with pytest.raises(ValueError, match="mask of"):
         masks.write(tmp_path / "out", [image], [Category(0, "a")])

@@ -21,6 +21,7 @@ from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, monet, writing
 from infrablend.formats.reading import Reading
+from tests.samples import with_facts
 
 CATEGORIES = [{"id": 1, "name": "person"}, {"id": 2, "name": "vehicle"}]
 
@@ -86,13 +87,13 @@ def test_telemetry_is_found(tmp_path: Path, nest: str | None, telemetry: Any, op
     d = detection.read(tmp_path, Reading(options=options))
     (image,) = d.images
     assert d.format == "monet"
-    assert (image.altitude_m, image.sequence, image.split, image.id) == (
+    assert (image.capture.altitude_m, image.capture.sequence, image.split, image.id) == (
         99.5,
         "runway_04",
         "train",
         "runway_04_image00000",
     )
-    assert image.pitch_deg == pytest.approx(35, abs=1e-12)
+    assert image.capture.pitch_deg == pytest.approx(35, abs=1e-12)
     assert d.notes["gimbal_pitch"]["sign"] == -1 and codes(d) == ["pitch-sign"]
 
 
@@ -102,9 +103,9 @@ def test_telemetry_may_be_a_list_beside_the_images(tmp_path: Path) -> None:
 
     sequence(tmp_path, "runway_04", down(-35, -40), change=move)
     d = detection.read(tmp_path)
-    assert [i.pitch_deg for i in d.images] == [35, 40]
+    assert [i.capture.pitch_deg for i in d.images] == [35, 40]
     writing.write("native", tmp_path / "out", d.images, d.categories, source=d)
-    assert [i.pitch_deg for i in detection.read(tmp_path / "out").images] == [35, 40]
+    assert [i.capture.pitch_deg for i in detection.read(tmp_path / "out").images] == [35, 40]
 
 
 def test_missing_key_error_lists_existing_keys(tmp_path: Path) -> None:
@@ -112,9 +113,11 @@ def test_missing_key_error_lists_existing_keys(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no telemetry in 1 image") as caught:
         detection.read(tmp_path)
     assert "metadata.gimbalPitch, metadata.speed.x.m_s" in str(caught.value) and "pitch_key=KEY" in str(caught.value)
-    assert detection.read(tmp_path, Reading(options={"pitch_key": "gimbalPitch"})).images[0].pitch_deg == 35
+    assert detection.read(tmp_path, Reading(options={"pitch_key": "gimbalPitch"})).images[0].capture.pitch_deg == 35
     d = detection.read(tmp_path, Reading(options={"empty": "keep"}))
-    assert [i.pitch_deg for i in d.images] == [None] and d.notes["frames_without_pitch"] == {"train/runway_04": 1}
+    assert [i.capture.pitch_deg for i in d.images] == [None] and d.notes["frames_without_pitch"] == {
+        "train/runway_04": 1
+    }
 
 
 # ---- the sign
@@ -123,14 +126,14 @@ def test_missing_key_error_lists_existing_keys(tmp_path: Path) -> None:
 def test_the_majority_looks_down_and_the_rest_is_kept(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35, -90.4, 40, 0))
     d = detection.read(tmp_path)
-    assert [i.pitch_deg for i in d.images] == [35, 90, -40, 0]
-    assert math.copysign(1, d.images[3].pitch_deg or 0) == 1
+    assert [i.capture.pitch_deg for i in d.images] == [35, 90, -40, 0]
+    assert math.copysign(1, d.images[3].capture.pitch_deg or 0) == 1
     facts = d.notes["gimbal_pitch"]
     assert (facts["below_0"], facts["above_0"], facts["beyond_90_clamped"], facts["sign_from"]) == (2, 1, 1, "majority")
     assert "2 values below 0, 1 above" in str(next(p for p in d.problems if p.code == "pitch-sign"))
     other = sequence(tmp_path / "b", "runway_04", down(35, 90, -40))
     d = detection.read(other.parents[1])
-    assert [i.pitch_deg for i in d.images] == [35, 90, -40] and d.notes["gimbal_pitch"]["sign"] == 1
+    assert [i.capture.pitch_deg for i in d.images] == [35, 90, -40] and d.notes["gimbal_pitch"]["sign"] == 1
 
 
 def test_pitch_sign_overrides_and_silences(tmp_path: Path) -> None:
@@ -139,7 +142,7 @@ def test_pitch_sign_overrides_and_silences(tmp_path: Path) -> None:
         detection.read(tmp_path)
     for sign, pitches in (("-1", [35, -40]), ("+1", [-35, 40])):
         d = detection.read(tmp_path, Reading(options={"pitch_sign": sign}))
-        assert [i.pitch_deg for i in d.images] == pitches and codes(d) == []
+        assert [i.capture.pitch_deg for i in d.images] == pitches and codes(d) == []
     sequence(tmp_path, "runway_05", down(-35, -40))
     with pytest.raises(DatasetError, match="more than half of the pitches are negative"):
         detection.read(tmp_path, Reading(options={"pitch_sign": "1"}))
@@ -159,7 +162,7 @@ def test_small_numbers_are_suspected_to_be_radians(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(*(-0.1 * k for k in range(1, 12))))
     assert "pitch-unit" in codes(detection.read(tmp_path))
     d = detection.read(tmp_path, Reading(options={"angle_unit": "rad"}))
-    assert "pitch-unit" not in codes(d) and d.images[0].pitch_deg == pytest.approx(5.7296, abs=1e-4)
+    assert "pitch-unit" not in codes(d) and d.images[0].capture.pitch_deg == pytest.approx(5.7296, abs=1e-4)
 
 
 # ---- sequences and frames without telemetry
@@ -169,7 +172,7 @@ def test_empty_sequences_are_left_out_and_counted(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_01", down(None, None))
     sequence(tmp_path, "runway_04", down(-35, None, -37))
     d = detection.read(tmp_path)
-    assert [i.pitch_deg for i in d.images] == [35, None, 37]
+    assert [i.capture.pitch_deg for i in d.images] == [35, None, 37]
     assert d.notes["excluded"] == {"train/runway_01": {"why": "no telemetry in any frame", "images": 2, "labels": 2}}
     assert d.notes["frames_without_pitch"] == {"train/runway_04": 1}
     assert d.notes["gimbal_pitch"]["missing"] == 3
@@ -183,7 +186,7 @@ def test_sequences_are_left_out_by_name(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_01", down(-35))
     sequence(tmp_path, "runway_04", down(-35, -36))
     d = detection.read(tmp_path, Reading(options={"exclude": "runway_01, dirtroad_01"}))
-    assert {i.sequence for i in d.images} == {"runway_04"}
+    assert {i.capture.sequence for i in d.images} == {"runway_04"}
     assert d.notes["excluded"]["train/runway_01"]["images"] == 1
     assert codes(d) == ["option-value", "pitch-sign", "sequence-excluded"]
     with pytest.raises(DatasetError, match="nothing to read"):
@@ -197,7 +200,7 @@ def test_a_table_counts_more_and_fills_an_empty_sequence(tmp_path: Path) -> None
         "file,pitch_deg,time_of_day\nrunway_01,20,night\nrunway_04/lwir/image00000.png,36,\nz,1,\n"
     )
     d = detection.read(tmp_path)
-    assert [(i.sequence, i.pitch_deg, i.time_of_day) for i in d.images] == [
+    assert [(i.capture.sequence, i.capture.pitch_deg, i.capture.time_of_day) for i in d.images] == [
         ("runway_01", 20, "night"), ("runway_04", 36, None),
     ]  # fmt: skip
     assert codes(d) == ["metadata-disagrees", "pitch-sign", "table-unused"]
@@ -230,7 +233,7 @@ def test_values_that_cannot_be_used_are_counted_once_for_a_file(
     assert codes(d) == sorted([code, "pitch-sign"]) and codes(d, "error") == []
     assert "2 image(s) with" in str(next(p for p in d.problems if p.code == code))
     field = {"g_pitch": "pitch_deg", "alt": "altitude_m", "timestamp": "captured"}[key]
-    assert [getattr(i, field) is None for i in d.images] == [False, True, True, False]
+    assert [getattr(i.capture, field) is None for i in d.images] == [False, True, True, False]
 
 
 # ---- layouts
@@ -256,10 +259,10 @@ def test_pictures_are_found_wherever_the_json_lies(tmp_path: Path, file: str, na
     assert codes(d, "error") == ["image-missing"]
     assert len(d.images) == 8
     for image in d.images:
-        assert image.path.parent == tmp_path / image.split / str(image.sequence) / "lwir"
-        assert image.name == f"{image.sequence}/lwir/{image.path.name}"
-        assert image.pitch_deg == 35 + int(image.path.stem[-1])
-        assert (image.sequence == "runway_05") == (image.split == "val")
+        assert image.path.parent == tmp_path / image.split / str(image.capture.sequence) / "lwir"
+        assert image.name == f"{image.capture.sequence}/lwir/{image.path.name}"
+        assert image.capture.pitch_deg == 35 + int(image.path.stem[-1])
+        assert (image.capture.sequence == "runway_05") == (image.split == "val")
 
 
 def test_names_that_fit_several_folders_are_not_guessed(tmp_path: Path) -> None:
@@ -269,7 +272,7 @@ def test_names_that_fit_several_folders_are_not_guessed(tmp_path: Path) -> None:
         detection.read(tmp_path)
     assert "train/runway_04/lwir, train/runway_05/lwir" in str(caught.value)
     d = detection.read(tmp_path, Reading(options={"pictures": "train/runway_05/lwir"}))
-    assert [i.sequence for i in d.images] == ["runway_05"]
+    assert [i.capture.sequence for i in d.images] == ["runway_05"]
 
 
 def test_one_json_of_all_and_a_split_by_option(tmp_path: Path) -> None:
@@ -286,7 +289,7 @@ def test_one_json_of_all_and_a_split_by_option(tmp_path: Path) -> None:
 def test_one_sequence_alone_is_named_by_its_folder(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", [{"p": -35}], file="train/runway_04/labels.json")
     d = detection.read(tmp_path / "train" / "runway_04", Reading(options={"pitch_key": "p"}))
-    assert [(i.sequence, i.split, i.name) for i in d.images] == [("runway_04", "train", "lwir/image00000.png")]
+    assert [(i.capture.sequence, i.split, i.name) for i in d.images] == [("runway_04", "train", "lwir/image00000.png")]
 
 
 def test_a_picture_in_two_files_counts_once(tmp_path: Path) -> None:
@@ -350,7 +353,7 @@ def test_names_that_lead_out_or_nowhere_are_errors(tmp_path: Path, name: Any) ->
 
     sequence(tmp_path / "data", "runway_04", down(-35, -36), change=rename)
     d = detection.read(tmp_path / "data")
-    assert [i.pitch_deg for i in d.images] == [36]
+    assert [i.capture.pitch_deg for i in d.images] == [36]
     assert codes(d, "error")[0] in ("name-climbs", "name-missing", "image-missing")
 
 
@@ -360,7 +363,7 @@ def test_a_link_that_leads_out_is_refused(tmp_path: Path) -> None:
     link.unlink()
     link.symlink_to(picture(tmp_path / "outside.png"))
     d = detection.read(tmp_path / "data")
-    assert [i.pitch_deg for i in d.images] == [36] and "name-climbs" in codes(d, "error")
+    assert [i.capture.pitch_deg for i in d.images] == [36] and "name-climbs" in codes(d, "error")
 
 
 def test_options_are_checked_together(tmp_path: Path) -> None:
@@ -371,7 +374,7 @@ def test_options_are_checked_together(tmp_path: Path) -> None:
     assert {p.where for p in caught.value.problems} == {f"option {k}" for k in bad}
     with pytest.raises(DatasetError, match="annotations=PATTERN"):
         detection.read(tmp_path, Reading(options={"annotations": "labels/*.json"}))
-    assert detection.read(tmp_path, Reading(options={"time_of_day": "night"})).images[0].time_of_day == "night"
+    assert detection.read(tmp_path, Reading(options={"time_of_day": "night"})).images[0].capture.time_of_day == "night"
 
 
 JSON = st.recursive(
@@ -398,13 +401,13 @@ def test_any_telemetry_gives_a_dataset_or_our_own_error(
         d = monet.read(root)
     except DatasetError:
         return
-    assert all(i.pitch_deg is None or -90 <= i.pitch_deg <= 90 for i in d.images)
+    assert all(i.capture.pitch_deg is None or -90 <= i.capture.pitch_deg <= 90 for i in d.images)
     assert all(i.path.resolve().is_relative_to(root.resolve()) for i in d.images)
     text, _ = monet.native_files(d.images, d.categories)
     assert all(json.loads(t) for t in text.values())
     writing.write("monet", root / "out", d.images, d.categories, source=d)
     again = monet.read(root / "out", empty="keep", pitch_sign=f"{d.notes['gimbal_pitch']['sign']:+d}")
-    assert [i.pitch_deg for i in again.images] == [i.pitch_deg for i in d.images]
+    assert [i.capture.pitch_deg for i in again.images] == [i.capture.pitch_deg for i in d.images]
 
 
 # ---- writing
@@ -420,7 +423,10 @@ def test_every_read_field_is_written(tmp_path: Path) -> None:
     box = np.array([4.0, 3.0, 20.0, 9.0])
     deer = Instance("deer", box, corners, Mask.from_array(mask), 0.75, True, None, True, track_id=4)
     first, second = d.images
-    changed = [replace(first, instances=(*first.instances, deer), time_of_day="night", pitch_deg=36.0), second]
+    changed = [
+        with_facts(replace(first, instances=(*first.instances, deer)), time_of_day="night", pitch_deg=36.0),
+        second,
+    ]
     categories = (*d.categories, replace(d.categories[0], id=3, name="deer"))
     written = writing.write("native", tmp_path / "out", changed, categories, source=d)
     assert written.losses == {"not_finite_dropped": 1}
@@ -429,8 +435,8 @@ def test_every_read_field_is_written(tmp_path: Path) -> None:
     assert records[0]["metadata"] == telemetry | {"g_pitch": -36, "nan": None, "alt": 51}
     assert records[1]["metadata"] == {}
     again = detection.read(tmp_path / "out")
-    assert [(i.id, i.pitch_deg, i.time_of_day, i.name) for i in again.images] == [
-        (i.id, i.pitch_deg, i.time_of_day, i.name) for i in changed
+    assert [(i.id, i.capture.pitch_deg, i.capture.time_of_day, i.name) for i in again.images] == [
+        (i.id, i.capture.pitch_deg, i.capture.time_of_day, i.name) for i in changed
     ]
     for before, after in zip(changed, again.images, strict=True):
         for a, b in zip(before.instances, after.instances, strict=True):
@@ -457,7 +463,7 @@ def test_deer_come_into_frames_that_look_down_and_up(tmp_path: Path) -> None:
     )
     assert (report.counts["images"], report.counts["skipped_backgrounds"]) == (3, 1)
     again = detection.read(tmp_path / "run" / "native")
-    assert [i.pitch_deg for i in again.images] == [35, -12.5, 90]
+    assert [i.capture.pitch_deg for i in again.images] == [35, -12.5, 90]
     assert [sum(o.inserted for o in i.instances) for i in again.images] == [1, 1, 1]
     notes = json.loads((tmp_path / "run" / "run.json").read_text())["data"]["notes"]
     assert notes["excluded"]["train/runway_01"]["images"] == 1 and notes["frames_without_pitch"] == {
@@ -472,14 +478,14 @@ def test_records_of_elsewhere_get_metadata(tmp_path: Path) -> None:
     """Labels of another format become MONET: telemetry in `metadata`, pictures below the split without a sequence."""
     path = picture(tmp_path / "a.png")
     sequence(tmp_path / "in", "runway_04", down(-35))
-    image = replace(detection.read(tmp_path / "in").images[0], path=path, file_name="a.png", sequence=None, extra={})
-    image = replace(image, captured="2021-01-20")
+    image = replace(detection.read(tmp_path / "in").images[0], path=path, file_name="a.png", extra={})
+    image = with_facts(image, sequence=None, captured="2021-01-20")
     monet.write(tmp_path / "out", [image], detection.read(tmp_path / "in").categories)
     (record,) = json.loads((tmp_path / "out/train/train.json").read_text())["images"]
     assert record["metadata"] == {"g_pitch": -35, "alt": 51, "timestamp": "2021-01-20"}
     (again,) = detection.read(tmp_path / "out").images
-    assert (again.sequence, again.pitch_deg, again.name) == (None, 35, "lwir/a.png")
-    assert again.captured is not None and again.captured.startswith("2021-01-20")
+    assert (again.capture.sequence, again.capture.pitch_deg, again.name) == (None, 35, "lwir/a.png")
+    assert again.capture.captured is not None and again.capture.captured.startswith("2021-01-20")
     with pytest.raises(ValueError, match="second picture"):
         monet.write(tmp_path / "out", [image, replace(image, id="b")], detection.read(tmp_path / "in").categories)
 
@@ -487,7 +493,7 @@ def test_records_of_elsewhere_get_metadata(tmp_path: Path) -> None:
 def test_files_without_any_pitch_are_still_detected(tmp_path: Path) -> None:
     instance = Instance("deer", np.array([3.0, 4.0, 20.0, 30.0]))
     path = picture(tmp_path / "a.png")
-    image = ImageRecord("a", path, "train", (64, 48), None, None, None, (instance,))
+    image = ImageRecord("a", path, "train", (64, 48), (instance,))
     written = monet.write(tmp_path / "out", [image], [Category(0, "deer")])
     assert [p.code for p in written.problems] == ["telemetry-absent"]
     # It must not be read as a folder of pictures without labels.
@@ -495,5 +501,5 @@ def test_files_without_any_pitch_are_still_detected(tmp_path: Path) -> None:
         detection.read(tmp_path / "out")
     (again,) = detection.read(tmp_path / "out", Reading(options={"empty": "keep"})).images
     assert again.instances[0].box_xyxy.tolist() == [3.0, 4.0, 20.0, 30.0]
-    known = replace(image, pitch_deg=40.0)
+    known = with_facts(image, pitch_deg=40.0)
     assert not monet.write(tmp_path / "known", [known], [Category(0, "deer")]).problems

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
 from infrablend.formats import detection, writing
@@ -33,7 +34,15 @@ HOLD = ("coco", "coco-tools", "monet")
 def write(name: str, folder: Path, *objects: Instance, keep: bool = False) -> tuple[Mapping[str, int], list[Instance]]:
     """Return the losses by kind, of HIT-UAV's forms the largest, and the objects read again."""
     path = picture(folder / "0_60_30_0_00001.png", 1)
-    image = ImageRecord(path.stem, path, "train", (64, 48), 30.0, 60.0, "day", objects, file_name=path.name)
+    image = ImageRecord(
+        path.stem,
+        path,
+        "train",
+        (64, 48),
+        objects,
+        capture=Capture(pitch_deg=30.0, altitude_m=60.0, time_of_day="day"),
+        file_name=path.name,
+    )
     settings = WriteSettings(without_mask="obb", dont_care="keep" if keep else "drop")
     written = writing.write(name, folder / "out", [image], CATEGORIES, settings=settings)
     losses: dict[str, int] = {}

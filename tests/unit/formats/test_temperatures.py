@@ -33,7 +33,7 @@ def test_16_bit_pictures_without_a_stated_scale_are_only_counts(flight: Path) ->
 
 def test_a_stated_scale_is_on_every_16_bit_picture(flight: Path) -> None:
     dataset = detection.read(flight, Reading(options={"unit": "counts", "slope": "0.04", "offset": "0"}))
-    assert {i.radiometry.scale for i in dataset.images if i.radiometry} == {TemperatureScale(0.04)}
+    assert {i.capture.radiometry.scale for i in dataset.images if i.capture.radiometry} == {TemperatureScale(0.04)}
     assert describe_scales(dataset) == {"0.04 K per count, 0 = 0 K (stated)": 2}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ from typer.testing import CliRunner
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError, UnknownFormatError
-from infrablend.formats import detection
+from infrablend.formats import coco, detection
 from infrablend.formats.reading import Reading
-from tests.samples import SAMPLES, picture
+from tests.samples import SAMPLES, picture, with_facts
 from tests.videos import level, write_ground_truth, write_video
 
 
@@ -38,22 +39,43 @@ def anti_uav_video(root: Path, frames: int = 60, **label: Any) -> Path:
 def test_frames_of_thermal_videos_are_read(tmp_path: Path) -> None:
     d = detection.read(anti_uav_video(tmp_path))
     assert d.format == "anti-uav" and d.problems == ()
-    assert [i.extra["frame"] for i in d.images] == [0, 25, 50]
-    assert {(i.sequence, i.captured, i.split, i.size_wh) for i in d.images} == {
+    assert [i.capture.frame for i in d.images] == [0, 25, 50]
+    assert {(i.capture.sequence, i.capture.captured, i.split, i.size_wh) for i in d.images} == {
         ("20190925_101846_1_1", "2019-09-25", "train", (64, 48))
     }
     assert [i.instances[0].box_xyxy.tolist() for i in d.images] == [[0, 5, 10, 13], [25, 5, 35, 13], [20, 5, 30, 13]]
     for image in d.images:
         with Image.open(image.path) as frame:
-            assert frame.getextrema() == (level(image.extra["frame"]),) * 2
+            assert frame.getextrema() == (level(image.capture.frame),) * 2
     again = detection.read(tmp_path)
     assert [i.path for i in again.images] == [i.path for i in d.images]
     assert not (tmp_path / "train" / "20190925_101846_1_1" / "frames").exists()
 
 
+def test_coco_has_fields_of_videos_if_pictures_are_numbered(tmp_path: Path) -> None:
+    d = detection.read(anti_uav_video(tmp_path / "in"))
+    tracked = [replace(i, instances=(replace(i.instances[0], track_id=4),)) for i in d.images]
+    coco.write(tmp_path / "out", tracked, d.categories, pictures=True)
+    path = tmp_path / "out" / "annotations" / "instances_train.json"
+    top = json.loads(path.read_text())
+    assert top["videos"] == [{"id": 1, "name": "20190925_101846_1_1"}]
+    assert [(i["video_id"], i["frame_id"]) for i in top["images"]] == [(1, 0), (1, 25), (1, 50)]
+    assert {a["track_id"] for a in top["annotations"]} == {4}
+    # Other programs name the video of a picture by its number alone.
+    for image in top["images"]:
+        del image["sequence"]
+    path.write_text(json.dumps(top))
+    again = detection.read(tmp_path / "out").images
+    assert [(i.capture.sequence, i.capture.frame, i.instances[0].track_id) for i in again] == [
+        ("20190925_101846_1_1", k, 4) for k in (0, 25, 50)
+    ]
+    coco.write(tmp_path / "still", [with_facts(i, frame=None) for i in tracked], d.categories)
+    assert not {"videos", "video_id", "frame_id"} & set((tmp_path / "still" / "train.json").read_text().split('"'))
+
+
 def test_visible_videos_are_marked(tmp_path: Path) -> None:
     d = detection.read(anti_uav_video(tmp_path), Reading(options={"modality": "both", "every": "30"}))
-    assert [(i.extra["frame"], i.extra.get("modality")) for i in d.images] == [
+    assert [(i.capture.frame, i.extra.get("modality")) for i in d.images] == [
         (0, None), (30, None), (0, "visible"), (30, "visible"),
     ]  # fmt: skip
 
@@ -89,7 +111,7 @@ def test_a_damaged_sequence_costs_only_itself(tmp_path: Path) -> None:
     root = anti_uav_video(SAMPLES["anti-uav"](tmp_path))
     (root / "train" / "20190925_101846_1_1" / "infrared.mp4").write_bytes(b"no video")
     d = detection.read(root)
-    assert {i.sequence for i in d.images} == {"20190920_111757_1_0", "20190921_111757_1_1"}
+    assert {i.capture.sequence for i in d.images} == {"20190920_111757_1_0", "20190921_111757_1_1"}
     assert "video-unreadable" in codes(d)
 
 
@@ -104,7 +126,7 @@ def halmstad(root: Path, clip: str = "IR_DRONE_001", frames: int = 61, boxes: li
 def test_halmstad_boxes_count_from_one(tmp_path: Path) -> None:
     d = detection.read(halmstad(halmstad(tmp_path), "IR_HELICOPTER_010"))
     assert d.format == "halmstad" and d.problems == ()
-    assert [(i.sequence, i.extra["frame"], len(i.instances)) for i in d.images] == [
+    assert [(i.capture.sequence, i.capture.frame, len(i.instances)) for i in d.images] == [
         (clip, frame, count)
         for clip in ("IR_DRONE_001", "IR_HELICOPTER_010")
         for frame, count in ((0, 1), (30, 1), (60, 0))
@@ -119,7 +141,7 @@ def test_halmstad_clips_that_do_not_decode_are_left_out(tmp_path: Path) -> None:
     halmstad(root, "IR_BIRD_027", 40, [(5.0, 5.0, 4.0, 4.0)] * 9)
     (halmstad(root, "IR_BIRD_028", 3) / "Data" / "Video_IR" / "IR_BIRD_028_LABELS.mat").write_bytes(b"MATLAB")
     d = detection.read(root)
-    assert sorted({i.sequence or "" for i in d.images}) == ["IR_BIRD_027", "IR_DRONE_001"]
+    assert sorted({i.capture.sequence or "" for i in d.images}) == ["IR_BIRD_027", "IR_DRONE_001"]
     assert codes(d) == ["annotation-length", "annotation-undecoded", "annotation-unreadable"]
     assert (d.notes["rows"]["clips"], d.notes["rows"]["undecoded"]) == (4, 2)
 
@@ -131,7 +153,7 @@ def test_one_command_checks_and_one_converts(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["convert", str(root), str(tmp_path / "out"), "--to", "coco"])
     assert result.exit_code == 0, result.output
     again = detection.read(tmp_path / "out")
-    assert [(i.sequence, len(i.instances)) for i in again.images] == [("IR_DRONE_001", n) for n in (1, 1, 0)]
+    assert [(i.capture.sequence, len(i.instances)) for i in again.images] == [("IR_DRONE_001", n) for n in (1, 1, 0)]
     with Image.open(again.images[0].path) as picture_read:
         assert np.array(picture_read).max() == level(0)
 

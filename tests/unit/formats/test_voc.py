@@ -181,7 +181,7 @@ def test_losses_are_counted_and_names_must_fit(tmp_path: Path) -> None:
     logo = Instance("Logo", np.array([0.0, 60.0, 20.0, 80.0]), track_id=3)
     full = Instance("fox & hound", b, corners_of_box(b), Mask.from_array(frame), 0.5, True, True, True)
     path = picture(tmp_path / "in" / "a.png")
-    image = ImageRecord("a", path, "val", (100, 80), None, None, None, (full, logo))
+    image = ImageRecord("a", path, "val", (100, 80), (full, logo))
     categories = (Category(3, "fox & hound"), Category(7, "Logo", ignore=True))
     written = voc.write(tmp_path / "out", [image], categories)
     assert written.losses == {"ignore_as_class": 1, "mask_dropped": 1, "obb_dropped": 1, "visibility_dropped": 1}

@@ -42,11 +42,11 @@ def test_missing_and_empty_labels_are_not_the_same(tmp_path: Path) -> None:
     d = detection.read(tmp_path)
     assert d.format == "wisard" and codes(d) == []
     assert codes(d, "warning") == ["image-missing", "label-missing"]
-    by_frame = {i.extra["frame"]: i for i in d.images}
-    assert sorted(by_frame) == [1, 6, 127]
+    by_frame = {i.capture.frame: i for i in d.images}
+    assert by_frame.keys() == {1, 6, 127}
     assert by_frame[1].instances[0].box_xyxy.tolist() == [24, 12, 40, 36]
     assert [by_frame[k].extra.get("labelled", True) for k in (1, 127, 6)] == [True, True, False]
-    assert {(i.sequence, i.captured, i.split) for i in d.images} == {(IR, "2021-05-29", "train")}
+    assert {(i.capture.sequence, i.capture.captured, i.split) for i in d.images} == {(IR, "2021-05-29", "train")}
     rows = d.notes["rows"]
     assert (rows["labelled"], rows["empty"], rows["unlabelled"], rows["objects"], rows["read"]) == (2, 1, 1, 1, 1)
     assert len(wisard.read(tmp_path, unlabelled="drop").images) == 2
@@ -55,14 +55,14 @@ def test_missing_and_empty_labels_are_not_the_same(tmp_path: Path) -> None:
 def test_one_clip_alone_is_a_dataset_too(tmp_path: Path) -> None:
     frame(tmp_path, IR, "x_1.jpg", "")
     d = detection.read(tmp_path / IR)
-    assert (d.format, d.images[0].sequence, d.images[0].file_name) == ("wisard", IR, f"{IR}/x_1.jpg")
+    assert (d.format, d.images[0].capture.sequence, d.images[0].file_name) == ("wisard", IR, f"{IR}/x_1.jpg")
 
 
 def test_visible_clips_are_left_out_and_counted(tmp_path: Path) -> None:
     frame(tmp_path / "WiSARDv1", IR, "x_1.jpg", "")
     frame(tmp_path / "WiSARDv1", VIS, "x_0.jpg", "0 0.5 0.5 0.25 0.5\n")
     d = detection.read(tmp_path)
-    assert [i.sequence for i in d.images] == [IR] and codes(d, "warning") == ["modality-excluded"]
+    assert [i.capture.sequence for i in d.images] == [IR] and codes(d, "warning") == ["modality-excluded"]
     assert "1 clip(s) with 1 pictures" in d.problems[0].found
     vis = detection.read(tmp_path, Reading(options={"modality": "vis"}))
     assert [i.extra["modality"] for i in vis.images] == ["visible"]
@@ -73,13 +73,13 @@ def test_the_logo_of_flir_clips_is_a_region_to_ignore(tmp_path: Path) -> None:
     frame(tmp_path, FLIR, "x_1.jpg", "0 0.5 0.5 0.25 0.5\n", (640, 512))
     frame(tmp_path, IR, "x_1.jpg", "")
     d = detection.read(tmp_path)
-    by_clip = {i.sequence: i for i in d.images}
+    by_clip = {i.capture.sequence: i for i in d.images}
     assert [o.category for o in by_clip[FLIR].instances] == ["human", "Logo"]
     assert by_clip[FLIR].instances[1].box_xyxy.tolist() == [0, 448, 128, 512]
     assert by_clip[IR].instances == () and d.category("Logo").ignore
     assert codes(d, "warning") == ["logo-assumed"] and d.notes["rows"]["read"] == 1
     d = detection.read(tmp_path, Reading(options={"logo": "0,470,90,512"}))
-    assert {i.sequence: i for i in d.images}[FLIR].instances[1].box_xyxy.tolist() == [0, 470, 90, 512]
+    assert {i.capture.sequence: i for i in d.images}[FLIR].instances[1].box_xyxy.tolist() == [0, 470, 90, 512]
     assert codes(d, "warning") == [] and d.notes["logo"] == "0,470,90,512"
     d = detection.read(tmp_path, Reading(options={"logo": "none"}))
     assert [c.name for c in d.categories] == ["human"] and d.problems == ()
@@ -164,11 +164,11 @@ def test_any_text_gives_boxes_inside_the_frame(tmp_path_factory: pytest.TempPath
 def test_the_shared_clips_are_read(real_data: Path) -> None:
     d = detection.read(real_data / "wisard")
     assert d.format == "wisard" and d.problems == ()
-    assert {i.size_wh for i in d.images} == {(640, 512)} and len({i.sequence for i in d.images}) == 3
+    assert {i.size_wh for i in d.images} == {(640, 512)} and len({i.capture.sequence for i in d.images}) == 3
     texts = [p.read_text().splitlines() for p in sorted((real_data / "wisard").rglob("*.txt"))]
     assert sum(len(i.instances) for i in d.images) == sum(map(len, texts)) == d.notes["rows"]["read"]
     assert len(d.images) == len(texts) and d.notes["rows"]["empty"] == sum(not t for t in texts)
-    assert d.notes["pitch"] == "none" and {i.captured for i in d.images} == {"2021-04-17", "2021-09-24"}
+    assert d.notes["pitch"] == "none" and {i.capture.captured for i in d.images} == {"2021-04-17", "2021-09-24"}
 
 
 def test_clips_in_another_format_are_not_claimed(tmp_path: Path) -> None:

@@ -33,7 +33,7 @@ def test_runs_cameras_and_splits(tmp_path: Path) -> None:
     assert [(i.split, i.extra["sensor"], i.extra["time_s"]) for i in d.images] == [
         ("train", "flir", 1.0), ("val", "seek", 1.0), ("test", "flir", 2.5),
     ]  # fmt: skip
-    assert {(i.sequence, i.captured) for i in d.images} == {("2022-04-27-10-00-00", "2022-05-11")}
+    assert {(i.capture.sequence, i.capture.captured) for i in d.images} == {("2022-04-27-10-00-00", "2022-05-11")}
     assert d.images[0].file_name == f"{RUN}_flir/time_0001.00.png"
     assert d.images[2].extra["labelled"] is False
     flir = detection.read(tmp_path, Reading(options={"camera": "flir", "unlabelled": "drop"}))
@@ -49,7 +49,12 @@ def test_a_run_alone_and_a_table_by_run(tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_text("sequence,pitch_deg,altitude_m\n2022-04-27-10-00-00,45,60\n")
     d = detection.read(tmp_path / f"{RUN}_seek", Reading(metadata=tmp_path / "t.csv"))
     (image,) = d.images
-    assert (image.pitch_deg, image.altitude_m, image.split, image.captured) == (45, 60, "train", "2022-05-11")
+    assert (image.capture.pitch_deg, image.capture.altitude_m, image.split, image.capture.captured) == (
+        45,
+        60,
+        "train",
+        "2022-05-11",
+    )
     assert d.notes["pitch"] == "table t.csv per sequence" and d.problems == ()
 
 

@@ -102,7 +102,11 @@ def test_telemetry_that_names_do_not_hold_goes_into_a_table(tmp_path: Path) -> N
         report = api.convert(data, tmp_path / to, to)
         assert "telemetry_dropped" not in report.losses
         again = {i.name: i for i in api.read_dataset(tmp_path / to).images}
-        assert (again["b 0.jpg"].pitch_deg, again["b 0.jpg"].altitude_m, again["b 0.jpg"].time_of_day) == (
+        assert (
+            again["b 0.jpg"].capture.pitch_deg,
+            again["b 0.jpg"].capture.altitude_m,
+            again["b 0.jpg"].capture.time_of_day,
+        ) == (
             30,
             50,
             "day",
@@ -116,7 +120,7 @@ def test_an_unlabelled_flight_comes_back_from_yolo(tmp_path: Path) -> None:
     api.convert(tmp_path / "card", tmp_path / "yolo", "yolo")
     again = api.read_dataset(tmp_path / "yolo")
     assert (again.format, len(again.images), again.categories) == ("yolo", 3, ())
-    assert {i.extra["altitude_from"] for i in again.images} == {"take-off"}
+    assert {i.capture.altitude_from for i in again.images} == {"take-off"}
     assert [p for p in again.problems if p.severity == "error"] == []
     label = next((tmp_path / "yolo" / "labels").rglob("*.txt"))
     label.write_text("0 0.5 0.5 0.1 0.1\n")

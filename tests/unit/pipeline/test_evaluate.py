@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError, Problem
@@ -22,6 +23,7 @@ from infrablend.pipeline import evaluate as pipeline
 from infrablend.pipeline.evaluate import evaluate_detector
 from infrablend.pipeline.evaluation_images import image_groups, rejected_in
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
+from tests.samples import with_facts
 
 CLASSES = ("Person", "Car", "OtherVehicle")
 CATEGORIES = (*(Category(k, n) for k, n in enumerate(CLASSES)), Category(9, "DontCare", ignore=True))
@@ -45,11 +47,18 @@ def made_up_dataset(number: int = 40, split: str = "test") -> Dataset:
         name = f"{k % 2}_{60 + 10 * (k % 8)}_{30 + 10 * (k % 7)}_0_{k // 2:05}_c{k % 2}.png"
         images.append(
             ImageRecord(
-                Path(name).stem, Path(name), split, (640, 512), 30.0 + 10 * (k % 7), 60.0 + 10 * (k % 8),
-                "night" if k % 2 else "day",
+                Path(name).stem,
+                Path(name),
+                split,
+                (640, 512),
                 tuple(Instance(c, b) for c, b in zip(names, boxes, strict=True)),
+                capture=Capture(
+                    pitch_deg=30.0 + 10 * (k % 7),
+                    altitude_m=60.0 + 10 * (k % 8),
+                    time_of_day="night" if k % 2 else "day",
+                ),
             )
-        )  # fmt: skip
+        )
     return Dataset(Path("made-up"), "coco", CATEGORIES, tuple(images))
 
 
@@ -159,7 +168,7 @@ def test_configurations_of_one_background_are_drawn_together(saved: Path, tmp_pa
 
 def test_strata_of_one_image_have_no_interval_and_say_the_images_that_hold_a_class(tmp_path: Path) -> None:
     whole = made_up_dataset()
-    images = tuple(replace(i, time_of_day=None) if k == 0 else i for k, i in enumerate(whole.images))
+    images = tuple(with_facts(i, time_of_day=None) if k == 0 else i for k, i in enumerate(whole.images))
     dataset = replace(whole, images=images)
     saved = write_predictions(tmp_path / "p.json", found_on(dataset))
     strata = run(saved, tmp_path / "out", dataset).metrics["strata"]
@@ -180,7 +189,7 @@ def test_strata_of_one_image_have_no_interval_and_say_the_images_that_hold_a_cla
         for c in ("Person", "Car"):
             assert 0 < rows[c]["images"] == holding(c, *edges) < 40
         assert max(rows[c]["images"] for c in ("Person", "Car")) <= rows["all"]["images"] <= holding("all", *edges)
-    at_day = [i for i in images if i.time_of_day == "day"]
+    at_day = [i for i in images if i.capture.time_of_day == "day"]
     assert day["Car"]["images"] == holding("Car", 0, 999, at_day) < day["all"]["images"] == len(at_day) == 19
     page = (tmp_path / "out" / "evaluation.html").read_text()
     car = by_size["16-32"]["classes"]["Car"]

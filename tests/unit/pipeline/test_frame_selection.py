@@ -55,7 +55,7 @@ def test_a_run_of_chosen_frames_is_resumed_only_with_the_same_frames(data: Path,
 
 
 def images(count: int) -> list[ImageRecord]:
-    return [ImageRecord(f"{k}", Path(f"{k}.png"), "train", None, None, None, None, ()) for k in range(count)]
+    return [ImageRecord(f"{k}", Path(f"{k}.png"), "train", None, ()) for k in range(count)]
 
 
 @pytest.mark.parametrize(("count", "size"), [(783, 120), (783, 700), (290, 200), (10, 9)])

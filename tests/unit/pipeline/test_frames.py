@@ -152,7 +152,7 @@ def test_the_sun_tells_day_from_night(tmp_path: Path) -> None:
 def test_heights_of_a_log_are_measured_ones(tmp_path: Path) -> None:
     done(flight(tmp_path), "--every", "2s", "--out", tmp_path / "out")
     images = detection.read(tmp_path / "out").images
-    assert {i.extra["altitude_from"] for i in images} == {"take-off"}
+    assert {i.capture.altitude_from for i in images} == {"take-off"}
     table = tmp_path / "out" / "metadata.csv"
     table.write_text(table.read_text("utf-8").replace("take-off", "guess", 1), "utf-8")
     assert "table-value" in {p.code for p in detection.read(tmp_path / "out").problems}

@@ -179,7 +179,7 @@ def test_a_roll_to_the_right_lowers_the_right_side_of_the_camera(tmp_path: Path)
 @pytest.mark.parametrize(("roll", "words"), [(180.0, "GimbalRollDegree 180, left out"), (60.0, "60, left out")])
 def test_a_roll_that_may_be_a_turned_picture_is_left_out(roll: float, words: str, tmp_path: Path) -> None:
     dataset = api.read_dataset(flight(tmp_path, 1, roll_deg=roll, pitch_deg=45.0))
-    assert dataset.images[0].roll_deg is None
+    assert dataset.images[0].capture.roll_deg is None
     assert any(p.code == "flight-roll" and words in p.found for p in dataset.problems)
 
 

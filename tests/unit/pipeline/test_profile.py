@@ -17,6 +17,7 @@ from infrablend.compositing.overlay import Layer
 from infrablend.compositing.sensor import PIXEL_BOX_VARIANCE, Sensor, apply_sensor
 from infrablend.config.loading import load_recipe
 from infrablend.config.sensor_profile import read_profile
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, RecipeError
 from infrablend.formats.images import load_background
@@ -262,7 +263,9 @@ def annotated(root, inserted, everywhere=False):
             labels.append(Instance("Person", box, inserted=(everywhere or n == 0) and k < inserted))
         path = root.parent / f"{root.name}-{n:02}.png"
         Image.fromarray(picture).save(path)
-        records.append(ImageRecord(path.stem, path, "train", (384, 320), None, None, "night", tuple(labels)))
+        records.append(
+            ImageRecord(path.stem, path, "train", (384, 320), tuple(labels), capture=Capture(time_of_day="night"))
+        )
     categories = (Category(0, "Person"),)
     write("coco", root, records, categories, source=Dataset(root.parent, "coco", categories, tuple(records)))
     return root

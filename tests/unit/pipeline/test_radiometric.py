@@ -171,7 +171,9 @@ def test_the_scale_is_in_the_labels_and_counted_as_lost_elsewhere(tmp_path: Path
     data = write_flight(tmp_path / "data")
     generate(data, tmp_path / "run", settings(60.0, **{"output.formats": ["coco", "yolo"]}))
     again = detection.read(tmp_path / "run" / "coco")
-    assert {i.radiometry.scale.unit for i in again.images if i.radiometry and i.radiometry.scale} == {"centikelvin"}
+    assert {
+        i.capture.radiometry.scale.unit for i in again.images if i.capture.radiometry and i.capture.radiometry.scale
+    } == {"centikelvin"}
     record = json.loads((tmp_path / "run" / "run.json").read_text())
     assert record["losses"]["yolo.temperature_dropped"] == 2 and "coco.temperature_dropped" not in record["losses"]
     card = (tmp_path / "run" / "README.md").read_text()
@@ -233,7 +235,7 @@ def test_the_8_bit_dataset_shows_originals_and_inserts_by_the_same_agc(tmp_path:
     for name in formats:
         again = detection.read(made / name)
         assert len(again.images) == 4 and sum(len(i.instances) for i in again.images) == 2
-        assert all(i.path.suffix == ".png" and i.radiometry is None for i in again.images)
+        assert all(i.path.suffix == ".png" and i.capture.radiometry is None for i in again.images)
     assert "8bit/" in (tmp_path / "run" / "README.md").read_text()
 
 

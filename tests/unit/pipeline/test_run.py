@@ -98,7 +98,7 @@ def test_run_end_to_end(dataset, tmp_path):
     native = api.read_dataset(run / "native")
     assert len(native.images) == 8
     assert {c.name: c.id for c in native.categories}["drone"] == 5
-    assert {i.pitch_deg for i in native.images} == {50, 90, 30, 70}
+    assert {i.capture.pitch_deg for i in native.images} == {50, 90, 30, 70}
 
 
 def test_labels_describe_the_pixels(dataset, tmp_path):

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
@@ -39,7 +40,14 @@ CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare",
 def image(number: int, objects: dict[str, int], altitude: float = 60.0, time="night", root=Path()) -> ImageRecord:
     boxes = tuple(Instance(name, np.array([4.0 * k, 4, 4 * k + 3, 9])) for name, n in objects.items() for k in range(n))
     path = root / f"{number:03d}.png"
-    return ImageRecord(f"{number:03d}", path, "train", (64, 64), 60.0, altitude, time, boxes)
+    return ImageRecord(
+        f"{number:03d}",
+        path,
+        "train",
+        (64, 64),
+        boxes,
+        capture=Capture(pitch_deg=60.0, altitude_m=altitude, time_of_day=time),
+    )
 
 
 def dataset(counts, root=Path()) -> Dataset:
@@ -95,7 +103,7 @@ def test_heights_and_times_follow_the_images_with_the_class():
     pool = [image(100 + k, {"Car": 1}, 60.0 if k < 10 else 100.0) for k in range(40)]
     data = Dataset(Path(), "coco", CATEGORIES, (*like, *pool))
     part, facts = select(data, Selection(without=("Person",), images=40, like="Person"))
-    assert Counter(i.altitude_m for i in part.images) == {60.0: 30, 100.0: 10}
+    assert Counter(i.capture.altitude_m for i in part.images) == {60.0: 30, 100.0: 10}
     assert len({i.id for i in part.images}) == len({i.name for i in part.images}) == 40
     assert facts["drawn_again"] == 20
     assert facts["pictures"] == 20
@@ -286,13 +294,16 @@ def test_hit_uav_gives_as_many_real_boxes_as_asked_for(real_data, name, pictures
     assert min(sum(o.category == name for o in i.instances) for i in real.images) > 0
 
 
+_VIEW = Capture(pitch_deg=60.0, altitude_m=80.0, time_of_day="night")
+
+
 @pytest.mark.parametrize(
     "change",
     [
-        {"sequence": "flight 2"},
-        {"captured": "2024-05-01T12:00:00"},
-        {"radiometry": Radiometry(TemperatureScale(0.04, 0.0, "counts"), "stated")},
-        {"extra": {"altitude_from": "barometer"}},
+        {"capture": replace(_VIEW, sequence="flight 2")},
+        {"capture": replace(_VIEW, captured="2024-05-01T12:00:00")},
+        {"capture": replace(_VIEW, radiometry=Radiometry(TemperatureScale(0.04, 0.0, "counts"), "stated"))},
+        {"capture": replace(_VIEW, altitude_from="laser")},
         {"instances": (Instance("Person", np.array([1.0, 2, 3, 4]), extra={"iscrowd": 1}),)},
         {"instances": (Instance("Person", np.array([1.0, 2, 3, 4]), mask=Mask.from_array(np.eye(8, dtype=bool))),)},
     ],
@@ -300,7 +311,12 @@ def test_hit_uav_gives_as_many_real_boxes_as_asked_for(real_data, name, pictures
 def test_everything_that_decides_a_result_changes_the_digest(change):
     """Stages were reused, and runs resumed, although sequence, time, scale, masks or crowds had changed."""
     one = ImageRecord(
-        "a", Path("a.png"), "train", (8, 8), 60.0, 80.0, "night", (Instance("Person", np.array([1.0, 2, 3, 4])),)
+        "a",
+        Path("a.png"),
+        "train",
+        (8, 8),
+        (Instance("Person", np.array([1.0, 2, 3, 4])),),
+        capture=_VIEW,
     )
     categories = (Category(0, "Person"),)
     before, after = (Dataset(Path("x"), "coco", categories, (i,)) for i in (one, replace(one, **change)))

@@ -310,7 +310,12 @@ def test_commands_read_shards(dataset, tmp_path):
     assert [(i.split, i.name) for i in packed.images] == [(i.split, i.name) for i in merged.images]
     for a, b in zip(packed.images, merged.images, strict=True):
         assert a.path.read_bytes() == b.path.read_bytes()
-        assert (a.id, a.size_wh, a.pitch_deg, a.time_of_day) == (b.id, b.size_wh, b.pitch_deg, b.time_of_day)
+        assert (a.id, a.size_wh, a.capture.pitch_deg, a.capture.time_of_day) == (
+            b.id,
+            b.size_wh,
+            b.capture.pitch_deg,
+            b.capture.time_of_day,
+        )
         assert [(o.category, o.inserted) for o in a.instances] == [(o.category, o.inserted) for o in b.instances]
         for o, p in zip(a.instances, b.instances, strict=True):
             assert o.box_xyxy.tolist() == pytest.approx(p.box_xyxy.tolist(), abs=1e-6)

@@ -26,12 +26,12 @@ def test_flir_layers_become_centikelvin_with_the_cameras_settings(tmp_path: Path
     text = run(flight(tmp_path / "in", 2, "flir"), "--out", tmp_path / "out")
     assert "centikelvin (FLIR's Planck constants)" in text
     image = api.read_dataset(tmp_path / "out").images[0]
-    assert image.radiometry is not None and image.radiometry.scale is not None
-    assert (image.pitch_deg, image.altitude_m, image.radiometry.emissivity) == (60.0, 50.0, 1.0)
-    assert image.extra["altitude_from"] == "take-off"
+    assert image.capture.radiometry is not None and image.capture.radiometry.scale is not None
+    assert (image.capture.pitch_deg, image.capture.altitude_m, image.capture.radiometry.emissivity) == (60.0, 50.0, 1.0)
+    assert image.capture.altitude_from == "take-off"
     wanted = read_temperatures(next((tmp_path / "in").glob("*_0001_*"))).apparent_k
     assert wanted is not None
-    assert np.abs(image.radiometry.scale.kelvin(np.array(Image.open(image.path))) - wanted).max() <= 0.0051
+    assert np.abs(image.capture.radiometry.scale.kelvin(np.array(Image.open(image.path))) - wanted).max() <= 0.0051
 
 
 def test_dji_layers_stay_counts_unless_a_scale_is_given(tmp_path: Path) -> None:
@@ -39,7 +39,7 @@ def test_dji_layers_stay_counts_unless_a_scale_is_given(tmp_path: Path) -> None:
     text = run(source, "--out", tmp_path / "a")
     assert "counts without a scale" in text and "DJI does not publish" in text
     image = api.read_dataset(tmp_path / "a").images[0]
-    assert image.radiometry is None and (np.array(Image.open(image.path)) == counts(0)).all()
+    assert image.capture.radiometry is None and (np.array(Image.open(image.path)) == counts(0)).all()
     remark = next(p for p in api.read_dataset(tmp_path / "a").problems if p.code == "image-counts")
     assert "Run infrablend temperatures again with --slope and --offset" in str(remark)
     assert "centikelvin" not in str(remark)
@@ -47,7 +47,7 @@ def test_dji_layers_stay_counts_unless_a_scale_is_given(tmp_path: Path) -> None:
     (implausible,) = [p for p in cold.problems if p.code == "temperature-implausible"]
     assert "Run infrablend temperatures again with --slope" in str(implausible)
     run(source, "--out", tmp_path / "b", "--slope", "0.02", "--offset", "-20")
-    scale = api.read_dataset(tmp_path / "b").images[0].radiometry
+    scale = api.read_dataset(tmp_path / "b").images[0].capture.radiometry
     assert scale is not None and scale.scale is not None and scale.scale.slope_k == 0.02
 
 
@@ -61,10 +61,10 @@ def test_a_scale_is_fitted_to_two_spots(tmp_path: Path) -> None:
     source = flight(tmp_path / "in", 1)
     run(source, "--out", tmp_path / "out", "--spot", spots[0], "--spot", spots[1])
     (image,) = api.read_dataset(tmp_path / "out").images
-    assert image.radiometry is not None and image.radiometry.scale is not None
-    assert image.radiometry.scale.slope_k == pytest.approx(0.01) and image.radiometry.scale.offset_k == pytest.approx(
-        133.15
-    )
+    assert image.capture.radiometry is not None and image.capture.radiometry.scale is not None
+    assert image.capture.radiometry.scale.slope_k == pytest.approx(
+        0.01
+    ) and image.capture.radiometry.scale.offset_k == pytest.approx(133.15)
 
 
 def test_another_programs_temperatures_are_taken(tmp_path: Path) -> None:

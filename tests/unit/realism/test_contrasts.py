@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from infrablend.compositing.contrast import Contrast
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.errors import OutputError
@@ -249,7 +250,7 @@ def test_readings_leave_out_inserted_objects_and_regions_to_ignore(tmp_path):
     path = tmp_path / "a.png"
     Image.fromarray(picture.astype(np.uint8)).save(path)
     labels = [label, replace(label, inserted=True), replace(label, category="DontCare")]
-    image = ImageRecord("a", path, "train", (96, 96), None, None, "night", tuple(labels))
+    image = ImageRecord("a", path, "train", (96, 96), tuple(labels), capture=Capture(time_of_day="night"))
     dataset = Dataset(tmp_path, "coco", (Category(0, "Person"), Category(1, "DontCare", ignore=True)), (image,))
     for inserted in (False, True):
         assert annotated_pictures(dataset, inserted=inserted) == [image]

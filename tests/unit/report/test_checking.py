@@ -134,7 +134,7 @@ def test_the_work_for_duplicates_grows_with_their_number_and_not_its_square(monk
     monkeypatch.setattr(checking, "_key", counted)
     boxes = [np.array([k % 600, k % 500, k % 600 + 5, k % 500 + 5], np.float64) for k in range(1_000)]
     many = tuple(Instance("Car", b) for b in boxes * 2)
-    found = check_objects(ImageRecord("a", Path("a.png"), "train", (640, 512), None, None, None, many), "a", (640, 512))
+    found = check_objects(ImageRecord("a", Path("a.png"), "train", (640, 512), many), "a", (640, 512))
     assert sum(p.code == "object-duplicate" for p in found) >= 500
     assert calls <= 2 * len(many)
 
@@ -150,7 +150,7 @@ def test_duplicates_and_boxes_that_disagree() -> None:
         Instance("Truck", box, corners, inserted=True),
         Instance("Car", np.array([1.0, 1.0, 1.5, 9.0])),
     )
-    image = ImageRecord("a", Path("a.png"), "train", (64, 48), None, None, None, labels)
+    image = ImageRecord("a", Path("a.png"), "train", (64, 48), labels)
     found = {(p.where, p.code) for p in check_objects(image, "a", (64, 48))}
     assert found == {("a: object 1", "object-duplicate"), ("a: object 3", "obb-disagrees"), ("a: object 5", "box-tiny")}
 

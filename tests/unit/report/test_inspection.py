@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +12,16 @@ from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError, OutputError
 from infrablend.formats.groups import frame_place, group_images, leakage
 from infrablend.report.inspection import _binned, write_charts
-from tests.samples import SAMPLES
+from tests.samples import SAMPLES, with_facts
 
 
-def image(name: str, split: str = "train", **fields: object) -> ImageRecord:
-    known = {"pitch_deg": None, "altitude_m": None, "time_of_day": None, "size_wh": None, "instances": ()}
-    return ImageRecord(f"{split}/{name}", Path(name), split, file_name=name, **(known | fields))  # type: ignore[arg-type]
+def image(name: str, split: str = "train", **facts: object) -> ImageRecord:
+    return ImageRecord(f"{split}/{name}", Path(name), split, None, (), Capture(**facts), file_name=name)
 
 
 @pytest.mark.parametrize("name", sorted(SAMPLES))
@@ -104,7 +103,7 @@ def test_frames_are_counted_within_their_own_numbering() -> None:
     # The number of a generated picture is that of its background, and not that of its scene.
     assert frame_place(image("clip a/x 12_c0.jpg")) == frame_place(image("clip a/x 12_c3-1.jpg")) == ("clip a/x *", 12)
     assert frame_place(image("clip a/x 12.jpg", sequence="7")) == ("7", 12)
-    assert frame_place(image("a.jpg", sequence="7", extra={"frame": 3})) == ("7", 3)
+    assert frame_place(image("a.jpg", sequence="7", frame=3)) == ("7", 3)
     assert frame_place(image("a.jpg")) is None
     near = [image("a/1.jpg"), image("a/6.jpg", "test"), image("b/2.jpg", "test"), image("a/12.jpg", "test")]
     (one,) = leakage(near)
@@ -115,14 +114,14 @@ def test_frames_are_counted_within_their_own_numbering() -> None:
 
 def test_groups_are_runs_days_or_flights() -> None:
     images = [image(f"a/{n}.jpg", captured=f"2021-01-0{n % 2 + 1}T10:00", sequence=f"s{n % 3}") for n in (1, 2, 7, 13)]
-    plain = [replace(i, sequence=None) for i in images]
+    plain = [with_facts(i, sequence=None) for i in images]
     names = {by: [[i.name for i in g] for g in group_images(images, by).values()] for by in ("date", "sequence")}
     names["gap"] = [[i.name for i in g] for g in group_images(plain, "gap", 5).values()]
     assert names["gap"] == [["a/1.jpg", "a/2.jpg", "a/7.jpg"], ["a/13.jpg"]]
     assert names["date"] == [["a/2.jpg"], ["a/1.jpg", "a/7.jpg", "a/13.jpg"]]
     assert names["sequence"] == [["a/1.jpg", "a/7.jpg", "a/13.jpg"], ["a/2.jpg"]]
     with pytest.raises(DatasetError, match="1 of 4 images without a date of capture"):
-        group_images([replace(images[0], captured=None), *images[1:]], "date")
+        group_images([with_facts(images[0], captured=None), *images[1:]], "date")
 
 
 def test_real_data_leaks_and_says_so(real_data: Path) -> None:

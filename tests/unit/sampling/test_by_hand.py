@@ -12,6 +12,7 @@ import pytest
 from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RecipeError
 from infrablend.pipeline.frame_selection import FrameSelection
@@ -22,7 +23,7 @@ from tests.command_line import done
 from tests.flat_renderer import render_flat
 
 FLAT = Execution(renderer="flat", in_process=True)
-KEY = FrameKey("a", "test", 0, (640, 512), 50.0)
+KEY = FrameKey("a", "test", 0, (640, 512), Capture(pitch_deg=50.0))
 SITE = Site(np.full((512, 640), 90, np.uint8), altitude_m=60.0)
 PLACE = {"x_px": 100.0, "y_px": 400.0, "range_m": 21.5, "yaw_deg": 30.0}
 

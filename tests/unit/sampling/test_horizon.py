@@ -8,6 +8,7 @@ import pytest
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.behind import elevations
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import FrameKey, move_objects, sample_scene
 
@@ -24,7 +25,7 @@ def draw(pixels, settings=(), name="a", pitch_deg=None, **site):
     recipe = load_recipe("drone-sky", dict(settings))
     models = {o.model: load_model(o.model) for o in recipe.objects}
     place = Site(pixels, max_noise_grey=recipe.placement.max_noise_grey, **site)
-    key = FrameKey(name, "train", 0, WH, pitch_deg)
+    key = FrameKey(name, "train", 0, WH, Capture(pitch_deg=pitch_deg))
     return sample_scene(key, recipe, models, 1, place), recipe, models, place
 
 

@@ -11,6 +11,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import FlightHeight, StatedHeights
 from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
@@ -131,7 +132,7 @@ FLAT = np.full((512, 640), 120, np.uint8)
 
 def draw(recipe, pixels=FLAT, labels=(), pitch=60.0, number=0, ignored=("DontCare",), altitude=80.0):
     models = {o.model: load_model(o.model) for o in recipe.objects}
-    key = FrameKey(f"1_80_{pitch:g}_0_{number:05d}", "train", 0, WH, pitch, "night")
+    key = FrameKey(f"1_80_{pitch:g}_0_{number:05d}", "train", 0, WH, Capture(pitch_deg=pitch, time_of_day="night"))
     return sample_scene(key, recipe, models, 0, Site(pixels, tuple(labels), frozenset(ignored), altitude)).spec
 
 
@@ -330,7 +331,7 @@ def test_a_moved_car_keeps_out_of_those_that_stay():
     site = Site(FLAT, tuple(ignored), frozenset({"DontCare"}), 80.0)
     rejected = 0
     for n in range(4):
-        key = FrameKey(f"1_80_60_0_{n:05d}", "train", 0, WH, 60.0, "night")
+        key = FrameKey(f"1_80_60_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day="night"))
         scene = sample_scene(key, recipe, models, 0, site)
         moved = move_objects(scene, range(0, len(scene.objects), 2), recipe, models, 0, site, 1).spec
         rejected += moved.draws["rejected"].get("in_another", 0)
@@ -419,7 +420,9 @@ def test_cars_stand_along_the_view_by_day_only():
     aligned = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0", align])
     models = {o.model: load_model(o.model) for o in aligned.objects}
     day = Site(FLAT, (), frozenset(), 80.0, time_of_day="day")
-    keys = [FrameKey(f"0_80_60_0_{n:05d}", "train", 0, WH, 60.0, "day") for n in range(24)]
+    keys = [
+        FrameKey(f"0_80_60_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day="day")) for n in range(24)
+    ]
     by_day = [sample_scene(key, aligned, models, 0, day).spec for key in keys]
     # One direction per picture, about that of +Y, in which the camera looks; either end may be in front.
     for s in by_day:
@@ -429,7 +432,7 @@ def test_cars_stand_along_the_view_by_day_only():
     noses = [math.sin(o.yaw_rad) > 0 for s in by_day for o in s.objects]
     assert 0.3 < np.mean(noses) < 0.7
     night = Site(FLAT, (), frozenset(), 80.0, time_of_day="night")
-    key = FrameKey("1_80_60_0_00001", "train", 0, WH, 60.0, "night")
+    key = FrameKey("1_80_60_0_00001", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day="night"))
     drawn, unaligned = (sample_scene(key, recipe, models, 0, night).spec for recipe in (aligned, plain))
     assert drawn.objects == unaligned.objects
 
@@ -446,7 +449,7 @@ def test_a_moved_car_stands_along_the_others():
     models = {o.model: load_model(o.model) for o in recipe.objects}
     site = Site(lined(20), (), frozenset(), 80.0)
     for n in range(4):
-        key = FrameKey(f"1_80_90_0_{n:05d}", "train", 0, WH, 90.0, "night")
+        key = FrameKey(f"1_80_90_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=90.0, time_of_day="night"))
         scene = sample_scene(key, recipe, models, 0, site)
         moved = move_objects(scene, range(4), recipe, models, 0, site, 1).spec
         first = math.degrees(scene.spec.objects[0].yaw_rad)

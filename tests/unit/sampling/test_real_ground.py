@@ -6,6 +6,7 @@ import pytest
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import RealGround
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.errors import RecipeError
 from infrablend.sampling.metric import Site
@@ -32,7 +33,7 @@ def places(ground, pixels, count=8, time_of_day="day", black_hot=False):
     models = {"person": load_model("person")}
     x, rejected = [], {}
     for k in range(count):
-        key = FrameKey(f"f{k}", "train", 0, WH, 60.0, time_of_day)
+        key = FrameKey(f"f{k}", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day=time_of_day))
         site = Site(pixels, altitude_m=60.0, black_hot=black_hot, time_of_day=time_of_day)
         scene = sample_scene(key, recipe, models, 1, site)
         x += [o.box_xyxy[[0, 2]].mean() for o in scene.objects]

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,16 +9,18 @@ import pytest
 from infrablend.annotation.labels import annotate
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.raster import inside_fraction
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import ModelError
 from infrablend.sampling.scene import FrameKey, rebuild_scene, require_parts, sample_scene
+from tests.samples import with_facts
 
 MODELS = {"drone": load_model("drone")}
 
 
 def key(k=0, name="0_60_50_0_00001", pitch=50.0):
-    return FrameKey(name, "train", k, (640, 512), pitch)
+    return FrameKey(name, "train", k, (640, 512), Capture(pitch_deg=pitch))
 
 
 def test_scene_depends_on_the_key():
@@ -109,7 +110,7 @@ def test_numbers_of_objects_follow_time_of_day_height_and_angle():
     recipe = load_recipe("hit-uav-drone", {"objects.0.count": count})
 
     def number(**flight):
-        return sample_scene(replace(key(), **flight), recipe, MODELS, 3).spec.draws["wanted"]
+        return sample_scene(with_facts(key(), **flight), recipe, MODELS, 3).spec.draws["wanted"]
 
     assert number(time_of_day="day", altitude_m=84.0) == 4
     assert number(time_of_day="day", altitude_m=85.0) == 3

@@ -8,13 +8,15 @@ import pytest
 
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Sun
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import FrameKey, move_objects, rebuild_scene, sample_scene
 from infrablend.sampling.shade import shadow_shift
+from tests.samples import with_facts
 
-DAY = FrameKey("f", "train", 0, (640, 512), 60.0, "day", "flight")
+DAY = FrameKey("f", "train", 0, (640, 512), Capture(pitch_deg=60.0, time_of_day="day", sequence="flight"))
 EVEN = np.full((512, 640), 120, np.uint8)
 
 
@@ -71,7 +73,7 @@ def test_parked_cars_throw_a_shadow_that_no_label_counts():
 
 def test_moving_cars_people_and_cars_by_night_throw_none():
     driven = sampled("car", EVEN, "objects.0.options={state: day_driven}")[0]
-    night = sampled("car", key=replace(DAY, time_of_day="night"))[0]
+    night = sampled("car", key=with_facts(DAY, time_of_day="night"))[0]
     person = sampled("person")[0]
     for scene in (driven, night, person):
         assert all("ground_shadow" not in o.mesh.part_names for o in scene.objects)

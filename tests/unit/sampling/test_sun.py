@@ -9,14 +9,22 @@ import pytest
 
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
 from infrablend.core.scene import SceneSpec
 from infrablend.sampling.metric import Site
 from infrablend.sampling.scene import FrameKey, sample_scene
+from tests.samples import with_facts
 
 KUNMING = "environment.place={latitude_deg: 25.0, longitude_deg: 102.7}"
 PERSON = {"person": load_model("person")}
 SITE = Site(np.full((512, 640), 120, np.uint8), altitude_m=60.0)
-DAY = FrameKey("f", "train", 0, (640, 512), 60.0, "day", "20210116-day-60m-60deg", "2021-01-16")
+DAY = FrameKey(
+    "f",
+    "train",
+    0,
+    (640, 512),
+    Capture(pitch_deg=60.0, time_of_day="day", sequence="20210116-day-60m-60deg", captured="2021-01-16"),
+)
 
 
 def sampled(key, *overrides, seed=3, recipe="hit-uav-person"):
@@ -30,7 +38,11 @@ def sun(key, *overrides, seed=3):
 def test_all_frames_of_a_sequence_have_one_sun():
     keys = [replace(DAY, background_id=f"f{k}", configuration=k % 2) for k in range(4)]
     assert len({sun(k) for k in keys}) == 1
-    others = [replace(DAY, sequence="another"), replace(DAY, sequence=None), replace(DAY, sequence=None, captured=None)]
+    others = [
+        with_facts(DAY, sequence="another"),
+        with_facts(DAY, sequence=None),
+        with_facts(DAY, sequence=None, captured=None),
+    ]
     assert len({sun(k).azimuth_rad for k in [DAY, *others]}) == 4
     assert sun(DAY, seed=4) != sun(DAY)
     found = sun(DAY)
@@ -39,12 +51,12 @@ def test_all_frames_of_a_sequence_have_one_sun():
 
 
 def test_time_and_place_of_capture_give_the_elevation():
-    noon = replace(DAY, captured="2021-01-16T13:13:00+08:00")
+    noon = with_facts(DAY, captured="2021-01-16T13:13:00+08:00")
     found = sun(noon, KUNMING)
     assert found.source == "computed" and math.degrees(found.elevation_rad) == pytest.approx(44, abs=0.5)
     assert sun(DAY, KUNMING) == sun(DAY)  # a date alone is not enough
     # By day the sun cannot be below the horizon: something is wrong, and the run says so.
-    night = sun(replace(DAY, captured="2021-01-16T01:00:00+08:00"), KUNMING)
+    night = sun(with_facts(DAY, captured="2021-01-16T01:00:00+08:00"), KUNMING)
     assert night.source == "contradicted" and math.degrees(night.elevation_rad) >= 25
 
 
@@ -55,7 +67,7 @@ def test_clouds_hide_the_sun():
 
 def test_without_a_sun_nothing_is_warmed():
     for when in ("night", None):
-        scene = sampled(replace(DAY, time_of_day=when))
+        scene = sampled(with_facts(DAY, time_of_day=when))
         assert scene.spec.weather.sun is None
         assert all(p.sun_k == 0 for o in scene.spec.objects for p in o.parts.values())
         assert not any(o.sun_rise_k.any() for o in scene.objects)

@@ -93,7 +93,7 @@ def test_the_command_of_a_saved_recipe_reads_the_backgrounds_in_the_same_way(
     frame = tuning.compose(RECIPE, {}, tuning.backgrounds[0]).trial.frame
     command = shlex.split(tuning.save(tuning.read(RECIPE, {}), Path("a.yaml"), frame.id))
     tuning.close()
-    assert frame.image.pitch_deg == 85
+    assert frame.image.capture.pitch_deg == 85
     assert command[9:] == ["--format", "folder", "--metadata", str(tmp_path / "table.csv")]
 
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from infrablend.core.boxes import corners_of_cxcywha
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.training.tiles import MIN_SHARE, PAD_GREY, plan_tiles, write_tiles
@@ -19,7 +20,14 @@ SIDE = 64
 
 
 def record(path: Path, size_wh: tuple[int, int], objects: list[Instance], name: str = "a") -> ImageRecord:
-    return ImageRecord(name, path, "train", size_wh, 45.0, 60.0, "night", tuple(objects))
+    return ImageRecord(
+        name,
+        path,
+        "train",
+        size_wh,
+        tuple(objects),
+        capture=Capture(pitch_deg=45.0, altitude_m=60.0, time_of_day="night"),
+    )
 
 
 def box(*xyxy: float, **more) -> Instance:

@@ -40,9 +40,13 @@ def test_the_radiometric_world_states_its_scale_air_and_camera(tmp_path: Path) -
     dataset = detection.read(tmp_path / "flight")
     assert len(dataset.images) == 3
     for image in dataset.images:
-        assert image.radiometry is not None and image.radiometry.scale is not None and image.radiometry.air_k
-        assert image.pitch_deg is not None and image.altitude_m is not None
-        kelvin = image.radiometry.scale.kelvin(load_background(image.path).pixels)
+        assert (
+            image.capture.radiometry is not None
+            and image.capture.radiometry.scale is not None
+            and image.capture.radiometry.air_k
+        )
+        assert image.capture.pitch_deg is not None and image.capture.altitude_m is not None
+        kelvin = image.capture.radiometry.scale.kelvin(load_background(image.path).pixels)
         assert abs(kelvin[:150].mean() - 290) < 0.01 and abs(kelvin[220:240].mean() - 310) < 0.01
         assert 0.04 < kelvin[:150].std() < 0.06
 
@@ -58,8 +62,8 @@ def test_the_air_in_the_metadata_goes_before_that_of_the_recipe(tmp_path: Path) 
     (path,) = (out / "scenes").rglob("*.json")
     record = load_record(path)
     assert record.facts["matching"]["air"] == "metadata"
-    assert image.radiometry is not None and record.scene is not None and record.scene.weather is not None
-    assert record.scene.weather.air_k == image.radiometry.air_k
+    assert image.capture.radiometry is not None and record.scene is not None and record.scene.weather is not None
+    assert record.scene.weather.air_k == image.capture.radiometry.air_k
 
 
 def test_tight_boxes_of_the_radiometric_world_are_no_fault(tmp_path: Path) -> None:

@@ -12,9 +12,8 @@ along the angle. An axis-aligned box in a form with integers is that of the orie
 """
 
 from infrablend.formats.hit_uav.forms import CATEGORIES, FORMS, NAME, OPTIONS, TAKES_TABLE, Form, detect, find_forms
-from infrablend.formats.hit_uav.known_faults import remarks
-from infrablend.formats.hit_uav.reading import read
-from infrablend.formats.hit_uav.writing import native_files, write
+from infrablend.formats.hit_uav.reading import read, remarks
+from infrablend.formats.hit_uav.writing import native_files, native_writer, write
 
 __all__ = [
     "CATEGORIES",
@@ -26,6 +25,7 @@ __all__ = [
     "detect",
     "find_forms",
     "native_files",
+    "native_writer",
     "read",
     "remarks",
     "write",

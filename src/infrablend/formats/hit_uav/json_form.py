@@ -6,12 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Split
 from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json, too_long
 from infrablend.formats.base import is_ignored_name
-from infrablend.formats.capture import Capture
 from infrablend.formats.hit_uav.forms import Form
 from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture, relative_to, set_corners, set_geometry
 from infrablend.formats.pictures import PictureFolder, check_name

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_cxcywha
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Split
 from infrablend.errors import Problem
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, is_near, overhang_px
-from infrablend.formats.capture import Capture
 from infrablend.formats.hit_uav.forms import Form
 from infrablend.formats.values import to_floats
 

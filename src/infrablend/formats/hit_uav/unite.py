@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.errors import Problem
-from infrablend.formats.capture import Capture, facts_from_name, pitch_note
+from infrablend.formats.capture import facts_from_name, pitch_note
 from infrablend.formats.hit_uav.forms import Form
 from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture
 
@@ -48,7 +50,7 @@ def unite(data: Sequence[FormData]) -> tuple[list[ImageRecord], dict[str, Any], 
             problems.append(Problem(first.where, "image-missing", found, "a file in the picture folder", "restore it"))
             continue
         images.append(_unite_picture(stem, held, file, counts, problems))
-        pitch = images[-1].pitch_deg is not None
+        pitch = images[-1].capture.pitch_deg is not None
         pitch_from["none" if not pitch else "file names" if facts_from_name(file.name) else "annotation"] += 1
         used.update(form for form, _ in held)
     for d in data:
@@ -74,7 +76,7 @@ def unite(data: Sequence[FormData]) -> tuple[list[ImageRecord], dict[str, Any], 
         "boxes_checked": counts["checked"],
         "derived_boxes_clipped": counts["derived_clipped"],
         "pitch": pitch_note(pitch_from),
-        "without_pitch": sum(i.pitch_deg is None for i in images),
+        "without_pitch": sum(i.capture.pitch_deg is None for i in images),
     }
     return images, notes, problems
 
@@ -118,7 +120,6 @@ def _unite_picture(
                 differ("metadata", p.where, f"{key} {value!r}", f"{extra[key]!r}, which is used")
     if facts is not None:
         extra.setdefault("weather", str(facts.weather))
-        extra["frame"] = facts.frame
     merged = list(first.objects)
     for form, p in held[1:]:
         merged = _unite_objects(merged, p, form, counts, differ)
@@ -128,15 +129,11 @@ def _unite_picture(
         path=file.path or Path(file.name),
         split=first.split,
         size_wh=size_wh,
-        pitch_deg=capture.pitch_deg,
-        altitude_m=capture.altitude_m,
-        time_of_day=capture.time_of_day,
         instances=instances,
+        capture=replace(capture, sequence=_sequence(extra.get("date"), capture), captured=_iso_date(extra.get("date"))),
         source_id=source_id,
         extra=extra,
         file_name=file.name,
-        sequence=_sequence(extra.get("date"), capture),
-        captured=_iso_date(extra.get("date")),
     )
 
 

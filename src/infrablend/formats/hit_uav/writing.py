@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
-from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_stream import SPACED, Streamed, json_chunks
 from infrablend.formats.base import (
@@ -35,6 +35,12 @@ from infrablend.formats.occlusion import loses_occlusion
 _COORDINATE_DIGITS = 8
 _ANGLE_DIGITS = 10
 _INFO = {"description": "HIT-UAV layout, written by InfraBlend"}
+
+
+def native_writer(dataset: Dataset) -> str:
+    """Return the name of the writer for the forms that a dataset was read from."""
+    forms = dataset.notes.get("forms") or ("normal_json",)
+    return "hit-uav" if any(f.endswith("_json") for f in forms) else "hit-uav-xml"
 
 
 def write(
@@ -267,10 +273,10 @@ def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
         "height": h,
         "depth": image.extra.get("depth", 1),
         "filename": image.name,
-        "scenario": {"day": "0", "night": "1"}.get(str(image.time_of_day), ""),
+        "scenario": {"day": "0", "night": "1"}.get(str(image.capture.time_of_day), ""),
         "weather": str(image.extra.get("weather", "")),
-        "perspective": "" if image.pitch_deg is None else f"{image.pitch_deg:.10g}",
-        "altitude": "" if image.altitude_m is None else f"{image.altitude_m:.10g}",
+        "perspective": "" if image.capture.pitch_deg is None else f"{image.capture.pitch_deg:.10g}",
+        "altitude": "" if image.capture.altitude_m is None else f"{image.capture.altitude_m:.10g}",
         "date": str(image.extra.get("date", "")),
     }
 
@@ -329,7 +335,7 @@ def _xml_text(
         "  </size>",
         "  <segmented>0</segmented>",
     ]
-    pitch = "Unspecified" if image.pitch_deg is None else f"{image.pitch_deg:.10g}"
+    pitch = "Unspecified" if image.capture.pitch_deg is None else f"{image.capture.pitch_deg:.10g}"
     for instance in image.instances:
         if instance.category not in known:
             raise ValueError(f"{image.id}: category {instance.category!r} is not in the list of categories")

@@ -82,12 +82,7 @@ def _read_xml_file(data: FormData, root: Path, path: Path, listing: PictureFolde
         found = f"root element <{getattr(top, 'tag', '')}>"
         data.add(where, "annotation-layout", found, "<annotation>", "use HIT-UAV's files")
         return None
-
-    def text(element: Any, key: str) -> str | None:
-        value = element.findtext(key)
-        return value.strip() if value is not None else None
-
-    raw_name = text(top, "filename")
+    raw_name = _text(top, "filename")
     fault = check_name(raw_name, where)
     if fault is not None:
         data.problems.append(fault)
@@ -97,48 +92,51 @@ def _read_xml_file(data: FormData, root: Path, path: Path, listing: PictureFolde
         data.problems.append(fault)
         return None
     stem = name.rpartition(".")[0] or name
-    size_wh = to_size(text(top, "size/width"), text(top, "size/height"))
+    size_wh = to_size(_text(top, "size/width"), _text(top, "size/height"))
     if size_wh is None:
-        found = f"size {text(top, 'size/width')!r} x {text(top, 'size/height')!r}"
+        found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}"
         data.warn(where, "image-size-unknown", found, "width and height in px")
     extra: dict[str, Any] = {}
-    folder = text(top, "folder") or ""
+    folder = _text(top, "folder") or ""
     if data.form == "rotate_xml" and folder.isdigit():
         extra["date"] = folder
     picture = FormPicture(stem, name, file, split, size_wh, where, extra=extra)
-    items: list[FormObject] = []
-    for k, element in enumerate(top.findall("object")):
-        here = f"{where}: object {k}"
-        label = text(element, "name")
-        if not label:
-            data.add(here, "category-unknown", "no name", "a category's name", "correct the annotation")
-            continue
-        if all(c.name != label for c in data.categories):
-            number = max(c.id for c in data.categories) + 1
-            data.categories.append(Category(number, label, "", is_ignored_name(label)))
-            data.warn(here, "category-unknown", f"{label!r}, taken as a new category", "one of HIT-UAV's five")
-        item = FormObject(here, label)
-        for flag in ("truncated", "difficult"):
-            value = text(element, flag)
-            setattr(item, flag, to_bool(value))
-            if value is not None and to_bool(value) is None:
-                data.warn(here, "flag-value", f"{flag} {value!r}, ignored", "0 or 1")
-        pose = text(element, "pose")
-        if pose and pose != "Unspecified":
-            item.extra["pose"] = pose
-        item.inserted = to_bool(text(element, "inserted")) is True
-        rotated = element.find("robndbox")
-        if rotated is not None:
-            bbox: object = [text(rotated, f) for f in ("cx", "cy", "w", "h", "angle")]
-            good = set_geometry(data, item, bbox, True, size_wh)
-        else:
-            corners = to_floats([text(element, f"bndbox/{f}") for f in ("xmin", "ymin", "xmax", "ymax")], 4)
-            # set_geometry takes width and height.
-            box = (
-                None if corners is None else [corners[0], corners[1], corners[2] - corners[0], corners[3] - corners[1]]
-            )
-            good = set_geometry(data, item, box, False, size_wh)
-        if good:
-            items.append(item)
+    read = (_read_object(data, e, f"{where}: object {k}", size_wh) for k, e in enumerate(top.findall("object")))
+    items = [item for item in read if item is not None]
     set_corners(data, items, [picture] * len(items))
     return picture
+
+
+def _text(element: Any, key: str) -> str | None:
+    value = element.findtext(key)
+    return value.strip() if value is not None else None
+
+
+def _read_object(data: FormData, element: Any, where: str, size_wh: tuple[int, int] | None) -> FormObject | None:
+    """Return one object, and enter a new category; None, with a problem, if it has no name or no usable box."""
+    label = _text(element, "name")
+    if not label:
+        data.add(where, "category-unknown", "no name", "a category's name", "correct the annotation")
+        return None
+    if all(c.name != label for c in data.categories):
+        number = max(c.id for c in data.categories) + 1
+        data.categories.append(Category(number, label, "", is_ignored_name(label)))
+        data.warn(where, "category-unknown", f"{label!r}, taken as a new category", "one of HIT-UAV's five")
+    item = FormObject(where, label)
+    for flag in ("truncated", "difficult"):
+        value = _text(element, flag)
+        setattr(item, flag, to_bool(value))
+        if value is not None and to_bool(value) is None:
+            data.warn(where, "flag-value", f"{flag} {value!r}, ignored", "0 or 1")
+    pose = _text(element, "pose")
+    if pose and pose != "Unspecified":
+        item.extra["pose"] = pose
+    item.inserted = to_bool(_text(element, "inserted")) is True
+    rotated = element.find("robndbox")
+    if rotated is not None:
+        box: object = [_text(rotated, f) for f in ("cx", "cy", "w", "h", "angle")]
+    else:
+        edges = to_floats([_text(element, f"bndbox/{f}") for f in ("xmin", "ymin", "xmax", "ymax")], 4)
+        # `set_geometry` takes width and height.
+        box = None if edges is None else [edges[0], edges[1], edges[2] - edges[0], edges[3] - edges[1]]
+    return item if set_geometry(data, item, box, rotated is not None, size_wh) else None

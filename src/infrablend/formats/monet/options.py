@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.dataset import SPLITS, Split, TimeOfDay
+from infrablend.core.capture import TimeOfDay
+from infrablend.core.dataset import SPLITS, Split
 from infrablend.errors import DatasetError, Problem
 
 OPTIONS = {

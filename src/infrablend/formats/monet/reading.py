@@ -74,13 +74,37 @@ def read(
     wanted = check_splits(splits)
     chosen = check_options(root, options)
     dataset = _Reading(root, Pictures(root), chosen, wanted)
-    problems, listing = dataset.problems, dataset.listing
+    problems = dataset.problems
+    files = find_files(root, chosen.annotations)
+    notes: dict[str, Any] = {"labels": "coco", "annotations": [], "pictures": {}}
+    frames, extra = _read_files(dataset, files, notes)
+    if not notes["annotations"]:
+        raise _nothing_found(root, files, chosen.annotations, problems)
+    notes["excluded"] = _leave_out(dataset, frames, chosen.exclude, "exclude")
+    if not frames:
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
+    notes["gimbal_pitch"] = set_pitches(root, frames, chosen, problems)
+    captures, notes["table"] = apply_table(root, metadata, frames, problems)
+    if not chosen.keep_empty:
+        require_pitch(root, frames, chosen, problems)
+        has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.capture.pitch_deg is not None}
+        bare = {(f.record.split, f.sequence) for f in frames} - has_pitch
+        excluded = _leave_out(dataset, frames, bare, "empty")
+        notes["excluded"] |= excluded
+        captures.sources["none"] -= sum(entry["images"] for entry in excluded.values())
+    notes["pitch"] = captures.note()
+    without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.capture.pitch_deg is None)
+    notes["frames_without_pitch"] = dict(sorted(without.items()))
+    return Dataset(root, NAME, tuple(dataset.categories), _records(frames), tuple(problems), notes, extra)
+
+
+def _read_files(dataset: _Reading, files: Sequence[Path], notes: dict[str, Any]) -> tuple[list[Frame], dict[str, Any]]:
+    """Return the pictures of all annotation files, and the top-level fields to keep; `notes` lists what was read."""
+    problems, listing, chosen = dataset.problems, dataset.listing, dataset.options
     frames: list[Frame] = []
     extra: dict[str, Any] = {}
-    notes: dict[str, Any] = {"labels": "coco", "annotations": [], "pictures": {}}
-    files = find_files(root, chosen.annotations)
     for path in files:
-        where = path.relative_to(root).as_posix()
+        where = path.relative_to(dataset.root).as_posix()
         try:
             top = read_json(path)
         except DatasetError as error:
@@ -104,24 +128,7 @@ def read(
         notes["annotations"].append(where)
         notes["pictures"][where] = place[0] or "."
         frames += _read_file(dataset, top, where, place)
-    if not notes["annotations"]:
-        raise _nothing_found(root, files, chosen.annotations, problems)
-    notes["excluded"] = _leave_out(dataset, frames, chosen.exclude, "exclude")
-    if not frames:
-        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
-    notes["gimbal_pitch"] = set_pitches(root, frames, chosen, problems)
-    captures, notes["table"] = apply_table(root, metadata, frames, problems)
-    if not chosen.keep_empty:
-        require_pitch(root, frames, chosen, problems)
-        has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.pitch_deg is not None}
-        bare = {(f.record.split, f.sequence) for f in frames} - has_pitch
-        excluded = _leave_out(dataset, frames, bare, "empty")
-        notes["excluded"] |= excluded
-        captures.sources["none"] -= sum(entry["images"] for entry in excluded.values())
-    notes["pitch"] = captures.note()
-    without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.pitch_deg is None)
-    notes["frames_without_pitch"] = dict(sorted(without.items()))
-    return Dataset(root, NAME, tuple(dataset.categories), _records(frames), tuple(problems), notes, extra)
+    return frames, extra
 
 
 def _nothing_found(root: Path, files: Sequence[Path], pattern: str | None, problems: Sequence[Problem]) -> DatasetError:
@@ -138,10 +145,38 @@ def _nothing_found(root: Path, files: Sequence[Path], pattern: str | None, probl
 
 def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]) -> list[Frame]:
     """Return the pictures of one annotation file with their labels and telemetry."""
-    root, listing, problems = dataset.root, dataset.listing, dataset.problems
-    path = PurePosixPath(where)
-    of_file = dataset.options.split or split_in_stem(path.stem) or split_in(path.parent.parts)
-    of_root = split_in([real_path(root).name])
+    root, problems, path = dataset.root, dataset.problems, PurePosixPath(where)
+    part, fields = _own_part(dataset, top, where, place)
+    captures = Captures(None, problems)
+    records = coco.read_records(part, dataset.listing.folder, "train", where, dataset.categories, captures, problems)
+    tally = UnusableValues()
+    frames = []
+    for _, record in records:
+        number = record.source_id if isinstance(record.source_id, int) else -1
+        sequence = sequence_of(record.name, path.stem, real_path(root).name)
+        known = replace(record.capture, sequence=sequence or record.capture.sequence)
+        record = replace(record, split=_split_of(dataset, path, record.name), capture=known)
+        frames.append(frame_of(record, where, fields.get(number, {}), dataset.options, tally))
+    expected = {
+        "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
+        "time": "ISO 8601",
+    }  # fmt: skip
+    problems += tally.problems(where, expected)
+    return frames
+
+
+def _split_of(dataset: _Reading, file: PurePosixPath, picture: str) -> Split:
+    """Return the split of a picture in an annotation file: of the file, else of the picture, else of the dataset."""
+    of_file = dataset.options.split or split_in_stem(file.stem) or split_in(file.parent.parts)
+    of_root = split_in([real_path(dataset.root).name])
+    return of_file or split_in(PurePosixPath(picture).parent.parts) or of_root or "train"
+
+
+def _own_part(
+    dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]
+) -> tuple[dict[str, Any], dict[int, dict[str, Any]]]:
+    """Return an annotation file without pictures of other splits and earlier files, and the pictures' own fields."""
+    listing = dataset.listing
     joined = join_lists(top)
     images: list[Any] = []
     fields: dict[int, dict[str, Any]] = {}
@@ -156,7 +191,7 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
         file = listing.by_path.get(name)
         r = r | {"file_name": name if file is not None else r["file_name"]}
         number = to_int(r.get("id"))
-        in_split = of_file or split_in(PurePosixPath(below).parent.parts) or of_root or "train"
+        in_split = _split_of(dataset, PurePosixPath(where), below)
         if number is not None and (in_split not in dataset.splits or (file is not None and name in dataset.seen)):
             twice += in_split in dataset.splits
             skipped.add(number)
@@ -168,26 +203,11 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
         images.append(r)
     if twice:
         found = f"{twice} picture(s) that another annotation file contains too; left out here"
-        problems.append(Problem(where, "image-duplicate", found, "each picture once", "remove one of the files"))
+        dataset.problems.append(
+            Problem(where, "image-duplicate", found, "each picture once", "remove one of the files")
+        )
     annotations = (a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
-    part = dict(top) | {"images": images, "annotations": annotations}
-    captures = Captures(None, problems)
-    records = coco.read_records(part, listing.folder, "train", where, dataset.categories, captures, problems)
-    tally = UnusableValues()
-    frames = []
-    for _, record in records:
-        number = record.source_id if isinstance(record.source_id, int) else -1
-        own = fields.get(number, {})
-        in_split = of_file or split_in(PurePosixPath(record.name).parent.parts) or of_root or "train"
-        sequence = sequence_of(record.name, path.stem, real_path(root).name)
-        record = replace(record, split=in_split, sequence=sequence or record.sequence)
-        frames.append(frame_of(record, where, own, dataset.options, tally))
-    expected = {
-        "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
-        "time": "ISO 8601",
-    }  # fmt: skip
-    problems += tally.problems(where, expected)
-    return frames
+    return dict(top) | {"images": images, "annotations": annotations}, fields
 
 
 def _leave_out(

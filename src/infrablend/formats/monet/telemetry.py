@@ -14,7 +14,7 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import shorten
-from infrablend.formats.capture import Capture, Captures, find_table, read_table
+from infrablend.formats.capture import Captures, find_table, read_table
 from infrablend.formats.monet.folders import below_split
 from infrablend.formats.monet.options import MonetOptions
 from infrablend.formats.values import to_floats, to_int
@@ -139,11 +139,9 @@ def frame_of(
         tally.add("time", f"{_show(time)} {here}")
     places = {"pitch": pitch_at, "altitude": altitude_at, "time": time_at, "radians": chosen.radians}
     extra = {**record.extra, "fields": fields, "telemetry": places}
-    kept = replace(
-        record, captured=captured, extra=extra, file_name=below_split(record.name),
-        time_of_day=chosen.time_of_day or record.time_of_day,
-    )  # fmt: skip
-    return Frame(kept, where, raw, metres, kept.sequence)
+    known = replace(record.capture, captured=captured, time_of_day=chosen.time_of_day or record.capture.time_of_day)
+    kept = replace(record, capture=known, extra=extra, file_name=below_split(record.name))
+    return Frame(kept, where, raw, metres, known.sequence)
 
 
 def _number(value: Any) -> float | None:
@@ -172,7 +170,7 @@ def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems:
     clamped = 0
     for f in frames:
         if f.raw_deg is None:
-            pitch = f.record.pitch_deg
+            pitch = f.record.capture.pitch_deg
         else:
             # Avoids -0.0 for a level camera.
             pitch = sign * f.raw_deg + 0.0
@@ -180,9 +178,10 @@ def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems:
             pitch = max(-90.0, min(90.0, pitch))
             upward[f.where] += pitch < 0
             known[f.where] += 1
-        altitude = f.record.altitude_m if f.altitude_m is None else f.altitude_m
+        altitude = f.record.capture.altitude_m if f.altitude_m is None else f.altitude_m
         extra = {**f.record.extra, "telemetry": f.record.extra["telemetry"] | {"sign": sign}}
-        f.record = replace(f.record, pitch_deg=pitch, altitude_m=altitude, extra=extra)
+        capture = replace(f.record.capture, pitch_deg=pitch, altitude_m=altitude)
+        f.record = replace(f.record, capture=capture, extra=extra)
     if chosen.sign is None:
         wrong = [w for w in sorted(known) if 2 * upward[w] > known[w]]
     else:
@@ -224,12 +223,10 @@ def apply_table(
     captures = Captures(table, problems)
     for f in frames:
         r = f.record
-        own = Capture(r.pitch_deg, r.altitude_m, r.time_of_day)
-        known = captures.of(r.name, f"{r.split}/{r.name}", own, r.sequence)
-        f.record = replace(r, pitch_deg=known.pitch_deg, altitude_m=known.altitude_m, time_of_day=known.time_of_day)
+        f.record = replace(r, capture=captures.of(r.name, f"{r.split}/{r.name}", r.capture))
     if table is not None:
         problems += table.problems
-        unused = table.unused([f.record.name for f in frames], {f.record.sequence for f in frames})
+        unused = table.unused([f.record.name for f in frames], {f.record.capture.sequence for f in frames})
         if unused:
             found = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
             expected = "a picture or sequence for each row"
@@ -239,7 +236,7 @@ def apply_table(
 
 def require_pitch(root: Path, frames: Sequence[Frame], chosen: MonetOptions, problems: Sequence[Problem]) -> None:
     """Raise an error that lists the existing keys if no frame has a pitch: probably it has another key."""
-    if any(f.record.pitch_deg is not None for f in frames):
+    if any(f.record.capture.pitch_deg is not None for f in frames):
         return
     keys = {k for f in frames[:1000] for k in _dotted(f.record.extra["fields"])}
     there = ", ".join(sorted(keys)[:40]) or "no other keys"

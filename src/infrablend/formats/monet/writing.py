@@ -22,6 +22,8 @@ from infrablend.formats.monet.options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEY
 from infrablend.formats.monet.telemetry import NEST, Place
 
 _INFO: Mapping[str, Any] = {"description": "MONET layout, written by InfraBlend"}
+# Facts with a place of their own: in the telemetry, or the name of the file.
+_IN_TELEMETRY = ("pitch_deg", "altitude_m", "date_captured", "sequence")
 
 
 def write(
@@ -95,7 +97,7 @@ def native_chunks(
     image_ids, object_ids = number_ids(ordered, ids, 1)
     new = ids == "new"
     # Without any pitch, nothing would identify these files as MONET.
-    unknown = all(i.pitch_deg is None for i in ordered)
+    unknown = all(i.capture.pitch_deg is None for i in ordered)
     folders = _folder_names(ordered)
     groups: dict[str, list[int]] = {}
     taken: set[tuple[str, str]] = set()
@@ -104,7 +106,7 @@ def native_chunks(
         if (image.split, name) in taken:
             raise ValueError(f"{image.id}: a second picture would be {image.split}/{name}")
         taken.add((image.split, name))
-        groups.setdefault(f"{image.split}/{folders[image.sequence] or image.split}.json", []).append(n)
+        groups.setdefault(f"{image.split}/{folders[image.capture.sequence] or image.split}.json", []).append(n)
 
     def records(group: Sequence[int]) -> Iterator[dict[str, Any]]:
         for n in group:
@@ -143,8 +145,8 @@ def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
     known: dict[tuple[str, str], bool] = {}
     folders = _folder_names(images)
     for i in images:
-        place = (i.split, folders[i.sequence])
-        known[place] = known.get(place, False) or i.pitch_deg is not None
+        place = (i.split, folders[i.capture.sequence])
+        known[place] = known.get(place, False) or i.capture.pitch_deg is not None
     empty = sum(not k for k in known.values())
     if not empty:
         return []
@@ -157,7 +159,7 @@ def _folder_names(images: Sequence[ImageRecord]) -> dict[str | None, str]:
 
     Sequences whose names some disk takes for one have folders of their own.
     """
-    wanted = {i.sequence: _folder_name(i.sequence) for i in images}
+    wanted = {i.capture.sequence: _folder_name(i.capture.sequence) for i in images}
     named = [sequence for sequence, name in wanted.items() if name]
     return {**wanted, **dict(zip(named, distinct_names([wanted[s] for s in named]), strict=True))}
 
@@ -171,9 +173,9 @@ def _folder_name(sequence: str | None) -> str:
 
 def _picture_name(image: ImageRecord, folders: Mapping[str | None, str]) -> str:
     """Return the path of a picture below its split's folder: `<sequence>/lwir/...`."""
-    folder = folders[image.sequence]
+    folder = folders[image.capture.sequence]
     parts = list(PurePosixPath(image.name).parts)
-    for known in (_folder_name(image.sequence), "lwir"):
+    for known in (_folder_name(image.capture.sequence), "lwir"):
         if len(parts) > 1 and parts[0] == known:
             parts.pop(0)
     return str(PurePosixPath(folder, "lwir", *parts))
@@ -185,16 +187,15 @@ def _image_record(image: ImageRecord, number: int, name: str, new: bool, losses:
     fields = {k: dict(v) if isinstance(v, dict) else v for k, v in image.extra.get("fields", {}).items()}
     places: Mapping[str, Any] = image.extra.get("telemetry", {})
     nest = next((p[:-1] for k in ("pitch", "altitude", "time") if (p := places.get(k))), (NEST,))
-    if image.pitch_deg is not None:
-        pitch = places.get("sign", -1) * image.pitch_deg + 0.0
+    if image.capture.pitch_deg is not None:
+        pitch = places.get("sign", -1) * image.capture.pitch_deg + 0.0
         value = math.radians(pitch) if places.get("radians") else pitch
         _put(fields, places.get("pitch") or (*nest, PITCH_KEYS[0]), value)
-    if image.altitude_m is not None:
-        _put(fields, places.get("altitude") or (*nest, ALTITUDE_KEYS[0]), image.altitude_m)
-    if image.captured is not None and not places.get("time"):
-        _put(fields, (*nest, TIME_KEYS[0]), image.captured)
-    if image.time_of_day is not None:
-        fields["time_of_day"] = image.time_of_day
+    if image.capture.altitude_m is not None:
+        _put(fields, places.get("altitude") or (*nest, ALTITUDE_KEYS[0]), image.capture.altitude_m)
+    if image.capture.captured is not None and not places.get("time"):
+        _put(fields, (*nest, TIME_KEYS[0]), image.capture.captured)
+    fields |= {k: v for k, v in coco.fact_fields(image).items() if k not in _IN_TELEMETRY}
     record = {"id": number, "file_name": name, "width": w, "height": h}
     return fields | record | coco.source_id_field(image, new)
 

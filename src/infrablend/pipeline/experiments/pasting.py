@@ -16,7 +16,8 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.compositing.paste import FEATHER_PX, CutOut, cut_out, fits, offset_at, paste, placed_box
 from infrablend.config.experiment import Paste
 from infrablend.core.burnt_in import find_burnt_in
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, TimeOfDay
+from infrablend.core.capture import TimeOfDay
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import link_or_copy
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
@@ -83,7 +84,7 @@ def cut_objects(dataset: Dataset, category: str) -> tuple[list[CutOut], Counter[
             others = boxes[:n] + boxes[n + 1 :]
             if near_edge(boxes[n], picture.shape):
                 unusable["at the edge"] += 1
-            elif not is_seen(picture, boxes[n], others, category, image.time_of_day):
+            elif not is_seen(picture, boxes[n], others, category, image.capture.time_of_day):
                 unusable["low contrast"] += 1
             elif (cut := cut_out(picture, boxes[n], others)) is None:
                 unusable["no outline"] += 1
@@ -163,7 +164,7 @@ class Paster:
                 if done is None:
                     continue
                 pasted, box, moved = done
-                if not is_seen(pasted, box, taken, self.category, frame.time_of_day):
+                if not is_seen(pasted, box, taken, self.category, frame.capture.time_of_day):
                     continue
                 picture = pasted
                 taken.append(box)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.arguments import require_names
-from infrablend.core.dataset import TimeOfDay
+from infrablend.core.capture import TimeOfDay
 from infrablend.core.file_names import distinct_names, file_name
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.dji_srt import parse_srt, read_srt

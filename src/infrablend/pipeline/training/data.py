@@ -141,7 +141,7 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
         ]
     elif isinstance(agc, FixedAgc):
         for i in deep:
-            if i.radiometry is None or i.radiometry.scale is None:
+            if i.capture.radiometry is None or i.capture.scale is None:
                 expected = "a temperature scale, which a fixed AGC needs"
                 problems.append(
                     Problem(i.id, "no-temperature-scale", "none", expected, "state it: --read unit=centikelvin")

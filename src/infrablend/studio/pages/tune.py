@@ -91,7 +91,7 @@ class TunePage:
             times = {"": "Any time", "day": "Day", "night": "Night"}
             chosen = ui.select(times, value="", label="Time of day").props('dense outlined aria-label="Time of day"')
             chosen.on_value_change(lambda e: self._filter_by(time=e.value))
-            pitches = sorted({i.pitch_deg for i in images if i.pitch_deg is not None})
+            pitches = sorted({i.capture.pitch_deg for i in images if i.capture.pitch_deg is not None})
             options = {"": "Any pitch", **{f"{p:g}": f"{p:g}\u00b0" for p in pitches}}
             pitch = ui.select(options, value="", label="Pitch").props('dense outlined aria-label="Pitch"')
             pitch.on_value_change(lambda e: self._filter_by(pitch=e.value))
@@ -118,14 +118,17 @@ class TunePage:
             {
                 "n": n,
                 "id": f"{i.split}/{i.id}",
-                "pitch": i.pitch_deg,
-                "height": i.altitude_m,
-                "time": i.time_of_day or "",
+                "pitch": i.capture.pitch_deg,
+                "height": i.capture.altitude_m,
+                "time": i.capture.time_of_day or "",
             }
             for n, i in enumerate(self._tuning.backgrounds)
             if chosen["text"].lower() in f"{i.split}/{i.id}".lower()
-            and chosen["time"] in ("", i.time_of_day)
-            and (not chosen["pitch"] or (i.pitch_deg is not None and f"{i.pitch_deg:g}" == chosen["pitch"]))
+            and chosen["time"] in ("", i.capture.time_of_day)
+            and (
+                not chosen["pitch"]
+                or (i.capture.pitch_deg is not None and f"{i.capture.pitch_deg:g}" == chosen["pitch"])
+            )
         ]
 
     def _filter_by(self, **change: str) -> None:
@@ -390,7 +393,7 @@ class TunePage:
         self._show_picture()
         self._state.set_text(f"{tuned.trial.frame.id}, {tuned.trial.seconds:.2f} s")
         inserted = tuned.trial.frame.inserted[:_MOST_CROPS]
-        time_of_day = self._background.time_of_day
+        time_of_day = self._background.capture.time_of_day
         real = [await run.io_bound(self._tuning.nearest_real, label, time_of_day) for label in inserted]
         self._show_facts(tuned, real)
 
