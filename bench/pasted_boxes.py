@@ -18,6 +18,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import near_edge
@@ -30,7 +31,6 @@ from infrablend.formats import coco
 from infrablend.formats.detection import read
 from infrablend.formats.images import save_image
 from infrablend.pipeline.experiments.pasting import is_seen, load_grey
-from infrablend.pipeline.record import read_record
 
 AROUND_PX = 5
 MOST_OVERLAP, MOST_PASTED_OVERLAP = 0.25, 0.12

@@ -18,7 +18,8 @@ from infrablend.core.placed import PlacedScene
 from infrablend.formats import hit_uav
 from infrablend.pipeline.frame_settings import FrameSettings
 from infrablend.pipeline.levels import dataset_levels
-from infrablend.pipeline.plan import PlannedFrame, RunPlan, make_plan
+from infrablend.pipeline.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.planning import make_plan
 from infrablend.sampling.scene import sample_scene
 
 RECIPE = "hit-uav-drone"

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 
 from infrablend import api
 from infrablend.core.boxes import boxes_mask
-from infrablend.formats.images import load_background
 from infrablend.core.run_folder import RunFolder
-from infrablend.pipeline.record import read_record
+from infrablend.formats.images import load_background
 
 Picture = NDArray[np.float32]
 

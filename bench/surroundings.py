@@ -16,13 +16,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 
 from infrablend import api
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.formats.images import load_background
 from infrablend.core.run_folder import RunFolder
-from infrablend.pipeline.record import read_record
+from infrablend.formats.images import load_background
 from infrablend.realism.surroundings import BANDS_PX, largest_changes, levels_around
 
 LIMIT_GREY = 6.0

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 from children import Stopwatch
+from infrablend.pipeline.label_files import read_frames, write_formats
 from numpy.typing import NDArray
 from scenes import Work
 
@@ -24,12 +25,11 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.frame import FrameMaker
 from infrablend.pipeline.frame_settings import percentile_settings
-from infrablend.pipeline.label_files import read_frames, write_formats
 from infrablend.pipeline.plan import RunPlan
 from infrablend.sampling.scene import sample_scene
 

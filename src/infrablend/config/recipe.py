@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
@@ -493,12 +493,17 @@ class RadiometricEnvironment(SkyEnvironment):
 class Appearance(Strict):
     """How temperature becomes radiance."""
 
+    traces_light: ClassVar[bool] = True
+    """Whether light travels between surfaces; pictures without that are sampled on a lattice instead of by Cycles."""
+
     texture_k: float = Field(0.8, ge=0, le=50)
     """Amplitude of the smooth temperature variation over every body, kelvin."""
 
 
 class ArtisticAppearance(Appearance):
     """The paper's hand-tuned look (Emission, Color Ramp, Fresnel)."""
+
+    traces_light: ClassVar[bool] = False
 
     mode: Literal["artistic"] = "artistic"
     """`artistic`: the paper's hand-tuned look. Grey levels are matched to percentiles of the background."""

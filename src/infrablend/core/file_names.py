@@ -144,3 +144,13 @@ def join_inside(folder: Path, name: str) -> Path:
     if leaves(name):
         raise ValueError(f"{name!r} leads out of {folder}")
     return folder / name
+
+
+def is_text(name: str) -> bool:
+    """Return False for a file name with bytes that are not UTF-8 (Python keeps them as lone surrogates)."""
+    return name == as_text(name)
+
+
+def as_text(name: str) -> str:
+    """Return the name with bytes that are not UTF-8 written as escapes such as `\\udcff`."""
+    return name.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -35,7 +35,7 @@ from infrablend.formats.images import load_background
 from infrablend.formats.temperatures import is_deep
 from infrablend.pipeline.measure_objects import Measurements, MeasuringSettings, PictureJob, image_key
 from infrablend.pipeline.models import ready_model
-from infrablend.pipeline.plan import LEVELS_SAMPLE
+from infrablend.pipeline.planning import LEVELS_SAMPLE
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.realism.class_comparison import (
     ClassComparison,

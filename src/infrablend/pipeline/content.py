@@ -9,7 +9,7 @@ from typing import Any
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
-from infrablend.pipeline.plan import fingerprint
+from infrablend.pipeline.planning import fingerprint
 
 
 def json_digest(value: Any) -> str:

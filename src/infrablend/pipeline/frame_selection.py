@@ -66,7 +66,7 @@ def similar(name: str, known: Collection[str]) -> str:
 
 
 Names = Mapping[tuple[int, int | None], str]
-"""Name of each frame by `id(image)` and configuration, see `plan.frame_names`."""
+"""Name of each frame by `id(image)` and configuration, see `planning.frame_names`."""
 
 
 def find_frames(wanted: Sequence[str], images: Sequence[ImageRecord], names: Names) -> set[tuple[int, int | None]]:

@@ -10,16 +10,19 @@ from typing import Any
 from infrablend.config.loading import read_recipe
 from infrablend.config.modes import DROPPED, KEPT
 from infrablend.core.addresses import address_of
-from infrablend.core.file_names import real_path
+from infrablend.core.file_names import as_text, is_text, real_path
 from infrablend.core.ledger import LEDGER
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
 from infrablend.formats import detection
-from infrablend.pipeline.plan import LENS_REPLACED, PITCH_REPLACED, RunPlan, as_text, is_text, make_plan
+from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.plan_checks import LENS_REPLACED, PITCH_REPLACED
+from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.request import RunRequest
 from infrablend.pipeline.run import RunReport, run_plan
+from infrablend.pipeline.run_estimate import estimate_run
 from infrablend.pipeline.shard import ShardRequest
 from infrablend.pipeline.sharded_run import run_shards
 from infrablend.pipeline.stored_run import require_packed, run_stored_shards
@@ -71,7 +74,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     others = [p for p in plan.problems if p.severity == "warning" and p.code not in (DROPPED, *shown)]
     shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
     return {
-        **plan.estimate(request.execution.worker_count(), shards, price_per_core_hour),
+        **estimate_run(plan, request.execution.worker_count(), shards, price_per_core_hour),
         "device": request.execution.device,
         "out": None if request.out is None or wanted else outlook(request.out, request.existing),
         "categories": [c.name for c in plan.categories],

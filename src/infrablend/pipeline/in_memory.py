@@ -30,7 +30,8 @@ from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.frame_settings import FrameSettings
 from infrablend.pipeline.labelled import labelled_image
 from infrablend.pipeline.levels import dataset_levels
-from infrablend.pipeline.plan import PlannedFrame, make_plan
+from infrablend.pipeline.plan import PlannedFrame
+from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, Settings
 from infrablend.pipeline.temperature_scale import with_scale
 

@@ -16,7 +16,8 @@ from infrablend.errors import ArgumentError, OutputError, Problem
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.frame_selection import FrameSelection
-from infrablend.pipeline.plan import RunPlan, make_plan
+from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.storage.mirror import local_folder
 

@@ -16,7 +16,8 @@ from infrablend.core.tasks import TaskResult
 from infrablend.errors import Problem
 from infrablend.pipeline.composed import MadeFrame
 from infrablend.pipeline.exports import LabelSummary
-from infrablend.pipeline.plan import LEFT_OUT, PlannedFrame, RunPlan
+from infrablend.pipeline.left_out import LEFT_OUT
+from infrablend.pipeline.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.request import Execution
 from infrablend.storage.mirror import origin_of
 

@@ -27,7 +27,8 @@ from infrablend.pipeline.frame_pool import FrameWorkers, settings_for
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.in_memory import Frame, as_frame
 from infrablend.pipeline.levels import dataset_levels
-from infrablend.pipeline.plan import PlannedFrame, RunPlan, make_plan
+from infrablend.pipeline.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.request import ONE_WORKER, Execution, Settings
 from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.report.preview import PreviewFrame, contact_sheet

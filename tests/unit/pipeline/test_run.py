@@ -17,7 +17,7 @@ from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
-from infrablend.pipeline.plan import make_plan
+from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.run_warnings import absent_warnings, limit_warnings
 from tests.run_files import hashes
 

@@ -132,7 +132,7 @@ def test_the_card_says_nothing_of_machine_or_time_and_repeats(data, tmp_path):
 def test_user_models_folder_is_not_recorded(data, tmp_path):
     from infrablend.config.loading import load_recipe
     from infrablend.pipeline.origin import recipe_yaml
-    from infrablend.pipeline.plan import make_plan
+    from infrablend.pipeline.planning import make_plan
 
     plan = make_plan(load_recipe("hit-uav-drone"), api.read_dataset(data), 0)
     own = plan.recipe.objects[0].model_copy(update={"model": str(tmp_path / "secret" / "kite.yaml")})

@@ -20,7 +20,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.job import StageJob
 from infrablend.pipeline.experiments.recipe_inputs import deciding_fields
-from infrablend.pipeline.plan import make_plan
+from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.training.presets import Preset
 

@@ -1,0 +1,122 @@
+"""Pictures that a run leaves out, each with its reason."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from dataclasses import dataclass
+
+from infrablend.config.recipe import (
+    MetricSections,
+    RadiometricMatching,
+    Recipe,
+)
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.errors import Problem
+from infrablend.formats.flight import FOR_ALL, was_extracted
+from infrablend.formats.temperatures import EXTRACT_AGAIN, from_radiometric_files
+
+LEFT_OUT = frozenset(
+    ("no-pitch", "no-altitude", "no-field-of-view", "above-horizon", "no-temperature-scale", "image-visible")
+)
+"""Codes of the problems that leave a picture out of the run, one per picture."""
+
+
+def place_of(image: ImageRecord) -> str:
+    """Return the split and name of a picture: several splits may have a picture of one name."""
+    return f"{image.split}/{image.name}"
+
+
+def telemetry_missing(recipe: Recipe, image: ImageRecord, others: Telemetry) -> Problem | None:
+    """Return a problem if the recipe needs the camera's pitch, height or field of view and it is unknown, or None."""
+    pitch = recipe.camera.pitch == "metadata" and image.capture.pitch_deg is None
+    height = (
+        isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.capture.altitude_m is None
+    )
+    # A picture from a card names its camera, and a table where its height comes from. The recipe's lens is another
+    # camera's: it would give a wrong scale.
+    own = others.extracted or image.capture.camera is not None or image.capture.altitude_from is not None
+    metric = isinstance(recipe, MetricSections) and recipe.camera.field_of_view == "metadata"
+    lens = metric and own and image.capture.hfov_deg is None
+    if not pitch and not height and not lens:
+        return None
+    found = ["unknown camera pitch"] * pitch + ["unknown camera height, which metric placement needs"] * height
+    found += ["unknown field of view of " + (image.capture.camera or "the video's camera")] * lens
+    wanted = ["a pitch"] * pitch + ["an altitude"] * height + ["a field of view (hfov_deg)"] * lens
+    fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
+    fields += ["camera.field_of_view to recipe, with the camera's own camera.focal_length_mm"] * lens
+    some = any(
+        known for missing, known in ((pitch, others.pitch), (height, others.height), (lens, others.lens)) if missing
+    )
+    return Problem(
+        place_of(image),
+        "no-pitch" if pitch else "no-altitude" if height else "no-field-of-view",
+        " and ".join(found),
+        f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
+        f"give a table (metadata.csv, docs/how_to/own_images.md), or set {' and '.join(fields)}{FOR_ALL * some}",
+    )
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """What is known about the cameras of a dataset.
+
+    Attributes:
+        extracted: Whether the pictures come out of a video or a radiometric camera's files.
+        pitch: Whether any picture has a pitch.
+        height: Whether any has a height.
+        lens: Whether any has a field of view.
+    """
+
+    extracted: bool
+    pitch: bool
+    height: bool
+    lens: bool
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> Telemetry:
+        """Return what is known in any picture of a dataset."""
+        names = ("pitch_deg", "altitude_m", "hfov_deg")
+        known = (any(getattr(i.capture, name) is not None for i in dataset.images) for name in names)
+        return cls(was_extracted(dataset), *known)
+
+
+def scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem:
+    """Return the problem of a picture whose temperatures are needed and whose scale is unknown."""
+    needed = "matching.mode radiometric" if isinstance(recipe.matching, RadiometricMatching) else "output.agc fixed"
+    if image.capture.camera is not None and any(p.code == "image-radiometric" for p in dataset.problems):
+        layers = f"{dataset.root.resolve().name}_k"
+        return Problem(
+            place_of(image),
+            "no-temperature-scale",
+            f"only the grey levels of a camera's own file are read, and {needed} needs temperatures",
+            "the radiometric layers as a dataset of 16-bit pictures",
+            f"run infrablend temperatures {shlex.quote(str(dataset.root))} --out {shlex.quote(layers)} (counts of DJI "
+            f"also need a scale, such as --slope and --offset), then generate with --data {shlex.quote(layers)}",
+        )
+    return Problem(
+        place_of(image),
+        "no-temperature-scale",
+        f"no temperature scale, which {needed} needs",
+        "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
+        EXTRACT_AGAIN
+        if from_radiometric_files(dataset)
+        else "set data.unit to centikelvin or decikelvin, or data.unit, data.slope and data.offset; do not guess them",
+    )
+
+
+def above_horizon(recipe: Recipe, image: ImageRecord) -> Problem | None:
+    """Return a problem if no part of the ground is in view, as far as pitch and field of view are known."""
+    if not isinstance(recipe, MetricSections) or recipe.camera.pitch != "metadata" or image.capture.hfov_deg is None:
+        return None
+    w, h = image.size_wh or recipe.camera.size_px
+    half_deg = math.degrees(math.atan(math.tan(math.radians(image.capture.hfov_deg) / 2) * h / w))
+    if image.capture.pitch_deg is None or image.capture.pitch_deg + half_deg > 0:
+        return None
+    return Problem(
+        place_of(image),
+        "above-horizon",
+        f"a camera pitch of {image.capture.pitch_deg:g} degrees, so the whole picture is above the horizon",
+        "ground in view, for metric placement on the ground",
+        "leave the picture out, or correct its pitch in a metadata table",
+    )
