@@ -105,5 +105,5 @@ def random_poses(name: str, size_px: float) -> Iterator[tuple[SceneSpec, Mesh]]:
             if part in mesh.part_names
         }
         spec = ObjectSpec(name, model.category, params, parts, position, float(yaw), 1.0)
-        look = Appearance("artistic", AIR_K - 14, AIR_K + 24, AIR_K - 10, 0.0)
+        look = Appearance(AIR_K - 14, AIR_K + 24, AIR_K - 10, 0.0)
         yield SceneSpec(f"boxes/{name}_{number}", "none", "boxes", 0, camera, (spec,), AIR_K, look, 1, number, {}), mesh

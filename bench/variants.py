@@ -16,8 +16,10 @@ from infrablend.pipeline.label_files import read_frames, write_formats
 from numpy.typing import NDArray
 from scenes import Work
 
+import infrablend.compositing.picture as over
 import infrablend.pipeline.extensions as extensions
 import infrablend.pipeline.frame as pipeline
+import infrablend.pipeline.looks as looks
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import percentile_mapping
 from infrablend.compositing.overlay import compose, make_layer
@@ -29,9 +31,9 @@ from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
 from infrablend.pipeline.frame import FrameMaker
-from infrablend.pipeline.frame_settings import percentile_settings
+from infrablend.pipeline.looks import percentile_settings
 from infrablend.pipeline.plan import RunPlan
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene import RecipeSampler, sample_scene
 
 PAPER_SAMPLES = 640
 # Blender's own: noise at which adaptive sampling stops, 0 for the least number of samples means "automatic".
@@ -75,7 +77,7 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
             result = renderer.render(with_samples(scene, PAPER_SAMPLES))
             layer = make_layer(
                 result,
-                percentile_mapping(background.pixels, percentile_settings(recipe.matching)),
+                percentile_mapping(background.pixels, percentile_settings(recipe.matching.percentiles)),
                 recipe.overlay.softness_px,
             )
             pixels = compose(background.pixels, layer)
@@ -132,12 +134,12 @@ def time_program(work: Work) -> list[dict[str, Any]]:
 # Stages of a frame, by the module and the name that it calls; the renderer reports its own parts.
 STAGES = {
     (extensions, "load_background"): "decode background",
-    (extensions, "sample_scene"): "draw scene, build shape",
-    (pipeline, "make_layer"): "grey levels, blur",
-    (pipeline, "match_locally"): "match grey levels",
+    (RecipeSampler, "sample"): "draw scene, build shape",
+    (over, "make_layer"): "grey levels, blur",
+    (looks, "match_locally"): "match grey levels",
     (pipeline, "fit_sensor"): "fit sensor",
-    (pipeline, "apply_sensor"): "sensor",
-    (pipeline, "compose"): "overlay",
+    (over, "apply_sensor"): "sensor",
+    (over, "compose"): "overlay",
     (pipeline, "label_objects"): "labels",
     (pipeline, "measure_inserts"): "contrast of inserts",
     (pipeline, "merge"): "merge labels",

@@ -49,7 +49,7 @@ def model_scene(name: str, size_px: float, number: int = 0) -> PlacedScene:
     distance_m = 900 * float(mesh.size_m.max()) / size_px
     camera = CameraSpec(distance_m, rng.uniform(-0.3, 1.5), rng.uniform(-0.2, 0.2), 50.0, 36.0, (640, 512))
     spec = ObjectSpec(name, model.category, params, parts, (0.0, 0.0, 0.0), rng.uniform(0, 6.28))
-    look = Appearance("artistic", 271.0, 309.0, 275.0, 1.5)
+    look = Appearance(271.0, 309.0, 275.0, 1.5)
     return place(SceneSpec(f"t/{name}", "t", "t", 0, camera, (spec,), 285.0, look, 0, number, {}), [mesh])
 
 
@@ -144,9 +144,7 @@ def test_faces_wound_the_wrong_way_look_like_others(blender, look, opacity, samp
         mesh = make_mesh([(part, v, t[:, ::-1] if turned else t, smooth)])
         spec = scene([ObjectSpec("a", "a", {}, {"body": state}, (0.0, 0.0, 0.0), 0.3)], pitch_rad=0.52, samples=samples)
         if look == "physical":
-            spec = dataclasses.replace(
-                spec, appearance=dataclasses.replace(spec.appearance, mode="physical"), weather=weather
-            )
+            spec = dataclasses.replace(spec, weather=weather)
         seen.append(blender.render(place(spec, [mesh])))
     front, back = seen
     inside = (front.alpha > 0.999 * front.alpha.max()) & (back.alpha > 0.999 * back.alpha.max())
@@ -208,9 +206,7 @@ def test_who_draws_what(blender, monkeypatch):
         blender.render(plain)
     assert blender.render(place(scene([thing()], samples=4), [mesh])).alpha.any()
     weather = Weather(283.15, 276.15, 0.0, 276.15, 285.15)
-    physical = dataclasses.replace(
-        plain.spec, appearance=dataclasses.replace(plain.spec.appearance, mode="physical"), weather=weather
-    )
+    physical = dataclasses.replace(plain.spec, weather=weather)
     assert blender.render(place(physical, [mesh])).alpha.any()
     around = place(scene([thing()], samples=0, distance_m=0.2), [mesh])
     assert not only_emits(around)

@@ -23,8 +23,7 @@ CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, AIR_K + 2)
 def render(blender, kelvin, emissivity, ior, weather=CLEAR, mesh=None, surface=None, **camera):
     body = thing(yaw=0, kelvin=kelvin, emissivity=emissivity, ior=ior, **(surface or {}))
     spec = scene([body], samples=64, size_wh=(160, 128), **camera)
-    look = dataclasses.replace(spec.appearance, mode="physical")
-    r = blender.render(place(dataclasses.replace(spec, appearance=look, weather=weather), [mesh or box_mesh()]))
+    r = blender.render(place(dataclasses.replace(spec, weather=weather), [mesh or box_mesh()]))
     inside = r.alpha > 0.999
     assert inside.sum() > 100
     return r.radiance[inside]
@@ -207,7 +206,7 @@ def test_the_group_has_a_temperature_texture_of_its_own(blender):
     panel = box_mesh((1.0, 1.0, 0.01))
     render(blender, AIR_K + 10, 1.0, 1.0, mesh=panel, **TOP)
     node = next(
-        n for n in object_material(0, "physical", two_sided=True).node_tree.nodes if n.bl_idname == "ShaderNodeGroup"
+        n for n in object_material(0, physical=True, two_sided=True).node_tree.nodes if n.bl_idname == "ShaderNodeGroup"
     )
     assert node.inputs["Texture"].default_value == 0
     spread = {}
@@ -247,7 +246,7 @@ def test_sunlight_warms_the_side_towards_the_sun(blender):
     weather = dataclasses.replace(CLEAR, ground_k=AIR_K, cloud=1.0, cloud_base_k=AIR_K, dew_point_k=AIR_K, sun=sun)
     body = thing(yaw=0, kelvin=AIR_K, emissivity=1.0, ior=1.0, sun_k=20.0)
     spec = scene([body], samples=16, size_wh=(160, 128), **TOP)
-    spec = dataclasses.replace(spec, appearance=dataclasses.replace(spec.appearance, mode="physical"), weather=weather)
+    spec = dataclasses.replace(spec, weather=weather)
     seen, alpha = paste(blender.render(place(spec, [mesh])))
     columns = np.flatnonzero(alpha[64] > 0.999)
     halves = [np.median(seen[64, part]) for part in np.array_split(columns, 2)]

@@ -102,7 +102,7 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
 
 
 def object_material(
-    slot: int, look: str = "artistic", *, translucent: bool = False, two_sided: bool = False
+    slot: int, *, physical: bool = False, translucent: bool = False, two_sided: bool = False
 ) -> bpy.types.Material:
     """Return the material of one object of a scene: the node group of the look, driven by mesh attributes.
 
@@ -113,11 +113,15 @@ def object_material(
 
     Args:
         slot: Number of the object in the scene.
-        look: `artistic` or `physical`.
+        physical: Whether the scene has the physical look.
         translucent: Whether the object has translucent parts.
         two_sided: Whether the backs of faces look like their fronts.
     """
-    name = f"{look}_{slot}" + ("_translucent" if translucent else "") + ("_two_sided" if two_sided else "")
+    name = (
+        f"{'physical' if physical else 'artistic'}_{slot}"
+        + ("_translucent" if translucent else "")
+        + ("_two_sided" if two_sided else "")
+    )
     material = bpy.data.materials.get(name)
     if material is not None:
         return material
@@ -127,7 +131,7 @@ def object_material(
     tree.nodes.clear()
     new, link = tree.nodes.new, tree.links.new
     effect = new("ShaderNodeGroup")
-    effect.node_tree = infrared_effect_group() if look == "artistic" else physical_group()
+    effect.node_tree = physical_group() if physical else infrared_effect_group()
 
     def attribute(attribute_name: str, kind: str = "GEOMETRY") -> bpy.types.NodeSocket:
         node = new("ShaderNodeAttribute")
@@ -140,19 +144,18 @@ def object_material(
     link(celsius, effect.inputs["Temperature"])
     link(emissivity, effect.inputs["Emissivity"])
     link(ior, effect.inputs["IOR"])
-    if look == "artistic":
+    if physical:
+        link(attribute("roughness"), effect.inputs["Roughness"])
+        link(attribute("metal"), effect.inputs["Metal"])
+    else:
         link(attribute("surroundings_c", "OBJECT"), effect.inputs["Surroundings"])
         link(attribute("cold_c", "OBJECT"), effect.inputs["Cold"])
         link(attribute("hot_c", "OBJECT"), effect.inputs["Hot"])
-    else:
-        link(attribute("roughness"), effect.inputs["Roughness"])
-        link(attribute("metal"), effect.inputs["Metal"])
     shown = effect.outputs["Shader"]
     if translucent:
         opacity, clear = attribute("opacity"), new("ShaderNodeBsdfTransparent")
-        thin = shown
-        if look == "physical":
-            thin = emission_alone(tree, celsius, emissivity, ior, {n: attribute(n, "OBJECT") for n in SKY})
+        sky = {n: attribute(n, "OBJECT") for n in SKY if physical}
+        thin = emission_alone(tree, celsius, emissivity, ior, sky) if physical else shown
         thin = _mixed_shaders(tree, opacity, clear.outputs["BSDF"], thin)
         opaque = new("ShaderNodeMath")
         opaque.operation = "GREATER_THAN"

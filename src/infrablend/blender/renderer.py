@@ -106,7 +106,7 @@ class BlenderRenderer:
                 raise RenderError(f"{spec.frame_id}: Cycles failed: {error}") from error
         rendered = time.perf_counter()
         radiance, alpha, coverage = self._read(len(objects), (y1 - y0, x1 - x0), spec.frame_id)
-        if spec.appearance.mode == "physical":
+        if spec.weather is not None:
             radiance = np.asarray(radiance * UNIT_W_M2_SR, np.float32)
         seconds = {
             "build": built - started,
@@ -151,16 +151,12 @@ class BlenderRenderer:
 
     def _set_light(self, scene: PlacedScene) -> None:
         """Set the world: none in the artistic look; in the physical look, sky and ground, which surfaces mirror."""
-        spec = scene.spec
-        physical = spec.appearance.mode == "physical"
-        if physical:
-            if spec.weather is None:
-                raise ValueError(f"{spec.frame_id}: the physical look needs the weather")
-            set_world(self._scene, spec.weather)
-        else:
+        weather, c = scene.spec.weather, self._scene.cycles
+        if weather is None:
             self._scene.world = None
-        c = self._scene.cycles
-        c.max_bounces = c.diffuse_bounces = c.glossy_bounces = _bounces(scene) if physical else 0
+        else:
+            set_world(self._scene, weather)
+        c.max_bounces = c.diffuse_bounces = c.glossy_bounces = 0 if weather is None else _bounces(scene)
 
     def _set_aovs(self, count: int) -> None:
         aovs = self._scene.view_layers[0].aovs
@@ -179,9 +175,8 @@ class BlenderRenderer:
         try:
             _fill_mesh(data, placed, scene)
             translucent = any(placed.spec.parts[name].opacity < 1 for name in placed.mesh.part_names)
-            material = object_material(
-                slot, scene.appearance.mode, translucent=translucent, two_sided=is_two_sided(placed.mesh)
-            )
+            physical, two_sided = scene.weather is not None, is_two_sided(placed.mesh)
+            material = object_material(slot, physical=physical, translucent=translucent, two_sided=two_sided)
             data.materials.append(material)
             thing = bpy.data.objects.new(f"thing_{slot}", data)
             look = scene.appearance

@@ -13,9 +13,9 @@ is put. Gain, local share and the offset of the ground are estimated for each pi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ _LAND_K = 4.0
 _CLEARLY = 0.5
 
 OnDoubt = Literal["use", "prior", "skip"]
+Side = Literal["warm", "cold"]
+SIDES: tuple[Side, ...] = get_args(Side)
 
 
 @dataclass(frozen=True)
@@ -183,62 +185,112 @@ def local_mapping(
     behind = look_behind(picture, free, backdrop.grey_unit, camera, weather)
     reach = settings.local_share.reach
     on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey, reach)
-    against_sky = _land_anchors(behind, backdrop, weather)
-    anchors = (*on_ground, *against_sky)
-    of_ground, of_air = float(band_radiance(weather.ground_k)), float(band_radiance(weather.air_k))
-    unit = backdrop.grey_unit
-    share, share_facts = draw_share(
-        on_ground, weather.air_k, of_ground, unit, settings.local_share, settings.prior, rng
-    )
-    gains, offsets, gain_facts = {}, {}, {}
-    for which in ("warm", "cold"):  # always draw both, so that no insert's gain depends on the others
-        args = (weather.air_k, of_ground, unit, settings.prior, which == "warm")
-        gains[which], offsets[which], gain_facts[which] = draw_gain(anchors, *args, rng, share)
-        if settings.on_untrusted == "prior" and is_untrusted(gain_facts[which]["doubts"]):
-            doubts = gain_facts[which]["doubts"]
-            gains[which], offsets[which], gain_facts[which] = draw_gain((), *args, rng, share)
-            gain_facts[which].update(doubts=doubts, from_prior=True)
-    if any(facts.get("from_prior") for facts in gain_facts.values()):
-        # The share came from the same anchors.
-        share, share_facts = draw_share((), weather.air_k, of_ground, unit, settings.local_share, settings.prior, rng)
+    anchors = (*on_ground, *_land_anchors(behind, backdrop, weather))
+    curve = _estimate(on_ground, anchors, backdrop.grey_unit, weather, settings, rng)
 
-    rings, kinds, places, used = [], [], [], set()
-    for insert in inserts:
-        kind, ring = _kind_and_ring(behind, picture, free, insert.box_xyxy, reach)
-        which = "warm" if insert.warm or kind == "sky" else "cold"
-        used.add(which)
-        gain = gains[which]
-        middle = (insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2
-        level, reference = _reference(behind, kind, weather, ring)
-        clearer, hazier = _through_air(insert, weather, kind)
-        level += share * (ring - level)
-        if kind == "ground":
-            level += offsets[which]
-        dark = level - gain * reference + gain * hazier * of_air
-        span = gain * clearer
+    around = [_kind_and_ring(behind, picture, free, insert.box_xyxy, reach) for insert in inserts]
+    places = []
+    for insert, (kind, ring) in zip(inserts, around, strict=True):
+        dark, span = curve.line(insert, behind, kind, ring, weather)
         if black_hot:
             dark, span = low + high - dark, -span
-        places.append(Place((float(middle[0]), float(middle[1])), dark, dark + span))
-        rings.append(round(low + high - ring if black_hot else ring, 3))
-        kinds.append(kind)
-    first = places[0]
+        x, y = ((insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2).tolist()
+        places.append(Place((x, y), dark, dark + span))
     beyond = settings.headroom * (high - low)
     limits = (low - beyond, high + beyond)
-    mapping = GreyMapping(first.dark, first.bright, limits, tuple(places) if len(places) > 1 else ())
+    mapping = GreyMapping(places[0].dark, places[0].bright, limits, tuple(places) if len(places) > 1 else ())
+
+    def shown(level: float | None) -> float | None:
+        """Return a level as the picture has it, rounded."""
+        return None if level is None else round(low + high - level if black_hot else level, 3)
+
+    used = {_side(insert, kind) for insert, (kind, _) in zip(inserts, around, strict=True)}
     facts = {
-        "ring_grey": rings,
-        "behind": kinds,
+        "ring_grey": [shown(ring) for _, ring in around],
+        "behind": [kind for kind, _ in around],
         "behind_grey": {
-            k: None if v is None else round(low + high - v if black_hot else v, 3)
-            for k, v in (("ground", behind.ground_grey), ("sky", behind.sky_grey), ("skyline", behind.skyline_grey))
+            "ground": shown(behind.ground_grey),
+            "sky": shown(behind.sky_grey),
+            "skyline": shown(behind.skyline_grey),
         },
         "warm": [i.warm for i in inserts],
-        "local_share": share_facts,
-        "gain": {which: gain_facts[which] for which in gains if which in used},
+        "local_share": curve.share_facts,
+        "gain": {side: curve.gain_facts[side] for side in SIDES if side in used},
         "anchors": {kind: sum(a.kind == kind for a in anchors) for kind in ANCHORS},
         "levels": [low, high],
     }
     return mapping, facts
+
+
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """The map from radiance to grey of one picture, white-hot.
+
+    Attributes:
+        share: Local share.
+        gain: Gain of warm and of cold inserts, levels per radiance.
+        offset: Offset of the ground, levels, for warm and for cold inserts.
+        share_facts: How the share was estimated.
+        gain_facts: How each gain was estimated.
+    """
+
+    share: float
+    gain: Mapping[Side, float]
+    offset: Mapping[Side, float]
+    share_facts: Mapping[str, Any]
+    gain_facts: Mapping[Side, Mapping[str, Any]]
+
+    def line(self, insert: Insert, behind: Behind, kind: Kind, ring: float, weather: Weather) -> tuple[float, float]:
+        """Return the level of radiance 0 of an insert, and the levels per radiance; both include the air before it."""
+        side = _side(insert, kind)
+        level, reference = _reference(behind, kind, weather, ring)
+        clearer, hazier = _through_air(insert, weather, kind)
+        level += self.share * (ring - level)
+        if kind == "ground":
+            level += self.offset[side]
+        gain = self.gain[side]
+        return level - gain * reference + gain * hazier * float(band_radiance(weather.air_k)), gain * clearer
+
+
+def _side(insert: Insert, kind: Kind) -> Side:
+    """Return whose gain an insert has; the sky is colder than everything in front of it."""
+    return "warm" if insert.warm or kind == "sky" else "cold"
+
+
+def _estimate(
+    on_ground: Sequence[Anchor],
+    anchors: Sequence[Anchor],
+    unit: float,
+    weather: Weather,
+    settings: LocalSettings,
+    rng: np.random.Generator,
+) -> _Curve:
+    """Draw share, gains and offsets of a picture from their posteriors.
+
+    Args:
+        on_ground: Anchors in front of the ground.
+        anchors: All anchors.
+        unit: Levels of the picture per 8-bit level.
+        weather: Air, sky and ground temperature.
+        settings: Priors, and what to do with gains that cannot be trusted.
+        rng: Draws share and gains.
+    """
+    of_ground, prior = float(band_radiance(weather.ground_k)), settings.prior
+    share, share_facts = draw_share(on_ground, weather.air_k, of_ground, unit, settings.local_share, prior, rng)
+    gains: dict[Side, float] = {}
+    offsets: dict[Side, float] = {}
+    gain_facts: dict[Side, dict[str, Any]] = {}
+    for side in SIDES:  # always draw both, so that no insert's gain depends on the others
+        args = (weather.air_k, of_ground, unit, prior, side == "warm")
+        gains[side], offsets[side], gain_facts[side] = draw_gain(anchors, *args, rng, share)
+        if settings.on_untrusted == "prior" and is_untrusted(gain_facts[side]["doubts"]):
+            doubts = gain_facts[side]["doubts"]
+            gains[side], offsets[side], gain_facts[side] = draw_gain((), *args, rng, share)
+            gain_facts[side].update(doubts=doubts, from_prior=True)
+    if any(facts.get("from_prior") for facts in gain_facts.values()):
+        # The share came from the same anchors.
+        share, share_facts = draw_share((), weather.air_k, of_ground, unit, settings.local_share, prior, rng)
+    return _Curve(share, gains, offsets, share_facts, gain_facts)
 
 
 def _land_anchors(behind: Behind, backdrop: Backdrop, weather: Weather) -> tuple[Anchor, ...]:

@@ -1,18 +1,56 @@
-"""Automatic gain control (AGC): how 16-bit pictures become the 8-bit pictures that people and trainers look at."""
+"""Automatic gain control (AGC): how 16-bit pictures become the 8-bit pictures that people and trainers look at.
+
+Each picture is mapped by itself, as a camera does, except with a fixed range of temperatures. Originals and pictures
+with inserts are mapped alike.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Discriminator, TypeAdapter, ValidationError, model_validator
 from pydantic import Field as _Field
 
 from infrablend.core.strict_model import Strict
+from infrablend.core.temperature import TemperatureScale
 from infrablend.core.yaml_text import read_yaml
 
+# Bins of the histogram for plateau equalisation; a bin is at least one count wide.
+_BINS = 2048
+_TOP = 255.0
 
-class LinearAgc(Strict):
+Counts = NDArray[np.uint16]
+Levels = NDArray[np.uint8]
+
+
+class _Agc(Strict):
+    """A map from 16-bit to 8-bit pictures."""
+
+    needs_scale: ClassVar[bool] = False
+    """Whether pictures need a temperature scale."""
+
+    def apply(self, counts: Counts, scale: TemperatureScale | None = None) -> Levels:
+        """Return the (h, w) 8-bit picture of a (h, w) 16-bit one; warm is bright where a scale says what is warm.
+
+        Args:
+            counts: The picture.
+            scale: Scale of the counts; needed by a fixed range. A negative slope is turned over.
+
+        Raises:
+            ValueError: A fixed range without a scale.
+        """
+        if scale is not None and scale.black_hot:
+            counts = np.asarray(65_535 - counts, np.uint16)
+        return self._map(counts)
+
+    def _map(self, counts: Counts) -> Levels:
+        raise NotImplementedError
+
+
+class LinearAgc(_Agc):
     """A line between two percentiles of each picture."""
 
     mode: Literal["linear"]
@@ -30,8 +68,16 @@ class LinearAgc(Strict):
             )
         return self
 
+    def _map(self, counts: Counts) -> Levels:
+        low, high = (float(v) for v in np.percentile(counts, [self.low_percentile, self.high_percentile]))
+        return _rounded((counts.astype(np.float64) - low) / max(high - low, 1.0) * _TOP)
 
-class PlateauAgc(Strict):
+    def describe(self) -> str:
+        """Return it in words."""
+        return f"linear from the {self.low_percentile:g} to the {self.high_percentile:g} % quantile of each picture"
+
+
+class PlateauAgc(_Agc):
     """Plateau equalisation with the parameters that FLIR publishes for its cameras.
 
     The histogram of the picture is cut off at the plateau, so that large even areas do not take all levels. Its sum,
@@ -52,9 +98,38 @@ class PlateauAgc(Strict):
     midpoint: float = _Field(127.0, ge=0, le=255)
     """Level of the median where `max_gain` leaves levels unused."""
 
+    def _map(self, counts: Counts) -> Levels:
+        outliers = [self.outlier_percent, 100 - self.outlier_percent]
+        low, high = (float(v) for v in np.percentile(counts, outliers))
+        width = max((high - low) / _BINS, 1.0)
+        bins = max(int(np.ceil((high - low) / width)), 1)
+        edges = low + width * np.arange(bins + 1)
+        inner = counts[(counts >= low) & (counts <= high)]
+        found, _ = np.histogram(inner, edges)
+        kept = np.minimum(found, self.plateau_percent / 100 * counts.size)
+        share = self.linear_percent / 100
+        steps = (1 - share) * kept / max(float(kept.sum()), 1.0) + share / bins
+        rise = np.minimum(_TOP * steps, self.max_gain * width)
+        curve = np.concatenate([[0.0], np.cumsum(rise)])
+        unused = _TOP - curve[-1]
+        if unused > 0:
+            # The largest gain does not fill the range: the median goes to the midpoint, as far as there is room.
+            median = float(np.interp(float(np.median(counts)), edges, curve))
+            curve = curve + float(np.clip(self.midpoint - median, 0.0, unused))
+        return _rounded(np.interp(counts, edges, curve))
 
-class FixedAgc(Strict):
+    def describe(self) -> str:
+        """Return it in words."""
+        return (
+            f"plateau equalisation of each picture (plateau {self.plateau_percent:g} %, {self.linear_percent:g} % "
+            f"linear, {self.outlier_percent:g} % outliers, at most {self.max_gain:g} levels per count)"
+        )
+
+
+class FixedAgc(_Agc):
     """A line between two temperatures, the same for all pictures. Needs a temperature scale."""
+
+    needs_scale: ClassVar[bool] = True
 
     mode: Literal["fixed"]
     """`fixed`: a line between two temperatures, the same for all pictures."""
@@ -68,6 +143,21 @@ class FixedAgc(Strict):
         if self.low_c >= self.high_c:
             raise ValueError(f"low_c below high_c; found {self.low_c:g} and {self.high_c:g}")
         return self
+
+    def apply(self, counts: Counts, scale: TemperatureScale | None = None) -> Levels:
+        """Return the (h, w) 8-bit picture of a (h, w) 16-bit one with a scale."""
+        if scale is None:
+            raise ValueError("a fixed range of temperatures needs a temperature scale")
+        celsius = scale.kelvin(counts) - 273.15
+        return _rounded((celsius - self.low_c) / (self.high_c - self.low_c) * _TOP)
+
+    def describe(self) -> str:
+        """Return it in words."""
+        return f"linear from {self.low_c:g} to {self.high_c:g} °C in all pictures"
+
+
+def _rounded(levels: NDArray[np.float64]) -> Levels:
+    return np.asarray(np.clip(np.rint(levels), 0, _TOP), np.uint8)
 
 
 def _mode_alone(data: Any) -> Any:
@@ -111,15 +201,3 @@ def parse_agc(text: str) -> Agc:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "mode"
         raise ValueError(f"{text!r}: {where}: {first['msg']}; modes are {', '.join(MODES)}") from error
-
-
-def describe_agc(agc: Agc) -> str:
-    """Return an AGC in words."""
-    if isinstance(agc, LinearAgc):
-        return f"linear from the {agc.low_percentile:g} to the {agc.high_percentile:g} % quantile of each picture"
-    if isinstance(agc, FixedAgc):
-        return f"linear from {agc.low_c:g} to {agc.high_c:g} °C in all pictures"
-    return (
-        f"plateau equalisation of each picture (plateau {agc.plateau_percent:g} %, {agc.linear_percent:g} % linear, "
-        f"{agc.outlier_percent:g} % outliers, at most {agc.max_gain:g} levels per count)"
-    )

@@ -10,14 +10,17 @@ its own classes for the sections that depend on it, so that a recipe has no fiel
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from infrablend.config.agc import Agc
-from infrablend.config.sensor_profile import PROFILES, SensorProfile
+from infrablend.config.sensor_profile import PROFILES, SensorProfile, find_profile
+from infrablend.core.capture import Capture
 from infrablend.core.format_table import WrittenName
 from infrablend.core.strict_model import Strict, range_of
 from infrablend.core.temperature import TemperatureScale, Unit
@@ -78,11 +81,29 @@ class Data(Strict):
 # ---- Camera
 
 
+def _is_below(value: float | None, limit: float | None) -> bool:
+    """Return whether a known value is below a limit; True without a limit."""
+    return limit is None or (value is not None and value < limit)
+
+
+def _fits(entry: FlightHeight | FlightNumbers, picture: Capture) -> bool:
+    return (
+        entry.time_of_day in (None, picture.time_of_day)
+        and _is_below(picture.altitude_m, entry.below_m)
+        and _is_below(picture.pitch_deg, entry.below_pitch_deg)
+    )
+
+
 class FixedPitch(Strict):
     """One pitch for all frames."""
 
     fixed_deg: float = Field(ge=-90, le=100)
     """Depression angle of the camera, degrees: 0 level, 90 straight down, negative looking up."""
+
+    @property
+    def stated_deg(self) -> tuple[float, float]:
+        """Range of the pitch in all pictures."""
+        return self.fixed_deg, self.fixed_deg
 
 
 class RandomPitch(Strict):
@@ -90,6 +111,12 @@ class RandomPitch(Strict):
 
     random_deg: range_of(-90, 100)  # type: ignore[valid-type]
     """Range of the depression angle, degrees."""
+
+    @property
+    def stated_deg(self) -> tuple[float, float]:
+        """Range of the pitch in all pictures."""
+        low, high = self.random_deg
+        return low, high
 
 
 class HorizonPitch(Strict):
@@ -101,12 +128,20 @@ class HorizonPitch(Strict):
     """Range of the depression angle, degrees, where neither is there; it is drawn so that the horizon is below the
     picture if that shows the sky alone. Without it, nothing is inserted into such backgrounds."""
 
+    @property
+    def stated_deg(self) -> None:
+        """Nothing is stated for all pictures."""
+
 
 class FixedAltitude(Strict):
     """One height for all frames."""
 
     fixed_m: float = Field(gt=0, le=10_000)
     """Height of the camera above the ground, metres."""
+
+    def at(self, share: float) -> float:
+        """Return the height, whatever number in [0, 1) was drawn."""
+        return self.fixed_m
 
 
 class RandomAltitude(Strict):
@@ -115,9 +150,17 @@ class RandomAltitude(Strict):
     random_m: range_of(0.1, 10_000)  # type: ignore[valid-type]
     """Range of the camera's height above the ground, metres."""
 
+    def at(self, share: float) -> float:
+        """Return the height at a drawn share of the range, in [0, 1)."""
+        low, high = self.random_m
+        return float(low + (high - low) * share)
+
 
 class Camera(Strict):
     """The virtual camera. It looks at the origin of the scene."""
+
+    is_real: ClassVar[bool] = False
+    """Whether it is the background's own camera, above the ground that the picture shows."""
 
     pitch: Literal["metadata"] | FixedPitch | RandomPitch | HorizonPitch = "metadata"
     """Depression angle: that of each background (`metadata`), `{fixed_deg: 0}`, `{random_deg: [0, 90]}`, or
@@ -134,6 +177,30 @@ class Camera(Strict):
     )
     """Width and height of the images that the recipe is made for. A background of another size is rendered at its own
     size with the same horizontal field of view, and counted in the run record."""
+
+    @property
+    def stated_pitch_deg(self) -> tuple[float, float] | None:
+        """Range of the pitch that is stated for all pictures; None if each picture has its own."""
+        return None if self.pitch == "metadata" else self.pitch.stated_deg
+
+    @property
+    def horizon(self) -> HorizonPitch | None:
+        """How the pitch is found in pictures that state none; None if it is not."""
+        return self.pitch if isinstance(self.pitch, HorizonPitch) else None
+
+    @property
+    def needs_height(self) -> bool:
+        """Whether each picture has to state the height of its camera."""
+        return False
+
+    @property
+    def needs_lens(self) -> bool:
+        """Whether each picture of a known camera has to state its field of view."""
+        return False
+
+    def lens_mm(self, hfov_deg: float | None) -> float:
+        """Return the focal length for a picture of this horizontal field of view (None if unknown)."""
+        return self.focal_length_mm
 
 
 class PaperCamera(Camera):
@@ -158,6 +225,10 @@ class FlightHeight(Strict):
     spread: float | None = Field(None, gt=0, le=1)
     """Standard deviation of this factor's logarithm; by default that of all pictures."""
 
+    def fits(self, picture: Capture) -> bool:
+        """Return whether a picture belongs to these."""
+        return _fits(self, picture)
+
 
 class StatedHeights(Strict):
     """How heights in names and tables of the dataset differ from true ones."""
@@ -178,6 +249,8 @@ class StatedHeights(Strict):
 class MetricCamera(Camera):
     """The real camera of `placement.mode: metric`: at a height above the ground."""
 
+    is_real: ClassVar[bool] = True
+
     roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
     """Rotation about the optical axis, degrees, added to the gimbal's roll if the background's file, table or log
     states it. 0 for a gimbal that holds the horizon."""
@@ -195,6 +268,38 @@ class MetricCamera(Camera):
     in the table)."""
     stated_heights: StatedHeights = StatedHeights()
     """With `calibrate`: how heights in names and tables of the dataset differ from true ones."""
+
+    @property
+    def needs_height(self) -> bool:
+        """Whether each picture has to state the height of its camera."""
+        return self.altitude == "metadata"
+
+    @property
+    def needs_lens(self) -> bool:
+        """Whether each picture of a known camera has to state its field of view."""
+        return self.field_of_view == "metadata"
+
+    def lens_mm(self, hfov_deg: float | None) -> float:
+        """Return the focal length for a picture of this horizontal field of view (None if unknown)."""
+        if hfov_deg is None or not self.needs_lens:
+            return self.focal_length_mm
+        return self.sensor_width_mm / 2 / math.tan(math.radians(hfov_deg) / 2)
+
+    def height_m(self, known: float | None, share: float) -> float:
+        """Return the stated height of the camera.
+
+        Args:
+            known: Height that the picture's metadata state; None if unknown.
+            share: Drawn number in [0, 1) that sets the height within the recipe's range.
+
+        Raises:
+            ValueError: The height is needed and unknown.
+        """
+        if self.altitude != "metadata":
+            return self.altitude.at(share)
+        if known is None:
+            raise ValueError("no altitude; the plan must have left this background out")
+        return known
 
 
 # ---- Objects
@@ -214,6 +319,16 @@ class Numbers(Strict):
             raise ValueError(f"{len(self.values)} weights, one per value, not all 0; found {list(self.weights)}")
         return self
 
+    def draw(self, rng: np.random.Generator) -> int:
+        """Draw a number."""
+        weights = np.array(self.weights or [1.0] * len(self.values))
+        return int(rng.choice(np.array(self.values), p=weights / weights.sum()))
+
+    @property
+    def mean(self) -> float:
+        """Mean number."""
+        return float(np.average(self.values, weights=self.weights))
+
 
 class FlightNumbers(Numbers):
     """Numbers of objects in pictures of one time of day, or taken below a height or at a low angle."""
@@ -225,6 +340,10 @@ class FlightNumbers(Numbers):
     below_pitch_deg: float | None = Field(None, gt=-90, le=90)
     """These pictures have a smaller depression angle than this; any angle by default. They show more ground."""
 
+    def fits(self, picture: Capture) -> bool:
+        """Return whether a picture belongs to these."""
+        return _fits(self, picture)
+
 
 class Count(Numbers):
     """A number of objects drawn for each frame."""
@@ -232,6 +351,10 @@ class Count(Numbers):
     by_flight: tuple[FlightNumbers, ...] = ()
     """Numbers for pictures of some times of day, heights and angles: the first entry that fits a picture applies to it,
     and the numbers above apply where none fits. Pilots fly low over groups, and high over single objects."""
+
+    def of_flight(self, picture: Capture) -> Numbers:
+        """Return the numbers for a picture."""
+        return next((numbers for numbers in self.by_flight if numbers.fits(picture)), self)
 
 
 class PartOverride(Strict):
@@ -289,6 +412,11 @@ ClassName = Annotated[str, Field(pattern=CLASS_NAME)]
 class ObjectKind(Strict):
     """A kind of object to insert."""
 
+    only_standing: ClassVar[tuple[str, ...]] = ()
+    """Fields that have no effect on models that fly."""
+    only_flying: ClassVar[tuple[str, ...]] = ()
+    """Fields that have no effect on models that stand on the ground."""
+
     model: str = Field(min_length=1)
     """Name in `infrablend models list`, or the path of your own model's YAML (relative to the recipe, or to the current
     folder if it is set for a shipped recipe)."""
@@ -305,6 +433,14 @@ class ObjectKind(Strict):
     parts: dict[str, PartOverride] = Field(default_factory=dict)
     """Other temperatures or emissivities for named parts."""
 
+    def draw_count(self, rng: np.random.Generator, picture: Capture) -> int:
+        """Draw the number of objects in a picture; a fixed number takes nothing from `rng`."""
+        return self.count if isinstance(self.count, int) else self.count.of_flight(picture).draw(rng)
+
+    def mean_count(self, picture: Capture) -> float:
+        """Return the mean number of objects in a picture."""
+        return self.count if isinstance(self.count, int) else self.count.of_flight(picture).mean
+
 
 class PaperObject(ObjectKind):
     """A kind of object in `placement.mode: paper`: at a drawn position around the origin of the scene."""
@@ -319,6 +455,9 @@ class PaperObject(ObjectKind):
 
 class MetricObject(ObjectKind):
     """A kind of object in `placement.mode: metric`: on the ground, or in the air in front of the camera."""
+
+    only_standing: ClassVar[tuple[str, ...]] = ("group", "align", "z_m")
+    only_flying: ClassVar[tuple[str, ...]] = ("range_m",)
 
     z_m: range_of(-100_000, 100_000) = (0.0, 0.0)  # type: ignore[valid-type]
     """Models that stand: height above the ground, metres; a draw below 0 is rejected."""
@@ -349,6 +488,9 @@ class MinContrast(Strict):
 class Placement(Strict):
     """Where objects go, and which placements are accepted."""
 
+    needs_levels: ClassVar[bool] = True
+    """Whether the range of grey levels of the whole dataset has to be known."""
+
     attempts: int = Field(200, ge=1, le=100_000)
     """Largest number of draws per object; after that the object is left out of the frame, and counted. Each object in a
     row that found no place halves it for the next one of its kind, down to a twentieth."""
@@ -369,6 +511,10 @@ class Placement(Strict):
 
 class PaperPlacement(Placement):
     """Placement around the origin of a virtual scene."""
+
+    needs_levels: ClassVar[bool] = False
+    contrast_redraws: ClassVar[int] = 0
+    max_noise_grey: ClassVar[None] = None
 
     mode: Literal["paper"] = "paper"
     """`paper`: around the origin of a virtual scene."""
@@ -455,8 +601,16 @@ class Geolocation(Strict):
 class Environment(Strict):
     """The weather."""
 
+    air_of_picture: ClassVar[bool] = False
+    """Whether temperature and humidity of the air are those that the picture's file states, if it does."""
+
     air_temperature_c: range_of(-60, 60) = (5.0, 25.0)  # type: ignore[valid-type]
     """Air temperature, degrees Celsius; one value per frame. The temperatures of all parts are relative to it."""
+
+    @property
+    def sky(self) -> SkyEnvironment | None:
+        """The weather with sky and sun; None if the look has neither."""
+        return None
 
 
 class SkyEnvironment(Environment):
@@ -472,6 +626,15 @@ class SkyEnvironment(Environment):
     """Where the backgrounds were taken, for the sun's elevation at their time of capture. Backgrounds without a time
     and time zone of capture get one from `sun_elevation_deg`."""
 
+    @property
+    def sky(self) -> SkyEnvironment:
+        """The weather with sky and sun."""
+        return self
+
+    def ground_above_air_k(self, day: bool) -> tuple[float, float] | None:
+        """Return the range of ground minus air temperature, kelvin; None if the picture shows the ground's."""
+        return None
+
 
 class PhysicalEnvironment(SkyEnvironment):
     """The weather of `appearance.mode: physical`, with the ground drawn."""
@@ -481,6 +644,11 @@ class PhysicalEnvironment(SkyEnvironment):
     ground_above_air_night_k: range_of(-40, 60) = (-1.0, 4.0)  # type: ignore[valid-type]
     """Apparent ground temperature minus air temperature by night and at an unknown time of day, kelvin."""
 
+    def ground_above_air_k(self, day: bool) -> tuple[float, float]:
+        """Return the range of ground minus air temperature, kelvin, by day or at another time."""
+        low, high = self.ground_above_air_day_k if day else self.ground_above_air_night_k
+        return low, high
+
 
 class RadiometricEnvironment(SkyEnvironment):
     """The weather of `matching.mode: radiometric`: the ground's temperature is that of the picture.
@@ -489,21 +657,37 @@ class RadiometricEnvironment(SkyEnvironment):
     `dew_point_below_air_k` to those that do not state its humidity.
     """
 
+    air_of_picture: ClassVar[bool] = True
+
 
 class Appearance(Strict):
     """How temperature becomes radiance."""
 
     traces_light: ClassVar[bool] = True
     """Whether light travels between surfaces; pictures without that are sampled on a lattice instead of by Cycles."""
+    needs_levels: ClassVar[bool] = True
+    """Whether the range of grey levels of the whole dataset has to be known."""
+    follows_time_of_day: ClassVar[bool] = True
+    """Whether models with parts that differ by day and by night follow the picture."""
+    min_contrast: ClassVar[Literal["real", "off"]] = "real"
+    """What `placement.min_contrast` is by default."""
 
     texture_k: float = Field(0.8, ge=0, le=50)
     """Amplitude of the smooth temperature variation over every body, kelvin."""
+
+    @property
+    def ends(self) -> ArtisticAppearance:
+        """Ends that the flat renderer shows temperatures between: those of the artistic look, in every look."""
+        return ArtisticAppearance()
 
 
 class ArtisticAppearance(Appearance):
     """The paper's hand-tuned look (Emission, Color Ramp, Fresnel)."""
 
     traces_light: ClassVar[bool] = False
+    needs_levels: ClassVar[bool] = False
+    follows_time_of_day: ClassVar[bool] = False
+    min_contrast: ClassVar[Literal["real", "off"]] = "off"
 
     mode: Literal["artistic"] = "artistic"
     """`artistic`: the paper's hand-tuned look. Grey levels are matched to percentiles of the background."""
@@ -513,6 +697,11 @@ class ArtisticAppearance(Appearance):
     """Temperature that is shown at the background's bright end, minus air temperature, kelvin."""
     surroundings_below_air_k: float = Field(10.0, ge=-100, le=200)
     """Air temperature minus the apparent temperature that surfaces reflect (a mix of sky and ground), kelvin."""
+
+    @property
+    def ends(self) -> ArtisticAppearance:
+        """Its own ends."""
+        return self
 
 
 class PhysicalAppearance(Appearance):
@@ -526,12 +715,35 @@ class PhysicalAppearance(Appearance):
 class Matching(Strict):
     """How radiance becomes grey levels of the background."""
 
+    needs_temperatures: ClassVar[bool] = False
+    """Whether backgrounds need 16 bits and a temperature scale."""
+    uses_headroom: ClassVar[bool] = False
+    """Whether `sensor.headroom` has an effect."""
+
+    def is_black_hot(self, scale: TemperatureScale | None) -> bool:
+        """Return whether hot is dark in a picture with this temperature scale (None without one)."""
+        return scale is not None and scale.black_hot
+
+    @property
+    def percentiles(self) -> PercentileMatching:
+        """Matching of frames without objects."""
+        return PercentileMatching()
+
 
 class GreyMatching(Matching):
     """How radiance becomes grey levels of a background without a temperature scale."""
 
     polarity: Literal["white-hot", "black-hot"] = "white-hot"
     """Whether hot is bright or dark in this dataset."""
+
+    def is_black_hot(self, scale: TemperatureScale | None) -> bool:
+        """Return whether hot is dark in this dataset."""
+        return self.polarity == "black-hot"
+
+    @property
+    def percentiles(self) -> PercentileMatching:
+        """Matching of frames without objects."""
+        return PercentileMatching(polarity=self.polarity)
 
 
 class PercentileMatching(GreyMatching):
@@ -543,6 +755,11 @@ class PercentileMatching(GreyMatching):
     """Percentile of the background's grey levels that the hot end is shown as."""
     min_span: float = Field(0.35, ge=0, le=1)
     """Least span between the two ends, as a share of the full range; keeps objects visible on flat backgrounds."""
+
+    @property
+    def percentiles(self) -> PercentileMatching:
+        """Itself, for all frames."""
+        return self
 
     @model_validator(mode="after")
     def _in_order(self) -> PercentileMatching:
@@ -558,6 +775,8 @@ class LocalMatching(GreyMatching):
 
     Gain, local share and offset of the ground are estimated for each background.
     """
+
+    uses_headroom: ClassVar[bool] = True
 
     gain_grey_per_k: range_of(0.1, 100) = (2.5, 12.0)  # type: ignore[valid-type]
     """Lower and upper bound of the gain, 8-bit grey levels per kelvin."""
@@ -594,6 +813,8 @@ class RadiometricMatching(Matching):
     ring around the objects; the air's is stated by the picture's file, or drawn from `environment.air_temperature_c`.
     """
 
+    needs_temperatures: ClassVar[bool] = True
+
     mode: Literal["radiometric"]
     """`radiometric`: for 16-bit pictures whose temperature scale is known (`data.unit`, or the dataset's own files).
     Needs `placement.mode: metric` and `appearance.mode: physical`."""
@@ -616,12 +837,19 @@ class Overlay(Strict):
 class NoSensor(Strict):
     """No imitation of the background's camera: the render is blurred by `overlay.softness_px`, nothing else."""
 
+    needs_levels: ClassVar[bool] = False
+    motion_px: ClassVar[tuple[float, float]] = (0.0, 0.0)
+    headroom: ClassVar[float] = 0.0
+
     profile: Literal["off"] = "off"
     """`off`: no imitation; the render is blurred by `overlay.softness_px`."""
 
 
 class Sensor(Strict):
     """Imitation of the background's own camera, for the inserts only. Strength 0 turns a step off, 1 is as measured."""
+
+    needs_levels: ClassVar[bool] = True
+    """Whether the range of grey levels of the whole dataset has to be known."""
 
     profile: Annotated[Literal["hit-uav", "monet", "generic-640x512"] | SensorProfile, BeforeValidator(_known_profile)]
     """The camera: the name of a shipped profile, the path of a profile's .json or .yaml (relative to the recipe;
@@ -646,9 +874,15 @@ class Sensor(Strict):
     """Compression of the 8 px blocks that the inserts touch, by JPEG of quality 100 - codec * (100 - q), where q is
     the profile's quality. 8-bit images only."""
 
+    def profile_at(self, grey_unit_k: float | None) -> str | SensorProfile:
+        """Return the profile, whatever the kelvin per level (None for pictures without temperatures)."""
+        return self.profile
+
 
 class PaperSensor(Sensor):
     """Imitation of the background's camera in `placement.mode: paper`."""
+
+    defocus: ClassVar[float] = 0.0
 
 
 class MetricSensor(Sensor):
@@ -664,6 +898,12 @@ class RadiometricSensor(Strict):
     Such pictures have neither detail enhancement nor codec.
     """
 
+    needs_levels: ClassVar[bool] = True
+    halo: ClassVar[float] = 0.0
+    codec: ClassVar[float] = 0.0
+    clip: ClassVar[bool] = False
+    headroom: ClassVar[float] = 0.0
+
     profile: Annotated[Literal["hit-uav", "monet", "generic-640x512"] | SensorProfile, BeforeValidator(_known_profile)]
     """The camera: the name of a shipped profile, the path of a profile's .json or .yaml, or its fields. Its optics are
     used; its sharpening, codec and grey levels are not."""
@@ -678,6 +918,19 @@ class RadiometricSensor(Strict):
     area; four times this is the most that is taken from a background."""
     defocus: float = Field(1.0, ge=0, le=2)
     """Factor on the blur of objects that are nearer than the lens is focused."""
+
+    def profile_at(self, grey_unit_k: float | None) -> str | SensorProfile:
+        """Return the profile without sharpening and codec, with this camera's noise.
+
+        Args:
+            grey_unit_k: Kelvin per level of an 8-bit picture of the same range; None for pictures without temperatures,
+                which keep the profile.
+        """
+        if grey_unit_k is None:
+            return self.profile
+        noise = min(self.netd_k / grey_unit_k, 20.0)
+        update = {"halo_gain": 0.0, "codec_quality": None, "levels": None, "noise_grey": noise}
+        return find_profile(self.profile).model_copy(update=update)
 
 
 def _sensor_tag(value: Any) -> str:
@@ -737,6 +990,11 @@ class Labels(Strict):
     seg_originals: Literal["omit", "obb"] = "omit"
     """Format yolo-seg only: leave original objects out (they have no masks), or write their oriented box as a
     polygon."""
+
+    @property
+    def merges(self) -> bool:
+        """Whether original and new labels are written together."""
+        return self.mode == "merged"
 
 
 GroupKey = Literal["pitch", "altitude", "day_night"]
@@ -810,6 +1068,9 @@ class FrameByHand(Strict):
 
 
 # ---- Recipe
+
+LookName = Literal["artistic", "physical", "radiometric"]
+"""How temperatures become grey levels; it follows from `appearance.mode` and `matching.mode`."""
 
 
 class _Sections(Strict):
@@ -892,6 +1153,8 @@ class MetricGreySections(MetricSections):
 class ArtisticSections(Strict):
     """Sections of `appearance.mode: artistic`."""
 
+    look: ClassVar[LookName] = "artistic"
+
     environment: Environment = Environment()
     """The weather."""
     appearance: ArtisticAppearance = ArtisticAppearance()
@@ -903,6 +1166,8 @@ class ArtisticSections(Strict):
 class PhysicalSections(Strict):
     """Sections of `appearance.mode: physical`."""
 
+    look: ClassVar[LookName] = "physical"
+
     environment: PhysicalEnvironment = PhysicalEnvironment()
     """The weather."""
     appearance: PhysicalAppearance
@@ -913,6 +1178,8 @@ class PhysicalSections(Strict):
 
 class RadiometricSections(MetricSections):
     """Sections of `matching.mode: radiometric`."""
+
+    look: ClassVar[LookName] = "radiometric"
 
     sensor: Annotated[
         Annotated[NoSensor, Tag("off")] | Annotated[RadiometricSensor, Tag("on")], Discriminator(_sensor_tag)

@@ -107,7 +107,7 @@ class Sun:
 
 @dataclass(frozen=True)
 class Weather:
-    """Air, sky and ground around a frame's objects; used by the physical look.
+    """Air, sky and ground around a frame's objects; a scene with weather has the physical look.
 
     Attributes:
         air_k: Air temperature.
@@ -152,15 +152,12 @@ class Appearance:
     """Rules that turn temperature into light.
 
     Attributes:
-        mode: `artistic` is the paper's hand-tuned look, with levels from 0 to 1; `physical` gives band radiance,
-            W m^-2 sr^-1, and takes its surroundings from the `Weather`.
         cold_k: Temperature that emits 0 in the artistic look, before emissivity.
         hot_k: Temperature that emits 1 in the artistic look, before emissivity.
         surroundings_k: Apparent temperature that surfaces mirror in the artistic look.
         texture_k: Amplitude of the low-frequency temperature pattern on every part.
     """
 
-    mode: Literal["artistic", "physical"] = "artistic"
     cold_k: float = 278.15
     hot_k: float = 313.15
     surroundings_k: float = 263.15
@@ -183,7 +180,8 @@ class SceneSpec:
         samples: Path-tracing samples per pixel; 0 leaves the choice to the renderer.
         render_seed: Seed of the path tracer's sampling pattern.
         draws: Facts about sampling (attempts, first distance drawn, reasons why objects are absent).
-        weather: Air, sky and ground for the physical look; None with the artistic one.
+        weather: Air, sky and ground, which decide light and surroundings in the physical look: band radiance,
+            W m^-2 sr^-1. None with the paper's hand-tuned look, whose levels are from 0 to 1.
         motion_px: Mean displacement (right, down) by the motion tail. The tail stretches this way while the objects
             move the other way; `objects` and `camera` already include the displacement. (0, 0) for none.
         view: Height of the real camera over the ground; None with the paper's placement.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.config.recipe import FixedPitch, RandomPitch, Recipe
+from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
@@ -84,12 +84,10 @@ def require_temperatures(background: Background, scale: TemperatureScale | None,
 
 def is_ground(source: ImageRecord, recipe: Recipe) -> bool:
     """Return whether a picture shows the ground, by its pitch or the recipe's, and not perhaps the sky alone."""
-    pitch = recipe.camera.pitch
-    if isinstance(pitch, FixedPitch):
-        return pitch.fixed_deg > 0
-    if isinstance(pitch, RandomPitch):
-        return bool(pitch.random_deg[0] > 0)
-    return pitch == "metadata" and shows_ground(source)
+    stated = recipe.camera.stated_pitch_deg
+    if stated is not None:
+        return stated[0] > 0
+    return recipe.camera.horizon is None and shows_ground(source)
 
 
 def background_facts(source: ImageRecord, background: Background, data_root: Path) -> dict[str, Any]:

@@ -8,8 +8,6 @@ from typing import Any
 
 from infrablend.annotation.looseness import Looseness, loosened_text
 from infrablend.annotation.merge import RemovalReason
-from infrablend.config.agc import describe_agc
-from infrablend.config.recipe import RadiometricMatching
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ledger import LEDGER
 from infrablend.core.run_folder import EIGHT_BIT, IMAGES, RUN_FILE
@@ -98,13 +96,13 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
         )
     for scale, n in describe_scales(plan.dataset).items():
         texts.append(f"Levels of 16-bit pictures of {n} backgrounds are temperatures, or counts: {scale}.")
-    if isinstance(plan.recipe.matching, RadiometricMatching):
+    if plan.recipe.matching.needs_temperatures:
         texts.append(
             "Objects were inserted by their apparent temperatures at the sensor, in the backgrounds' own unit, without "
             "gain or clipping."
         )
     if output.agc is not None:
-        texts.append(f"`{EIGHT_BIT}/` has the same dataset in 8-bit pictures: {describe_agc(output.agc)}.")
+        texts.append(f"`{EIGHT_BIT}/` has the same dataset in 8-bit pictures: {output.agc.describe()}.")
     texts += [f"{n} {REMOVAL_TEXTS.get(reason, reason)}." for reason, n in counts["labels_removed"].items()]
     if covered := counts.get("labels_partly_covered"):
         texts.append(f"{covered} original labels are partly covered by inserted objects and kept.")

@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from infrablend.compositing.agc import apply_agc
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import join_inside
@@ -35,7 +34,7 @@ def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> t
         pixels = load_background(image.path, image.size_wh).pixels
         if pixels.dtype == np.uint16:
             scale = image.capture.scale
-            levels = apply_agc(np.asarray(pixels, np.uint16), agc, scale)
+            levels = agc.apply(np.asarray(pixels, np.uint16), scale)
         else:
             levels, as_they_are = np.asarray(pixels, np.uint8), as_they_are + 1
         name = str(PurePosixPath(image.name).with_suffix(".png"))

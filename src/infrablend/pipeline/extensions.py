@@ -22,8 +22,8 @@ from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.errors import ArgumentError
 from infrablend.formats.images import Background, load_background
-from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import FrameKey, sample_scene
+from infrablend.sampling.scene import RecipeSampler, sample_scene
+from infrablend.sampling.site import FrameKey, Site
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -148,24 +148,23 @@ class Extensions:
         deep = pixels.dtype == np.uint16
         return Background(Path(image.path), pixels, "I;16" if deep else "L", 16 if deep else 8, "PNG")
 
-    def scene(self, request: SceneRequest) -> PlacedScene:
-        """Return the scene of a frame."""
-        return request.by_recipe() if self.sampler is None else self.sampler.sample(request)
+    def make_sampler(self, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int) -> RecipeSampler:
+        """Return what draws the scenes of a recipe."""
+        if self.sampler is None:
+            return RecipeSampler(recipe, models, seed)
+        return _OwnSampler(self.sampler, recipe, models, seed)
 
-    def picture(self, request: LookRequest) -> Pixels:
-        """Return the finished picture.
 
-        Raises:
-            ArgumentError: The look returned another size or type.
-        """
-        if self.look is None:
-            return request.picture
-        found, expected = self.look.apply(request), request.picture
-        if found.shape != expected.shape or found.dtype != expected.dtype:
-            raise ArgumentError(
-                f"look: returned {found.shape} {found.dtype}, expected {expected.shape} {expected.dtype}"
-            )
-        return found
+class _OwnSampler(RecipeSampler):
+    """The caller's own sampler of scenes; objects that nobody can see are moved as the recipe says."""
+
+    def __init__(self, own: SceneSampler, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int) -> None:
+        super().__init__(recipe, models, seed)
+        self._own = own
+
+    def sample(self, frame: FrameKey, site: Site | None = None) -> PlacedScene:
+        assert site is not None
+        return self._own.sample(SceneRequest(frame, self._recipe, self._models, self._seed, site))
 
 
 NO_EXTENSIONS = Extensions()

@@ -9,54 +9,33 @@ background --> scene --> render --> overlay --> image
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from infrablend.annotation.labels import annotate
-from infrablend.annotation.merge import merge
+from infrablend.annotation.labels import LabelReport, annotate
+from infrablend.annotation.merge import MergedLabels, merge
 from infrablend.assets.catalogue import load_model
-from infrablend.compositing.gain import Backdrop
-from infrablend.compositing.local import match_locally
-from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels, percentile_mapping
-from infrablend.compositing.occlusion import Scenery, Share, put_behind, restore_front
-from infrablend.compositing.overlay import compose, flat_layer, make_layer
-from infrablend.compositing.radiometric import ThermalBackdrop, compose_radiance, match_radiometric
-from infrablend.compositing.sensor import Sensor, apply_sensor, fit_sensor
+from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
+from infrablend.compositing.occlusion import Scenery
+from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import (
-    GreyMatching,
-    LocalMatching,
-    MetricSections,
-    MetricSensor,
-    NoSensor,
-    Overlay,
-    PaperSensor,
-    RadiometricMatching,
-)
 from infrablend.core.cores import take_core
-from infrablend.core.dataset import ImageRecord
+from infrablend.core.dataset import Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
-from infrablend.core.rng import integer_seed, stream
+from infrablend.core.rng import integer_seed
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, output_suffix
-from infrablend.pipeline.backgrounds import background_facts, is_ground, require_temperatures, require_thermal_levels
+from infrablend.pipeline.backgrounds import background_facts
 from infrablend.pipeline.composed import ComposedFrame, MadeFrame, covered_facts
-from infrablend.pipeline.extensions import LookRequest, SceneRequest
-from infrablend.pipeline.frame_settings import (
-    FrameSettings,
-    least_contrast,
-    local_settings,
-    merge_settings,
-    percentile_settings,
-    sensor_profile,
-    sensor_strength,
-)
-from infrablend.pipeline.inserts import FirstContrasts, faint_inserts, measure_inserts, with_seen_box
+from infrablend.pipeline.frame_settings import FrameSettings, merge_settings
+from infrablend.pipeline.inserts import FirstContrasts, Insert, faint_inserts, measure_inserts, with_seen_box
+from infrablend.pipeline.looks import make_look
 from infrablend.pipeline.occlusion import (
     Cover,
     behind_front,
@@ -68,9 +47,66 @@ from infrablend.pipeline.occlusion import (
 from infrablend.pipeline.original import unchanged_original
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.rendering import make_renderer
-from infrablend.sampling.calibration import FROM_TABLE, PRIORS, HeightPrior, prior_of
-from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import air_source, move_objects
+from infrablend.sampling.site import FrameKey, Site
+
+
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """A background, and what is known of it.
+
+    Attributes:
+        frame: The frame that it is for.
+        background: The picture.
+        key: Key of the frame's random streams.
+        site: The background as placement sees it.
+        cover: What can hide objects in part; None if the recipe hides none.
+    """
+
+    frame: PlannedFrame
+    background: Background
+    key: FrameKey
+    site: Site
+    cover: Cover | None
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A finished picture, with all that is known of its objects.
+
+    Attributes:
+        scene: The scene.
+        mapping: From radiance to grey levels.
+        rendered: The rendered scene.
+        pixels: (h, w) grey levels.
+        inserts: Objects with a label.
+        report: What became of the others.
+        facts: Facts for the frame's record.
+    """
+
+    scene: PlacedScene
+    mapping: GreyMapping
+    rendered: RenderResult
+    pixels: GreyImage
+    inserts: Sequence[Insert]
+    report: LabelReport
+    facts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """A scene with objects that nobody can see in its picture.
+
+    Attributes:
+        scene: The scene.
+        numbers: Numbers of these objects.
+        hidden: Numbers of those of them that structures of the background hide too much.
+        matching: Facts that matching estimated.
+    """
+
+    scene: PlacedScene
+    numbers: Sequence[int]
+    hidden: Sequence[int]
+    matching: Mapping[str, Any]
 
 
 class FrameComposer:
@@ -79,9 +115,10 @@ class FrameComposer:
     def __init__(self, settings: FrameSettings, renderer: Renderer) -> None:
         """Load the recipe's models; `renderer` stays open and may be shared by several composers."""
         self._settings = settings
-        self._extensions = settings.extensions
         self._recipe = recipe_from_json(settings.recipe_json)
         self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
+        self._sampler = settings.extensions.make_sampler(self._recipe, self._models, settings.seed)
+        self._look = make_look(self._recipe, settings)
         self._renderer = renderer
 
     def compose(self, frame: PlannedFrame) -> ComposedFrame:
@@ -93,89 +130,47 @@ class FrameComposer:
         """
         if frame.configuration is None:
             return unchanged_original(frame, self._recipe, self._settings)
-        source, recipe = frame.background, self._recipe
-        background = self._extensions.load(source)
-        if isinstance(recipe.matching, LocalMatching):
-            require_thermal_levels(background)
-        elif isinstance(recipe.matching, RadiometricMatching):
-            radiometry = frame.as_read.capture.radiometry
-            scale = None if radiometry is None else radiometry.scale
-            require_temperatures(background, scale, is_ground(source, recipe))
+        background = self._settings.extensions.load(frame.background)
+        self._look.check(frame, background)
+        canvas = self._canvas(frame, background)
 
-        # Scene: the objects, their places and temperatures.
-        rules, unit = recipe.occlusion, self._grey_unit(background)
-        cover = None if rules.share == 0 else Cover(rules, Scenery(background.pixels, unit), self._models)
-        key, site = frame.key(background.size_wh), self._site(frame, background, unit, cover)
-        scene = self._extensions.scene(SceneRequest(key, recipe, self._models, self._settings.seed, site))
-        scene = drop_barely_visible(scene, recipe.placement.min_visibility)
+        # The objects, their places and temperatures.
+        scene = self._sampler.sample(canvas.key, canvas.site)
+        scene = drop_barely_visible(scene, self._recipe.placement.min_visibility)
 
-        # Image and labels. Objects that nobody can see in the finished picture are moved, or left out in the end.
-        moves = 0
-        first = FirstContrasts(scene)
-        matching_facts: dict[str, Any] = {}
-        while True:
-            scene, mapping, facts, expected = self._match(scene, frame, background)
-            # What was estimated for objects that are left out in the end is still reported.
-            matching_facts = facts or matching_facts
-            faint = movable(scene, expected)
-            first.add(scene, {k: {"object": k, "changed": round(expected[k], 2), "expected": True} for k in faint})
-            hidden: list[int] = []
-            if not faint:
-                sensor = self._sensor(scene, background, mapping.scale)
-                rendered = self._renderer.render(scene)
-                occluders = {} if cover is None else cover.find(scene)
-                front = front_of(occluders, None if cover is None else cover.scenery, rendered)
-                motion_px = scene.spec.motion_px
-                pixels = overlay(rendered, background.pixels, mapping, recipe.overlay, sensor, motion_px, front)
-                pixels = self._extensions.picture(LookRequest(pixels, background.pixels, rendered, scene))
-                seen = behind_front(rendered, front, occluders)
-                labels, label_report = label_objects(scene, rendered, seen, occluders, recipe.labels)
-                inserts = measure_inserts(label_report.kept, labels, seen, background.pixels, pixels, site)
-                first.add(scene, {i.number: i.to_json() for i in inserts})
-                least = recipe.placement.min_visibility
-                hidden = movable(scene, too_hidden(labels, label_report, occluders, rules, least))
-                faint = movable(scene, {*faint_inserts(inserts, recipe, source.capture.time_of_day), *hidden})
-            if not faint:
-                break
+        # Objects that nobody can see in the finished picture are moved, or left out in the end.
+        first, moves = FirstContrasts(scene), 0
+        picture = self._draw(scene, canvas, first, {})
+        while isinstance(picture, Unseen):
             moves += 1
-            if isinstance(recipe, MetricSections) and moves <= recipe.placement.contrast_redraws:
-                scene = move_objects(scene, faint, recipe, self._models, self._settings.seed, site, moves)
-                scene = drop_barely_visible(scene, recipe.placement.min_visibility)
-            elif hidden:
-                scene = scene.without(hidden, "too_hidden")
-            else:
-                scene = scene.without(faint, "low_contrast")
-        if recipe.labels.fit == "visible":
-            labels = tuple(with_seen_box(i, background.pixels, pixels, site.grey_unit) for i in inserts)
-        else:
-            labels = tuple(i.labelled() for i in inserts)
-        merged = merge(source.instances, labels, merge_settings(recipe))
+            scene = self._redraw(picture, canvas.site, moves)
+            picture = self._draw(scene, canvas, first, picture.matching)
 
-        relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, recipe.output.image))
-        image_bytes = encode_image(pixels, background, recipe.output.image)
-        record = FrameRecord(
-            frame_id=frame.frame_id,
-            image=relative,
-            image_sha256=hashlib.sha256(image_bytes).hexdigest(),
-            background=background_facts(source, background, self._settings.data_root),
-            scene=scene.spec,
-            mapping=mapping.to_json(),
-            kept=merged.kept,
-            inserted=merged.inserted,
-            removed=tuple(r.to_json() for r in merged.removed),
-            facts={
-                **label_report.to_json(),
-                **matching_facts,
-                **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
-                **({"contrast_first": first.found} if moves and first.found else {}),
-                **({} if sensor is None else {"sensor": sensor.to_json()}),
-                **({} if cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
-            },
-            warnings=tuple(p.to_json() for p in background.problems),
-            covered=covered_facts(merged),
-            run=self._settings.run,
+        labels = self._labels(picture, canvas)
+        merged = merge(frame.background.instances, labels, merge_settings(self._recipe))
+        image_bytes = encode_image(picture.pixels, background, self._recipe.output.image)
+        found_first = {"contrast_first": first.found} if moves and first.found else {}
+        record = self._record(picture, canvas, merged, image_bytes, found_first)
+        return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
+
+    def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
+        """Return the background with what placement may know of it."""
+        recipe, source, pixels, unit = self._recipe, frame.as_read, background.pixels, self._grey_unit(background)
+        rules = recipe.occlusion
+        cover = None if rules.share == 0 else Cover(rules, Scenery(pixels, unit), self._models)
+        site = Site(
+            pixels=pixels,
+            labels=source.instances,
+            ignored=frozenset(self._settings.ignored),
+            altitude_m=source.capture.altitude_m,
+            grey_unit=unit,
+            black_hot=recipe.matching.is_black_hot(source.capture.scale),
+            max_noise_grey=recipe.placement.max_noise_grey,
+            hiding=cover,
+            height_prior=self._sampler.placer.height_prior(source),
+            time_of_day=source.capture.time_of_day,
         )
-        return ComposedFrame(record, image_bytes, dict(rendered.seconds))
+        return Canvas(frame, background, frame.key(background.size_wh), site, cover)
 
     def _grey_unit(self, background: Background) -> float:
         """Return the picture's levels per 8-bit level: by its own range if it has 16 bits and the run measured none."""
@@ -184,89 +179,95 @@ class FrameComposer:
             return 1.0 if background.bit_depth == 8 else grey_unit(pixels, measure_levels([pixels]))
         return grey_unit(pixels, levels)
 
-    def _site(self, frame: PlannedFrame, background: Background, unit: float, cover: Cover | None) -> Site:
-        """Return the facts about the background that placement may use."""
-        source, recipe = frame.as_read, self._recipe
-        if isinstance(recipe.matching, GreyMatching):
-            black_hot = recipe.matching.polarity == "black-hot"
-        else:
-            scale = source.capture.scale
-            black_hot = scale is not None and scale.black_hot
-        return Site(
-            background.pixels,
-            source.instances,
-            frozenset(self._settings.ignored),
-            source.capture.altitude_m,
-            unit,
-            black_hot,
-            recipe.placement.max_noise_grey if isinstance(recipe, MetricSections) else None,
-            cover,
-            self._height_prior(source),
-            source.capture.time_of_day,
-        )
+    def _draw(
+        self, scene: PlacedScene, canvas: Canvas, first: FirstContrasts, known: Mapping[str, Any]
+    ) -> Picture | Unseen:
+        """Draw a scene over its background, unless some of its objects cannot be seen.
 
-    def _height_prior(self, source: ImageRecord) -> HeightPrior:
-        """Return what is known about the picture's stated height, by its origin."""
-        known = PRIORS.get(str(source.capture.altitude_from))
-        if known is None and isinstance(self._recipe, MetricSections):
-            heights = self._recipe.camera.stated_heights
-            return prior_of(heights, source.capture.altitude_m, source.capture.pitch_deg, source.capture.time_of_day)
-        return known or FROM_TABLE
-
-    def _match(
-        self, scene: PlacedScene, frame: PlannedFrame, background: Background
-    ) -> tuple[PlacedScene, GreyMapping, dict[str, Any], dict[int, float]]:
-        """Choose the grey levels.
-
-        Returns:
-            The scene, without objects if the gain cannot be trusted and the recipe skips such backgrounds; its mapping;
-            the facts estimated from the background; and the expected contrast, 8-bit levels, of the objects that are
-            certainly too faint, before rendering.
+        `first` collects contrasts. `known` are facts of matching, also of objects that have been left out since.
         """
-        matching, source, levels = self._recipe.matching, frame.as_read, self._settings.levels
-        facts: dict[str, Any] = {}
-        scale = source.capture.scale
-        if isinstance(matching, RadiometricMatching) and scene.objects and scale is not None:
-            thermal = ThermalBackdrop(background.pixels, source.instances, scale)
-            source_of_air = air_source(frame.key(background.size_wh), self._recipe)
-            scene, mapping, found = match_radiometric(scene, thermal, source_of_air)
-            return scene, mapping, {"matching": found}, {}
-        if isinstance(matching, LocalMatching) and scene.objects:
-            assert levels is not None
-            backdrop = Backdrop(background.pixels, source.instances, source.capture.time_of_day, levels)
-            sensor = self._recipe.sensor
-            last = sensor if isinstance(sensor, PaperSensor | MetricSensor) else None
-            settings = local_settings(matching, source.capture.time_of_day, last)
-            # The same stream at each attempt, so that a moved object does not influence the gain.
-            rng = stream(self._settings.seed, frame.frame_id, "matching")
-            match = match_locally(scene, backdrop, settings, rng)
-            facts = {"matching": match.facts}
-            height_at_limit = scene.spec.view is not None and scene.spec.view.at_limit
-            if not ((match.untrusted or height_at_limit) and matching.on_untrusted == "skip"):
-                faint = {}
-                for k, (placed, contrast) in enumerate(zip(scene.objects, match.contrasts, strict=True)):
-                    least = least_contrast(self._recipe, placed.spec.category, source.capture.time_of_day)
-                    if least is not None and contrast < least.change * backdrop.grey_unit:
-                        faint[k] = contrast / backdrop.grey_unit
-                return scene, match.mapping, facts, faint
-            scene = scene.without(range(len(scene.objects)), "untrusted")
-        return scene, percentile_mapping(background.pixels, percentile_settings(matching)), facts, {}
+        recipe, before = self._recipe, canvas.background.pixels
+        match = self._look.match(scene, canvas.frame, canvas.background)
+        scene, matching = match.scene, match.facts or known
+        if faint := movable(scene, match.faint):
+            first.add(scene, {k: {"object": k, "changed": round(match.faint[k], 2), "expected": True} for k in faint})
+            return Unseen(scene, faint, (), matching)
+        sensor = self._sensor(scene, canvas.background, match.mapping.scale)
+        rendered = self._renderer.render(scene)
+        occluders = {} if canvas.cover is None else canvas.cover.find(scene)
+        front = front_of(occluders, None if canvas.cover is None else canvas.cover.scenery, rendered)
+        pixels = self._look.paint(match, rendered, before, sensor, front)
+
+        seen = behind_front(rendered, front, occluders)
+        labels, report = label_objects(scene, rendered, seen, occluders, recipe.labels)
+        inserts = measure_inserts(report.kept, labels, seen, before, pixels, canvas.site)
+        first.add(scene, {i.number: i.to_json() for i in inserts})
+        least = recipe.placement.min_visibility
+        hidden = movable(scene, too_hidden(labels, report, occluders, recipe.occlusion, least))
+        faint = movable(scene, {*faint_inserts(inserts, recipe, canvas.frame.background.capture.time_of_day), *hidden})
+        if faint:
+            return Unseen(scene, faint, hidden, matching)
+        facts = {
+            **report.to_json(),
+            **matching,
+            **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
+            **({} if sensor is None else {"sensor": sensor.to_json()}),
+            **({} if canvas.cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
+        }
+        return Picture(scene, match.mapping, rendered, pixels, inserts, report, facts)
+
+    def _redraw(self, unseen: Unseen, site: Site, attempt: int) -> PlacedScene:
+        """Return a scene whose unseen objects are at other places, or left out if the recipe moves them no more."""
+        moved = self._sampler.move(unseen.scene, unseen.numbers, site, attempt)
+        if moved is not None:
+            return drop_barely_visible(moved, self._recipe.placement.min_visibility)
+        if unseen.hidden:
+            return unseen.scene.without(unseen.hidden, "too_hidden")
+        return unseen.scene.without(unseen.numbers, "low_contrast")
 
     def _sensor(self, scene: PlacedScene, background: Background, scale: TemperatureScale | None) -> Sensor | None:
         """Return the sensor chain fitted to this background; None if there is none or no object."""
         sensor, levels = self._recipe.sensor, self._settings.levels
-        if isinstance(sensor, NoSensor) or not scene.objects:
+        if sensor.profile == "off" or not scene.objects:
             return None
         assert levels is not None
         unit_k = None if scale is None else abs(scale.slope_k) * grey_unit(background.pixels, levels)
         return fit_sensor(
             background.pixels,
-            sensor_profile(sensor, unit_k),
-            sensor_strength(sensor),
+            sensor.profile_at(unit_k),
+            SensorStrength(sensor.optics, sensor.halo, sensor.noise, sensor.codec, sensor.clip, sensor.defocus),
             levels,
             integer_seed(self._settings.seed, scene.spec.frame_id, "sensor"),
             range_m=nearest_range_m(scene),
             motion_px=scene.spec.motion_px,
+        )
+
+    def _labels(self, picture: Picture, canvas: Canvas) -> tuple[Instance, ...]:
+        """Return the labels of the inserted objects, with the boxes that the recipe asks for."""
+        if self._recipe.labels.fit == "visible":
+            before, after = canvas.background.pixels, picture.pixels
+            return tuple(with_seen_box(i, before, after, canvas.site.grey_unit) for i in picture.inserts)
+        return tuple(i.labelled() for i in picture.inserts)
+
+    def _record(
+        self, picture: Picture, canvas: Canvas, merged: MergedLabels, image_bytes: bytes, facts: Mapping[str, Any]
+    ) -> FrameRecord:
+        """Return the record of a frame; `facts` are added to those of its picture."""
+        frame, output, source = canvas.frame, self._recipe.output, canvas.frame.background
+        return FrameRecord(
+            frame_id=frame.frame_id,
+            image=frame.image_path(output.group_by, output_suffix(source.path, output.image)),
+            image_sha256=hashlib.sha256(image_bytes).hexdigest(),
+            background=background_facts(source, canvas.background, self._settings.data_root),
+            scene=picture.scene.spec,
+            mapping=picture.mapping.to_json(),
+            kept=merged.kept,
+            inserted=merged.inserted,
+            removed=tuple(r.to_json() for r in merged.removed),
+            facts={**picture.facts, **facts},
+            warnings=tuple(p.to_json() for p in canvas.background.problems),
+            covered=covered_facts(merged),
+            run=self._settings.run,
         )
 
 
@@ -301,40 +302,6 @@ def nearest_range_m(scene: PlacedScene) -> float | None:
     if scene.spec.view is None or not scene.objects:
         return None
     return min(o.range_m for o in scene.objects)
-
-
-def overlay(
-    rendered: RenderResult,
-    background: GreyImage,
-    mapping: GreyMapping,
-    style: Overlay,
-    sensor: Sensor | None = None,
-    motion_px: tuple[float, float] = (0.0, 0.0),
-    front: Share | None = None,
-) -> GreyImage:
-    """Lay a rendered scene over its background and return the picture.
-
-    Args:
-        rendered: The rendered scene.
-        background: (h, w) grey levels.
-        mapping: From radiance to the background's grey levels, or to radiance at the sensor for a background with
-            temperatures.
-        style: Softness of the edge, or flat silhouettes (paper), for pictures without `sensor`.
-        sensor: The camera to imitate; None to imitate none.
-        motion_px: The scene's motion tail; only with `sensor`.
-        front: (h, w) share of each pixel of the background that stays in front; None for nothing.
-    """
-    if sensor is not None:
-        layer = make_layer(rendered, mapping, sensor.layer_sigma_px(style.softness_px), motion_px)
-    else:
-        layer = flat_layer(rendered, mapping) if style.flat else make_layer(rendered, mapping, style.softness_px)
-    if front is not None:
-        layer = put_behind(layer, front)
-    if mapping.scale is not None:
-        picture = compose_radiance(background, layer, mapping.scale, sensor)
-    else:
-        picture = compose(background, layer) if sensor is None else apply_sensor(background, layer, sensor)
-    return picture if front is None else restore_front(picture, background, front)
 
 
 class FrameMaker:

@@ -6,23 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from infrablend.annotation.merge import MergeSettings
-from infrablend.compositing.contrast import Least, real_least
-from infrablend.compositing.gain import GainPrior, SharePrior
-from infrablend.compositing.local import LocalSettings
-from infrablend.compositing.mapping import PercentileSettings
-from infrablend.compositing.sensor import SensorStrength
-from infrablend.config.recipe import (
-    LocalMatching,
-    Matching,
-    MetricSensor,
-    MinContrast,
-    PaperSensor,
-    PercentileMatching,
-    RadiometricSensor,
-    Recipe,
-)
-from infrablend.config.sensor_profile import SensorProfile, find_profile
-from infrablend.core.capture import TimeOfDay
+from infrablend.config.recipe import Recipe
 from infrablend.pipeline.extensions import NO_EXTENSIONS, Extensions
 
 
@@ -55,74 +39,6 @@ class FrameSettings:
     ignored: tuple[str, ...] = ()
     extensions: Extensions = NO_EXTENSIONS
     run: str = ""
-
-
-def local_settings(
-    matching: LocalMatching, time_of_day: TimeOfDay | None, sensor: PaperSensor | MetricSensor | None = None
-) -> LocalSettings:
-    """Return the settings of matching by physics for a background of this time of day.
-
-    Args:
-        matching: The recipe's matching.
-        time_of_day: Time of day of the background; None if unknown.
-        sensor: The recipe's sensor, which cuts off what exceeds the levels; None for none.
-    """
-    m = matching
-    low, high = m.gain_grey_per_k
-    mean = m.gain_prior_grey_per_k
-    if time_of_day == "day" and m.gain_prior_day_grey_per_k is not None:
-        mean = m.gain_prior_day_grey_per_k
-    share = m.local_share
-    if time_of_day == "day" and m.local_share_day is not None:
-        share = m.local_share_day
-    prior = GainPrior(mean, mean * m.gain_prior_spread, low, high)
-    local_share = SharePrior(share, m.local_share_spread, m.local_reach)
-    headroom = 0.0 if sensor is None else sensor.headroom
-    return LocalSettings(prior, m.polarity, m.clothing_above_air_k, local_share, m.on_untrusted, headroom)
-
-
-def least_contrast(recipe: Recipe, category: str, time_of_day: TimeOfDay | None) -> Least | None:
-    """Return the least contrast of an inserted object of this class; None for no limit."""
-    wanted = recipe.placement.min_contrast
-    if wanted is None:
-        wanted = "real" if recipe.appearance.mode == "physical" else "off"
-    if isinstance(wanted, MinContrast):
-        return Least(wanted.change_grey, wanted.scr)
-    return real_least(category, time_of_day) if wanted == "real" else None
-
-
-def percentile_settings(matching: Matching) -> PercentileSettings:
-    """Return the settings of matching by percentiles: of the artistic look, and of physical frames without objects."""
-    if isinstance(matching, PercentileMatching):
-        m = matching
-    else:
-        m = PercentileMatching(polarity=matching.polarity if isinstance(matching, LocalMatching) else "white-hot")
-    return PercentileSettings(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
-
-
-def sensor_strength(sensor: PaperSensor | MetricSensor | RadiometricSensor) -> SensorStrength:
-    """Return the strength of each step of the sensor chain."""
-    s = sensor
-    if isinstance(s, RadiometricSensor):
-        return SensorStrength(s.optics, 0.0, s.noise, 0.0, False, s.defocus)
-    defocus = s.defocus if isinstance(s, MetricSensor) else 0.0
-    return SensorStrength(s.optics, s.halo, s.noise, s.codec, s.clip, defocus)
-
-
-def sensor_profile(
-    sensor: PaperSensor | MetricSensor | RadiometricSensor, grey_unit_k: float | None
-) -> str | SensorProfile:
-    """Return the profile of a sensor; that of a radiometric camera has neither sharpening nor codec.
-
-    Args:
-        sensor: The recipe's sensor.
-        grey_unit_k: Kelvin per level of an 8-bit picture of the same range; None for pictures without temperatures.
-    """
-    if not isinstance(sensor, RadiometricSensor) or grey_unit_k is None:
-        return sensor.profile
-    noise = min(sensor.netd_k / grey_unit_k, 20.0)
-    update = {"halo_gain": 0.0, "codec_quality": None, "levels": None, "noise_grey": noise}
-    return find_profile(sensor.profile).model_copy(update=update)
 
 
 def merge_settings(recipe: Recipe) -> MergeSettings:

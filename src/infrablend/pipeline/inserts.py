@@ -16,8 +16,8 @@ from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import Instance
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
-from infrablend.pipeline.frame_settings import least_contrast
-from infrablend.sampling.metric import Site
+from infrablend.pipeline.looks import least_contrast
+from infrablend.sampling.site import Site
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from infrablend.config.recipe import (
-    MetricSections,
-    RadiometricMatching,
-    Recipe,
-)
+from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.file_names import as_text, is_text
 from infrablend.errors import Problem
 from infrablend.formats.flight import FOR_ALL, was_extracted
 from infrablend.formats.temperatures import EXTRACT_AGAIN, from_radiometric_files
@@ -22,7 +20,53 @@ LEFT_OUT = frozenset(
 """Codes of the problems that leave a picture out of the run, one per picture."""
 
 
-def place_of(image: ImageRecord) -> str:
+def usable_images(
+    recipe: Recipe, dataset: Dataset, images: Sequence[ImageRecord], stands: bool
+) -> tuple[list[ImageRecord], list[Problem]]:
+    """Return the pictures that a run can use, and a problem for each of the others.
+
+    Args:
+        recipe: The recipe.
+        dataset: The whole dataset.
+        images: Those of its pictures that were chosen.
+        stands: Whether all models of the recipe stand on the ground.
+    """
+    usable, problems = [], []
+    others = Telemetry.of(dataset)
+    for image in images:
+        problem = _unreadable(image) or telemetry_missing(recipe, image, others)
+        if stands:
+            problem = problem or _above_horizon(recipe, image)
+        problem = problem or _scale_missing(image, recipe, dataset)
+        if problem is None:
+            usable.append(image)
+        else:
+            problems.append(problem)
+    return usable, problems
+
+
+def _unreadable(image: ImageRecord) -> Problem | None:
+    """Return a problem if a picture's name cannot be written, or if it shows visible light."""
+    if not is_text(image.path.name) or not is_text(image.id):
+        return Problem(
+            as_text(f"{image.split}/{image.path.name}"),
+            "name-not-utf8",
+            "a file name that is not UTF-8",
+            "a name that labels in JSON can hold",
+            "rename the file",
+        )
+    if image.extra.get("modality") == "visible":
+        return Problem(
+            _place(image),
+            "image-visible",
+            "a picture of visible light",
+            "a thermal picture as background",
+            "use its labels only (infrablend convert), or use another dataset",
+        )
+    return None
+
+
+def _place(image: ImageRecord) -> str:
     """Return the split and name of a picture: several splits may have a picture of one name."""
     return f"{image.split}/{image.name}"
 
@@ -30,14 +74,11 @@ def place_of(image: ImageRecord) -> str:
 def telemetry_missing(recipe: Recipe, image: ImageRecord, others: Telemetry) -> Problem | None:
     """Return a problem if the recipe needs the camera's pitch, height or field of view and it is unknown, or None."""
     pitch = recipe.camera.pitch == "metadata" and image.capture.pitch_deg is None
-    height = (
-        isinstance(recipe, MetricSections) and recipe.camera.altitude == "metadata" and image.capture.altitude_m is None
-    )
+    height = recipe.camera.needs_height and image.capture.altitude_m is None
     # A picture from a card names its camera, and a table where its height comes from. The recipe's lens is another
     # camera's: it would give a wrong scale.
     own = others.extracted or image.capture.camera is not None or image.capture.altitude_from is not None
-    metric = isinstance(recipe, MetricSections) and recipe.camera.field_of_view == "metadata"
-    lens = metric and own and image.capture.hfov_deg is None
+    lens = recipe.camera.needs_lens and own and image.capture.hfov_deg is None
     if not pitch and not height and not lens:
         return None
     found = ["unknown camera pitch"] * pitch + ["unknown camera height, which metric placement needs"] * height
@@ -49,7 +90,7 @@ def telemetry_missing(recipe: Recipe, image: ImageRecord, others: Telemetry) -> 
         known for missing, known in ((pitch, others.pitch), (height, others.height), (lens, others.lens)) if missing
     )
     return Problem(
-        place_of(image),
+        _place(image),
         "no-pitch" if pitch else "no-altitude" if height else "no-field-of-view",
         " and ".join(found),
         f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
@@ -81,13 +122,18 @@ class Telemetry:
         return cls(was_extracted(dataset), *known)
 
 
-def scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem:
-    """Return the problem of a picture whose temperatures are needed and whose scale is unknown."""
-    needed = "matching.mode radiometric" if isinstance(recipe.matching, RadiometricMatching) else "output.agc fixed"
+def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem | None:
+    """Return a problem if the temperatures of a picture are needed and their scale is unknown."""
+    agc = recipe.output.agc
+    if not recipe.matching.needs_temperatures and (agc is None or not agc.needs_scale):
+        return None
+    if image.capture.radiometry is not None and image.capture.scale:
+        return None
+    needed = "matching.mode radiometric" if recipe.matching.needs_temperatures else "output.agc fixed"
     if image.capture.camera is not None and any(p.code == "image-radiometric" for p in dataset.problems):
         layers = f"{dataset.root.resolve().name}_k"
         return Problem(
-            place_of(image),
+            _place(image),
             "no-temperature-scale",
             f"only the grey levels of a camera's own file are read, and {needed} needs temperatures",
             "the radiometric layers as a dataset of 16-bit pictures",
@@ -95,7 +141,7 @@ def scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Probl
             f"also need a scale, such as --slope and --offset), then generate with --data {shlex.quote(layers)}",
         )
     return Problem(
-        place_of(image),
+        _place(image),
         "no-temperature-scale",
         f"no temperature scale, which {needed} needs",
         "a 16-bit picture with a scale, stated by the user or by the dataset's own files",
@@ -105,16 +151,16 @@ def scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Probl
     )
 
 
-def above_horizon(recipe: Recipe, image: ImageRecord) -> Problem | None:
+def _above_horizon(recipe: Recipe, image: ImageRecord) -> Problem | None:
     """Return a problem if no part of the ground is in view, as far as pitch and field of view are known."""
-    if not isinstance(recipe, MetricSections) or recipe.camera.pitch != "metadata" or image.capture.hfov_deg is None:
+    if not recipe.camera.is_real or recipe.camera.pitch != "metadata" or image.capture.hfov_deg is None:
         return None
     w, h = image.size_wh or recipe.camera.size_px
     half_deg = math.degrees(math.atan(math.tan(math.radians(image.capture.hfov_deg) / 2) * h / w))
     if image.capture.pitch_deg is None or image.capture.pitch_deg + half_deg > 0:
         return None
     return Problem(
-        place_of(image),
+        _place(image),
         "above-horizon",
         f"a camera pitch of {image.capture.pitch_deg:g} degrees, so the whole picture is above the horizon",
         "ground in view, for metric placement on the ground",

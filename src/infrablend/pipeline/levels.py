@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from infrablend.compositing.mapping import measure_levels
-from infrablend.config.recipe import RadiometricMatching
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.images import Background, load_background
@@ -32,7 +31,7 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
             pictures.append(load(image))
     if not pictures:
         raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
-    if not isinstance(plan.recipe.matching, RadiometricMatching):  # these leave frames of 8 bits out one by one
+    if not plan.recipe.matching.needs_temperatures:  # these leave frames of 8 bits out one by one
         require_one_depth(plan.dataset.root, {p.bit_depth for p in pictures})
     return measure_levels([p.pixels for p in pictures])
 

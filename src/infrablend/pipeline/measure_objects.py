@@ -14,6 +14,7 @@ from PIL import Image
 from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping
+from infrablend.compositing.picture import overlay
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.cores import take_core
@@ -24,7 +25,6 @@ from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError
 from infrablend.formats.images import Background, SaveKind, encode_image, load_background
-from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.occlusion import recorded_front
 from infrablend.realism.contrasts import ObjectContrast, object_contrast
 from infrablend.realism.controls import paste_controls

@@ -23,10 +23,13 @@ _PLACED = {
     "recipe and the metadata: some stand where no such object could be, and unless the recipe sets `occlusion`, "
     "nothing in the picture hides them.",
 }
-_NOT_RADIOMETRIC = (
-    "The look of inserted objects is hand-tuned (the paper's artistic shader): their grey levels do not correspond to "
-    "temperatures."
-)
+_LOOKED: Mapping[str, tuple[str, ...]] = {
+    "artistic": (
+        "The look of inserted objects is hand-tuned (the paper's artistic shader): their grey levels do not correspond "
+        "to temperatures.",
+    ),
+    "physical": (),
+}
 
 
 def origin_of(
@@ -50,9 +53,7 @@ def origin_of(
 
 def run_inserts(recipe: Recipe, seed: int, labels: Mapping[str, int]) -> Inserts:
     """Return the description of the objects that a run inserted; `labels` counts theirs by category."""
-    limits = [*INSERT_LIMITS, _PLACED[recipe.placement.mode]]
-    if recipe.appearance.mode == "artistic":
-        limits.append(_NOT_RADIOMETRIC)
+    limits = [*INSERT_LIMITS, _PLACED[recipe.placement.mode], *_LOOKED[recipe.appearance.mode]]
     if recipe.camera.pitch != "metadata":
         limits.append("Inserted objects are not seen from each picture's own camera pitch: the recipe sets another.")
     return Inserts(recipe.name, seed, recipe_yaml(recipe), dict(labels), tuple(limits))

@@ -11,7 +11,7 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.errors import Problem
 from infrablend.pipeline.shard import Shard
-from infrablend.sampling.scene import FrameKey
+from infrablend.sampling.site import FrameKey
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,4 +98,4 @@ class RunPlan:
     def needs_levels(self) -> bool:
         """True if the recipe needs the range of grey levels of the whole dataset."""
         r = self.recipe
-        return r.appearance.mode == "physical" or r.sensor.profile != "off" or r.placement.mode == "metric"
+        return any(section.needs_levels for section in (r.appearance, r.sensor, r.placement))

@@ -5,24 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import (
-    FixedPitch,
-    MetricCamera,
-    MetricObject,
-    RandomPitch,
-    Recipe,
-    Sensor,
-    SkyEnvironment,
-)
+from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
 from infrablend.core.strict_model import Strict
-from infrablend.errors import InfraBlendError, Problem, RecipeError
+from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
+from infrablend.formats.detection import DATASET_INSIDE
+from infrablend.formats.temperatures import IMPLAUSIBLE, implausible_scales
 from infrablend.formats.writing import WriteSettings, unwritable
+from infrablend.pipeline.backgrounds import is_ground
 from infrablend.pipeline.frame_selection import similar
 from infrablend.thermal.sun import sun_position, time_of
 
@@ -30,9 +26,6 @@ LENS_REPLACED = "lens-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""
 PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a pitch of the recipe that replaces others in the files."""
-# Fields of objects in metric placement that only models of one kind use.
-_OF_STANDING = ("group", "align", "z_m")
-_OF_FLYING = ("range_m",)
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
 # Clear of the horizon, where day and night are a matter of opinion.
@@ -58,15 +51,12 @@ def without_effect(recipe: Recipe, models: Mapping[str, ObjectModel]) -> list[Pr
     """Return a warning for each setting that differs from its default and has no effect with these models and modes."""
     found = []
     for i, o in enumerate(recipe.objects):
-        if not isinstance(o, MetricObject):
-            continue
         stands = models[o.model].stands
         why = f"{o.model} {'stands on the ground' if stands else 'flies'}"
         expected = "a model that flies" if stands else "a model that stands on the ground"
-        unused = _OF_FLYING if stands else _OF_STANDING
+        unused = o.only_flying if stands else o.only_standing
         found += [(f"objects.{i}.{name}", why, expected) for name in unused if _is_set(o, name)]
-    s = recipe.sensor
-    if recipe.appearance.mode == "artistic" and isinstance(s, Sensor) and _is_set(s, "headroom"):
+    if recipe.sensor.headroom and not recipe.matching.uses_headroom:
         found.append(("sensor.headroom", "appearance.mode is artistic", "appearance.mode physical"))
     return [
         Problem(
@@ -86,10 +76,39 @@ def _is_set(section: Strict, name: str) -> bool:
     return bool(getattr(section, name) != type(section).model_fields[name].default)
 
 
-def other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+def dataset_remarks(recipe: Recipe, dataset: Dataset) -> tuple[Problem, ...]:
+    """Return the problems of reading a dataset, for a run of this recipe.
+
+    Raises:
+        DatasetError: It is a folder of datasets, or its temperatures are needed and no scene has them.
+    """
+    remarks = dataset.problems
+    if whole := [p for p in remarks if p.code == DATASET_INSIDE]:
+        # Their labels would be lost, and their objects become unlabelled background.
+        raise DatasetError(f"{dataset.root}: a folder of datasets, not of one dataset", whole)
+    if not recipe.matching.needs_temperatures or not any(p.code == IMPLAUSIBLE for p in remarks):
+        return remarks
+    # The recipe may know better than the files that the pictures show the sky.
+    if implausible := implausible_scales(dataset, lambda image: is_ground(image, recipe)):
+        refused = [replace(p, severity="error") for p in implausible]
+        raise DatasetError(f"{dataset.root}: temperatures that no scene has", refused)
+    return tuple(p for p in remarks if p.code != IMPLAUSIBLE)
+
+
+def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> list[Problem]:
+    """Return warnings about pictures of a dataset (at `root`) that a recipe uses in another way than they suggest."""
+    found = []
+    if recipe.labels.merges and not any(image.instances for image in images):
+        what = "no labels in any image, so objects in the backgrounds stay unlabelled"
+        todo = "check --data, or set labels.mode to new if the data has no labels"
+        found.append(Problem(root.name, "no-labels", what, "labels to merge with", todo, "warning"))
+    return [*found, *_other_lens(recipe, images), *_other_pitch(recipe, images), *_sun_unused(recipe, images)]
+
+
+def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning if the recipe's lens replaces fields of view in the files that differ from it."""
     c = recipe.camera
-    if not isinstance(c, MetricCamera) or c.field_of_view != "recipe":
+    if not c.is_real or c.needs_lens:
         return []
     stated = 2 * math.degrees(math.atan(c.sensor_width_mm / 2 / c.focal_length_mm))
     other = [
@@ -107,18 +126,12 @@ def other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     return [Problem("camera.focal_length_mm", LENS_REPLACED, found, "the lens of the camera", todo, "warning")]
 
 
-def other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning if the recipe's pitch replaces pitches in the files that differ from it."""
-    if not isinstance(recipe.camera, MetricCamera):  # paper's ablations replace it on purpose
+    stated = recipe.camera.stated_pitch_deg
+    if stated is None or not recipe.camera.is_real:  # paper's ablations replace it on purpose
         return []
-    match recipe.camera.pitch:
-        case FixedPitch(fixed_deg=stated):
-            low = high = stated
-        case RandomPitch(random_deg=(low, high)):
-            pass
-        case _:
-            return []
-    low, high = low - _PITCH_TOLERANCE_DEG, high + _PITCH_TOLERANCE_DEG
+    low, high = stated[0] - _PITCH_TOLERANCE_DEG, stated[1] + _PITCH_TOLERANCE_DEG
     other = [
         i.capture.pitch_deg
         for i in images
@@ -133,11 +146,12 @@ def other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     return [Problem("camera.pitch", PITCH_REPLACED, found, "the pitch of each picture", todo, "warning")]
 
 
-def sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning if pictures that are not stated to be by day were taken with the sun in the sky."""
-    if not isinstance(recipe.environment, SkyEnvironment) or recipe.environment.place is None:
+    sky = recipe.environment.sky
+    if sky is None or sky.place is None:
         return []
-    place, count = recipe.environment.place, 0
+    place, count = sky.place, 0
     for image in images:
         when = None if image.capture.time_of_day == "day" else time_of(image.capture.captured)
         if when is not None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyImage, GreyMapping
+from infrablend.compositing.picture import overlay
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
@@ -24,7 +25,6 @@ from infrablend.core.tasks import Task
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, OutputError
 from infrablend.formats.images import Background, encode_image, load_background
-from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.models import ready_model, run_once
 from infrablend.pipeline.occlusion import recorded_front
 from infrablend.pipeline.recorded_run import RecordedRun

@@ -39,7 +39,7 @@ _OPAQUE = 0.9999
 
 def only_emits(scene: PlacedScene) -> bool:
     """Return True if `render_emission` can draw the scene: artistic look, and nothing reaches behind the camera."""
-    return scene.spec.appearance.mode == "artistic" and not any(o.triangles.cut for o in scene.objects)
+    return scene.spec.weather is None and not any(o.triangles.cut for o in scene.objects)
 
 
 def render_emission(scene: PlacedScene) -> RenderResult:

@@ -14,6 +14,6 @@ def ground_radiance(scene: PlacedScene) -> float | None:
     weather = scene.spec.weather
     unlabelled = [s for o in scene.objects for n in o.mesh.part_names if not (s := o.spec.parts[n]).label]
     separable = bool(unlabelled) and all(s.glow for s in unlabelled)
-    if weather is None or not separable or scene.spec.appearance.mode != "physical":
+    if weather is None or not separable:
         return None
     return float(band_radiance(weather.air_k))

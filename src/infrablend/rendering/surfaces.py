@@ -42,7 +42,7 @@ def surface_values(placed: PlacedObject, scene: SceneSpec) -> dict[str, NDArray[
         "ior": _corner_values(mesh, np.array([s.ior for s in states])),
         "label": _corner_values(mesh, np.array([float(s.label) for s in states])),
     }
-    if scene.appearance.mode == "physical":
+    if scene.weather is not None:
         values["roughness"] = _corner_values(mesh, np.array([s.roughness for s in states]))
         values["metal"] = _corner_values(mesh, np.array([float(s.metal) for s in states]))
     opacity = np.array([s.opacity for s in states])

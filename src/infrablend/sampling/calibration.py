@@ -15,6 +15,7 @@ import numpy as np
 
 from infrablend.config.recipe import StatedHeights
 from infrablend.core.camera import CameraSpec
+from infrablend.core.capture import Capture
 from infrablend.core.class_names import KnownClass, known_class
 from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import ground_point, ground_z_m
@@ -53,26 +54,14 @@ PRIORS: Mapping[str, HeightPrior] = {"take-off": HeightPrior(1.0, 0.16), "laser"
 the relief between there and here is unknown, or from the laser range finder."""
 
 
-def prior_of(
-    heights: StatedHeights, stated_m: float | None, pitch_deg: float | None, time_of_day: str | None
-) -> HeightPrior:
+def prior_of(heights: StatedHeights, picture: Capture) -> HeightPrior:
     """Return the prior of a picture's height from a table, as the recipe states it for its dataset."""
     factor, spread = heights.factor, heights.spread
-    for flight in heights.by_flight:
-        if (
-            flight.time_of_day in (None, time_of_day)
-            and is_below(stated_m, flight.below_m)
-            and is_below(pitch_deg, flight.below_pitch_deg)
-        ):
-            factor, spread = flight.factor, flight.spread or spread
-            break
+    flight = next((flight for flight in heights.by_flight if flight.fits(picture)), None)
+    if flight is not None:
+        factor, spread = flight.factor, flight.spread or spread
     low, high = (bound * (factor / NOMINAL_FACTOR) for bound in FACTOR_BOUNDS)
     return HeightPrior(factor, spread, (low, high), heights.references, heights.box_looseness)
-
-
-def is_below(value: float | None, limit: float | None) -> bool:
-    """Return whether a known value is below a limit; True without a limit."""
-    return limit is None or (value is not None and value < limit)
 
 
 @dataclass(frozen=True)

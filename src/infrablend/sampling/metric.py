@@ -8,38 +8,24 @@ Flying objects are put at a drawn distance on the ray through such a point, alwa
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from types import MappingProxyType
-from typing import Protocol
+from typing import cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import (
-    Align,
-    FixedAltitude,
-    Group,
-    MetricObject,
-    MetricRecipe,
-    Object,
-    RandomAltitude,
-    RealGround,
-)
+from infrablend.config.recipe import MetricObject, MetricRecipe, RealGround
 from infrablend.core.boxes import box_of_points, clip_boxes
-from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec, object_to_world
-from infrablend.core.capture import TimeOfDay
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.ground_lines import find_ground_lines
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
-from infrablend.core.margin import find_margin, on_margin
+from infrablend.core.margin import on_margin
 from infrablend.core.mesh import FloatArray
-from infrablend.core.scene import View
-from infrablend.core.skyline import Skyline, find_skyline, noise_of
-from infrablend.sampling.calibration import FROM_TABLE, Calibration, HeightPrior, calibrate
+from infrablend.core.scene import SceneSpec, View
+from infrablend.sampling.calibration import PRIORS, Calibration, HeightPrior, calibrate, prior_of
 from infrablend.sampling.placement import (
     MAX_OVERLAP,
     DrawStatistics,
@@ -52,7 +38,9 @@ from infrablend.sampling.placement import (
     examine,
     is_covered,
 )
+from infrablend.sampling.placer import Arrangement, Streams
 from infrablend.sampling.real_ground import draw_aim, ground_around
+from infrablend.sampling.site import Hiding, Site
 from infrablend.sampling.volume import volume_of
 
 # A flying object is at most at this share of the way to the ground.
@@ -76,243 +64,256 @@ _LEAST_CLARITY = 0.08
 _ROW_TURN_DEG = 4.0
 
 
-class Hiding(Protocol):
-    """What can hide objects in part: structures of the background."""
-
-    def has_structure(self, x: float, y: float, stands: bool) -> bool:
-        """Return whether structures around a position in the picture may hide an object that stands or flies there."""
-        ...
-
-    def hides(self, camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> bool:
-        """Return whether structures can hide an object with these world vertices as much as it asks for."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class Site:
-    """A background as metric placement sees it.
+class MetricPlacer:
+    """Implements `placement.Placer` for `placement.mode: metric`."""
 
-    Attributes:
-        pixels: (h, w) grey levels.
-        labels: The background's own objects.
-        ignored: Names of the categories that mark ignore regions.
-        altitude_m: Height of the camera according to the metadata, or None.
-        grey_unit: Levels of the picture per 8-bit level; 1 for 8-bit pictures.
-        black_hot: Whether hot is dark.
-        max_noise_grey: Noise above which nothing is inserted, 8-bit levels; None for no limit.
-        hiding: What can hide objects in part; None for nothing.
-        height_prior: What is known about `altitude_m`.
-        time_of_day: Time of day, or None if unknown.
-    """
+    recipe: MetricRecipe
 
-    pixels: NDArray[np.uint8] | NDArray[np.uint16]
-    labels: tuple[Instance, ...] = ()
-    ignored: frozenset[str] = frozenset()
-    altitude_m: float | None = None
-    grey_unit: float = 1.0
-    black_hot: bool = False
-    max_noise_grey: float | None = None
-    hiding: Hiding | None = None
-    height_prior: HeightPrior = FROM_TABLE
-    time_of_day: TimeOfDay | None = None
+    def height_prior(self, image: ImageRecord) -> HeightPrior:
+        """Return what is known about the picture's stated height, by its origin."""
+        known = PRIORS.get(str(image.capture.altitude_from))
+        return known or prior_of(self.recipe.camera.stated_heights, image.capture)
 
-    @cached_property
-    def median_level(self) -> float:
-        """Median level of the picture."""
-        return float(np.median(self.pixels))
+    def arrange(
+        self,
+        like: CameraSpec,
+        wanted: Sequence[PlacementRequest],
+        site: Site | None,
+        streams: Streams,
+        tally: DrawStatistics,
+    ) -> Arrangement:
+        """Return the camera, the ground below it, and a pose per object."""
+        if site is None:
+            raise ValueError("metric placement needs the background")
+        camera, view = self._camera(like, site, streams("camera"))
+        headings = self._headings(camera, view, site, streams("heading"))
+        search = _Search(camera, view, self.recipe, site, headings, streams("placement"), tally)
+        return Arrangement(camera, view, [search.place(item) for item in wanted])
 
-    @cached_property
-    def skyline(self) -> Skyline:
-        """Sky and horizon of the picture."""
-        grey = self.pixels.astype(np.float32)
-        return find_skyline(-grey if self.black_hot else grey, self.grey_unit)
+    def arrange_again(
+        self,
+        spec: SceneSpec,
+        wanted: Sequence[PlacementRequest],
+        others: Sequence[tuple[PlacementRequest, Pose]],
+        site: Site,
+        attempt: int,
+        streams: Streams,
+        tally: DrawStatistics,
+    ) -> list[Pose | None] | None:
+        """Return other poses of some objects, as often as the recipe asks for."""
+        if attempt > self.recipe.placement.contrast_redraws:
+            return None
+        assert spec.view is not None
+        headings = self._headings(spec.camera, spec.view, site, streams("heading"))
+        rng = streams(f"placement-{attempt}")
+        search = _Search(spec.camera, spec.view, self.recipe, site, headings, rng, tally, others)
+        return [search.place(item) for item in wanted]
 
-    @property
-    def horizon_px(self) -> float | None:
-        """Row of the horizon; None if none is found."""
-        return self.skyline.horizon_px
+    def _camera(self, like: CameraSpec, site: Site, rng: np.random.Generator) -> tuple[CameraSpec, View]:
+        """Return the background's own camera over the ground; height and roll are drawn where the recipe says so.
 
-    @property
-    def shows_sky(self) -> bool:
-        """Whether at least half of the picture is sky."""
-        return 2 * np.count_nonzero(self.skyline.sky) >= self.pixels.size
+        `like` has its pitch, roll, lens and size; the recipe's roll is added to its own.
+        """
+        c = self.recipe.camera
+        stated = c.height_m(site.altitude_m, float(rng.random()))
+        roll = like.roll_rad + math.radians(rng.uniform(*c.roll_deg))
+        camera = at_height(replace(like, roll_rad=roll), stated)
+        found = Calibration(stated, stated, 1.0, 0.0, {})
+        # A height stated by the recipe is taken literally; only the metadata's height is nominal.
+        if c.calibrate and c.needs_height:
+            found = calibrate(camera, stated, site.labels, site.height_prior)
+        camera = at_height(camera, found.height_m)
+        ground = ground_z_m(camera, found.height_m)
+        return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)
 
-    @cached_property
-    def unfit(self) -> str | None:
-        """Reason why nothing may be inserted into the picture, or None."""
-        if self.max_noise_grey is not None and noise_of(self.pixels, self.grey_unit) > self.max_noise_grey:
-            return "noise"
-        return None
-
-    @cached_property
-    def text_boxes(self) -> FloatArray:
-        """(n, 4) boxes of text in the picture."""
-        return find_burnt_in(self.pixels.astype(np.float32), self.grey_unit)
-
-    @cached_property
-    def margin(self) -> NDArray[np.bool_] | None:
-        """(h, w) mask of margins where the camera saw nothing; None without any."""
-        return find_margin(self.pixels, self.grey_unit)
-
-
-def real_camera(
-    recipe: MetricRecipe, like: CameraSpec, site: Site, rng: np.random.Generator
-) -> tuple[CameraSpec, View]:
-    """Return the background's own camera over the ground; height and roll are drawn where the recipe says so.
-
-    `like` has its pitch, roll, lens and size; the recipe's roll is added to its own.
-    """
-    c = recipe.camera
-    drawn = float(rng.random())  # always drawn, so that other draws do not depend on the choice
-    if isinstance(c.altitude, FixedAltitude):
-        stated = c.altitude.fixed_m
-    elif isinstance(c.altitude, RandomAltitude):
-        low, high = c.altitude.random_m
-        stated = low + (high - low) * drawn
-    elif site.altitude_m is not None:
-        stated = site.altitude_m
-    else:
-        raise ValueError("no altitude; the plan must have left this background out")
-    roll = like.roll_rad + math.radians(rng.uniform(*c.roll_deg))
-    camera = at_height(replace(like, roll_rad=roll), stated)
-    # A height stated by the recipe is taken literally; only the metadata's height is nominal.
-    nominal = c.calibrate and c.altitude == "metadata"
-    found = (
-        calibrate(camera, stated, site.labels, site.height_prior)
-        if nominal
-        else Calibration(stated, stated, 1.0, 0.0, {})
-    )
-    camera = at_height(camera, found.height_m)
-    ground = ground_z_m(camera, found.height_m)
-    return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)
+    def _headings(self, camera: CameraSpec, view: View, site: Site, rng: np.random.Generator) -> dict[int, float]:
+        """Return the direction along which objects stand, radians, by identity of their kind; only of aligned kinds."""
+        kinds = [(id(kind), kind.align) for kind in self.recipe.objects]
+        aligned = {k: a for k, a in kinds if a is not None and a.time_of_day in (None, site.time_of_day)}
+        if not aligned:
+            return {}
+        turn, across, off_view = float(rng.random()), bool(rng.random() < 0.5), float(rng.standard_normal())
+        along_lines = math.pi * turn
+        if any(align.along == "lines" for align in aligned.values()):
+            boxes = [*boxes_of(site.labels), *site.text_boxes]
+            lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
+            if lines is not None and lines.clarity >= _LEAST_CLARITY:
+                along_lines = lines.yaw_rad + (math.pi / 2 if across else 0.0)
+        # The camera looks along +Y.
+        return {
+            kind: along_lines if align.along == "lines" else math.pi / 2 + math.radians(align.turn_deg) * off_view
+            for kind, align in aligned.items()
+        }
 
 
-def common_headings(
-    camera: CameraSpec, view: View, recipe: MetricRecipe, site: Site, rng: np.random.Generator
-) -> dict[int, float]:
-    """Return the direction along which objects stand, radians, by identity of their kind; only of aligned kinds."""
-    aligned = {id(kind): align for kind in recipe.objects if (align := _align_of(kind, site)) is not None}
-    if not aligned:
-        return {}
-    turn, across, off_view = float(rng.random()), bool(rng.random() < 0.5), float(rng.standard_normal())
-    along_lines = math.pi * turn
-    if any(align.along == "lines" for align in aligned.values()):
-        boxes = [*boxes_of(site.labels), *site.text_boxes]
-        lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
-        if lines is not None and lines.clarity >= _LEAST_CLARITY:
-            along_lines = lines.yaw_rad + (math.pi / 2 if across else 0.0)
-    # The camera looks along +Y.
-    return {
-        kind: along_lines if align.along == "lines" else math.pi / 2 + math.radians(align.turn_deg) * off_view
-        for kind, align in aligned.items()
-    }
+class _Search:
+    """The search for places in one picture, for one object after the other."""
 
+    def __init__(
+        self,
+        camera: CameraSpec,
+        view: View,
+        recipe: MetricRecipe,
+        site: Site,
+        headings: Mapping[int, float],
+        rng: np.random.Generator,
+        tally: DrawStatistics,
+        occupied: Sequence[tuple[PlacementRequest, Pose]] = (),
+    ) -> None:
+        """Measure the background; `occupied` has the inserts that have their place already."""
+        self._camera, self._view, self._site = camera, view, site
+        self._rules, self._headings, self._rng, self._tally = recipe.placement, headings, rng, tally
+        tally.first_distance_m = camera.distance_m
+        self._ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
+        self._annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
+        boxes = (box_px(camera, item.in_world(pose), item) for item, pose in occupied)
+        self._inserted = np.array([box for box in boxes if box is not None], np.float64).reshape(-1, 4)
+        self._placed, self._known = [*occupied], len(occupied)
+        even = recipe.placement.max_relief_grey > 0
+        self._relief = relief_of(site.pixels) / site.grey_unit if even else None
+        self._real = _real_ground(recipe, site)
+        self._missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
 
-def _align_of(kind: Object, site: Site) -> Align | None:
-    """Return how objects of a kind are aligned in this picture."""
-    align = kind.align if isinstance(kind, MetricObject) else None
-    return align if align is not None and align.time_of_day in (None, site.time_of_day) else None
-
-
-def place_metric(
-    camera: CameraSpec,
-    view: View,
-    recipe: MetricRecipe,
-    wanted: Sequence[PlacementRequest],
-    site: Site,
-    rng: np.random.Generator,
-    tally: DrawStatistics,
-    occupied: Sequence[tuple[PlacementRequest, Pose]] = (),
-    headings: Mapping[int, float] = MappingProxyType({}),
-) -> list[Pose | None]:
-    """Draw a pose per object, None where no place was found; rejections are counted by reason in `tally`.
-
-    `occupied` has the inserts that have their place already, `headings` are those of `common_headings`.
-    """
-    rules = recipe.placement
-    tally.first_distance_m = camera.distance_m
-    ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
-    annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
-    boxes = (box_px(camera, item.in_world(pose), item) for item, pose in occupied)
-    inserted = np.array([box for box in boxes if box is not None], np.float64).reshape(-1, 4)
-    placed = [*occupied]
-    relief = relief_of(site.pixels) / site.grey_unit if rules.max_relief_grey > 0 else None
-    real = _real_ground(recipe, site)
-    poses: list[Pose | None] = []
-    missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
-    for number, item in enumerate(wanted):
-        found = None
-        in_a_row = missed.get(id(item.kind), 0)
-        attempts = attempts_after(in_a_row, rules.attempts)
-        heading = headings.get(id(item.kind))
-        group = _kind(item).group
-        mates: list[Pose] = []
-        if group is not None and item.model.stands and rng.random() < group.share:
-            mates = [p for p, other in zip(poses, wanted[:number], strict=True) if p and other.kind is item.kind]
-        wanted_ground = None if real is None or not item.model.stands else (draw_aim(real, rng), _outline(item))
-        hiding = None if item.visible_aim is None else site.hiding
-        examined = 0
+    def place(self, item: PlacementRequest) -> Pose | None:
+        """Draw poses until one is fit, and return it; None if none is. Rejections are counted by reason."""
+        in_a_row = self._missed.get(id(item.kind), 0)
+        attempts = attempts_after(in_a_row, self._rules.attempts)
+        mates, aim = self._mates(item), self._ground_aim(item)
+        hiding, examined = None if item.visible_aim is None else self._site.hiding, 0
         for attempt in range(attempts):
-            tally.attempts += 1
-            company = bool(mates) and attempt < _IN_COMPANY * attempts
-            pose = _draw_pose_beside(item, mates, rng, heading) if company else _draw(camera, view, item, rng, heading)
-            if isinstance(pose, str):
-                tally.reject(pose)
-                continue
+            self._tally.attempts += 1
             if attempt >= _HIDDEN * attempts or examined == _HIDING_PLACES:
                 hiding = None
-            if hiding is not None:
-                if not _has_structure(hiding, camera, pose, item):
-                    tally.reject("no_occluder")
-                    continue
+            beside = mates if attempt < _IN_COMPANY * attempts else []
+            pose = self._draw_beside(item, beside) if beside else self._draw(item)
+            if isinstance(pose, str):
+                self._tally.reject(pose)
+            elif hiding is not None and not self._has_structure(hiding, item, pose):
+                self._tally.reject("no_occluder")
+            # Before the exact checks, which cost far more.
+            elif aim is not None and hiding is None and not aim(pose, attempt / attempts, bool(beside)):
+                self._tally.reject("unlike_real_ground")
+            else:
                 examined += 1
-            if wanted_ground is not None and hiding is None:
-                # Before the exact checks, which cost far more.
-                aim, outline = wanted_ground
-                ground = ground_around(site, _rough_box(camera, pose, outline, item.scale), annotated)
-                if ground is None or not aim.accepts(ground, attempt / attempts, company):
-                    tally.reject("unlike_real_ground")
-                    continue
-            world = item.in_world(pose)
-            reason, box = examine(camera, world, item, rules)
-            if reason is None:
-                if is_covered(box, site.text_boxes, 0.0):
-                    reason = "on_text"
-                elif on_margin(site.margin, box):
-                    reason = "on_margin"
-                elif rules.clear_of_ignored and collides(box, ignored):
-                    reason = "on_ignored"
-                elif rules.clear_of_labels and (
-                    collides(box, annotated) or _hides_insert(box, inserted, group if company else None)
-                ):
-                    reason = "on_annotated"
-                elif hiding is not None:
-                    # What hides an object is not even ground.
-                    reason = None if hiding.hides(camera, world, item) else "no_occluder"
-                elif item.model.stands and relief is not None:
-                    feet = feet_box(camera, world)
-                    reason = None if is_even(relief, feet, rules.max_relief_grey) else "uneven_ground"
-            # People in a group touch, and boxes around them intersect before they do; cars in a row must not.
-            if reason is None and group is not None and group.in_row:
-                volume = volume_of(item, pose)
-                reason = "in_another" if any(volume.intersects(volume_of(*other)) for other in placed) else None
-            if reason is None:
-                found = pose
-                assert box is not None
-                inserted = np.concatenate([inserted, box[None]])
-                placed.append((item, pose))
-                break
-            tally.reject(reason)
-        if found is None:
-            tally.leave_out("no_place")
-        missed[id(item.kind)] = 0 if found else in_a_row + 1
-        poses.append(found)
-    return poses
+                reason = self._misfit(item, pose, hiding, bool(beside))
+                if reason is None:
+                    self._missed[id(item.kind)] = 0
+                    self._placed.append((item, pose))
+                    return pose
+                self._tally.reject(reason)
+        self._tally.leave_out("no_place")
+        self._missed[id(item.kind)] = in_a_row + 1
+        return None
 
+    def _mates(self, item: PlacementRequest) -> list[Pose]:
+        """Return the poses of the objects beside one of which the object is to stand; empty for anywhere."""
+        group = _kind(item).group
+        if group is None or not item.model.stands or self._rng.random() >= group.share:
+            return []
+        return [pose for other, pose in self._placed[self._known :] if other.kind is item.kind]
 
-def _hides_insert(box_xyxy: FloatArray | None, inserted: FloatArray, group: Group | None) -> bool:
-    """Return whether a box shares too much with those of other inserts; members of a group may hide each other."""
-    return collides(box_xyxy, inserted, MAX_OVERLAP if group is None else group.max_overlap)
+    def _ground_aim(self, item: PlacementRequest) -> Callable[[Pose, float, bool], bool] | None:
+        """Draw the ground that the object looks for, and return whether a pose has it; None for any ground.
+
+        The function takes the pose, the share of the attempts made, and whether the pose is beside another object.
+        """
+        if self._real is None or not item.model.stands:
+            return None
+        aim, outline = draw_aim(self._real, self._rng), _outline(item)
+
+        def accepts(pose: Pose, tried: float, beside: bool) -> bool:
+            box = _rough_box(self._camera, pose, outline, item.scale)
+            ground = ground_around(self._site, box, self._annotated)
+            return ground is not None and aim.accepts(ground, tried, beside)
+
+        return accepts
+
+    def _misfit(self, item: PlacementRequest, pose: Pose, hiding: Hiding | None, beside: bool) -> str | None:
+        """Return the rule that a pose breaks, or None; then the box of the object is taken."""
+        world, group = item.in_world(pose), _kind(item).group
+        reason, box = examine(self._camera, world, item, self._rules)
+        reason = reason or self._collision(box, MAX_OVERLAP if group is None or not beside else group.max_overlap)
+        if reason is None and hiding is not None:
+            # What hides an object is not even ground.
+            reason = None if hiding.hides(self._camera, world, item) else "no_occluder"
+        elif reason is None and item.model.stands and self._relief is not None:
+            even = is_even(self._relief, feet_box(self._camera, world), self._rules.max_relief_grey)
+            reason = None if even else "uneven_ground"
+        # People in a group touch, and boxes around them intersect before they do; cars in a row must not.
+        if reason is None and group is not None and group.in_row:
+            volume = volume_of(item, pose)
+            reason = "in_another" if any(volume.intersects(volume_of(*other)) for other in self._placed) else None
+        if reason is None:
+            assert box is not None
+            self._inserted = np.concatenate([self._inserted, box[None]])
+        return reason
+
+    def _collision(self, box: FloatArray | None, max_overlap: float) -> str | None:
+        """Return what a box covers and must not, or None; inserts share at most `max_overlap` of the smaller box."""
+        if is_covered(box, self._site.text_boxes, 0.0):
+            return "on_text"
+        if on_margin(self._site.margin, box):
+            return "on_margin"
+        if self._rules.clear_of_ignored and collides(box, self._ignored):
+            return "on_ignored"
+        if self._rules.clear_of_labels and (
+            collides(box, self._annotated) or collides(box, self._inserted, max_overlap)
+        ):
+            return "on_annotated"
+        return None
+
+    def _has_structure(self, hiding: Hiding, item: PlacementRequest, pose: Pose) -> bool:
+        (xy,), (depth_m,) = self._camera.project(np.array([pose[:3]]))
+        return bool(depth_m > 0) and hiding.has_structure(float(xy[0]), float(xy[1]), item.model.stands)
+
+    def _draw(self, item: PlacementRequest) -> Pose | str:
+        """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
+        kind, camera, rng = _kind(item), self._camera, self._rng
+        w, h = camera.size_wh
+        u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
+        yaw = math.radians(rng.uniform(*kind.yaw_deg))
+        if item.model.stands:
+            yaw = self._aligned(yaw, item)
+        above = float(rng.uniform(*kind.z_m))
+        away = float(rng.uniform(*kind.range_m))
+        below = ground_point(camera, u, v, self._view.ground_z_m)
+        if item.model.stands:
+            if below is None:
+                return "no_ground"
+            if above < 0:
+                return "below_ground"
+            return float(below[0]), float(below[1]), self._view.ground_z_m + above, yaw
+        if below is not None and away > _BEFORE_GROUND * float(np.linalg.norm(below - camera.position_m)):
+            return "beyond_ground"
+        place = camera.position_m + away * pixel_ray(camera, u, v)
+        return float(place[0]), float(place[1]), float(place[2]), yaw
+
+    def _draw_beside(self, item: PlacementRequest, mates: Sequence[Pose]) -> Pose:
+        """Draw a pose beside one of the objects already placed, on the same ground.
+
+        Objects in a row have the heading of their neighbour, whether or not that follows the picture's.
+        """
+        kind, rng = _kind(item), self._rng
+        group = kind.group
+        assert group is not None
+        x, y, z, mate_yaw = mates[int(rng.integers(len(mates)))]
+        away, turn, heading = float(rng.uniform(*group.apart_m)), float(rng.random()), float(rng.random())
+        if group.in_row:
+            yaw = mate_yaw + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + (math.pi if rng.random() < 0.5 else 0.0)
+            towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
+        else:
+            low, high = (math.radians(d) for d in kind.yaw_deg)
+            yaw, towards = self._aligned(low + (high - low) * heading, item), 2 * math.pi * turn
+        return x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
+
+    def _aligned(self, yaw: float, item: PlacementRequest) -> float:
+        """Return a heading along the one of the picture, or the given one for objects that do not follow it."""
+        align, common, rng = _kind(item).align, self._headings.get(id(item.kind)), self._rng
+        if align is None or common is None:
+            return yaw
+        follows, back, off = rng.random() < align.share, rng.random() < 0.5, float(rng.standard_normal())
+        return common + (math.pi if back else 0.0) + math.radians(align.spread_deg) * off if follows else yaw
 
 
 def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:
@@ -323,67 +324,8 @@ def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:
 
 
 def _kind(item: PlacementRequest) -> MetricObject:
-    assert isinstance(item.kind, MetricObject)
-    return item.kind
-
-
-def _draw(
-    camera: CameraSpec, view: View, item: PlacementRequest, rng: np.random.Generator, heading: float | None
-) -> Pose | str:
-    """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
-    kind = _kind(item)
-    w, h = camera.size_wh
-    u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
-    yaw = math.radians(rng.uniform(*kind.yaw_deg))
-    if kind.align is not None and heading is not None and item.model.stands:
-        yaw = _aligned(yaw, kind.align, heading, rng)
-    above = float(rng.uniform(*kind.z_m))
-    away = float(rng.uniform(*kind.range_m))
-    below = ground_point(camera, u, v, view.ground_z_m)
-    if item.model.stands:
-        if below is None:
-            return "no_ground"
-        if above < 0:
-            return "below_ground"
-        return float(below[0]), float(below[1]), view.ground_z_m + above, yaw
-    if below is not None and away > _BEFORE_GROUND * float(np.linalg.norm(below - camera.position_m)):
-        return "beyond_ground"
-    place = camera.position_m + away * pixel_ray(camera, u, v)
-    return float(place[0]), float(place[1]), float(place[2]), yaw
-
-
-def _aligned(yaw: float, align: Align, heading: float, rng: np.random.Generator) -> float:
-    """Return a heading along the common one, or the given one for objects that do not follow it."""
-    follows, back, off = rng.random() < align.share, rng.random() < 0.5, float(rng.standard_normal())
-    return heading + (math.pi if back else 0.0) + math.radians(align.spread_deg) * off if follows else yaw
-
-
-def _has_structure(hiding: Hiding, camera: CameraSpec, pose: Pose, item: PlacementRequest) -> bool:
-    (xy,), (depth_m,) = camera.project(np.array([pose[:3]]))
-    return bool(depth_m > 0) and hiding.has_structure(float(xy[0]), float(xy[1]), item.model.stands)
-
-
-def _draw_pose_beside(
-    item: PlacementRequest, mates: Sequence[Pose], rng: np.random.Generator, common: float | None
-) -> Pose:
-    """Draw a pose beside one of the objects already placed, on the same ground.
-
-    `common` is the picture's heading, radians; objects in a row have their neighbour's, whether or not it follows that.
-    """
-    kind = _kind(item)
-    group = kind.group
-    assert group is not None
-    x, y, z, mate_yaw = mates[int(rng.integers(len(mates)))]
-    away, turn, heading = float(rng.uniform(*group.apart_m)), float(rng.random()), float(rng.random())
-    low, high = (math.radians(d) for d in kind.yaw_deg)
-    if group.in_row:
-        yaw = mate_yaw + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + (math.pi if rng.random() < 0.5 else 0.0)
-        towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
-    else:
-        yaw, towards = low + (high - low) * heading, 2 * math.pi * turn
-        if kind.align is not None and common is not None:
-            yaw = _aligned(yaw, kind.align, common, rng)
-    return x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
+    """Return the recipe's entry of an object; a recipe of metric placement has no others."""
+    return cast(MetricObject, item.kind)
 
 
 def _outline(item: PlacementRequest) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The paper's placement: objects around the origin of a virtual scene, redrawn until they are visible."""
+"""What both placements use: objects to be placed, rules that a place has to meet, counts of draws."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import Object, PaperObject, PaperRecipe, Placement
+from infrablend.config.recipe import Object, Placement
 from infrablend.core.boxes import clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance
-from infrablend.core.margin import on_margin
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.raster import inside_fraction, project_triangles
 
@@ -88,89 +87,18 @@ class DrawStatistics:
         """Count a rejected draw."""
         self.rejected[reason] = self.rejected.get(reason, 0) + 1
 
-    def leave_out(self, reason: str) -> None:
-        """Count an object without a place."""
-        self.absent[reason] = self.absent.get(reason, 0) + 1
+    def leave_out(self, reason: str, count: int = 1) -> None:
+        """Count objects without a place."""
+        self.absent[reason] = self.absent.get(reason, 0) + count
 
-
-def place_as_paper(
-    camera_of: CameraSpec,
-    recipe: PaperRecipe,
-    wanted: Sequence[PlacementRequest],
-    labels: Sequence[Instance],
-    ignored: frozenset[str],
-    rng: np.random.Generator,
-    tally: DrawStatistics,
-    margin: NDArray[np.bool_] | None = None,
-) -> tuple[CameraSpec, list[Pose | None]]:
-    """Draw the camera and a pose per object, None where no place was found.
-
-    The first object is drawn together with the camera (paper: d, x, y, yaw, roll). The others are then drawn one by one
-    in the view of that camera, because redrawing all objects until they fit together would take far too many draws.
-
-    Args:
-        camera_of: The camera, apart from distance and roll.
-        recipe: A recipe with `placement.mode: paper`.
-        wanted: Objects to place.
-        labels: The background's own objects.
-        ignored: Names of categories that mark ignore regions.
-        rng: Random stream of placement only.
-        tally: Counts to add to.
-        margin: (h, w) mask of the background's margins, where nothing is placed; None without any.
-    """
-    rules = recipe.placement
-    avoid = boxes_of([i for i in labels if i.category in ignored]) if rules.clear_of_ignored else np.zeros((0, 4))
-
-    def draw_camera() -> CameraSpec:
-        return CameraSpec(
-            distance_m=float(rng.uniform(*recipe.camera.distance_m)),
-            pitch_rad=camera_of.pitch_rad,
-            roll_rad=math.radians(rng.uniform(*recipe.camera.roll_deg)),
-            focal_length_mm=camera_of.focal_length_mm,
-            sensor_width_mm=camera_of.sensor_width_mm,
-            size_wh=camera_of.size_wh,
-        )
-
-    def draw_pose(kind: Object) -> Pose:
-        assert isinstance(kind, PaperObject)
-        x, y, z = (float(rng.uniform(*r)) for r in (kind.x_m, kind.y_m, kind.z_m))
-        return x, y, z, math.radians(rng.uniform(*kind.yaw_deg))
-
-    camera = draw_camera()
-    tally.first_distance_m = camera.distance_m
-    poses: list[Pose | None] = []
-    missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
-    for number, item in enumerate(wanted):
-        pose = draw_pose(item.kind)
-        if rules.on_miss == "keep":
-            tally.attempts += 1
-            poses.append(pose)
-            continue
-        accepted = False
-        in_a_row = missed.get(id(item.kind), 0)
-        for attempt in range(attempts_after(in_a_row, rules.attempts)):
-            if attempt:
-                if rules.on_miss == "redraw" and number == 0:
-                    camera, pose = draw_camera(), draw_pose(item.kind)
-                else:
-                    fresh = draw_pose(item.kind)
-                    pose = fresh if rules.on_miss == "redraw" else (fresh[0], fresh[1], pose[2], pose[3])
-            tally.attempts += 1
-            world = item.in_world(pose)
-            reason, box = examine(camera, world, item, rules)
-            if reason is None and is_covered(box, avoid):
-                reason = "on_ignored"
-            elif reason is None and on_margin(margin, box):
-                reason = "on_margin"
-            if reason is None:
-                accepted = True
-                break
-            tally.reject(reason)
-        if not accepted:
-            tally.leave_out("no_place")
-        missed[id(item.kind)] = 0 if accepted else in_a_row + 1
-        poses.append(pose if accepted else None)
-    return camera, poses
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "attempts": self.attempts,
+            "first_distance_m": self.first_distance_m,
+            "rejected": dict(sorted(self.rejected.items())),
+            "absent": {reason: count for reason, count in sorted(self.absent.items()) if count},
+        }
 
 
 def attempts_after(missed: int, attempts: int) -> int:

@@ -7,16 +7,13 @@ an empty lawn. A detector that is trained on such places takes clutter as a sign
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from infrablend.config.recipe import RealGround
 from infrablend.core.mesh import FloatArray
 from infrablend.core.rings import ring_levels
-
-if TYPE_CHECKING:
-    from infrablend.sampling.metric import Site
+from infrablend.sampling.site import Site
 
 # Shares of the real objects below each of a recipe's quantiles.
 _SHARES = (0.05, 0.25, 0.5, 0.75, 0.95)

@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.compositing.agc import apply_agc
 from infrablend.config.agc import Agc
 from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import ImageRecord
@@ -350,7 +349,7 @@ def _by_agc(image: ImageRecord, detector: Detector) -> NDArray[np.uint8] | None:
     if detector.agc is None:
         return None
     scale = image.capture.scale
-    levels = apply_agc(np.asarray(load_background(image.path).pixels, np.uint16), detector.agc, scale)
+    levels = detector.agc.apply(np.asarray(load_background(image.path).pixels, np.uint16), scale)
     return levels if detector.channels == 1 else np.repeat(levels[..., None], 3, axis=2)
 
 

@@ -15,7 +15,8 @@ from infrablend.core.capture import Capture
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
-from infrablend.sampling.scene import FrameKey, sample_scene
+from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.site import FrameKey
 from tests.meshes import check_pieces
 
 DRAWS = [MODEL.sample(stream(7, "car", k), {}) for k in range(24)]

@@ -11,8 +11,8 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.formats import detection
 from infrablend.pipeline.request import Execution
-from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import FrameKey, sample_scene
+from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.site import FrameKey, Site
 
 WH = (640, 512)
 FLAT = Execution(renderer="flat", in_process=True)

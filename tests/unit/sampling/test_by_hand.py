@@ -17,8 +17,8 @@ from infrablend.core.scene import SceneSpec
 from infrablend.errors import RecipeError
 from infrablend.pipeline.frame_selection import FrameSelection
 from infrablend.pipeline.request import Execution
-from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import FrameKey, sample_scene
+from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.site import FrameKey, Site
 from tests.command_line import done
 from tests.flat_renderer import render_flat
 

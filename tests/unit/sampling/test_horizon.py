@@ -9,8 +9,8 @@ from infrablend.assets.catalogue import load_model
 from infrablend.compositing.behind import elevations
 from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
-from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import FrameKey, move_objects, sample_scene
+from infrablend.sampling.scene import RecipeSampler, sample_scene
+from infrablend.sampling.site import FrameKey, Site
 
 WH = (320, 256)
 
@@ -66,16 +66,16 @@ def test_nothing_is_inserted_into_pure_noise():
 def test_moved_objects_keep_shape_and_temperature():
     scene, recipe, models, site = draw(sky(), {"objects.0.count": 3})
     assert len(scene.objects) == 3
-    moved = move_objects(scene, [1], recipe, models, 1, site, 1)
+    moved = RecipeSampler(recipe, models, 1).move(scene, [1], site, 1)
     assert moved.objects[0].spec == scene.objects[0].spec
     assert moved.objects[2].spec == scene.objects[2].spec
     old, new = scene.objects[1].spec, moved.objects[1].spec
     assert (new.params, new.parts, new.scale) == (old.params, old.parts, old.scale)
     assert new.position_m != old.position_m
     assert moved.spec.draws["moved"] == 1
-    again = move_objects(scene, [1], recipe, models, 1, site, 1)
+    again = RecipeSampler(recipe, models, 1).move(scene, [1], site, 1)
     assert again.spec == moved.spec
-    assert move_objects(scene, [1], recipe, models, 1, site, 2).objects[1].spec.position_m != new.position_m
+    assert RecipeSampler(recipe, models, 1).move(scene, [1], site, 2).objects[1].spec.position_m != new.position_m
 
 
 def test_a_known_pitch_comes_before_the_horizon_and_the_record_says_so():

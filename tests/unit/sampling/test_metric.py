@@ -15,9 +15,10 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
-from infrablend.sampling.metric import Site, is_even, relief_of
+from infrablend.sampling.metric import is_even, relief_of
 from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides
-from infrablend.sampling.scene import FrameKey, move_objects, rebuild_scene, sample_scene
+from infrablend.sampling.scene import RecipeSampler, rebuild_scene, sample_scene
+from infrablend.sampling.site import FrameKey, Site
 from infrablend.sampling.volume import volume_of
 
 WH = (640, 512)
@@ -88,6 +89,10 @@ def test_the_height_is_found_from_objects_of_known_size(pitch, name, factor):
     assert found.height_m == pytest.approx(found.factor * stated)
 
 
+def flown(altitude_m, pitch_deg, time_of_day):
+    return Capture(pitch_deg=pitch_deg, altitude_m=altitude_m, time_of_day=time_of_day)
+
+
 def test_without_anchors_the_nominal_factor_holds_and_outliers_are_bounded():
     camera = hit_uav_camera(60, 100)
     assert calibrate(camera, 100, []).factor == pytest.approx(NOMINAL_FACTOR)
@@ -103,12 +108,12 @@ def test_heights_are_corrected_as_the_recipe_states_for_its_dataset():
     low = FlightHeight(factor=1.8, time_of_day="night", below_m=75, below_pitch_deg=70)
     heights = StatedHeights(factor=1.3, by_flight=(low, FlightHeight(factor=1.5, time_of_day="day")), box_looseness=1.2)
     flights = ((60, 60, "night"), (80, 60, "night"), (60, 80, "night"), (60, 90, "day"), (None, None, None))
-    assert [prior_of(heights, *flight).factor for flight in flights] == [1.8, 1.3, 1.3, 1.5, 1.3]
-    prior = prior_of(heights, 60, 60, "night")
+    assert [prior_of(heights, flown(*flight)).factor for flight in flights] == [1.8, 1.3, 1.3, 1.5, 1.3]
+    prior = prior_of(heights, flown(60, 60, "night"))
     assert calibrate(hit_uav_camera(60, 60), 60, [], prior).factor == pytest.approx(1.8)
-    assert prior_of(StatedHeights(), 60, 60, "night") == FROM_TABLE
+    assert prior_of(StatedHeights(), flown(60, 60, "night")) == FROM_TABLE
     sure = StatedHeights(by_flight=(FlightHeight(factor=1.4, below_pitch_deg=35, spread=0.05),))
-    assert [prior_of(sure, 80, pitch, "day").sd for pitch in (30, 40, None)] == [0.05, 0.16, 0.16]
+    assert [prior_of(sure, flown(80, pitch, "day")).sd for pitch in (30, 40, None)] == [0.05, 0.16, 0.16]
 
 
 def test_loose_boxes_do_not_make_the_camera_lower():
@@ -120,7 +125,7 @@ def test_loose_boxes_do_not_make_the_camera_lower():
         centre, half = (label.box_xyxy[:2] + label.box_xyxy[2:]) / 2, (label.box_xyxy[2:] - label.box_xyxy[:2]) / 2
         loose.append(Instance(label.category, np.concatenate([centre - 1.2 * half, centre + 1.2 * half])))
     exact = calibrate(hit_uav_camera(60, 80), 80, labels)
-    prior = prior_of(StatedHeights(references=("car",), box_looseness=1.2), 80, 60, "day")
+    prior = prior_of(StatedHeights(references=("car",), box_looseness=1.2), flown(80, 60, "day"))
     found = calibrate(hit_uav_camera(60, 80), 80, [*loose, *people], prior)
     assert found.anchors == {"car": len(loose)} and not found.at_limit
     assert found.factor == pytest.approx(exact.factor, rel=0.02)
@@ -333,7 +338,7 @@ def test_a_moved_car_keeps_out_of_those_that_stay():
     for n in range(4):
         key = FrameKey(f"1_80_60_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day="night"))
         scene = sample_scene(key, recipe, models, 0, site)
-        moved = move_objects(scene, range(0, len(scene.objects), 2), recipe, models, 0, site, 1).spec
+        moved = RecipeSampler(recipe, models, 0).move(scene, range(0, len(scene.objects), 2), site, 1).spec
         rejected += moved.draws["rejected"].get("in_another", 0)
         assert not any(a.intersects(b) for a, b in itertools.combinations(volumes(moved), 2))
     assert rejected
@@ -451,7 +456,7 @@ def test_a_moved_car_stands_along_the_others():
     for n in range(4):
         key = FrameKey(f"1_80_90_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=90.0, time_of_day="night"))
         scene = sample_scene(key, recipe, models, 0, site)
-        moved = move_objects(scene, range(4), recipe, models, 0, site, 1).spec
+        moved = RecipeSampler(recipe, models, 0).move(scene, range(4), site, 1).spec
         first = math.degrees(scene.spec.objects[0].yaw_rad)
         assert moved.objects and off_deg(moved, first, 180).max() < 12
         assert [o.position_m for o in moved.objects] != [o.position_m for o in scene.spec.objects]
@@ -477,5 +482,5 @@ def test_nothing_is_placed_where_the_camera_saw_nothing(name, monkeypatch):
     boxes = [o.box_xyxy for s in drawn for o in rebuild_scene(s, models).objects]
     assert boxes and all(box[0] > 310 for box in boxes)  # labelled parts beyond 320; discs of propellers are not
     free = draw(recipe, ground)
-    monkeypatch.setattr("infrablend.sampling.metric.find_margin", lambda *_: None)
+    monkeypatch.setattr("infrablend.sampling.site.find_margin", lambda *_: None)
     assert draw(recipe, ground) == free  # the search draws nothing and rejects nothing

@@ -9,9 +9,9 @@ from infrablend.config.recipe import RealGround
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.errors import RecipeError
-from infrablend.sampling.metric import Site
 from infrablend.sampling.real_ground import draw_aim, ground_around
-from infrablend.sampling.scene import FrameKey, sample_scene
+from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.site import FrameKey, Site
 
 WH = (640, 512)
 CLUTTERED = "{level_grey: [-5, -1, 0, 1, 5], clutter_grey: [8, 9, 10, 11, 12]}"

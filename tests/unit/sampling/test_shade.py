@@ -11,9 +11,9 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Sun
-from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import FrameKey, move_objects, rebuild_scene, sample_scene
+from infrablend.sampling.scene import RecipeSampler, rebuild_scene, sample_scene
 from infrablend.sampling.shade import shadow_shift
+from infrablend.sampling.site import FrameKey, Site
 from tests.samples import with_facts
 
 DAY = FrameKey("f", "train", 0, (640, 512), Capture(pitch_deg=60.0, time_of_day="day", sequence="flight"))
@@ -66,7 +66,7 @@ def test_parked_cars_throw_a_shadow_that_no_label_counts():
     (again,) = rebuild_scene(scene.spec, models).objects
     assert again.mesh.vertices_m.tobytes() == car.mesh.vertices_m.tobytes()
     # At another place and heading the shadow still points away from the sun.
-    (moved,) = move_objects(scene, [0], recipe, models, 1, site, 1).objects
+    (moved,) = RecipeSampler(recipe, models, 1).move(scene, [0], site, 1).objects
     assert moved.spec.params["shadow_xy"] == pytest.approx(shadow_shift(sun, moved.spec.yaw_rad))
     assert moved.spec.parts == car.spec.parts
 

@@ -11,8 +11,8 @@ from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.scene import SceneSpec
-from infrablend.sampling.metric import Site
-from infrablend.sampling.scene import FrameKey, sample_scene
+from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.site import FrameKey, Site
 from tests.samples import with_facts
 
 KUNMING = "environment.place={latitude_deg: 25.0, longitude_deg: 102.7}"

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from infrablend.compositing.agc import apply_agc
 from infrablend.config.agc import DEFAULT_AGC, PlateauAgc, parse_agc
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
@@ -51,7 +50,7 @@ def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path
     assert {p.dtype for p in pictures} == {np.dtype(np.uint8)}
     if not tile:
         whole = np.array(Image.open(flight / "images" / "train" / "train0.tiff")).astype(np.uint16)
-        assert (pictures[0] == apply_agc(whole, agc)).all()
+        assert (pictures[0] == agc.apply(whole)).all()
     assert not (tmp_path / "out" / "8bit").exists()  # a working folder
     assert not manifest.moved
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes
-from infrablend.config.agc import DEFAULT_AGC, Agc, FixedAgc
+from infrablend.config.agc import DEFAULT_AGC, Agc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import read_regular
 from infrablend.core.format_table import writer_for_task
@@ -139,7 +139,7 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
         problems += [
             Problem(i.id, "image-depth", "16 bits per pixel", "8-bit pictures, as the others have", todo) for i in deep
         ]
-    elif isinstance(agc, FixedAgc):
+    elif agc.needs_scale:
         for i in deep:
             if i.capture.radiometry is None or i.capture.scale is None:
                 expected = "a temperature scale, which a fixed AGC needs"

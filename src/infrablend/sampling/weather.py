@@ -1,0 +1,91 @@
+"""Air, sky, ground and sun of a frame."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from infrablend.config.recipe import Environment, SkyEnvironment
+from infrablend.core.rng import stream
+from infrablend.core.scene import Sun, Weather
+from infrablend.sampling.site import FrameKey
+from infrablend.thermal.sky import dew_point
+from infrablend.thermal.sun import irradiance, sun_position, time_of
+
+ZERO_C_K = 273.15
+
+
+def draw_air_k(frame: FrameKey, environment: Environment, rng: np.random.Generator) -> float:
+    """Return the temperature of the air: a draw from the recipe's range, or that of the picture's file."""
+    drawn = float(rng.uniform(*environment.air_temperature_c)) + ZERO_C_K
+    if environment.air_of_picture and frame.capture.radiometry is not None:
+        return frame.capture.radiometry.plausible_air_k or drawn
+    return drawn
+
+
+def air_source(frame: FrameKey, environment: Environment) -> Literal["metadata", "stated", "drawn"]:
+    """Return where the temperature of the air comes from: the picture's file, the recipe, or a draw from its range."""
+    if frame.capture.radiometry is not None and frame.capture.radiometry.plausible_air_k is not None:
+        return "metadata"
+    low, high = environment.air_temperature_c
+    return "stated" if low == high else "drawn"
+
+
+def draw_weather(frame: FrameKey, e: SkyEnvironment, air_k: float, seed: int) -> Weather:
+    """Draw air, sky and ground of the frame, from a stream of its own.
+
+    With radiometric matching, humidity is that of the picture's file if it states one, and the ground is that of the
+    picture: it gets its temperature from there when the objects are in their places.
+    """
+    rng = stream(seed, frame.frame_id, "weather")
+    below = float(rng.uniform(*e.dew_point_below_air_k))
+    rng.random()  # unused; keeps the later draws the same as before a quantity was removed
+    clear, cover, base = (float(v) for v in rng.random(3))
+    day = frame.capture.time_of_day == "day"
+    above = e.ground_above_air_k(day)
+    ground_k = air_k if above is None else air_k + float(rng.uniform(*above))
+    humidity = None if frame.capture.radiometry is None else frame.capture.radiometry.plausible_humidity
+    if e.air_of_picture and humidity is not None:
+        below = air_k - dew_point(air_k, humidity)
+    sun = None
+    if day:
+        # The sun and the clouds are those of the whole sequence.
+        together = stream(seed, "sun", frame.capture.sequence or frame.capture.captured or frame.frame_id)
+        clear, cover, share, turn = (float(v) for v in together.random(4))
+        sun = _sun(frame, e, share, turn, 0.0 if clear < e.clear_share else cover)
+    return Weather(
+        air_k=air_k,
+        dew_point_k=air_k - below,
+        cloud=0.0 if clear < e.clear_share else cover,
+        cloud_base_k=air_k - (5 + 5 * base),
+        ground_k=ground_k,
+        sun=sun,
+    )
+
+
+def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float, cloud: float) -> Sun:
+    """Return the sun over a frame.
+
+    Its azimuth is relative to the camera's heading, which no dataset states, and is therefore always drawn.
+
+    Args:
+        frame: Key of the frame.
+        environment: Range of the elevation, or the place.
+        share: Drawn number in [0, 1) that sets the elevation within its range.
+        turn: Drawn number in [0, 1) that sets the azimuth.
+        cloud: Share of the sky that clouds cover.
+    """
+    low, high = environment.sun_elevation_deg
+    elevation = math.radians(low + (high - low) * share)
+    source: Literal["computed", "drawn", "contradicted"] = "drawn"
+    when, place = time_of(frame.capture.captured), environment.place
+    if place is not None and when is not None:
+        _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
+        if computed > 0:
+            elevation, source = computed, "computed"
+        else:
+            source = "contradicted"
+    direct, diffuse = irradiance(elevation, cloud)
+    return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)
