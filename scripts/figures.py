@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 LONG = 45
-# Packages that hold recipe classes, or make a strategy from a recipe once.
-FACTORIES = ("config/", "strategies/")
+# The package of the recipe classes. Looks and placements are taken from tables by the name of the mode.
+RECIPES = "config/"
 # What gives an output folder its name, or marks it as the command's own.
 FOLDER_OWNERS = ("OutputFolder", "Manifest")
 
@@ -53,7 +53,7 @@ class Tree:
         return [f"{place} ({count})" for count, place in sorted(found, reverse=True)]
 
     def switches(self) -> list[str]:
-        """Return the `isinstance` on recipe classes and the comparisons of `.mode` outside the factories."""
+        """Return the `isinstance` on recipe classes and the comparisons of `.mode` outside the recipe classes."""
         classes = {
             node.name
             for name, tree in self.modules.items()
@@ -63,7 +63,7 @@ class Tree:
         }
         found = []
         for name, tree in self.modules.items():
-            if name.startswith(FACTORIES):
+            if name.startswith(RECIPES):
                 continue
             for node in ast.walk(tree):
                 if _is_class_check(node, classes) or _is_mode_comparison(node):

@@ -100,23 +100,12 @@ class FixedPitch(Strict):
     fixed_deg: float = Field(ge=-90, le=100)
     """Depression angle of the camera, degrees: 0 level, 90 straight down, negative looking up."""
 
-    @property
-    def stated_deg(self) -> tuple[float, float]:
-        """Range of the pitch in all pictures."""
-        return self.fixed_deg, self.fixed_deg
-
 
 class RandomPitch(Strict):
     """A pitch drawn for each frame."""
 
     random_deg: range_of(-90, 100)  # type: ignore[valid-type]
     """Range of the depression angle, degrees."""
-
-    @property
-    def stated_deg(self) -> tuple[float, float]:
-        """Range of the pitch in all pictures."""
-        low, high = self.random_deg
-        return low, high
 
 
 class HorizonPitch(Strict):
@@ -127,10 +116,6 @@ class HorizonPitch(Strict):
     else_deg: range_of(-90, 100) | None = None  # type: ignore[valid-type]
     """Range of the depression angle, degrees, where neither is there; it is drawn so that the horizon is below the
     picture if that shows the sky alone. Without it, nothing is inserted into such backgrounds."""
-
-    @property
-    def stated_deg(self) -> None:
-        """Nothing is stated for all pictures."""
 
 
 class FixedAltitude(Strict):
@@ -181,7 +166,12 @@ class Camera(Strict):
     @property
     def stated_pitch_deg(self) -> tuple[float, float] | None:
         """Range of the pitch that is stated for all pictures; None if each picture has its own."""
-        return None if self.pitch == "metadata" else self.pitch.stated_deg
+        match self.pitch:
+            case FixedPitch(fixed_deg=stated):
+                return stated, stated
+            case RandomPitch(random_deg=(low, high)):
+                return low, high
+        return None
 
     @property
     def horizon(self) -> HorizonPitch | None:
@@ -200,7 +190,9 @@ class Camera(Strict):
 
     def lens_mm(self, hfov_deg: float | None) -> float:
         """Return the focal length for a picture of this horizontal field of view (None if unknown)."""
-        return self.focal_length_mm
+        if hfov_deg is None or not self.needs_lens:
+            return self.focal_length_mm
+        return self.sensor_width_mm / 2 / math.tan(math.radians(hfov_deg) / 2)
 
 
 class PaperCamera(Camera):
@@ -278,12 +270,6 @@ class MetricCamera(Camera):
     def needs_lens(self) -> bool:
         """Whether each picture of a known camera has to state its field of view."""
         return self.field_of_view == "metadata"
-
-    def lens_mm(self, hfov_deg: float | None) -> float:
-        """Return the focal length for a picture of this horizontal field of view (None if unknown)."""
-        if hfov_deg is None or not self.needs_lens:
-            return self.focal_length_mm
-        return self.sensor_width_mm / 2 / math.tan(math.radians(hfov_deg) / 2)
 
     def height_m(self, known: float | None, share: float) -> float:
         """Return the stated height of the camera.
