@@ -134,6 +134,24 @@ class GroupFacts:
     metal: float | None = None
 
 
+@dataclass(frozen=True)
+class ImportJob:
+    """An import of a 3D file by Blender, in a process of its own.
+
+    Attributes:
+        files: The 3D file and those that it refers to.
+        shown: Name of the 3D file in messages.
+        target: File to write, see `write_geometry`.
+        memory_bytes, cpu_seconds: Limits of the process.
+    """
+
+    files: ModelFiles
+    shown: str
+    target: Path
+    memory_bytes: int
+    cpu_seconds: int
+
+
 def read_description(path: Path) -> tuple[UserModel, Path]:
     """Return the content of a YAML description and the path of its 3D file.
 
