@@ -173,7 +173,7 @@ def _layers(file: Path, data: bytes) -> Iterator[str]:
     if data.startswith(b"PK\x03\x04"):
         return
     if data.startswith(b"PXR-USDC"):
-        others = (p for p in file.parent.rglob("*") if p.suffix.lower() in _USD and is_regular_file(p))
+        others = (p for p in sorted(file.parent.rglob("*")) if p.suffix.lower() in _USD and is_regular_file(p))
         yield from (str(p.relative_to(file.parent)) for p in others if p != file)
     elif data.lstrip().startswith((b"#usda", b"#sdf")):
         for match in _ASSET.finditer(data):
