@@ -306,7 +306,8 @@ def _be_child(
         render_flat()
     if disturbance.before is not None:
         disturbance.before()
-    kept = (watched, own, Path("/dev"), Path("/proc/self"), *allowed)
+    beside = [watched.with_name(f".{watched.name}.{end}") for end in ("partial", "replaced")]
+    kept = (watched, *beside, own, Path("/dev"), Path("/proc/self"), *allowed)
     watch = Watch(watched, kept, (own.parent / "canary",), disturbance, files["outside"])
     sys.addaudithook(watch)
     several = words if words and isinstance(words[0], list) else [words]
