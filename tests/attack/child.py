@@ -26,6 +26,7 @@ import typer.main
 from infrablend.cli import app, main
 from infrablend.pipeline import request
 from infrablend.pipeline.experiments.request import ExperimentRequest
+from tests.attack.trees import places_of
 
 KILLED = -signal.SIGKILL
 TIMED_OUT = -1000
@@ -139,7 +140,7 @@ class Watch:
         disturbance: Disturbance,
         report: Path,
     ) -> None:
-        self._watched = os.path.realpath(watched)
+        self._watched = tuple(os.path.realpath(p) for p in places_of(watched))
         self._forbidden = tuple(os.path.realpath(p) for p in forbidden)
         self._allowed = tuple(os.path.realpath(p) for p in allowed)
         self._disturbance = disturbance
@@ -164,7 +165,7 @@ class Watch:
         finally:
             self._busy = False
         for n, path in enumerate(paths):
-            if _is_below(path, self._watched):
+            if any(_is_below(path, w) for w in self._watched):
                 if n == 0 or event != "os.rename":
                     self._count(event, path)
             elif not any(_is_below(path, a) for a in self._allowed):
@@ -306,8 +307,7 @@ def _be_child(
         render_flat()
     if disturbance.before is not None:
         disturbance.before()
-    beside = [watched.with_name(f".{watched.name}.{end}") for end in ("partial", "replaced")]
-    kept = (watched, *beside, own, Path("/dev"), Path("/proc/self"), *allowed)
+    kept = (own, Path("/dev"), Path("/proc/self"), *allowed)
     watch = Watch(watched, kept, (own.parent / "canary",), disturbance, files["outside"])
     sys.addaudithook(watch)
     several = words if words and isinstance(words[0], list) else [words]

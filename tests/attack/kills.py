@@ -12,7 +12,7 @@ from pathlib import Path
 from tests.attack.child import TIMED_OUT, UNDISTURBED, Disturbance, Outcome, fork_command, kill, kill_torn
 from tests.attack.findings import Finding
 from tests.attack.scenarios import SCENARIOS, Scenario, new_lab
-from tests.attack.trees import contents, differences, snapshot
+from tests.attack.trees import contents, differences, places_of, snapshot
 
 
 @dataclass
@@ -117,6 +117,8 @@ def attack(reference: Reference, case: str, disturbance: Disturbance, number: in
     files = contents(out, scenario.left_out, scenario.trained)
     if not again.code and files != reference.files:
         judge.found("silent loss", f"finished with other bytes: {differences(files, reference.files)}")
+    if not again.code:
+        judge.finished(out)
     judge.unchanged_around()
     return judge.findings
 
@@ -144,6 +146,11 @@ class Judge:
             )
         if outcome.outside:
             self.found("file outside", f"{which}: {'; '.join(outcome.outside[:5])}")
+
+    def finished(self, out: Path) -> None:
+        """Check that a finished command has left nothing beside its output."""
+        if left := [place.name for place in places_of(out)[1:] if place.exists()]:
+            self.found("file outside", f"left beside the output: {left}")
 
     def unchanged_around(self) -> None:
         """Check that nothing but the output has changed."""

@@ -16,6 +16,7 @@ from infrablend.core.files import part_path
 from infrablend.core.manifest import JOURNAL
 from infrablend.pipeline.training.folder import WORKING_FILES
 from tests.attack.child import Outcome, fork_command
+from tests.attack.trees import remove_output
 from tests.clips import write_clips, write_detections
 from tests.fuzzing import make_outside
 from tests.samples import SAMPLES, picture
@@ -57,7 +58,7 @@ class Scenario:
 
     def begin(self, lab: Path) -> None:
         """Remove the output of an earlier attack, and copy what the command changes."""
-        shutil.rmtree(lab / "out", ignore_errors=True)
+        remove_output(lab / "out")
         if self.start:
             shutil.copytree(lab / self.start, lab / "out")
 

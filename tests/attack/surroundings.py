@@ -18,7 +18,7 @@ from tests.attack.child import UNDISTURBED, Disturbance, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.kills import Judge, Reference, make_reference
 from tests.attack.scenarios import SCENARIOS
-from tests.attack.trees import contents, differences
+from tests.attack.trees import contents, differences, remove_output
 
 ATTACKED = ("generate", "convert", "split", "evaluate", "fetch --archive", "experiment", "inspect --out", "preview")
 NOBODY = 65534
@@ -32,13 +32,6 @@ def _full(event: str, path: Path) -> None:
 
 def _broken(event: str, path: Path) -> None:
     raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
-
-
-def _removing(folder: Path) -> Callable[[str, Path], None]:
-    def remove(event: str, path: Path) -> None:
-        shutil.rmtree(folder, ignore_errors=True)
-
-    return remove
 
 
 def _set_clock_back() -> None:
@@ -104,7 +97,7 @@ def _disk_full(reference: Reference, number: int, choose: random.Random) -> list
     act = (_full, _broken)[number % 2]
     at = choose.randrange(max(1, reference.writes))
     judge = Judge("disk full", f"{reference.scenario.name}: {act.__name__} at write {at}", reference)
-    shutil.rmtree(out, ignore_errors=True)
+    remove_output(out)
     ended = _call(reference, Disturbance(at, act))
     judge.ended("the command", ended)
     _judge_success(reference, judge, ended)
@@ -124,7 +117,7 @@ def _small_disk(reference: Reference, number: int, choose: random.Random) -> lis
             judge.found("unexpected error", f"a full disk ends with {ended.code}, not 3: {ended.output[-600:]}")
         subprocess.run(["mount", "-o", "remount,size=64m,nr_inodes=9999", out], check=True)
         _finish(reference, judge, number)
-    shutil.rmtree(out, ignore_errors=True)
+    remove_output(out)
     return judge.findings
 
 
@@ -137,8 +130,8 @@ def remove_folder(reference: Reference, folder: str, at: int, number: int = 0) -
     """Remove a folder of the output, or all of it, before a write of the command."""
     out = reference.lab / "out"
     judge = Judge("folder removed", f"{reference.scenario.name}: {folder or 'all'} at write {at}", reference)
-    shutil.rmtree(out, ignore_errors=True)
-    ended = _call(reference, Disturbance(at, _removing(out / folder)))
+    remove_output(out)
+    ended = _call(reference, Disturbance(at, lambda event, path: remove_output(out, folder)))
     judge.ended("the command", ended)
     _judge_success(reference, judge, ended)
     _finish(reference, judge, number)
@@ -150,7 +143,7 @@ def _read_only(reference: Reference, number: int, choose: random.Random) -> list
     out, own = reference.lab / "out", reference.lab / "own"
     allowed = number % 2 == 0
     judge = Judge("other user", f"{reference.scenario.name}: {'own' if allowed else 'read-only'} folder", reference)
-    shutil.rmtree(out, ignore_errors=True)
+    remove_output(out)
     shutil.rmtree(own, ignore_errors=True)
     for folder in (out, own, own / "tmp"):
         folder.mkdir()
@@ -176,7 +169,7 @@ def _clock(reference: Reference, number: int, choose: random.Random) -> list[Fin
     out = reference.lab / "out"
     at = choose.randrange(max(1, reference.writes))
     judge = Judge("clock set back", f"{reference.scenario.name}: at write {at}", reference)
-    shutil.rmtree(out, ignore_errors=True)
+    remove_output(out)
     ended = _call(reference, Disturbance(at, lambda event, path: _set_clock_back()))
     judge.ended("the command", ended)
     _judge_success(reference, judge, ended)
@@ -193,7 +186,7 @@ def _second_process(reference: Reference, number: int, choose: random.Random) ->
     options = reference.scenario.finishes[number % len(reference.scenario.finishes)] if number % 3 else ()
     judge = Judge("second process", f"{reference.scenario.name}: {options} at write {at}", reference)
     second = lab / "own" / "second"
-    shutil.rmtree(out, ignore_errors=True)
+    remove_output(out)
     shutil.rmtree(lab / "own", ignore_errors=True)
 
     def start(event: str, path: Path) -> None:

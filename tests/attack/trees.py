@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import re
+import shutil
 import stat
 import zipfile
 from pathlib import Path
@@ -18,6 +19,17 @@ _TIMES = {"timing", "seconds", "sessions", "fetched", "commit", "commits"}
 _DURATION = re.compile(rb"\b\d+(\.\d+)? (s|min|h)\b")
 _COMMIT = re.compile(rb"\* commit: .*\n")
 _DIGEST = re.compile(rb"[0-9a-f]{64}")
+
+
+def places_of(out: Path) -> list[Path]:
+    """Return an output folder, and the places beside it where it is written and where a replaced one waits."""
+    return [out, *(out.with_name(f".{out.name}.{end}") for end in ("partial", "replaced"))]
+
+
+def remove_output(out: Path, folder: str = "") -> None:
+    """Remove an output folder, finished or not, or one folder in it."""
+    for place in places_of(out):
+        shutil.rmtree(place / folder, ignore_errors=True)
 
 
 def contents(root: Path, left_out: tuple[str, ...] = ("log/",), trained: bool = False) -> dict[str, str]:
@@ -61,11 +73,10 @@ def _without_times(value: Any) -> Any:
 
 
 def snapshot(root: Path, *left_out: str) -> dict[str, tuple[Any, ...]]:
-    """Return type, size, time and digest of everything below a folder, except in the entries `left_out`."""
+    """Return type, size, time and digest of everything below a folder, except in the outputs `left_out`."""
     found: dict[str, tuple[Any, ...]] = {}
-    for entry in sorted(root.iterdir()):
-        if entry.name in left_out:
-            continue
+    others = {place for name in left_out for place in places_of(root / name)}
+    for entry in sorted({*root.iterdir()} - others):
         for path in (entry, *(sorted(entry.rglob("*")) if entry.is_dir() and not entry.is_symlink() else ())):
             status = path.lstat()
             regular = stat.S_ISREG(status.st_mode)
