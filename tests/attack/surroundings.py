@@ -81,6 +81,8 @@ def _finish(reference: Reference, judge: Judge, number: int) -> None:
     files = contents(out, scenario.left_out, scenario.trained)
     if not ended.code and files != reference.files:
         judge.found("silent loss", f"finished with other bytes: {differences(files, reference.files)}")
+    if not ended.code:
+        judge.finished(out)
     judge.unchanged_around()
 
 

@@ -173,7 +173,7 @@ def fetch(
             for a in _missing(source, out, wanted):  # again: a killed call may have been finished meanwhile
                 done[a.part] = _fetch_part(source, a, request, space.folder, work, on_progress)
             shutil.rmtree(work)
-            if request.own_file and (remark := _not_read_as(source, space.folder)) is not None:
+            if done and request.own_file and (remark := _not_read_as(source, space.folder)) is not None:
                 if not wanted[0].into:
                     raise DatasetError(f"{done[wanted[0].part].facts['file']}: not {name}", [remark])
                 done[wanted[0].part].problems.append(_as_warning(remark))

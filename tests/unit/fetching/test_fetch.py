@@ -13,7 +13,7 @@ import pytest
 from infrablend import api
 from infrablend.cli import main
 from infrablend.cli.progress import FetchPace, fetch_line
-from infrablend.core.workspace import workspace
+from infrablend.core.workspace import partial_of, workspace
 from infrablend.errors import DatasetError, FetchError, InfraBlendError, OutputError
 from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FetchProgress
@@ -107,6 +107,24 @@ def test_a_fetch_that_ends_early_leaves_nothing(tiny, server, tmp_path):
         with pytest.raises(DatasetError, match=r"tiny\.zip"):
             fetch("tiny", tmp_path / "out")
         assert list(tmp_path.iterdir()) == []
+
+
+def test_a_fetch_that_was_killed_before_its_folder_got_its_name_is_finished(tiny, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    rename = Path.rename
+
+    def killed(self: Path, target: Path) -> Path:
+        if self == partial_of(out):
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(Path, "rename", killed)
+        fetch("tiny", out)
+    assert not out.exists() and partial_of(out).exists()
+    assert fetch("tiny", out).present == ("all",)
+    assert {k: v for k, v in tree(out).items() if k != "SOURCE.json"} == CONTENT
+    assert list(tmp_path.iterdir()) == [out]
 
 
 def test_parts_doubled_folders_and_litter(tiny, server, tmp_path):
