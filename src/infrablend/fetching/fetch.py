@@ -178,8 +178,9 @@ def fetch(
                     raise DatasetError(f"{done[wanted[0].part].facts['file']}: not {name}", [remark])
                 done[wanted[0].part].problems.append(_as_warning(remark))
             facts = {**known, **{part: one.facts for part, one in done.items()}}
-            require_still_there([space.folder / place for one in facts.values() for place in one.get("places", ())])
+            require_still_there([space.folder / place for one in done.values() for place in one.facts["places"]])
             space.finish(_source_facts(source, facts))
+        require_still_there([out / SOURCE_FILE])
     return FetchReport(
         out,
         name,
