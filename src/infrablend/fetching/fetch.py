@@ -10,7 +10,7 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -176,7 +176,7 @@ def fetch(
             if done and request.own_file and (remark := _not_read_as(source, space.folder)) is not None:
                 if not wanted[0].into:
                     raise DatasetError(f"{done[wanted[0].part].facts['file']}: not {name}", [remark])
-                done[wanted[0].part].problems.append(_as_warning(remark))
+                done[wanted[0].part].problems.append(replace(remark, severity="warning"))
             facts = {**known, **{part: one.facts for part, one in done.items()}}
             require_still_there([space.folder / place for one in done.values() for place in one.facts["places"]])
             space.finish(_source_facts(source, facts))
@@ -283,7 +283,7 @@ def _fetch_part(
     file, url = request.archive or work / a.file, None
     if request.archive is None:
         url = download(request.url or a.url, file, a.unpacked_bytes, show("download"))
-    digest = _digest(file)
+    digest = sha256_of(real_path(file))
     problems = _check_file(request, a, file, digest)
     unpacked = unpack(file, work / a.part, show("unpack"))
     content = without_wrapper(work / a.part)
@@ -313,13 +313,6 @@ def _fetch_part(
     return _Part(facts, problems)
 
 
-def _digest(file: Path) -> str:
-    try:
-        return sha256_of(real_path(file))
-    except OSError as error:
-        raise DatasetError(f"{file}: cannot be read ({error.strerror or error})") from error
-
-
 def _check_file(request: FetchRequest, a: Archive, file: Path, digest: str) -> list[Problem]:
     """Check size and checksum, and return the differences that are not errors as warnings.
 
@@ -337,7 +330,7 @@ def _check_file(request: FetchRequest, a: Archive, file: Path, digest: str) -> l
             raise DatasetError(f"{file.name}: not the expected file", problems)
     if a.size_bytes is not None and size != a.size_bytes and not request.sha256:
         problems.append(Problem(file.name, "size", f"{size} bytes", f"{a.size_bytes} bytes"))
-    return [_as_warning(p) for p in problems]
+    return [replace(p, severity="warning") for p in problems]
 
 
 def _check_content(
@@ -372,7 +365,7 @@ def _check_content(
                 problems.append(Problem(name, "content-json", found_text, str(wanted)))
     if problems and a.checked and not request.own_file:
         raise DatasetError(f"{file}: does not contain the known files of {source.name}", problems)
-    return [_as_warning(p) for p in problems]
+    return [replace(p, severity="warning") for p in problems]
 
 
 def _not_read_as(source: Source, root: Path) -> Problem | None:
@@ -384,10 +377,6 @@ def _not_read_as(source: Source, root: Path) -> Problem | None:
     text = match.reason + (f"; it is read as {found.format}" if found.format else "")
     todo = "give the archive of this dataset, or use the files without `fetch`: their licence is another"
     return Problem(source.name, "not-this-format", text, f"the files of {source.name}", todo)
-
-
-def _as_warning(p: Problem) -> Problem:
-    return Problem(p.where, p.code, p.found, p.expected, p.todo, "warning")
 
 
 def _source_facts(source: Source, archives: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import pytest
 
 from infrablend import api
 from infrablend.cli import main
-from infrablend.cli.progress import FetchPace, fetch_line
+from infrablend.cli.progress import fetch_line
 from infrablend.core.workspace import partial_of, workspace
 from infrablend.errors import DatasetError, FetchError, InfraBlendError, OutputError
 from infrablend.fetching import fetch as fetching
@@ -284,13 +284,7 @@ def test_the_command(tiny, server, tmp_path, capsys):
 def test_progress_lines():
     assert fetch_line(FetchProgress("unpack", "a.zip", 3, 9)) == "a.zip: 3 of 9 files unpacked"
     assert fetch_line(FetchProgress("download", "a.zip", 2**20, None)) == "a.zip: 1.0 MiB"
-    now = iter([0.0, 0.0, 2.0])
-    pace = FetchPace(clock=lambda: next(now))
-    pace(FetchProgress("download", "a.zip", 0, 4 * 2**20))
-    assert (
-        pace(FetchProgress("download", "a.zip", 2**20, 4 * 2**20))
-        == "a.zip: 1.0 MiB of 4.0 MiB, 512.0 KiB/s, 6.0 s to go"
-    )
+    assert fetch_line(FetchProgress("download", "a.zip", 2**20, 2**22)) == "a.zip: 1.0 MiB of 4.0 MiB"
 
 
 def test_the_table_of_sources():
