@@ -13,9 +13,9 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 git -C "$root" archive "$commit" src | tar -x -C "$folder"
 
-tests=(tests/unit/pipeline/test_folder_attacks.py tests/unit/test_hostile_names.py tests/unit/test_hostile_models.py tests/unit/test_input_attacks.py)
+tests=(tests/unit/pipeline/test_folder_attacks.py tests/unit/test_hostile_names.py tests/unit/test_input_attacks.py)
 helpers=(
-    tests/__init__.py tests/clips.py tests/command_line.py tests/flat_renderer.py tests/hostile_models.py tests/killing.py tests/run_files.py tests/samples.py
+    tests/__init__.py tests/clips.py tests/command_line.py tests/flat_renderer.py tests/killing.py tests/run_files.py tests/samples.py
 )
 for file in "${tests[@]}" "${helpers[@]}"; do
     mkdir -p "$folder/$(dirname "$file")"

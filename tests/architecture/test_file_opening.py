@@ -6,7 +6,8 @@ import ast
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "infrablend"
-# Readers of datasets and downloads, in `formats` and `fetching`, have rules of their own; `blender` runs confined.
+# Readers of datasets and downloads, in `formats` and `fetching`, have rules of their own;
+# `blender` opens what users choose as they choose software.
 LAYERS = ("core", "assets", "config", "sampling", "evaluation", "execution", "pipeline", "report", "studio", "training")
 READS = {"read_text", "read_bytes", "imread", "np.load", "torch.load", "json.load", "os.open", "open", "Image.open"}
 ALLOWED = {
@@ -21,7 +22,6 @@ ALLOWED = {
     "core/output.py": "the folder, to lock it",
     "evaluation/comparison.py": "an open file",
     "evaluation/detections.py": "a file that the user names",
-    "execution/confinement.py": "folders, for the kernel",
     "execution/scratch.py": "folders, to lock them",
     "execution/serial.py": "the log of a worker, to write it",
     "pipeline/measure_objects.py": "bytes in memory",

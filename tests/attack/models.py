@@ -8,7 +8,7 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.hostile_models import blend, crate, glb, usdz, write_gltf
+from tests.models_3d import glb, write_gltf
 
 _DESCRIPTION = "name: a\ncategory: a\nfile: {}\nparts: {{all: {{match: ['*'], delta_t_k: 1, emissivity: 0.9}}}}\n"
 _OBJ = "mtllib thing.mtl\no Body\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nusemtl Warm\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
@@ -41,7 +41,7 @@ def _write_glb(folder: Path) -> None:
 
 def _write_obj(folder: Path) -> None:
     (folder / "thing.obj").write_text(_OBJ)
-    (folder / "thing.mtl").write_text("newmtl Warm\nmap_Kd a.png\n")
+    (folder / "thing.mtl").write_text("newmtl Warm\n")
 
 
 def _write_usda(folder: Path) -> None:
@@ -49,18 +49,13 @@ def _write_usda(folder: Path) -> None:
     (folder / "part.usda").write_text('#usda 1.0\ndef "Other" {}\n')
 
 
-_BLEND = blend(("Library", 1, {"filepath": "//part.usda"}))
-_OF_FIXED_LENGTH = (".blend", ".usdc", ".usdz", ".glb")
+_OF_FIXED_LENGTH = (".blend", ".glb")
 _WRITERS: dict[str, Callable[[Path], object]] = {
     "thing.gltf": lambda folder: write_gltf(folder, 1.0),
     "thing.glb": _write_glb,
     "thing.obj": _write_obj,
     "thing.usda": _write_usda,
-    "thing.usdc": lambda folder: (folder / "thing.usdc").write_bytes(crate(b"subLayers", b"part.usda", b"specifier")),
-    "thing.usdz": lambda folder: usdz(folder / "thing.usdz", "./part.usda"),
-    "thing.blend": lambda folder: (folder / "thing.blend").write_bytes(
-        blend(("Library", 1, {"filepath": "//part.usda"}))
-    ),
+    "thing.blend": lambda folder: (folder / "thing.blend").write_bytes(b"BLENDER-v405" + b"//part.usda\0"),
 }
 
 
@@ -73,7 +68,7 @@ def choose_model(lab: Path, choose: random.Random) -> Path:
     if choose.random() < 0.5:
         file, new = choose.choice(files), choose.choice(_NAMES).encode()
         data = file.read_bytes()
-        for old in (b"thing.bin", b"thing.mtl", b"part.usda", b"a.png"):
+        for old in (b"thing.bin", b"thing.mtl", b"part.usda"):
             fits = file.suffix not in _OF_FIXED_LENGTH
             data = data.replace(old, new if fits else new[: len(old)].ljust(len(old)))
         file.write_bytes(data)

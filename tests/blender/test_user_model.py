@@ -4,15 +4,18 @@ import json
 import struct
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
-from infrablend.assets.user_model import geometry_file, read_geometry
+from infrablend.assets.user_model import description_digest, geometry_file, read_geometry
 from infrablend.errors import ModelError
+from infrablend.pipeline import models
 from infrablend.pipeline.models import import_geometry, ready_model
+from tests.models_3d import write_gltf
 
 MAKE = """
 import os, sys
@@ -101,6 +104,31 @@ bpy.context.view_layer.update()
 bpy.context.view_layer.layer_collection.children["eye"].hide_viewport = True
 bpy.data.objects["Eye"].hide_set(True)
 bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
+os._exit(0)
+"""
+LINKED = """
+import os, sys
+import bpy
+out = sys.argv[1]
+for folder in ("library", "model"):
+    os.mkdir(out + "/" + folder)
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_cube_add()
+bpy.ops.wm.save_as_mainfile(filepath=out + "/library/part.blend")
+bpy.ops.wm.read_factory_settings(use_empty=True)
+with bpy.data.libraries.load(out + "/library/part.blend", link=True) as (there, here):
+    here.objects = there.objects
+bpy.context.scene.collection.objects.link(here.objects[0])
+bpy.ops.wm.save_as_mainfile(filepath=out + "/linked.blend", compress=True)
+bpy.data.libraries[0].filepath = out + "/library/part.blend"
+bpy.ops.wm.save_as_mainfile(filepath=out + "/absolute.blend", relative_remap=False)
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.mesh.primitive_uv_sphere_add()
+for k in range(5):
+    m = bpy.context.object.modifiers.new(str(k), "ARRAY")
+    m.show_viewport = False
+    m.count = 40
+bpy.ops.wm.save_as_mainfile(filepath=out + "/nested.blend")
 os._exit(0)
 """
 PARTS = """
@@ -295,3 +323,55 @@ def test_a_glb_is_added_by_the_names_of_its_objects(files, tmp_path):
     assert set(mesh.part_names) == {"fur", "muzzle"}
     assert mesh.size_m.max() == pytest.approx(0.7)
     assert mesh.vertices_m[:, 2].min() == pytest.approx(0, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def linked(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("linked")
+    script = folder / "make.py"
+    script.write_text(LINKED)
+    subprocess.run([sys.executable, str(script), str(folder)], check=True, timeout=300, capture_output=True)
+    return folder
+
+
+def test_a_changed_buffer_is_another_model(tmp_path):
+    """The cache once knew only the .gltf, not the .bin beside it."""
+    description = describe(None, tmp_path, "", "parts: {all: {match: ['*'], delta_t_k: 1, emissivity: 0.9}}\n",
+                           file=tmp_path / "thing.gltf")  # fmt: skip
+    sizes, digests = [], set()
+    for size in (0.5, 2.0):
+        write_gltf(tmp_path, size)
+        model = ready_model(description)
+        sizes.append(model.build(model.sample(np.random.default_rng(0), {})).size_m.max())
+        digests.add(description_digest(Path(description)))
+    assert sizes == pytest.approx([0.5, 2.0])
+    assert len(digests) == 2
+
+
+def test_linked_libraries_are_part_of_the_model(linked, tmp_path):
+    import_geometry(linked / "linked.blend")
+    library = linked / "library" / "part.blend"
+    content = library.read_bytes()
+    library.write_bytes(content + b" ")
+    import_geometry(linked / "linked.blend")
+    assert len(list((tmp_path / "cache" / "models").iterdir())) == 2
+    with pytest.raises(ModelError, match=r"part\.blend', which is named by an absolute path"):
+        import_geometry(linked / "absolute.blend")
+    library.unlink()
+    with pytest.raises(ModelError, match=r"'//library/part\.blend', which is missing"):
+        import_geometry(linked / "linked.blend")
+    library.write_bytes(content)
+
+
+def test_imports_end_at_limits_of_memory_and_time(linked, monkeypatch):
+    """Five nested array modifiers of 40 once took 10 GB and five minutes."""
+    monkeypatch.setattr(models, "IMPORT_MEMORY_BYTES", 2**30)
+    with pytest.raises(ModelError, match=r"nested\.blend: Blender crashed on it or needed more than 1 GB of memory"):
+        import_geometry(linked / "nested.blend")
+    monkeypatch.setattr(models, "IMPORT_SECONDS", 0.05)
+    with pytest.raises(ModelError, match=r"import took more than 0\.05 s"):
+        import_geometry(linked / "nested.blend")
+    monkeypatch.undo()
+    monkeypatch.setattr(models, "IMPORT_CPU_SECONDS", 1)
+    with pytest.raises(ModelError, match="import took more than 1 s of processor time"):
+        import_geometry(linked / "nested.blend")

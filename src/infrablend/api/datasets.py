@@ -36,7 +36,7 @@ def fetch(
 ) -> FetchReport:
     """Download a public dataset, check and unpack it, and record its source and licence in `out/SOURCE.json`.
 
-    `list_sources` lists the names. Calling it again continues an interrupted download.
+    `list_sources` lists the names. Calling it again with other parts adds them to `out`.
     """
     return fetching.fetch(name, Path(out), request, on_progress=on_progress)
 

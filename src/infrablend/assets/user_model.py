@@ -134,6 +134,24 @@ class GroupFacts:
     metal: float | None = None
 
 
+@dataclass(frozen=True)
+class ImportJob:
+    """An import of a 3D file by Blender, in a process of its own.
+
+    Attributes:
+        files: The 3D file and those that it refers to.
+        shown: Name of the 3D file in messages.
+        target: File to write, see `write_geometry`.
+        memory_bytes, cpu_seconds: Limits of the process.
+    """
+
+    files: ModelFiles
+    shown: str
+    target: Path
+    memory_bytes: int
+    cpu_seconds: int
+
+
 def read_description(path: Path) -> tuple[UserModel, Path]:
     """Return the content of a YAML description and the path of its 3D file.
 
@@ -205,31 +223,11 @@ def read_geometry(cached: Path, where: str) -> tuple[list[GroupFacts], dict[str,
         with np.load(cached, allow_pickle=False) as data:
             groups = [GroupFacts(**g) for g in json.loads(str(data["groups"]))]
             arrays = {k: data[k] for k in ("vertices_m", "triangles", "group_of_triangle", "smooth")}
-        _require_consistent(groups, arrays)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise ModelError(
             f"model {where}: the imported geometry in {cached} is damaged ({error}); remove that file and run again"
         ) from error
     return groups, arrays
-
-
-def _require_consistent(groups: list[GroupFacts], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Check that triangles refer to vertices and pieces that exist.
-
-    Raises:
-        ValueError: They do not.
-    """
-    vertices, triangles, pieces = arrays["vertices_m"], arrays["triangles"], arrays["group_of_triangle"]
-    count = len(triangles)
-    if vertices.shape[1:] != (3,) or triangles.shape != (count, 3) or not count or vertices.dtype.kind != "f":
-        raise ValueError("arrays of wrong shapes")
-    if pieces.shape != (count,) or arrays["smooth"].shape != (count,):
-        raise ValueError("arrays of different lengths")
-    if not np.isfinite(vertices).all():
-        raise ValueError("vertices that are not finite")
-    for indices, most in ((triangles, len(vertices)), (pieces, len(groups))):
-        if indices.dtype.kind != "i" or indices.min() < 0 or indices.max() >= most:
-            raise ValueError("indices out of range")
 
 
 def write_geometry(path: Path, groups: list[GroupFacts], arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -1,12 +1,12 @@
-"""Reads a user's 3D file into plain triangles, in a confined process that ends afterwards.
+"""Reads a user's 3D file into plain triangles, in a process of its own with limits of memory and time.
 
-A .blend may contain scripts. They are never executed: Blender starts from factory settings with automatic execution
-off, and the process holds no secrets. Textures, lights and cameras are not read.
+Scripts, drivers and handlers in a .blend are not executed: Blender starts from factory settings with automatic
+execution off. Lights and cameras are not read.
 """
 
 from __future__ import annotations
 
-import json
+import resource
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,16 +15,17 @@ import bpy
 import numpy as np
 from bpy_extras import image_utils
 
-from infrablend.assets.model_files import TOO_LARGE
+from infrablend.assets.model_files import NO_FILE, too_large
+from infrablend.assets.user_model import GroupFacts, ImportJob, write_geometry
 from infrablend.blender.materials import GROUP_NAME
 from infrablend.blender.physical import GROUP_NAME as PHYSICAL_NAME
+from infrablend.core.tasks import Task
 from infrablend.errors import ModelError, Problem
 
 # With more triangles, labels take seconds per frame.
 MAX_TRIANGLES = 2_000_000
 # Instances without any triangle take time, too.
 MAX_INSTANCES = 1_000_000
-GEOMETRY, REQUEST, REFUSAL = "geometry.npz", "request.json", "refusal.json"
 
 _Piece = tuple[Any, Any, Any, Any, str, list[Any]]
 
@@ -60,36 +61,32 @@ _IMPORTERS: dict[str, Callable[[str], Any]] = {
 }
 
 
-def import_staged(path: str) -> None:
-    """Import the copy of a 3D file in the folder `path`; the request in it names the copy and the user's file.
-
-    Writes the geometry (triangles in world coordinates, Z up, metres, and named pieces), or the reason for a refusal.
-    """
-    folder = Path(path)
-    request = json.loads((folder / REQUEST).read_text("utf-8"))
-    try:
-        _import(folder / request["file"], request["shown"], folder / GEOMETRY)
-    except ModelError as error:
-        message = error.message.replace(str(folder) + "/", "")
-        too_large = error.problems[0].found if error.problems else ""
-        (folder / REFUSAL).write_text(json.dumps({"message": message, "too_large": too_large}), "utf-8")
+def make_importer(_settings: None) -> Callable[[Task], None]:
+    """Return the callable that performs one import: the payload of its task is an `ImportJob`."""
+    return lambda task: _import(task.payload)
 
 
-def _import(file: Path, shown: str, target: Path) -> None:
-    """Read a 3D file and write its geometry to `target`; messages name it as `shown`.
+def _import(job: ImportJob) -> None:
+    """Read a 3D file and write its geometry: triangles in world coordinates, Z up, metres, and named pieces.
 
     Raises:
         ModelError: Blender cannot read the file, it contains no surface, or too many triangles.
     """
+    file, shown = job.files.main, job.shown
+    for what, most in ((resource.RLIMIT_DATA, job.memory_bytes), (resource.RLIMIT_CPU, job.cpu_seconds)):
+        resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:
         _IMPORTERS[file.suffix.lower()](str(file))
+    except MemoryError as error:
+        raise too_large(Path(shown), "more memory than an import may use") from error
     except Exception as error:  # the importers are Python add-ons: KeyError, struct.error and many more
         raise ModelError(
             f"model file {shown}: Blender cannot read it ({_reason(error)}); expected a valid {file.suffix} file"
         ) from error
     if file.suffix.lower() == ".blend":  # the FBX importer, in contrast, sets what is hidden for the viewport only
+        _require_libraries(job)
         _show_as_rendered()
     pieces = list(_pieces(shown))
     if not pieces:
@@ -99,7 +96,7 @@ def _import(file: Path, shown: str, target: Path) -> None:
             f"model file {shown}: vertices that are not finite numbers; expected a valid {file.suffix} file"
         )
     vertices, triangles, groups, smooth = [], [], [], []
-    facts: list[dict[str, Any]] = []
+    facts: list[GroupFacts] = []
     index: dict[tuple[str, str], int] = {}
     offset = 0
     for v, t, t_smooth, t_material, object_name, materials in pieces:
@@ -108,22 +105,39 @@ def _import(file: Path, shown: str, target: Path) -> None:
             key = (object_name, material.name if material else "")
             if key not in index:
                 index[key] = len(facts)
-                facts.append({"object": key[0], "material": key[1], **_infrared(material)})
+                facts.append(GroupFacts(*key, **_infrared(material)))
         of_material = np.array([index.get((object_name, m.name if m else ""), -1) for m in (materials or [None])])
         vertices.append(v)
         triangles.append(t + offset)
         groups.append(of_material[np.minimum(t_material, len(of_material) - 1)])
         smooth.append(t_smooth)
         offset += len(v)
-    with target.open("wb") as stream:
-        np.savez(
-            stream,
-            vertices_m=np.concatenate(vertices),
-            triangles=np.concatenate(triangles).astype(np.int32),
-            group_of_triangle=np.concatenate(groups).astype(np.int32),
-            smooth=np.concatenate(smooth),
-            groups=np.array(json.dumps(facts)),
-        )
+    arrays = {
+        "vertices_m": np.concatenate(vertices),
+        "triangles": np.concatenate(triangles).astype(np.int32),
+        "group_of_triangle": np.concatenate(groups).astype(np.int32),
+        "smooth": np.concatenate(smooth),
+    }
+    write_geometry(job.target, facts, arrays)
+
+
+def _require_libraries(job: ImportJob) -> None:
+    """Check that the libraries of a .blend are there, and that the digest of the model covers them.
+
+    Raises:
+        ModelError: The problems name those for which this is not so.
+    """
+    known = {path.resolve() for path in job.files.paths}
+    problems = []
+    for library in bpy.data.libraries:
+        path = Path(bpy.path.abspath(library.filepath)).resolve()
+        if library.packed_file is None and path not in known:
+            found = "named by an absolute path" if path.is_file() else "missing"
+            todo = "make linked data local, or paths relative (File > External Data), and save it again"
+            what = f"refers to the linked library {library.filepath!r}, which is {found}"
+            problems.append(Problem(job.shown, NO_FILE, what, "a file beside the model", todo))
+    if problems:
+        raise ModelError(f"model file {job.shown}: cannot use {len(problems)} of the files it refers to", problems)
 
 
 def _reason(error: Exception) -> str:
@@ -169,7 +183,7 @@ def _pieces(shown: str) -> Iterator[_Piece]:
     total = 0
     for number, instance in enumerate(depsgraph.object_instances):
         if number >= MAX_INSTANCES:
-            raise _too_many(shown, f"more than {MAX_INSTANCES:,} instances")
+            raise too_large(Path(shown), f"more than {MAX_INSTANCES:,} instances")
         thing = instance.object
         if thing.hide_render or thing.type not in {"MESH", "CURVE", "SURFACE", "META", "FONT"}:
             continue
@@ -181,7 +195,7 @@ def _pieces(shown: str) -> Iterator[_Piece]:
         # Corners minus two per polygon; counted before Blender computes the triangles.
         total += len(mesh.loops) - 2 * len(mesh.polygons)
         if total > MAX_TRIANGLES:
-            raise _too_many(shown, f"more than {MAX_TRIANGLES:,} triangles")
+            raise too_large(Path(shown), f"more than {MAX_TRIANGLES:,} triangles")
         mesh.calc_loop_triangles()
         count = len(mesh.loop_triangles)
         if count:
@@ -219,11 +233,7 @@ def _is_copied_by_parent(thing: Any) -> bool:
     return False
 
 
-def _too_many(shown: str, found: str) -> ModelError:
-    return ModelError(f"model file {shown}: {found}", [Problem(shown, TOO_LARGE, found)])
-
-
-def _infrared(material: Any) -> dict[str, float | None]:
+def _infrared(material: Any) -> dict[str, Any]:
     """Return the values of a material's InfraredEffect node (of either look), None without one."""
     wanted = {"temperature_c": "Temperature", "emissivity": "Emissivity", "ior": "IOR"}
     wanted |= {"roughness": "Roughness", "metal": "Metal"}

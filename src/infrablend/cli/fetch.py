@@ -21,7 +21,7 @@ def fetch(
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", help="Dataset, see --list.", autocompletion=complete_source)
     ] = None,
-    out: Annotated[Path | None, typer.Argument(metavar="DST", help="Output folder, new or empty.")] = None,
+    out: Annotated[Path | None, typer.Argument(metavar="DST", help="Output folder: new, or an earlier DST.")] = None,
     part: Annotated[
         str | None, typer.Option("--part", metavar="LIST", help="Parts to fetch, see --list [default: all].")
     ] = None,
@@ -38,7 +38,7 @@ def fetch(
 ) -> None:
     """Fetch a public dataset; without DST, show its address and licence.
 
-    Repeat the command to continue an interrupted fetch.
+    Repeat the command with another --part to add it to DST.
     """
     session: Session = ctx.obj
     session.json = as_json

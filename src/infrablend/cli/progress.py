@@ -97,56 +97,33 @@ def _live_bar(session: Session, what: str) -> Iterator[OnProgress]:
         yield show
 
 
-def fetch_line(p: FetchProgress, per_s: float = 0.0) -> str:
-    """Return, for example, `train.zip: 1.2 GiB of 2.1 GiB, 8.0 MiB/s, 2 min 03 s to go`, or unpacked files."""
+def fetch_line(p: FetchProgress) -> str:
+    """Return, for example, `train.zip: 1.2 GiB of 2.1 GiB`, or the number of unpacked files."""
     if p.step == "unpack":
         return f"{p.file}: {p.done}{'' if p.total is None else f' of {p.total}'} files unpacked"
-    parts = [f"{p.file}: {human_bytes(p.done)}" + ("" if p.total is None else f" of {human_bytes(p.total)}")]
-    if per_s > 0:
-        parts.append(f"{human_bytes(per_s)}/s")
-        if p.total is not None and p.done < p.total:
-            parts.append(f"{human_seconds((p.total - p.done) / per_s)} to go")
-    return ", ".join(parts)
-
-
-class FetchPace:
-    """Formatter of fetch progress that measures bytes per second since the step began."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._step: tuple[str, str] | None = None
-        self._began = (0.0, 0)
-
-    def __call__(self, p: FetchProgress) -> str:
-        """Return the line for `p`."""
-        if self._step != (p.step, p.file) or p.done < self._began[1]:
-            self._step, self._began = (p.step, p.file), (self._clock(), p.done)
-        seconds = self._clock() - self._began[0]
-        return fetch_line(p, (p.done - self._began[1]) / seconds if seconds > 0.5 else 0.0)
+    return f"{p.file}: {human_bytes(p.done)}" + ("" if p.total is None else f" of {human_bytes(p.total)}")
 
 
 @contextlib.contextmanager
 def shown_fetch(session: Session) -> Iterator[OnFetch | None]:
     """Yield a callable that shows progress, or None if progress is off."""
-    pace = FetchPace()
     if session.quiet:
         yield None
     elif session.console.is_terminal:
-        from rich.markup import escape
-        from rich.progress import BarColumn, SpinnerColumn, TextColumn
+        from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeRemainingColumn
         from rich.progress import Progress as Bar
 
-        with Bar(SpinnerColumn(), BarColumn(), TextColumn("{task.description}"), console=session.console) as bar:
+        text = TextColumn("{task.description}", markup=False)
+        with Bar(SpinnerColumn(), BarColumn(), text, TimeRemainingColumn(), console=session.console) as bar:
             row = bar.add_task("connecting", total=None)
-            yield lambda p: bar.update(row, completed=p.done, total=p.total, description=escape(pace(p)))
+            yield lambda p: bar.update(row, completed=p.done, total=p.total, description=fetch_line(p))
     else:
         next_at = 0.0
 
         def show(p: FetchProgress) -> None:
             nonlocal next_at
-            line = pace(p)
             if time.monotonic() >= next_at or p.done == p.total:
-                session.console.print(line, markup=False, soft_wrap=True)
+                session.console.print(fetch_line(p), markup=False, soft_wrap=True)
                 next_at = time.monotonic() + LINE_EVERY_S
 
         yield show

@@ -9,8 +9,6 @@ FRAMES_FILE = "frames.json"
 TEMPERATURES_FILE = "temperatures.json"
 
 COMPLETE = "complete"
-DOWNLOAD_FOLDER = ".fetch"
-PLACED = ".ready.json"
 
 
 def is_finished(record: Mapping[str, object]) -> bool:

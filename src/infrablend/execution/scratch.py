@@ -18,20 +18,17 @@ _MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers 
 
 
 @contextlib.contextmanager
-def scratch_folder(*, in_memory: bool = True) -> Iterator[str]:
+def scratch_folder() -> Iterator[str]:
     """Create the folder for temporary files of workers: in memory unless TMPDIR is set or memory is short.
 
     The parent removes it, since a killed worker cannot. The next run removes the folder of a killed parent. A lock
     marks a folder in use; it ends with its process.
 
-    Args:
-        in_memory: Whether memory may be used; not for files of any size.
-
     Raises:
         OutputError: The folder cannot be created.
     """
     memory = Path("/dev/shm")
-    roomy = in_memory and os.access(memory, os.W_OK) and shutil.disk_usage(memory).free >= _MIN_MEMORY_BYTES
+    roomy = os.access(memory, os.W_OK) and shutil.disk_usage(memory).free >= _MIN_MEMORY_BYTES
     folder = Path(tempfile.gettempdir()) if os.environ.get("TMPDIR") or not roomy else memory
     try:
         _sweep(folder)

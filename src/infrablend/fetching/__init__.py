@@ -1,1 +1,1 @@
-"""Getting public datasets: resumable downloads, archives unpacked safely, their content checked."""
+"""Getting public datasets: files are downloaded, checked against what is known of them, and unpacked."""

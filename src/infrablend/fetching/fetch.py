@@ -1,36 +1,32 @@
 """Fetch a public dataset into a folder: download, check, unpack, and record the source.
 
-Work in progress is kept in `DST/.fetch`; finished entries are moved to their place one by one. Repeating the command
-resumes where the previous call stopped.
+A call that fails leaves the folder as it was. A later call adds parts to those that are there.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import shutil
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from infrablend import __version__
 from infrablend.core.arguments import require_names
-from infrablend.core.file_names import can_exist, leaves, real_path
-from infrablend.core.files import output_error, require_still_there, sha256_of, write_json
-from infrablend.core.finished import DOWNLOAD_FOLDER, PLACED
+from infrablend.core.file_names import real_path
+from infrablend.core.files import read_object, require_still_there, sha256_of
 from infrablend.core.json_records import is_list
-from infrablend.core.output import OutputFolder
-from infrablend.errors import DatasetError, Interrupted, OutputError, Problem
-from infrablend.fetching.download import RetryPolicy, download, require_url
-from infrablend.fetching.unpack import Limits, require_room, unpack, without_wrapper
+from infrablend.core.workspace import workspace
+from infrablend.errors import DatasetError, OutputError, Problem
+from infrablend.fetching.archive import download, require_url, unpack, without_wrapper
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.detection import detect
 from infrablend.formats.sources import SOURCES, Archive, Source, find_source
 
 SOURCE_FILE = "SOURCE.json"
+_WORK = ".fetch"
 
 
 @dataclass(frozen=True)
@@ -77,34 +73,6 @@ class FetchReport:
             "present": list(self.present),
             "problems": [p.to_json() for p in self.problems],
         }
-
-
-@dataclass(frozen=True)
-class _Order:
-    """What to fetch and how."""
-
-    source: Source
-    out: Path
-    url: str | None
-    sha256: str | None
-    archive: Path | None
-    keep_archive: bool
-    limits: Limits | None
-    patience: RetryPolicy | None
-    on_progress: OnFetch
-
-    @property
-    def work(self) -> Path:
-        return self.out / DOWNLOAD_FOLDER
-
-    @property
-    def own_file(self) -> bool:
-        """Whether the user gave the file or its address; it may then differ from the known one."""
-        return self.url is not None or self.archive is not None
-
-    def file_name(self, a: Archive) -> str:
-        """Return the name of a part's file: the user's own, or that of the published one."""
-        return a.file if self.archive is None else self.archive.name
 
 
 def require_source(name: str) -> Source:
@@ -169,259 +137,183 @@ class FetchRequest:
         if self.archive is not None:
             object.__setattr__(self, "archive", Path(self.archive))
 
+    @property
+    def own_file(self) -> bool:
+        """Whether the user gave the file or its address; it may then differ from the published one."""
+        return self.url is not None or self.archive is not None
+
 
 FETCH_ALL = FetchRequest()
 """The default: every part, from its published address."""
 
 
 def fetch(
-    name: str,
-    out: Path,
-    request: FetchRequest = FETCH_ALL,
-    *,
-    limits: Limits | None = None,
-    patience: RetryPolicy | None = None,
-    on_progress: OnFetch | None = None,
+    name: str, out: Path, request: FetchRequest = FETCH_ALL, *, on_progress: OnFetch | None = None
 ) -> FetchReport:
     """Fetch a dataset into `out`; see `infrablend.api.fetch`.
 
     Raises:
         DatasetError: The dataset or a part does not exist or cannot be downloaded by a program, or the archive is
-            damaged, hostile, or of another dataset.
+            damaged, unsafe, or of another dataset.
         FetchError: The network failed.
         OutputError: The folder cannot be used, or the disk is full.
-        Interrupted: The user pressed Ctrl-C; the same call continues the download.
     """
-    url, sha256, archive = request.url, request.sha256, request.archive
     source = require_source(name)
-    wanted = _wanted(source, request.parts, single=bool(url or sha256 or archive))
-    if url is not None and archive is not None:
-        raise DatasetError("--url and --archive exclude each other; give one of them")
-    if url is not None:
-        require_url(url)
-    if archive is not None and not archive.is_file():
-        raise DatasetError(f"--archive {archive}: no such file")
-    if sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", sha256):
-        raise DatasetError(f"--sha256 {sha256}: expected 64 hexadecimal digits")
-    show = on_progress or (lambda progress: None)
-    order = _Order(source, out, url, sha256, archive, request.keep_archive, limits, patience, show)
-    if not order.own_file and any(not a.url for a in wanted):
+    wanted = _wanted(source, request)
+    if not request.own_file and any(not a.url for a in wanted):
         raise DatasetError(f"{name}: nothing was fetched\n{fetch_instructions(source)}")
-    new = not out.exists()
-    try:
-        with _output(out).claimed() as require_claim:
-            known = _require_own(order, wanted)
-            todo = [a for a in wanted if _ready(order, a).exists() or not _is_placed(order, known.get(a.part))]
-            for a in (a for a in wanted if a not in todo):
-                _sweep(order, a)  # left by a call that was killed just before it finished
-            done = [_fetch_part(order, a, known.get(a.part), require_claim) for a in todo]
-    except KeyboardInterrupt as stop:
-        raise Interrupted("interrupted; downloaded data is kept. Repeat the command to resume.") from stop
-    finally:
-        with contextlib.suppress(OSError):  # remove the folders only if they are empty
-            order.work.rmdir()
-            if new:
-                out.rmdir()
-    if todo and order.own_file and (remark := _not_read_as(source, out)) is not None:
-        done[-1][1].append(remark)
-    if done:  # after the last change, because a folder may be removed at any moment
-        placed = [place for *_, places in done for place in places]
-        require_still_there([out / SOURCE_FILE, *placed])
+    done: dict[str, _Part] = {}
+    if _missing(source, out, wanted):
+        with workspace(out, "download", SOURCE_FILE, "overwrite") as space:
+            known = _known(source, out)
+            if space.out.is_dir():  # the parts that are there already
+                _link_tree(space.out, space.folder)
+            work = space.folder / _WORK
+            work.mkdir()
+            for a in _missing(source, out, wanted):  # again: a killed call may have been finished meanwhile
+                done[a.part] = _fetch_part(source, a, request, space.folder, work, on_progress)
+            shutil.rmtree(work)
+            if done and request.own_file and (remark := _not_read_as(source, space.folder)) is not None:
+                if not wanted[0].into:
+                    raise DatasetError(f"{done[wanted[0].part].facts['file']}: not {name}", [remark])
+                done[wanted[0].part].problems.append(replace(remark, severity="warning"))
+            facts = {**known, **{part: one.facts for part, one in done.items()}}
+            require_still_there([space.folder / place for one in done.values() for place in one.facts["places"]])
+            space.finish(_source_facts(source, facts))
+        require_still_there([out / SOURCE_FILE])
     return FetchReport(
         out,
         name,
-        tuple(a.part for a in todo),
-        tuple(a.part for a in wanted if a not in todo),
-        sum(facts["files"] for facts, *_ in done),
-        sum(facts["unpacked_bytes"] for facts, *_ in done),
-        tuple(p for _, problems, _ in done for p in problems),
+        tuple(done),
+        tuple(a.part for a in wanted if a.part not in done),
+        sum(part.facts["files"] for part in done.values()),
+        sum(part.facts["unpacked_bytes"] for part in done.values()),
+        tuple(p for part in done.values() for p in part.problems),
     )
 
 
-def _wanted(source: Source, parts: Sequence[str] | None, *, single: bool) -> list[Archive]:
+def _wanted(source: Source, request: FetchRequest) -> list[Archive]:
+    """Return the archives that a request asks for.
+
+    Raises:
+        DatasetError, FetchError: The request contradicts itself, or names what does not exist.
+    """
     names = [a.part for a in source.archives]
-    unknown = sorted(set(parts or ()) - set(names))
-    if unknown:
+    if unknown := sorted(set(request.parts or ()) - set(names)):
         raise DatasetError(f"{source.name}: no part {', '.join(unknown)}; expected some of {', '.join(names)}")
-    wanted = [a for a in source.archives if (a.wanted if parts is None else a.part in parts)]
-    if single and len(wanted) > 1:
+    wanted = [a for a in source.archives if (a.wanted if request.parts is None else a.part in request.parts)]
+    if len(wanted) > 1 and (request.own_file or request.sha256):
         raise DatasetError(f"{source.name}: several files; name the one this is with --part: {', '.join(names)}")
+    if request.url is not None and request.archive is not None:
+        raise DatasetError("--url and --archive exclude each other; give one of them")
+    if request.url is not None:
+        require_url(request.url)
+    if request.archive is not None and not request.archive.is_file():
+        raise DatasetError(f"--archive {request.archive}: no such file")
+    if request.sha256 is not None and not re.fullmatch(r"[0-9a-fA-F]{64}", request.sha256):
+        raise DatasetError(f"--sha256 {request.sha256}: expected 64 hexadecimal digits")
     return wanted
 
 
-def _require_own(order: _Order, wanted: Sequence[Archive]) -> dict[str, Any]:
-    """Return the parts that are already present; refuse a folder that contains anything but this dataset."""
-    record = order.out / SOURCE_FILE
-    names = {p.name for p in sorted(order.out.iterdir())}
-    known: dict[str, Any] = {}
-    if SOURCE_FILE in names:
-        data = _record(record)
-        if data.get("name") != order.source.name:
-            raise OutputError(
-                f"{order.out}: holds {data.get('name') or 'something else'} (says its {SOURCE_FILE}), not "
-                f"{order.source.name}; give another folder"
-            )
-        known = data["archives"]
-    elif names - {DOWNLOAD_FOLDER} and DOWNLOAD_FOLDER not in names:
-        _output(order.out).require_empty()
-    for a in wanted:
-        ready = _ready(order, a).exists()
-        taken = (order.out / a.into).exists() if a.into else bool(names - {DOWNLOAD_FOLDER, SOURCE_FILE})
-        if a.part not in known and taken and not ready:
-            where = order.out / a.into
-            raise OutputError(f"{where}: exists and was not written by `fetch`; move it away or give another folder")
-    return known
+def _known(source: Source, out: Path) -> dict[str, Any]:
+    """Return the facts of the parts that an earlier call fetched to `out`, by part.
+
+    Raises:
+        OutputError: The folder has another dataset.
+    """
+    record = read_object(out / SOURCE_FILE)
+    if record is None:
+        return {}
+    if record.get("name") != source.name or not isinstance(record.get("archives"), dict):
+        raise OutputError(
+            f"{out}: holds {record.get('name') or 'something else'} (says its {SOURCE_FILE}), not {source.name}; give "
+            "another folder"
+        )
+    return {part: facts for part, facts in record["archives"].items() if isinstance(facts, dict)}
 
 
-def _output(out: Path) -> OutputFolder:
-    return OutputFolder(out, "download", SOURCE_FILE)
+def _missing(source: Source, out: Path, wanted: Sequence[Archive]) -> list[Archive]:
+    """Return the parts that were not fetched to `out`, or of which something has been removed since."""
+    known = _known(source, out)
+    return [
+        a
+        for a in wanted
+        if a.part not in known or not all((out / place).exists() for place in known[a.part].get("places", ()))
+    ]
 
 
-def _is_placed(order: _Order, facts: Any) -> bool:
-    """Return whether a part was fetched, and nothing of it has been removed since."""
-    return facts is not None and all((order.out / name).exists() for name in _places(facts))
+def _link_tree(source: Path, target: Path) -> None:
+    """Copy a dataset without its record into the workspace, by hard links where the file system has them."""
+
+    def link(file: str, copy: str) -> None:
+        try:
+            os.link(file, copy)
+        except OSError:
+            shutil.copy2(file, copy)
+
+    own = {SOURCE_FILE, ".partial", ".replaced"}
+    try:
+        shutil.copytree(
+            source,
+            target,
+            copy_function=link,
+            dirs_exist_ok=True,
+            ignore=lambda folder, _names: own if Path(folder) == source else (),
+        )
+    except (OSError, shutil.Error) as error:
+        raise OutputError(f"{target}: cannot be written ({error}); expected a folder with free space") from error
 
 
-def _places(facts: Any) -> list[str]:
-    """Return the files and folders of a part as its record lists them; those of earlier versions list none."""
-    found = facts.get("places") if isinstance(facts, dict) else None
-    return (
-        [n for n in found if isinstance(n, str) and can_exist(n) and not leaves(n)] if isinstance(found, list) else []
-    )
+@dataclass(frozen=True)
+class _Part:
+    """A fetched part: its facts for the record, and warnings."""
 
-
-def _ready(order: _Order, a: Archive) -> Path:
-    """Return the file that exists while a checked and unpacked part is being moved to its place."""
-    return order.work / f"{a.part}{PLACED}"
-
-
-def _record(path: Path) -> dict[str, Any]:
-    data = read_json(path)
-    if not isinstance(data, dict) or not isinstance(data.get("archives"), dict):
-        raise OutputError(f"{path}: not written by `infrablend fetch`; give another folder")
-    return data
+    facts: dict[str, Any]
+    problems: list[Problem]
 
 
 def _fetch_part(
-    order: _Order, a: Archive, known: Any, require_claim: Callable[[], None]
-) -> tuple[dict[str, Any], list[Problem], list[Path]]:
-    """Fetch, check, unpack and place one archive; return its facts, the warnings and where it is.
+    source: Source, a: Archive, request: FetchRequest, root: Path, work: Path, on_progress: OnFetch | None
+) -> _Part:
+    """Fetch, check and unpack one archive, and move its content to its place below `root`."""
 
-    Args:
-        order: What to fetch.
-        a: The archive.
-        known: Its facts of an earlier call, if something of it was removed since; what is left stays as it is.
-        require_claim: Checks that the folder is still the one that this call began with.
-    """
-    ready = _ready(order, a)
-    stage = order.work / f"{a.part}.unpacked"
-    try:
-        order.work.mkdir(exist_ok=True)
-    except OSError as error:
-        raise output_error(order.work, error) from error
-    if ready.exists():  # an earlier call was stopped while it was moving files
-        kept = read_json(ready)
-        facts, problems = kept["facts"], [Problem(**p) for p in kept["problems"]]
-        content = stage / kept["content"]
-    else:
-        shutil.rmtree(stage, ignore_errors=True)
-        file, served = _archive_file(order, a)
-        try:
-            problems = _check_file(order, a, file, digest := _digest(file))
-            unpacked = unpack(
-                file,
-                stage,
-                order.limits,
-                lambda n, of: order.on_progress(FetchProgress("unpack", order.file_name(a), n, of)),
-            )
-            require_claim()
-            if sum(len(names) for *_, names in os.walk(stage)) != unpacked.files:
-                raise OutputError(f"{stage}: files were removed while they were unpacked; repeat the command")
-            content = without_wrapper(stage)
-            problems += _check_content(order, a, content, unpacked.commit)
-        except DatasetError as error:
-            shutil.rmtree(stage, ignore_errors=True)
-            if order.archive is None:
-                _forget(file)
-                todo = "The file was deleted; repeat the command to download it again."
-                raise type(error)(f"{error.message}. {todo}", error.problems) from error
-            raise
-        facts = {
-            **served,
-            "file": file.name,
-            "size_bytes": file.stat().st_size,
-            "sha256": digest,
-            "files": unpacked.files,
-            "unpacked_bytes": unpacked.size_bytes,
-            "commit": unpacked.commit,
-            "differs": [str(p) for p in problems],
-            # Provenance; this file need not be reproducible.
-            "fetched": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        }
-        try:
-            facts["places"] = sorted((Path(a.into) / entry.name).as_posix() for entry in content.iterdir())
-        except OSError as error:
-            raise output_error(content, error) from error
-        # Records the folder, because the entries that remain after some were moved may look like a wrapper.
-        inside = content.relative_to(stage).as_posix()
-        write_json(ready, {"facts": facts, "problems": [p.to_json() for p in problems], "content": inside})
-    left = {order.out / name for name in _places(known)}
-    _place(content, order.out / a.into, left)
-    _write_source(order, a, facts)
-    packed = order.work / a.file
-    if order.keep_archive and packed.exists():
-        packed.replace(order.out / a.file)
-    ready.unlink(missing_ok=True)
-    _sweep(order, a)
-    return facts, problems, [order.out / name for name in _places(facts)]
+    def show(step: Literal["download", "unpack"]) -> Callable[[int, int | None], None]:
+        return lambda done, total: on_progress and on_progress(FetchProgress(step, file.name, done, total))
+
+    file, url = request.archive or work / a.file, None
+    if request.archive is None:
+        url = download(request.url or a.url, file, a.unpacked_bytes, show("download"))
+    digest = sha256_of(real_path(file))
+    problems = _check_file(request, a, file, digest)
+    unpacked = unpack(file, work / a.part, show("unpack"))
+    content = without_wrapper(work / a.part)
+    problems += _check_content(source, a, request, file.name, content, unpacked.commit)
+    facts = {
+        "url": url,
+        "file": file.name,
+        "size_bytes": file.stat().st_size,
+        "sha256": digest,
+        "files": unpacked.files,
+        "unpacked_bytes": unpacked.size_bytes,
+        "commit": unpacked.commit,
+        "differs": [str(p) for p in problems],
+        # Provenance; this file need not be reproducible.
+        "fetched": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "places": sorted((Path(a.into) / entry.name).as_posix() for entry in content.iterdir()),
+    }
+    target = root / a.into
+    target.mkdir(parents=True, exist_ok=True)
+    for entry in sorted(content.iterdir()):
+        if os.path.lexists(target / entry.name):
+            where = Path(a.into) / entry.name
+            raise OutputError(f"{where}: exists already in the folder; move it away and repeat the command")
+        entry.rename(target / entry.name)
+    if request.keep_archive and request.archive is None:
+        file.rename(root / a.file)
+    return _Part(facts, problems)
 
 
-def _archive_file(order: _Order, a: Archive) -> tuple[Path, dict[str, Any]]:
-    """Return the complete local archive and the facts that the server reported about it."""
-    if order.archive is not None:
-        return order.archive, {"url": None}
-    file = order.work / a.file
-    served_file = order.work / f"{a.file}.served.json"
-    if file.exists() and served_file.exists():
-        served: dict[str, Any] = read_json(served_file)
-        if served.get("asked") == (order.url or a.url):
-            return file, {k: v for k, v in served.items() if k != "asked"}
-        file.unlink()
-    part = order.work / f"{a.file}.part"
-    url = order.url or a.url
-    served = download(
-        url,
-        part,
-        size_bytes=None if order.own_file else a.size_bytes or a.unpacked_bytes or None,
-        room=lambda missing: require_room(order.out, missing + a.unpacked_bytes),
-        on_bytes=lambda n, of: order.on_progress(FetchProgress("download", a.file, n, of)),
-        patience=order.patience,
-    )
-    write_json(served_file, {**served, "asked": url})
-    part.replace(file)
-    return file, served
-
-
-def _forget(file: Path) -> None:
-    """Delete a downloaded file and the files that describe it."""
-    for end in ("", ".part", ".part.json", ".served.json"):
-        file.with_name(file.name + end).unlink(missing_ok=True)
-
-
-def _sweep(order: _Order, a: Archive) -> None:
-    """Delete the leftover work files of a part that is in its place."""
-    shutil.rmtree(order.work / f"{a.part}.unpacked", ignore_errors=True)
-    _forget(order.work / a.file)
-
-
-def _digest(file: Path) -> str:
-    try:
-        return sha256_of(real_path(file))
-    except OSError as error:
-        raise DatasetError(f"{file}: cannot be read ({error.strerror or error})") from error
-
-
-def _check_file(order: _Order, a: Archive, file: Path, digest: str) -> list[Problem]:
+def _check_file(request: FetchRequest, a: Archive, file: Path, digest: str) -> list[Problem]:
     """Check size and checksum, and return the differences that are not errors as warnings.
 
     Raises:
@@ -429,19 +321,21 @@ def _check_file(order: _Order, a: Archive, file: Path, digest: str) -> list[Prob
     """
     size = file.stat().st_size
     problems = []
-    wanted = (order.sha256 or "").lower() or a.sha256
+    wanted = (request.sha256 or "").lower() or a.sha256
     if wanted and digest != wanted:
         problems.append(
             Problem(file.name, "checksum", f"sha256 {digest}", wanted, "download it again or ask its authors")
         )
-        if order.sha256 or (a.checked and not order.own_file):
+        if request.sha256 or (a.checked and not request.own_file):
             raise DatasetError(f"{file.name}: not the expected file", problems)
-    if a.size_bytes is not None and size != a.size_bytes and not order.sha256:
+    if a.size_bytes is not None and size != a.size_bytes and not request.sha256:
         problems.append(Problem(file.name, "size", f"{size} bytes", f"{a.size_bytes} bytes"))
-    return [_as_warning(p) for p in problems]
+    return [replace(p, severity="warning") for p in problems]
 
 
-def _check_content(order: _Order, a: Archive, content: Path, commit: str | None) -> list[Problem]:
+def _check_content(
+    source: Source, a: Archive, request: FetchRequest, file: str, content: Path, commit: str | None
+) -> list[Problem]:
     """Check that the archive contains the dataset, by the numbers of files and annotations and the commit.
 
     GitHub's archives have no permanent checksum; this check replaces it.
@@ -450,11 +344,8 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
         DatasetError: The content differs from numbers that we verified ourselves; lists all differences.
     """
     problems = []
-    for reserved in (DOWNLOAD_FOLDER, SOURCE_FILE):
-        if not a.into and (content / reserved).exists():
-            raise DatasetError(
-                f"{order.file_name(a)}: contains {reserved}, a name that `fetch` needs; unpack it by hand"
-            )
+    if not a.into and (content / SOURCE_FILE).exists():
+        raise DatasetError(f"{file}: contains {SOURCE_FILE}, a name that `fetch` needs; unpack it by hand")
     if commit is not None and a.commit is not None and commit != a.commit:
         problems.append(Problem(a.file, "commit", f"made from commit {commit}", a.commit))
     for pattern, wanted in a.counts.items():
@@ -462,85 +353,40 @@ def _check_content(order: _Order, a: Archive, content: Path, commit: str | None)
         if found != wanted:
             problems.append(Problem(pattern, "content-files", f"{found} file(s)", str(wanted)))
     for name, lists in a.lists.items():
-        path = content / name
         try:
-            data = read_json(path)
+            data = read_json(content / name)
         except DatasetError as error:
             problems.append(Problem(name, "content-json", f"cannot be read ({error.problems[0].found})", "JSON"))
             continue
         for key, wanted in lists.items():
             value = data.get(key) if isinstance(data, Mapping) else None
-            found_text = f"{len(value)} items in {key!r}" if is_list(value) else f"no list {key!r}"
             if not is_list(value) or len(value) != wanted:
+                found_text = f"{len(value)} items in {key!r}" if is_list(value) else f"no list {key!r}"
                 problems.append(Problem(name, "content-json", found_text, str(wanted)))
-    if order.own_file and not a.into and (remark := _not_read_as(order.source, content)) is not None:
-        todo = "give the archive of this dataset, or use the files without `fetch`: their licence is another"
-        fault = Problem(order.file_name(a), remark.code, remark.found, remark.expected, todo)
-        raise DatasetError(f"{order.file_name(a)}: not {order.source.name}", [fault])
-    if problems and a.checked and not order.own_file:
-        raise DatasetError(f"{order.file_name(a)}: does not contain the known files of {order.source.name}", problems)
-    return [_as_warning(p) for p in problems]
+    if problems and a.checked and not request.own_file:
+        raise DatasetError(f"{file}: does not contain the known files of {source.name}", problems)
+    return [replace(p, severity="warning") for p in problems]
 
 
 def _not_read_as(source: Source, root: Path) -> Problem | None:
-    """Return a warning if a folder is not read as the dataset; None if it is."""
-    try:
-        found = detect(root)
-    except OSError as error:  # the folder was removed meanwhile
-        if isinstance(error, OutputError):
-            raise
-        raise output_error(root, error) from error
+    """Return the problem of a folder that is not read as the dataset; None if it is."""
+    found = detect(root)
     match = next((m for m in found.matches if m.format == source.name), None)
     if match is None or match.ok:
         return None
     text = match.reason + (f"; it is read as {found.format}" if found.format else "")
-    todo = "check that the archive is of this dataset: SOURCE.json names its licence"
-    return Problem(root.name, "not-this-format", text, f"the files of {source.name}", todo, "warning")
+    todo = "give the archive of this dataset, or use the files without `fetch`: their licence is another"
+    return Problem(source.name, "not-this-format", text, f"the files of {source.name}", todo)
 
 
-def _as_warning(p: Problem) -> Problem:
-    return Problem(p.where, p.code, p.found, p.expected, p.todo, "warning")
-
-
-def _place(content: Path, target: Path, left: Collection[Path]) -> None:
-    """Move every entry of `content` into `target` without overwriting anything.
-
-    Those that are `left` of an earlier call stay as they are.
-    """
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        for entry in sorted(os.scandir(content), key=lambda e: e.name):
-            place = target / entry.name
-            if place in left and place.exists():
-                continue
-            if place.exists() or place.is_symlink():
-                raise OutputError(f"{place}: already exists; move it away and repeat the command")
-            Path(entry).rename(place)
-    except OSError as error:
-        if isinstance(error, OutputError):
-            raise
-        raise output_error(target, error) from error
-
-
-def _write_source(order: _Order, a: Archive, facts: Mapping[str, Any]) -> None:
-    """Write `SOURCE.json`: the origin of the data, for readers and for the cards of derived datasets."""
-    source, path = order.source, order.out / SOURCE_FILE
-    archives = _record(path)["archives"] if path.exists() else {}
-    write_json(
-        path,
-        {
-            "name": source.name,
-            "title": source.title,
-            "page": source.page,
-            "licence": asdict(source.licence),
-            "licence_note": source.licence_note,
-            "attribution": source.attribution,
-            "citation": source.citation,
-            "archives": {**archives, a.part: dict(facts)},
-            "infrablend": __version__,
-        },
-        indent=2,
-    )
+def _source_facts(source: Source, archives: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the record of the folder: the origin of the data, for readers and for the cards of derived datasets."""
+    names = ("name", "title", "page", "licence_note", "attribution", "citation")
+    return {
+        **{name: getattr(source, name) for name in names},
+        "licence": asdict(source.licence),
+        "archives": dict(archives),
+    }
 
 
 @dataclass(frozen=True)

@@ -236,8 +236,7 @@ class Trials:
         for name in {o.model for o in self._recipe.objects if is_description(o.model)} if self._recipe else ():
             found.add(Path(name))
             with contextlib.suppress(InfraBlendError, OSError):  # the description itself is watched
-                file = read_description(Path(name))[1]
-                found |= {file, *(file.parent / n for n in find_model_files(file).digests)}
+                found |= set(find_model_files(read_description(Path(name))[1]).paths)
         return found
 
     def _profile(self) -> list[Path]:

@@ -20,7 +20,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from infrablend.core.landlock import landlock_version
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.core.user_folders import cache_folder
 from infrablend.report.system_libraries import install_command, missing_packages
@@ -139,8 +138,7 @@ class Trainer:
 class Machine:
     """Facts about this machine. Free space is in bytes; None means that the folder cannot be written.
 
-    `landlock` is the version of Landlock that the kernel offers, 0 without it; `cache_bytes` is what the user's cache
-    folder contains.
+    `cache_bytes` is what the user's cache folder contains.
     """
 
     system: str
@@ -155,7 +153,6 @@ class Machine:
     free_temp_bytes: int | None
     free_shm_bytes: int | None
     trainer: Trainer = Trainer()
-    landlock: int = 0
     cache_folder: str = ""
     cache_bytes: int = 0
 
@@ -183,7 +180,6 @@ def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s
         free_temp_bytes=_free_bytes(Path(temp)),
         free_shm_bytes=_free_bytes(Path("/dev/shm")) if Path("/dev/shm").is_dir() else None,
         trainer=_ask_trainer(ask_torch_s),
-        landlock=landlock_version(),
         cache_folder=str(cache_folder()),
         cache_bytes=_bytes_in(cache_folder()),
     )
@@ -198,7 +194,6 @@ def assess(machine: Machine) -> Diagnosis:
             _check_libraries(machine),
             _check_blender(machine),
             _check_devices(machine),
-            _check_confinement(machine),
             _check_torch(machine),
             _check_ultralytics(machine),
             _check_cores(machine),
@@ -268,15 +263,6 @@ def _check_devices(m: Machine) -> Check:
     if m.blender.version is None:
         return Check("Cycles devices", "warning", "unknown: Blender does not load", "fix Blender first")
     return Check("Cycles devices", "ok", "cpu only")
-
-
-def _check_confinement(m: Machine) -> Check:
-    """Check whether the process that imports a user's 3D model can be kept from all other files."""
-    if m.landlock:
-        return Check("model confinement", "ok", f"Landlock {m.landlock}: 3D models are imported without other files")
-    found = "no Landlock: the process that imports a 3D model has your permissions"
-    todo = "use only 3D models that you trust, or Linux 5.13 or newer with Landlock (in containers: allowed by seccomp)"
-    return Check("model confinement", "warning", found, todo)
 
 
 def _check_torch(m: Machine) -> Check:

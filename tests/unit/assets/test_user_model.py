@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from infrablend.assets.user_model import GroupFacts, geometry_file, load_user_model, write_geometry
+from infrablend.assets.user_model import GroupFacts, geometry_file, load_user_model, read_description, write_geometry
 from infrablend.core.mesh import Mesh
 from infrablend.errors import ModelError
 
@@ -84,3 +86,41 @@ def test_a_material_with_a_node_does_not_replace_a_part_of_its_name(folder: Path
     # The same material belongs to the part if a pattern says so.
     model = load_user_model(described(folder, parts.replace("[Glass]", "[Glass, Vane]")))
     assert set(model.parts) == {"tin", "Iron"}
+
+
+DESCRIPTION = "name: a\ncategory: a\nfile: {}\nparts: {{all: {{match: ['*'], delta_t_k: 1, emissivity: 0.9}}}}\n"
+
+
+@pytest.mark.parametrize("name", ["loop.obj", "pipe.obj", "a\0b.obj", "a" * 5000 + ".obj", "none.obj", "folder.obj"])
+def test_a_3d_file_must_be_a_regular_file(tmp_path: Path, name: str) -> None:
+    (tmp_path / "loop.obj").symlink_to("loop.obj")
+    (tmp_path / "folder.obj").mkdir()
+    os.mkfifo(tmp_path / "pipe.obj")
+    (tmp_path / "thing.yaml").write_text(DESCRIPTION.format(json.dumps(name)))
+    with pytest.raises(ModelError, match="does not exist"):
+        read_description(tmp_path / "thing.yaml")
+
+
+@pytest.mark.parametrize("instead", ["pipe", "endless", "folder"])
+def test_a_description_must_be_a_regular_file(tmp_path: Path, instead: str) -> None:
+    path = tmp_path / "thing.yaml"
+    if instead == "pipe":
+        os.mkfifo(path)
+    elif instead == "endless":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    with pytest.raises(ModelError, match=r"thing\.yaml: cannot be read"):
+        read_description(path)
+
+
+@pytest.mark.parametrize("name", ["thing.yaml", "a.obj"])
+def test_a_link_out_of_the_folder_of_the_model_is_refused(tmp_path: Path, name: str) -> None:
+    folder = tmp_path / "model"
+    folder.mkdir()
+    (folder / "a.obj").write_text("v 0 0 0\n")
+    (folder / "thing.yaml").write_text(DESCRIPTION.format("a.obj"))
+    (folder / name).rename(tmp_path / name)
+    (folder / name).symlink_to(tmp_path / name)
+    with pytest.raises(ModelError, match="a link out of its folder; expected a file inside it"):
+        read_description(folder / "thing.yaml")

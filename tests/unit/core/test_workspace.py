@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.core.workspace import is_being_written, partial_of, unfinished, workspace
+from infrablend.core.files import part_path
+from infrablend.core.workspace import NOTE, is_being_written, partial_of, unfinished, workspace
 from infrablend.errors import OutputError
 
 RECORD = "thing.json"
@@ -51,6 +52,14 @@ def test_a_failure_leaves_nothing_or_what_can_be_resumed(tmp_path: Path, keep: b
     assert not out.exists()
     assert partial_of(out).exists() == keep
     assert (unfinished(out) is not None) == keep
+
+
+def test_a_call_that_was_killed_at_its_note_is_no_hindrance(tmp_path: Path) -> None:
+    partial = partial_of(tmp_path / "out")
+    partial.mkdir()
+    part_path(partial / NOTE).write_text("{")
+    write(tmp_path / "out")
+    assert names(tmp_path) == ["out/deep/file.txt", f"out/{RECORD}"]
 
 
 def test_an_empty_workspace_is_not_kept(tmp_path: Path) -> None:

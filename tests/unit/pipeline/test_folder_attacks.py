@@ -473,15 +473,6 @@ def test_links_in_a_circle_are_an_error_with_a_name(data: Path, tmp_path: Path) 
         assert ended.exit_code in (2, 3), (words, ended.output)
 
 
-def test_download_whose_files_are_being_placed_is_unfinished(tmp_path: Path) -> None:
-    data = SAMPLES["hit-uav:json"](tmp_path / "data")
-    (data / ".fetch").mkdir()
-    assert run("check", data).exit_code == 0
-    (data / ".fetch" / "all.ready.json").write_text("{}")
-    ended = run("check", data)
-    assert ended.exit_code == 2 and "infrablend fetch" in ended.stderr, ended.output
-
-
 def test_pipe_in_place_of_a_log_does_not_stop_a_run_for_ever(words: list[object], made: Path) -> None:
     (made / "log" / "workers.log").unlink(missing_ok=True)
     os.mkfifo(made / "log" / "workers.log")

@@ -21,7 +21,6 @@ GOOD = Machine(
     temp_folder="/tmp",
     free_temp_bytes=50 * 1024**3,
     free_shm_bytes=1024**3,
-    landlock=4,
 )
 
 
@@ -57,7 +56,6 @@ def test_suitable_machine_gets_no_advice() -> None:
         ({"free_bytes": {"/out": None}}, "disk", "error", "choose another folder"),
         ({"free_temp_bytes": None}, "temporary folder", "error", "permissions"),
         ({"free_shm_bytes": 1024}, "shared memory", "warning", "--shm-size"),
-        ({"landlock": 0}, "model confinement", "warning", "models that you trust"),
     ],
 )
 def test_each_problem_has_a_remedy(change: dict, name: str, status: str, words: str) -> None:
