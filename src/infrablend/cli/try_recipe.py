@@ -55,7 +55,7 @@ def try_recipe(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write one frame of a recipe as a PNG with its boxes and enlarged inserts; show it in terminals that can."""
+    """Write one frame of a recipe as a PNG with its boxes and enlarged inserts."""
     session: Session = ctx.obj
     session.json = as_json
     # Nothing can be freed before the first frame, and looking for it would take a fifth of the time.
@@ -75,7 +75,7 @@ def try_recipe(
     try:
         for found in tries:
             if isinstance(found, Trial):
-                _show(found, out, session, again=True)
+                _show(found, out, session)
             else:
                 _report(found, session)
     except KeyboardInterrupt:  # the usual end of a watch
@@ -89,13 +89,9 @@ def _report(error: InfraBlendError, session: Session) -> None:
     report_error(error, session.log_path)
 
 
-def _show(trial: Trial, out: Path, session: Session, *, again: bool = False) -> None:
-    """Write the picture, and print or show it."""
-    import os
-    import sys
-
+def _show(trial: Trial, out: Path, session: Session) -> None:
+    """Write the picture, and print what is in it."""
     from infrablend.cli.results import print_json, print_problems, print_result
-    from infrablend.cli.terminal_picture import CLEAR, picture_protocol, picture_text
 
     path = trial.write(out)
     gc.freeze()
@@ -103,9 +99,6 @@ def _show(trial: Trial, out: Path, session: Session, *, again: bool = False) -> 
     if session.json:
         print_json({"out": str(path), **trial.to_json()})
         return
-    protocol = picture_protocol(os.environ) if sys.stdout.isatty() else None
-    if protocol is not None:
-        typer.echo((CLEAR if again else "") + picture_text(path.read_bytes(), protocol), nl=False)
     print_problems(trial.problems, session.log_path, path)
     print_result("\n".join([*_lines(trial), str(path)]))
 
