@@ -12,12 +12,12 @@ from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch, SourceEntry
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.formats.writing import WriteSettings
+from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline import world
-from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
+from infrablend.pipeline.convert import ConvertReport, convert_dataset
+from infrablend.pipeline.dataset_requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.select import SELECT_ALL, Selection
-from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
+from infrablend.pipeline.split import SplitReport, split_dataset
 from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:

@@ -40,7 +40,8 @@ from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeErro
 from infrablend.formats.detection import DATASET_INSIDE
 from infrablend.formats.flight import FOR_ALL, was_extracted
 from infrablend.formats.temperatures import EXTRACT_AGAIN, IMPLAUSIBLE, from_radiometric_files, implausible_scales
-from infrablend.formats.writing import WriteSettings, unwritable
+from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.writing import unwritable
 from infrablend.pipeline.backgrounds import is_ground
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find_frames, similar
 from infrablend.pipeline.models import ready_model

@@ -27,7 +27,7 @@ import pytest
 
 from infrablend import api
 from infrablend.cli import main
-from infrablend.cli.progress import FetchPace, fetch_line
+from infrablend.cli.output import FetchPace, fetch_line
 from infrablend.errors import DatasetError, FetchError, InfraBlendError, Interrupted, OutputError
 from infrablend.fetching import download as downloading
 from infrablend.fetching import fetch as fetching
