@@ -25,11 +25,7 @@ from infrablend.api.experiments import (
     list_experiments as list_experiments,
     plan_experiment as plan_experiment,
 )
-from infrablend.api.in_memory import (
-    frames as frames,
-    try_recipe as try_recipe,
-    watch_recipe as watch_recipe,
-)
+from infrablend.api.in_memory import frames as frames, try_recipe as try_recipe, watch_recipe as watch_recipe
 from infrablend.api.runs import (
     PlanReport as PlanReport,
     exclude as exclude,
@@ -65,43 +61,21 @@ from infrablend.fetching.fetch import (
     FetchRequest as FetchRequest,
     SourceEntry as SourceEntry,
 )
-from infrablend.formats.log_alignment import (
-    Clock as Clock,
-)
-from infrablend.formats.reading import (
-    Reading as Reading,
-)
-from infrablend.formats.write_settings import (
-    WriteSettings as WriteSettings,
-)
-from infrablend.pipeline.add_model import (
-    ModelAnswers as ModelAnswers,
-    ModelSurvey as ModelSurvey,
-)
-from infrablend.pipeline.choose import (
-    ChoiceReport as ChoiceReport,
-)
-from infrablend.pipeline.compare_objects import (
-    RealismReport as RealismReport,
-)
-from infrablend.pipeline.convert import (
-    ConvertReport as ConvertReport,
-)
-from infrablend.pipeline.count_scale import (
-    CountScale as CountScale,
-    Spot as Spot,
-)
+from infrablend.formats.log_alignment import Clock as Clock
+from infrablend.formats.reading import Reading as Reading
+from infrablend.formats.write_settings import WriteSettings as WriteSettings
+from infrablend.pipeline.add_model import ModelAnswers as ModelAnswers, ModelSurvey as ModelSurvey
+from infrablend.pipeline.choose import ChoiceReport as ChoiceReport
+from infrablend.pipeline.compare_objects import RealismReport as RealismReport
+from infrablend.pipeline.convert import ConvertReport as ConvertReport
+from infrablend.pipeline.count_scale import CountScale as CountScale, Spot as Spot
 from infrablend.pipeline.dataset_requests import (
     ClassChanges as ClassChanges,
     Selection as Selection,
     SplitRule as SplitRule,
 )
-from infrablend.pipeline.evaluation_settings import (
-    EvaluationSettings as EvaluationSettings,
-)
-from infrablend.pipeline.experiments.request import (
-    ExperimentRequest as ExperimentRequest,
-)
+from infrablend.pipeline.evaluation_settings import EvaluationSettings as EvaluationSettings
+from infrablend.pipeline.experiments.request import ExperimentRequest as ExperimentRequest
 from infrablend.pipeline.extensions import (
     BackgroundSource as BackgroundSource,
     Extensions as Extensions,
@@ -110,51 +84,19 @@ from infrablend.pipeline.extensions import (
     SceneRequest as SceneRequest,
     SceneSampler as SceneSampler,
 )
-from infrablend.pipeline.extraction.choice import (
-    FrameChoice as FrameChoice,
-)
-from infrablend.pipeline.extraction.plan import (
-    FlightFacts as FlightFacts,
-)
-from infrablend.pipeline.frame_selection import (
-    FrameSelection as FrameSelection,
-)
-from infrablend.pipeline.in_memory import (
-    Frame as Frame,
-    Frames as Frames,
-    FramesRequest as FramesRequest,
-)
-from infrablend.pipeline.request import (
-    Execution as Execution,
-    RunRequest as RunRequest,
-)
-from infrablend.pipeline.run import (
-    RunReport as RunReport,
-)
-from infrablend.pipeline.shard import (
-    ShardRequest as ShardRequest,
-)
-from infrablend.pipeline.sharded_run import (
-    ShardState as ShardState,
-)
-from infrablend.pipeline.split import (
-    SplitReport as SplitReport,
-)
-from infrablend.pipeline.submission.request import (
-    Submission as Submission,
-    Volume as Volume,
-)
-from infrablend.pipeline.train import (
-    TrainReport as TrainReport,
-)
-from infrablend.pipeline.training.plan import (
-    TrainPlan as TrainPlan,
-)
-from infrablend.pipeline.trial import (
-    Trial as Trial,
-)
-from infrablend.training.request import (
-    TrainRequest as TrainRequest,
-)
+from infrablend.pipeline.extraction.choice import FrameChoice as FrameChoice
+from infrablend.pipeline.extraction.plan import FlightFacts as FlightFacts
+from infrablend.pipeline.frame_selection import FrameSelection as FrameSelection
+from infrablend.pipeline.in_memory import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
+from infrablend.pipeline.request import Execution as Execution, RunRequest as RunRequest
+from infrablend.pipeline.run import RunReport as RunReport
+from infrablend.pipeline.shard import ShardRequest as ShardRequest
+from infrablend.pipeline.sharded_run import ShardState as ShardState
+from infrablend.pipeline.split import SplitReport as SplitReport
+from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
+from infrablend.pipeline.train import TrainReport as TrainReport
+from infrablend.pipeline.training.plan import TrainPlan as TrainPlan
+from infrablend.pipeline.trial import Trial as Trial
+from infrablend.training.request import TrainRequest as TrainRequest
 
 __all__: list[str]

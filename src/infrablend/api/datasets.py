@@ -169,16 +169,9 @@ def profile(
 ) -> ProfileReport:  # fmt: skip
     """Fit a sensor profile to pictures; write `profile.json`, which recipes take as `sensor.profile`, and a plot.
 
-    Args:
-        data: Folder of pictures or of a dataset. Annotated objects only count for local share and looseness of boxes.
-        out: Folder to write.
-        count: Number of pictures to fit the camera to, evenly spread.
-        time: `day` or `night`: use only pictures taken then.
-        name: Name of the profile; the name of the folder by default.
-        against: Shipped profile to compare with.
-        rendered: Run with inserted objects of the same classes, whose exact boxes the annotated ones are compared with.
-        reading: How to read `data`.
-        on_progress: Called after each picture.
+    `count` pictures, evenly spread, of the time `day` or `night` if one is given, are fitted. Annotated objects only
+    count for local share and looseness of boxes; their boxes are compared with the exact ones of the run `rendered`.
+    `against` is a shipped profile to compare with.
     """
     from infrablend.pipeline.profile import pictures_taken_by, profile_dataset
 

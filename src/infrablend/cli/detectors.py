@@ -18,14 +18,7 @@ from infrablend.cli.options import (
     ReadingOfFormat,
     earlier_output,
 )
-from infrablend.cli.output import (
-    grid,
-    human_bytes,
-    print_problems,
-    show_result,
-    shown_progress,
-    table,
-)
+from infrablend.cli.output import grid, human_bytes, print_problems, show_result, shown_progress, table
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:

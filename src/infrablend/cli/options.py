@@ -11,7 +11,7 @@ import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import MISSING, Field, dataclass, fields
+from dataclasses import MISSING, Field, fields
 from functools import partial
 from pathlib import Path
 from types import NoneType
@@ -29,6 +29,9 @@ JsonSession = Annotated[Session, "--json"]
 
 _GIVEN = {"ctx", "session"}
 """Parameters of commands that are no options."""
+
+_FieldOption = tuple[inspect.Parameter, Callable[[Any], Any]]
+"""An option, as a parameter for Typer, and what makes the value of the field from the value of the option."""
 
 
 class Fields:
@@ -60,19 +63,6 @@ class FieldsOf(Fields):
         self.request = request
 
 
-@dataclass(frozen=True)
-class _FieldOption:
-    """An option that a field of a request is made from.
-
-    Attributes:
-        parameter: The option, as a parameter for Typer.
-        convert: Makes the value of the field from the value of the option.
-    """
-
-    parameter: inspect.Parameter
-    convert: Callable[[Any], Any]
-
-
 def with_options(function: Callable[..., None]) -> Callable[..., None]:
     """Return a function for Typer with a parameter per option, which calls `function` with session and requests."""
     given = inspect.signature(function, eval_str=True).parameters
@@ -84,7 +74,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
         if wanted is not None:
             request = wanted.request if isinstance(wanted, FieldsOf) else kind
             requests[name] = (kind, _field_options(request, wanted))
-            options += [o.parameter for o in requests[name][1]]
+            options += [option for option, _ in requests[name][1]]
         elif name not in _GIVEN:
             options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
     as_json = "session" in given and given["session"].annotation == JsonSession
@@ -95,8 +85,8 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
         if as_json:
             ctx.obj.json = values.pop("as_json")
         for name, (make, of_fields) in requests.items():
-            found = {o.parameter.name: (o.convert, values.pop(o.parameter.name)) for o in of_fields}
-            values[name] = make(**{n: convert(v) for n, (convert, v) in found.items() if v not in (None, [])})
+            found = {o.name: (values.pop(o.name), convert) for o, convert in of_fields}
+            values[name] = make(**{n: convert(v) for n, (v, convert) in found.items() if v not in (None, [])})
         values |= {n: v for n, v in (("ctx", ctx), ("session", ctx.obj)) if n in given}
         function(**values)
 
@@ -122,29 +112,26 @@ def _field_options(request: type, wanted: Fields) -> list[_FieldOption]:
 
 def _field_option(field: Field[Any], of: Any, text: str, given: Any) -> _FieldOption:
     """Return the option of one field: of the field's type, or of the type that `given` names."""
-    kind, option, *own = get_args(given) if get_origin(given) is Annotated else (None, given)
+    named = get_origin(given) is Annotated
+    kind, option, *convert = get_args(given) if named else (None, given)
     option = deepcopy(option)
     option.help = option.help or text
-    # The first flag of an option is kept where Typer's other parameters have their default.
-    flag = option.default if isinstance(option.default, str) else f"--{field.name.replace('_', '-')}"
-    required = field.default is MISSING and field.default_factory is MISSING
-    default: Any = None if field.default in (MISSING, ()) or kind is not None else field.default
-    inner = next(part for part in get_args(of) if part is not NoneType) if NoneType in get_args(of) else of
-    convert: Callable[[Any], Any] = own[0] if own else lambda value: value
-    if kind is not None:
-        pass
-    elif get_origin(inner) is Mapping:
-        kind = list[str] | None
-        convert = partial(yaml_values if get_args(inner)[1] is Any else key_values, option=flag)
-    elif get_origin(inner) is Sequence:
-        kind, option.parser = str | None, option.parser or comma_list
-    else:
+    default: Any = None if named or field.default in (MISSING, ()) else field.default
+    if field.default is MISSING and field.default_factory is MISSING:
+        default = inspect.Parameter.empty
+    if not named:
+        # Typer keeps the first flag of an option where its other parameters have their default.
+        flag = option.default if isinstance(option.default, str) else f"--{field.name.replace('_', '-')}"
+        inner = next(part for part in get_args(of) if part is not NoneType) if NoneType in get_args(of) else of
         kind = Path | None if Path in get_args(of) else of
-        if default is False:
+        if get_origin(inner) is Mapping:
+            kind = list[str] | None
+            convert = [partial(yaml_values if get_args(inner)[1] is Any else key_values, option=flag)]
+        elif get_origin(inner) is Sequence:
+            kind, option.parser = str | None, option.parser or comma_list
+        elif default is False:
             option.default = flag  # else Typer adds `--no-...`
-    return _FieldOption(
-        _parameter(field.name, Annotated[kind, option], inspect.Parameter.empty if required else default), convert
-    )
+    return _parameter(field.name, Annotated[kind, option], default), convert[0] if convert else lambda value: value
 
 
 def attribute_texts(request: type) -> dict[str, str]:

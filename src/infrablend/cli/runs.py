@@ -26,14 +26,7 @@ from infrablend.cli.options import (
     comma_list,
     earlier_output,
 )
-from infrablend.cli.output import (
-    facts,
-    print_problems,
-    print_warnings,
-    show_result,
-    shown_progress,
-    table,
-)
+from infrablend.cli.output import facts, print_problems, print_warnings, show_result, shown_progress, table
 from infrablend.cli.session import Session
 from infrablend.core.addresses import shown
 from infrablend.errors import ArgumentError

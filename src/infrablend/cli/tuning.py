@@ -16,6 +16,7 @@ from infrablend.cli.completion import complete_recipe
 from infrablend.cli.exits import report_error
 from infrablend.cli.options import (
     Fields,
+    FieldsOf,
     JsonSession,
     ReadingOptions,
     RecipeArgument,
@@ -24,6 +25,7 @@ from infrablend.cli.options import (
 )
 from infrablend.cli.output import print_json, print_problems, print_result
 from infrablend.cli.session import Session
+from infrablend.studio.request import Address, StudioRequest
 
 
 def try_recipe(
@@ -103,47 +105,32 @@ def studio(
             autocompletion=complete_recipe,
         ),
     ] = None,
-    data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the background dataset to tune on.")
-    ] = None,
-    run: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Run to review: folder that `generate` wrote.")
-    ] = None,
-    compare: Annotated[
-        str | None,
-        typer.Option(
-            metavar="RUN|RECIPE",
-            help="Second run to compare with that of --run, or second recipe to compare with RECIPE on --data.",
+    opened: Annotated[
+        dict[str, Any],
+        FieldsOf(
+            StudioRequest,
+            "data run compare results seed",
+            data=typer.Option(metavar="DIR"),
+            run=typer.Option(metavar="DIR"),
+            compare=typer.Option(metavar="RUN|RECIPE"),
+            results=Annotated[list[Path] | None, typer.Option(metavar="DIR"), tuple],
         ),
-    ] = None,
-    results: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="DIR", help="Folder of a further report on the run, such as an evaluation; repeatable."),
-    ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port [default: any free one].")] = 0,
+    ],
+    address: Annotated[Address, Fields(port=typer.Option(min=0, max=65535), expose=typer.Option("--yes-expose"))],
     no_open: Annotated[bool, typer.Option("--no-open", help="Only print the address; open no browser.")] = False,
-    host: Annotated[str, typer.Option(help="Address to listen on; only this machine can connect by default.")] = (
-        "127.0.0.1"
-    ),
-    yes_expose: Annotated[
-        bool, typer.Option("--yes-expose", help="Let other machines connect through --host, unencrypted.")
-    ] = False,
-    seed: SeedOption = 0,
     execution: Annotated[api.Execution, Fields("device")],
     reading: ReadingOptions,
 ) -> None:
     """Open a local page in the browser: review a run, tune a recipe on its backgrounds, compare runs or recipes."""
-    from infrablend.studio.request import Address, StudioRequest
     from infrablend.studio.server import serve
 
-    one = replace(execution, workers=1)
-    request = StudioRequest(recipe, data, run, compare, tuple(results or ()), seed, reading, one)
+    request = StudioRequest(recipe, **opened, reading=reading, execution=replace(execution, workers=1))
 
-    def ready(address: str) -> None:
-        typer.echo(address)
+    def ready(url: str) -> None:
+        typer.echo(url)
         if not session.quiet:
             typer.echo("Open this address in a browser on this machine; Ctrl-C here closes it.", err=True)
         if not no_open:
-            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
-    serve(request, Address(host, port, yes_expose), ready)
+    serve(request, address, ready)

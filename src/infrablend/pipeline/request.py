@@ -93,12 +93,12 @@ class RunRequest:
         recipe: Name of a shipped recipe, or path of a YAML file.
         data: Folder of the background dataset, or its address in object storage.
         out: Folder to write, or with packed shards an address; None only for describing a run.
-        selection: Frames to produce.
+        selection: Frames to produce: `FrameSelection(sample=20)`, `FrameSelection(frames=["test/a_c0"])`.
         seed: Seed of every random stream. The same seed, data and recipe give the same bytes.
-        settings: Recipe fields to set.
-        reading: How to read `data`.
-        execution: How to compute the frames.
-        existing: What to do if `out` already contains a run.
+        settings: Recipe fields to set: `["output.image=png"]` or `{"output.formats": ["yolo", "coco"]}`.
+        reading: How to read `data`, e.g. `Reading(splits=("train",))`.
+        execution: Workers, device and renderer, e.g. `Execution(workers=2, device="cuda")`.
+        existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         shard: Shard to produce; None for the whole run.
 
     Raises:

@@ -16,9 +16,9 @@ class Address:
     """Where to serve.
 
     Attributes:
-        host: Name or address of this machine's interface.
-        port: Port; 0 for any free one.
-        expose: Whether other machines may connect, with the token.
+        host: Address to listen on; only this machine can connect by default.
+        port: Port [default: any free one].
+        expose: Let other machines connect through --host, unencrypted.
     """
 
     host: str = LOOPBACK[0]
@@ -39,12 +39,12 @@ class StudioRequest:
     """What to open.
 
     Attributes:
-        recipe: Recipe to tune: name, or path of a YAML file.
-        data: Folder of the background dataset.
-        run: Folder of a run to review.
-        compare: Folder of a second run, or a second recipe, to compare with.
-        results: Further folders of reports on the run.
-        seed: Seed of the frames to tune.
+        recipe: Recipe to tune: name of a shipped one, or a YAML file.
+        data: Folder of the background dataset to tune on.
+        run: Run to review: folder that `generate` wrote.
+        compare: Second run to compare with that of --run, or second recipe to compare with RECIPE on --data.
+        results: Folder of a further report on the run, such as an evaluation; repeatable.
+        seed: The same seed gives the same bytes.
         reading: How to read `data`.
         execution: Device and renderer.
     """
