@@ -113,9 +113,7 @@ def temperatures(
             slope_k=typer.Option("--slope"),
             offset_k=typer.Option("--offset"),
             spots=Annotated[
-                list[Any] | None,
-                typer.Option("--spot", metavar="FILE:X,Y=DEGREES", parser=api.Spot.of_text),
-                tuple,
+                list[Any] | None, typer.Option("--spot", metavar="FILE:X,Y=DEGREES", parser=api.Spot.of_text), tuple
             ],
             converted=typer.Option(metavar="DIR"),
             unit=typer.Option("--converted-unit"),

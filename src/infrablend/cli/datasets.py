@@ -188,9 +188,7 @@ def convert(
     to: Annotated[
         str,
         typer.Option(
-            metavar="FORMAT",
-            help="Format to write: yolo, coco, ... or native.",
-            autocompletion=complete_written_format,
+            metavar="FORMAT", help="Format to write: yolo, coco, ... or native.", autocompletion=complete_written_format
         ),
     ],
     reading: ReadingOptions,
@@ -288,8 +286,7 @@ def split(
     rule: Annotated[
         api.SplitRule,
         Fields(
-            gap=typer.Option(min=1, metavar="N"),
-            shares=Annotated[Any, typer.Option(metavar="LIST", parser=_shares)],
+            gap=typer.Option(min=1, metavar="N"), shares=Annotated[Any, typer.Option(metavar="LIST", parser=_shares)]
         ),
     ],
     to: Annotated[

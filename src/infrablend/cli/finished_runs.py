@@ -159,10 +159,7 @@ def realism(
     classes: Annotated[
         Any,
         typer.Option(
-            "--class",
-            metavar="A,B",
-            parser=comma_list,
-            help="Classes [default: all with inserted and real objects].",
+            "--class", metavar="A,B", parser=comma_list, help="Classes [default: all with inserted and real objects]."
         ),
     ] = None,
     time: Annotated[Literal["night", "day", "all"], typer.Option(help="Time of day of the images.")] = "all",

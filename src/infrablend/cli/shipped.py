@@ -128,9 +128,7 @@ def show_recipe(
     print_result(api.show_recipe(name).rstrip("\n"))
 
 
-def infrared_effect(
-    out: Annotated[Path, typer.Option(metavar="FILE.blend", help="File to write.")],
-) -> None:
+def infrared_effect(out: Annotated[Path, typer.Option(metavar="FILE.blend", help="File to write.")]) -> None:
     """Write the InfraredEffect node group as a .blend asset, for the Shader Editor."""
     if out.suffix.lower() != ".blend":
         raise typer.BadParameter(f"{out} must end in .blend", param_hint="--out")
