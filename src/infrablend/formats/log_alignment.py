@@ -45,7 +45,7 @@ class Clock:
                 raise ArgumentError(f"{name} {value:g} s: expected at most {_MOST_S:g} s")
 
 
-NO_CLOCK = Clock()
+NO_CLOCK: Clock = Clock()
 
 
 @dataclass(frozen=True, eq=False)

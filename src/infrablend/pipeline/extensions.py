@@ -168,4 +168,4 @@ class Extensions:
         return found
 
 
-NO_EXTENSIONS = Extensions()
+NO_EXTENSIONS: Extensions = Extensions()
