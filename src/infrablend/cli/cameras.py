@@ -48,7 +48,7 @@ def frames(
             log=typer.Option(metavar="FILE"),
             time_of_day=typer.Option("--time"),
             hfov_deg=typer.Option("--hfov", min=0.1, max=170, metavar="DEGREES"),
-            names=typer.Option("--sequence", metavar="LIST"),
+            names=typer.Option("--sequence"),
         ),
     ],
     no_log: Annotated[bool, typer.Option("--no-log", help="Extract without telemetry.")] = False,

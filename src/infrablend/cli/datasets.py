@@ -196,7 +196,7 @@ def convert(
         api.ClassChanges,
         Fields(
             rename=Annotated[list[str] | None, typer.Option(metavar="OLD=NEW,..."), _renamed],
-            drop=typer.Option("--drop-class", metavar="LIST"),
+            drop=typer.Option("--drop-class"),
             only=typer.Option("--only-class", metavar="NAME"),
         ),
     ],
@@ -204,7 +204,6 @@ def convert(
         api.Selection,
         Fields(
             with_class=typer.Option(metavar="NAME"),
-            without=typer.Option(metavar="LIST"),
             images=typer.Option(metavar="N"),
             objects=typer.Option(metavar="N"),
             like=typer.Option("--like-class", metavar="NAME"),

@@ -43,7 +43,7 @@ def train(
     request: Annotated[
         api.TrainRequest,
         Fields(
-            settings=typer.Option("--set", metavar="KEY=VALUE"),
+            settings=typer.Option("--set"),
             weights=typer.Option(metavar="FILE|NAME|scratch|auto"),
             classes=typer.Option(metavar="A,B"),
             agc=Annotated[str, typer.Option(metavar="linear|plateau|{...}", parser=_agc)],

@@ -36,7 +36,7 @@ def experiment(
             data=Annotated[list[str] | None, typer.Option(metavar="[NAME=]DIR"), tuple],
             work=typer.Option(metavar="DIR"),
             results=typer.Option(metavar="DIR"),
-            training=typer.Option("--set", metavar="KEY=VALUE"),
+            training=typer.Option("--set"),
             only=Annotated[list[str] | None, typer.Option(metavar="STAGE"), tuple],
             adopt=typer.Option(metavar="STAGE=DIR"),
             workers=typer.Option(min=1),

@@ -125,10 +125,11 @@ def _field_option(field: Field[Any], of: Any, text: str, given: Any) -> _FieldOp
         inner = next(part for part in get_args(of) if part is not NoneType) if NoneType in get_args(of) else of
         kind = Path | None if Path in get_args(of) else of
         if get_origin(inner) is Mapping:
-            kind = list[str] | None
+            kind, option.metavar = list[str] | None, option.metavar or "KEY=VALUE"
             convert = [partial(yaml_values if get_args(inner)[1] is Any else key_values, option=flag)]
         elif get_origin(inner) is Sequence:
-            kind, option.parser = str | None, option.parser or comma_list
+            kind, option.metavar = str | None, option.metavar or "LIST"
+            option.parser = option.parser or comma_list
         elif default is False:
             option.default = flag  # else Typer adds `--no-...`
     return _parameter(field.name, Annotated[kind, option], default), convert[0] if convert else lambda value: value
@@ -255,10 +256,10 @@ SettingsOption = Annotated[
 def _reading(names: str) -> Fields:
     return Fields(
         names,
-        splits=typer.Option("--split", metavar="LIST", parser=split_list),
+        splits=typer.Option("--split", parser=split_list),
         format=typer.Option(metavar="NAME", parser=one_format, autocompletion=complete_read_format),
         metadata=typer.Option(metavar="FILE"),
-        options=typer.Option("--read", metavar="KEY=VALUE"),
+        options=typer.Option("--read"),
     )
 
 

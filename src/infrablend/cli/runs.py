@@ -56,7 +56,7 @@ def generate(
     ],
     selection: Annotated[
         api.FrameSelection,
-        Fields(limit=typer.Option(min=1), sample=typer.Option(min=1), frames=typer.Option(metavar="LIST")),
+        Fields(limit=typer.Option(min=1), sample=typer.Option(min=1)),
     ],
     shard: Annotated[
         str | None,
