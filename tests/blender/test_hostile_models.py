@@ -13,7 +13,8 @@ from infrablend.assets import model_files
 from infrablend.assets.model_files.blend import read_blend
 from infrablend.cli import main
 from infrablend.core.landlock import landlock_version
-from infrablend.pipeline import models, request
+from infrablend.pipeline import models
+from tests.flat_renderer import render_flat
 from tests.hostile_models import write_gltf
 
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
@@ -55,8 +56,7 @@ os._exit(0)
 @pytest.fixture(autouse=True)
 def surroundings(monkeypatch, tmp_path):
     """Render with the flat renderer in this process; give each test its own cache and log."""
-    real = request.Execution
-    monkeypatch.setattr(request, "Execution", lambda workers, device, **_: real(workers, device, "flat", True))
+    render_flat(monkeypatch)
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
 
