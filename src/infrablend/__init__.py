@@ -8,90 +8,9 @@
 on first use.
 """
 
-from __future__ import annotations
-
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from infrablend.api import (
-        ClassChanges,
-        ConvertReport,
-        Execution,
-        FetchReport,
-        PlanReport,
-        Reading,
-        RealismReport,
-        RunReport,
-        Selection,
-        SplitReport,
-        SplitRule,
-        TrainReport,
-        WriteSettings,
-        generate,
-    )
-    from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
-    from infrablend.errors import (
-        DatasetError,
-        FetchError,
-        InfraBlendError,
-        Interrupted,
-        MissingDependencyError,
-        ModelError,
-        OutputError,
-        Problem,
-        RecipeError,
-        RenderError,
-        UnknownFormatError,
-        WorkerDiedError,
-    )
+from infrablend.core.lazy_names import lazy_names
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "Category",
-    "ClassChanges",
-    "ConvertReport",
-    "Dataset",
-    "DatasetError",
-    "Execution",
-    "FetchError",
-    "FetchReport",
-    "ImageRecord",
-    "InfraBlendError",
-    "Instance",
-    "Interrupted",
-    "MissingDependencyError",
-    "ModelError",
-    "OutputError",
-    "PlanReport",
-    "Problem",
-    "Reading",
-    "RealismReport",
-    "RecipeError",
-    "RenderError",
-    "RunReport",
-    "Selection",
-    "SplitReport",
-    "SplitRule",
-    "TrainReport",
-    "UnknownFormatError",
-    "WorkerDiedError",
-    "WriteSettings",
-    "__version__",
-    "generate",
-]
-
-_DATASET = {"Category", "Dataset", "ImageRecord", "Instance"}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    is_error = name.endswith("Error") or name in {"Interrupted", "Problem"}
-    module = "core.dataset" if name in _DATASET else "errors" if is_error else "api"
-    return getattr(import_module(f"infrablend.{module}"), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__, _names = lazy_names(__name__, __file__)
+__all__ = [*_names, "__version__"]

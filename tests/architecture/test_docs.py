@@ -258,6 +258,7 @@ def test_commands_in_the_docs_exist_with_these_options() -> None:
         rest = list(words)
         known: set[str] = set()
         while True:
+            command.make_context("infrablend", [], resilient_parsing=True)  # makes the options
             known |= {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
             while rest and rest[0].startswith("-"):
                 known_here = rest.pop(0)
@@ -272,7 +273,8 @@ def test_commands_in_the_docs_exist_with_these_options() -> None:
         if "--" in rest:  # the arguments of `generate` follow
             place = rest.index("--")
             group: Any = get_command(build_app())
-            known_there = {o for p in group.commands["generate"].params for o in p.opts}
+            generate = group.commands["generate"].make_context("generate", [], resilient_parsing=True).command
+            known_there = {o for p in generate.params for o in p.opts}
             wrong += [f"{page}: {w}" for w in rest[place + 1 :] if w.startswith("--") and w not in known_there]
             rest = rest[:place]
         wrong += [f"{page}: {w}" for w in rest if w.startswith("--") and w.split("=")[0] not in known]

@@ -8,7 +8,6 @@ the n-th of them, and notes those outside the folders that the command may write
 from __future__ import annotations
 
 import contextlib
-import functools
 import os
 import resource
 import select
@@ -24,8 +23,9 @@ from typing import Any
 import typer.main
 
 from infrablend.cli import app, main
-from infrablend.pipeline import request
 from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.request import Execution
+from tests.flat_renderer import flat_defaults
 
 KILLED = -signal.SIGKILL
 TIMED_OUT = -1000
@@ -103,9 +103,7 @@ UNDISTURBED = Disturbance()
 
 def render_flat() -> None:
     """Compute frames in this process with the flat renderer, which the command line does not offer."""
-    request.Execution = functools.partial(  # type: ignore[misc,assignment]
-        request.Execution, renderer="flat", in_process=True
-    )
+    setattr(Execution.__init__, "__defaults__", flat_defaults())  # noqa: B010 - no attribute that type checkers know
     check = ExperimentRequest.__post_init__
 
     def choose_flat(self: ExperimentRequest) -> None:

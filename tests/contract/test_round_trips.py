@@ -23,7 +23,8 @@ from infrablend.formats import detection, writing, yolo
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures import read_size
 from infrablend.formats.reading import Reading
-from infrablend.formats.writing import WriteSettings, load_writer
+from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.writing import load_writer
 
 ATOL_PX = 1e-6
 SIZE_WH = (64, 48)

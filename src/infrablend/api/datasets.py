@@ -12,12 +12,12 @@ from infrablend.fetching import fetch as fetching
 from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch, SourceEntry
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.formats.writing import WriteSettings
+from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline import world
-from infrablend.pipeline.convert import KEEP_CLASSES, ClassChanges, ConvertReport, convert_dataset
+from infrablend.pipeline.convert import ConvertReport, convert_dataset
+from infrablend.pipeline.dataset_requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.request import Execution
-from infrablend.pipeline.select import SELECT_ALL, Selection
-from infrablend.pipeline.split import SplitReport, SplitRule, split_dataset
+from infrablend.pipeline.split import SplitReport, split_dataset
 from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:
@@ -169,16 +169,9 @@ def profile(
 ) -> ProfileReport:  # fmt: skip
     """Fit a sensor profile to pictures; write `profile.json`, which recipes take as `sensor.profile`, and a plot.
 
-    Args:
-        data: Folder of pictures or of a dataset. Annotated objects only count for local share and looseness of boxes.
-        out: Folder to write.
-        count: Number of pictures to fit the camera to, evenly spread.
-        time: `day` or `night`: use only pictures taken then.
-        name: Name of the profile; the name of the folder by default.
-        against: Shipped profile to compare with.
-        rendered: Run with inserted objects of the same classes, whose exact boxes the annotated ones are compared with.
-        reading: How to read `data`.
-        on_progress: Called after each picture.
+    `count` pictures, evenly spread, of the time `day` or `night` if one is given, are fitted. Annotated objects only
+    count for local share and looseness of boxes; their boxes are compared with the exact ones of the run `rendered`.
+    `against` is a shipped profile to compare with.
     """
     from infrablend.pipeline.profile import pictures_taken_by, profile_dataset
 

@@ -54,17 +54,9 @@ def evaluate(
 ) -> EvaluationReport:  # fmt: skip
     """Evaluate a detector on a split: tables, strata, intervals and plots; docs/how_to/evaluate.md explains them.
 
-    Args:
-        weights: Ultralytics weights (.pt) or the folder of a finished `train`, which need `infrablend[train]`; or
-            `predictions.json` or the folder of an earlier evaluation, which need neither torch nor Ultralytics.
-        dataset: Folder of the dataset.
-        out: Folder to write.
-        settings: Split, task, classes, image size, intervals.
-        device: auto, cpu, cuda, cuda:1 or mps.
-        reading: How to read `dataset`.
-        against: Folder of another evaluation on the same images and labels, to compare with.
-        overwrite: Replace an earlier evaluation in `out`.
-        on_progress: Called after every few pictures.
+    `weights` are Ultralytics weights (.pt) or the folder of a finished `train`, which need `infrablend[train]`; or
+    `predictions.json` or the folder of an earlier evaluation, which need neither torch nor Ultralytics. `against` is
+    the folder of another evaluation on the same images and labels.
     """
     from infrablend.pipeline.evaluate import evaluate_detector
 

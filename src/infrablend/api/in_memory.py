@@ -30,15 +30,7 @@ def frames(
     >>> bool((first.pixels == again.pixels).all())
     True
 
-    Args:
-        recipe: Name of a shipped recipe, or path of a YAML file.
-        data: Folder of the background dataset, or an object of your own that gives backgrounds.
-        selection: Frames to offer; by default all.
-        seed: The same seed, data and recipe give the same pixels and labels, as in a run of `generate`.
-        settings: Recipe fields to set, as in `generate`.
-        reading: How to read `data`.
-        execution: Workers, device and renderer.
-        extensions: Your own sampler of scenes, and your own look.
+    The arguments are the fields of `FramesRequest`. Pixels and labels are those of a run of `generate`.
     """
     source = Path(data) if isinstance(data, str | Path) else data
     return Frames(FramesRequest(recipe, source, selection, seed, settings, reading, execution, extensions))
@@ -55,14 +47,7 @@ def try_recipe(
     >>> trial.frame.id, trial.write("try.png").name
     ('test/0_130_90_0_00004_c1', 'try.png')
 
-    Args:
-        recipe: Name of a shipped recipe, or path of a YAML file.
-        data: Folder of the background dataset.
-        frame: Id of the frame, or of a background; by default the first one.
-        seed: Seed, as of a run.
-        settings: Recipe fields to set, as in `generate`.
-        reading: How to read `data`.
-        execution: Device and renderer.
+    The arguments are the fields of `TrialRequest`.
     """
     with Trials(TrialRequest(recipe, Path(data), frame, seed, settings, reading, execution)) as trials:
         return trials.compose()

@@ -59,18 +59,7 @@ def generate(  # noqa: PLR0913 - as in `realism`
     >>> report.ok, report.counts["frames"]
     (True, 4)
 
-    Args:
-        recipe: Name of a shipped recipe, or path of a YAML file.
-        data: Folder of the background dataset.
-        out: Folder to write.
-        limit: Number of backgrounds to use, the first ones in sorted order.
-        selection: Another choice of frames: `FrameSelection(sample=20)`, `FrameSelection(frames=["test/a_c0"])`.
-        seed: The same seed, data and recipe give the same bytes.
-        settings: Recipe fields to set: `["output.image=png"]` or `{"output.formats": ["yolo", "coco"]}`.
-        reading: How to read `data`, e.g. `Reading(splits=("train",))`.
-        execution: Workers, device and renderer, e.g. `Execution(workers=2, device="cuda")`.
-        existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
-        on_progress: Called after each frame.
+    The arguments are the fields of `RunRequest`; `limit` is short for `selection=FrameSelection(limit=...)`.
     """
     chosen = selection if limit is None else replace(selection, limit=limit)
     request = RunRequest(recipe, Path(data), Path(out), chosen, seed, settings, reading, execution, existing)
@@ -80,9 +69,7 @@ def generate(  # noqa: PLR0913 - as in `realism`
 def generate_shard(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
     """Render one shard of a run, `request.shard`, into a folder of its own in `request.out`; see `merge`.
 
-    Args:
-        request: Arguments of `generate`, and the shard: `RunRequest(..., shard=ShardRequest(2, 7))`.
-        on_progress: Called after each frame.
+    Such a request is `RunRequest(..., shard=ShardRequest(2, 7))`.
     """
     if request.shard is None:
         raise ArgumentError("generate_shard: found no shard in the request, expected one such as ShardRequest(2, 7)")
@@ -95,14 +82,8 @@ def merge(
 ) -> RunReport:  # fmt: skip
     """Write one run from finished shards, with the bytes of an undivided run.
 
-    Args:
-        sources: Folders that `generate_shard` wrote.
-        out: Folder to write.
-        data: Folder of the backgrounds, if it has moved.
-        partial: Merge the finished shards only.
-        layout: `files`, or `shards` for one packed shard (needs `infrablend[shards]`).
-        existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
-        on_progress: Called after each frame.
+    `partial` merges the finished shards only. The layout is `files`, or `shards` for one packed shard (needs
+    `infrablend[shards]`). `data` is the folder of the backgrounds, if it has moved.
     """
     for source in sources:
         require_known("sources", source)
@@ -111,17 +92,14 @@ def merge(
         require_known("data", data)
     folder = None if data is None else Path(data)
     return merge_shards(
-        sources, Path(out), folder,
-        partial=partial, layout=layout, existing=existing, on_progress=on_progress,
-    )  # fmt: skip
+        sources, Path(out), folder, partial=partial, layout=layout, existing=existing, on_progress=on_progress
+    )
 
 
 def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
     """Return the state of every shard in a folder that `generate_shard` writes.
 
-    Args:
-        out: The folder.
-        wait: Wait until every shard is done or failed; the folder may be missing until the first shard starts.
+    `wait` waits until every shard is done or failed; the folder may be missing until the first shard starts.
     """
     require_known("out", out)
     with opened_run(Path(out)) as run:
@@ -129,12 +107,7 @@ def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
 
 
 def submission_text(job: Submission, to: Scheduler) -> str:
-    """Return the Bash script for SLURM, or the YAML manifest for Kubernetes, of a run in shards.
-
-    Args:
-        job: The run, and what its jobs need.
-        to: `slurm` or `kubernetes`.
-    """
+    """Return the Bash script for SLURM, or the YAML manifest for Kubernetes, of a run in shards."""
     return make_submission_text(job, to)
 
 
@@ -185,14 +158,8 @@ def exclude(
 ) -> ChoiceReport:  # fmt: skip
     """Leave frames of a finished run out of its labels, splits, card and counts; their pictures move to `run/excluded`.
 
-    Args:
-        run: Folder of the run.
-        frames: Ids of frames (`test/a_c0`), or of backgrounds for all of their frames.
-        review: File with accepted and rejected frames: rejected ones are left out, accepted ones taken back.
-        reason: Reason for `frames`, kept in the ledger.
-        purge: Delete the pictures of all excluded frames.
-        data: Folder of the backgrounds, if it has moved.
-        on_progress: Called after each frame that has to be rendered again.
+    `frames` are ids of frames (`test/a_c0`), or of backgrounds for all of their frames; `data` is the folder of the
+    backgrounds, if it has moved. `ExclusionRequest` explains the other arguments.
     """
     choice = ExclusionRequest(
         tuple(frames), review=None if review is None else Path(review), reason=reason, purge=purge
@@ -239,18 +206,9 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
 ) -> RealismReport:  # fmt: skip
     """Compare the inserted objects of a run with real objects of the same class; needs `infrablend[realism]`.
 
-    Args:
-        run: Folder of a finished run that inserted objects of a class that also exists for real.
-        against: Dataset that the run was made from.
-        out: Folder for `realism.json`, `realism.html` and the sheets; `realism` in the run folder by default.
-        categories: Classes to compare; by default all that are both inserted and annotated.
-        time_of_day: Only pictures of that time.
-        pairs: Largest number of pairs per class.
-        real: Dataset of the real objects, as from `read_dataset`; by default `against`.
-        steps: Whether to render the inserted objects again with each step of the sensor chain.
-        reading: How to read `against`; by default as the run read its backgrounds, and every split.
-        execution: Worker processes; `in_process` only for runs made with the flat renderer.
-        on_progress: Called after each picture.
+    `against` is the dataset that the run was made from; it is read as the run read it, with every split, unless
+    `reading` says otherwise. `out` is `realism` in the run folder by default, and `real` another dataset of the real
+    objects, as from `read_dataset`. `ComparisonRequest` explains the other arguments.
     """
     from infrablend.pipeline.compare_objects import ComparisonRequest, compare
 
@@ -266,11 +224,7 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
 def realism_page(report: RealismReport, out: str | Path) -> Path:
     """Add the figures of a comparison to the page of results `realism.md` in a folder; return the path of the page.
 
-    Classes and times of day that the page has from other comparisons are kept.
-
-    Args:
-        report: What `realism` returned.
-        out: Folder of `realism.md`, `realism.json` and the charts; created if it is missing.
+    Classes and times of day that the page has from other comparisons are kept. The folder is created if it is missing.
     """
     from infrablend.report.realism_page import add_to_page
 

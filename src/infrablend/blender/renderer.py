@@ -20,8 +20,9 @@ from infrablend.blender.materials import aov_name, object_material
 from infrablend.blender.physical import UNIT_W_M2_SR, set_world, sky_values
 from infrablend.blender.quality import sampling_for
 from infrablend.core.camera import CameraSpec
+from infrablend.core.cores import Device
 from infrablend.core.placed import PlacedObject, PlacedScene
-from infrablend.core.render import Device, RenderResult, empty_result
+from infrablend.core.render import RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
 from infrablend.rendering.crop import crop_of

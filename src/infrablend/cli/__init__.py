@@ -17,7 +17,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     import sys
 
     from infrablend.cli.app import build_app
-    from infrablend.cli.stopping import stopped_by_signals
+    from infrablend.cli.exits import stopped_by_signals
 
     try:
         with stopped_by_signals():

@@ -1,46 +1,20 @@
-"""The command tree: names of the commands, which have modules of their own."""
+"""The command tree: names of the commands, and what all of them have in common."""
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.main import get_command
 
-from infrablend.cli import (
-    asset,
-    check,
-    convert,
-    doctor,
-    evaluate,
-    exclude,
-    exits,
-    experiment,
-    fetch,
-    frames,
-    generate,
-    inspect,
-    merge,
-    models,
-    preview,
-    profile,
-    realism,
-    recipes,
-    report,
-    rerender,
-    show,
-    split,
-    status,
-    studio,
-    submit,
-    temperatures,
-    train,
-    try_recipe,
-    world,
-)
+from infrablend.cli import cameras, datasets, detectors, exits, experiment, fetch, finished_runs, runs, shipped, tuning
+from infrablend.cli.options import with_options
+from infrablend.cli.output import print_json
 from infrablend.cli.session import open_session
 from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.typed_command import set_typed_command, typed_command
@@ -51,6 +25,47 @@ _EPILOG = (
     "or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
 )
 
+_COMMANDS: dict[str, Callable[..., None]] = {
+    "generate": runs.generate,
+    "merge": runs.merge,
+    "status": runs.status,
+    "submit": runs.submit,
+    "try": tuning.try_recipe,
+    "convert": datasets.convert,
+    "preview": finished_runs.preview,
+    "report": finished_runs.report,
+    "profile": cameras.profile,
+    "rerender": finished_runs.rerender,
+    "show": finished_runs.show,
+    "exclude": finished_runs.exclude,
+    "include": finished_runs.include,
+    "inspect": datasets.inspect,
+    "check": datasets.check,
+    "split": datasets.split,
+    "train": detectors.train,
+    "realism": finished_runs.realism,
+    "evaluate": detectors.evaluate,
+    "experiment": experiment.experiment,
+    "frames": cameras.frames,
+    "temperatures": cameras.temperatures,
+    "world": cameras.world,
+    "fetch": fetch.fetch,
+    "studio": tuning.studio,
+    "doctor": shipped.doctor,
+}
+_GROUPS: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
+    "models": (
+        "Object models.",
+        {
+            "list": shipped.list_models,
+            "describe": shipped.describe_model,
+            "show": shipped.show_model,
+            "add": shipped.add_model,
+        },
+    ),
+    "recipes": ("Shipped recipes.", {"list": shipped.list_recipes, "show": shipped.show_recipe}),
+    "asset": ("Blender assets.", {"infrared-effect": shipped.infrared_effect}),
+}
 
 # Parameters that may be addresses of object storage, by command; all other paths are on this machine.
 _ADDRESSES = {
@@ -60,7 +75,22 @@ _ADDRESSES = {
 
 
 class _Command(TyperCommand):
-    """A command, which refuses addresses where it needs a folder before it reads or writes anything."""
+    """A command, which refuses addresses where it needs a folder before it reads or writes anything.
+
+    Its options are made when it is first used: the requests that they come from may load NumPy.
+    """
+
+    def __init__(self, name: str, function: Callable[..., None]) -> None:
+        self._function = function
+        super().__init__(name, help=inspect.getdoc(function), rich_markup_mode=None)
+
+    def make_context(self, *words: Any, **settings: Any) -> Any:
+        if self.callback is None:
+            alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+            alone.command(self.name)(with_options(self._function))
+            made = get_command(alone)
+            self.params, self.callback = made.params, made.callback
+        return super().make_context(*words, **settings)
 
     def invoke(self, ctx: Any) -> Any:
         for param in self.params:
@@ -80,6 +110,16 @@ def _named(param: Any) -> str:
 
 class _Commands(TyperGroup):
     """The root command group, which reports the errors of all commands."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        for name, function in _COMMANDS.items():
+            self.add_command(_Command(name, function))
+        for group, (what, functions) in _GROUPS.items():
+            inner = TyperGroup(name=group, help=what, no_args_is_help=True, rich_markup_mode=None)
+            for name, function in functions.items():
+                inner.add_command(_Command(name, function))
+            self.add_command(inner)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         set_typed_command(args)
@@ -101,8 +141,6 @@ def _report(error: BaseException, ctx: Any) -> int:
     session = ctx.obj
     code = exits.report_error(error, session.log_path if session else None)
     if session and session.json and code != exits.INTERRUPTED:
-        from infrablend.cli.results import print_json
-
         problems = [p.to_json() for p in getattr(error, "problems", ())]
         message = getattr(error, "message", str(error))
         with contextlib.suppress(OutputError):  # stdout cannot be written; reported on stderr
@@ -146,49 +184,4 @@ def build_app() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
     )
     app.callback()(_root)
-    app.command("generate", cls=_Command)(generate.generate)
-    app.command("merge", cls=_Command)(merge.merge)
-    app.command("status", cls=_Command)(status.status)
-    app.command("submit", cls=_Command)(submit.submit)
-    app.command("try", cls=_Command)(try_recipe.try_recipe)
-    app.command("convert", cls=_Command)(convert.convert)
-    app.command("preview", cls=_Command)(preview.preview)
-    app.command("report", cls=_Command)(report.report)
-    app.command("profile", cls=_Command)(profile.profile)
-    app.command("rerender", cls=_Command)(rerender.rerender)
-    app.command("show", cls=_Command)(show.show)
-    app.command("exclude", cls=_Command)(exclude.exclude)
-    app.command("include", cls=_Command)(exclude.include)
-    app.command("inspect", cls=_Command)(inspect.inspect)
-    app.command("check", cls=_Command)(check.check)
-    app.command("split", cls=_Command)(split.split)
-    app.command("train", cls=_Command)(train.train)
-    app.command("realism", cls=_Command)(realism.realism)
-    app.command("evaluate", cls=_Command)(evaluate.evaluate)
-    app.command("experiment", cls=_Command)(experiment.experiment)
-    app.command("frames", cls=_Command)(frames.frames)
-    app.command("temperatures", cls=_Command)(temperatures.temperatures)
-    app.command("world", cls=_Command)(world.world)
-    app.command("fetch", cls=_Command)(fetch.fetch)
-    app.command("studio", cls=_Command)(studio.studio)
-    app.command("doctor", cls=_Command)(doctor.doctor)
-    groups: tuple[tuple[str, dict[str, Callable[..., None]], str], ...] = (
-        (
-            "models",
-            {
-                "list": models.list_models,
-                "describe": models.describe_model,
-                "show": models.show_model,
-                "add": models.add_model,
-            },
-            "Object models.",
-        ),
-        ("recipes", {"list": recipes.list_recipes, "show": recipes.show_recipe}, "Shipped recipes."),
-        ("asset", {"infrared-effect": asset.infrared_effect}, "Blender assets."),
-    )
-    for name, commands, what in groups:
-        group = typer.Typer(name=name, help=what, no_args_is_help=True, rich_markup_mode=None)
-        for command, function in commands.items():
-            group.command(command, cls=_Command)(function)
-        app.add_typer(group)
     return app

@@ -5,59 +5,33 @@ The shell starts the program for every press of the tab key, so nothing here imp
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+
+from infrablend.assets.catalogue import list_models
+from infrablend.core.format_table import FORMATS, NATIVE, written_names
+from infrablend.core.shipped import shipped_names
+from infrablend.formats.sources import SOURCES
 
 _YAML = (".yaml", ".yml")
 
 
-def complete_recipe(incomplete: str) -> list[str]:
-    """Return the shipped recipes and the YAML files that begin like this."""
-    from infrablend.core.shipped import shipped_names
+def _offered(names: Callable[[], Iterable[str]], *, files: bool = False) -> Callable[[str], list[str]]:
+    """Return a function for Typer: the names, and with `files` the YAML files, that begin like the text so far."""
 
-    return _beginning(shipped_names("recipes"), incomplete) + _yaml_files(incomplete)
+    def complete(incomplete: str) -> list[str]:
+        return _beginning(names(), incomplete) + (_yaml_files(incomplete) if files else [])
 
-
-def complete_shipped_recipe(incomplete: str) -> list[str]:
-    """Return the shipped recipes that begin like this."""
-    from infrablend.core.shipped import shipped_names
-
-    return _beginning(shipped_names("recipes"), incomplete)
+    return complete
 
 
-def complete_experiment(incomplete: str) -> list[str]:
-    """Return the shipped experiments and the YAML files that begin like this."""
-    from infrablend.core.shipped import shipped_names
-
-    return _beginning(shipped_names("experiments"), incomplete) + _yaml_files(incomplete)
-
-
-def complete_model(incomplete: str) -> list[str]:
-    """Return the built-in models and the YAML files that begin like this."""
-    from infrablend.assets.catalogue import list_models
-
-    return _beginning(list_models(), incomplete) + _yaml_files(incomplete)
-
-
-def complete_source(incomplete: str) -> list[str]:
-    """Return the public datasets that begin like this."""
-    from infrablend.formats.sources import SOURCES
-
-    return _beginning((s.name for s in SOURCES), incomplete)
-
-
-def complete_read_format(incomplete: str) -> list[str]:
-    """Return the formats that can be read and begin like this."""
-    from infrablend.core.format_table import FORMATS
-
-    return _beginning(sorted(f.name for f in FORMATS), incomplete)
-
-
-def complete_written_format(incomplete: str) -> list[str]:
-    """Return the formats that can be written and begin like this."""
-    from infrablend.core.format_table import NATIVE, written_names
-
-    return _beginning([*sorted(written_names()), NATIVE], incomplete)
+complete_recipe = _offered(lambda: shipped_names("recipes"), files=True)
+complete_shipped_recipe = _offered(lambda: shipped_names("recipes"))
+complete_experiment = _offered(lambda: shipped_names("experiments"), files=True)
+complete_model = _offered(list_models, files=True)
+complete_source = _offered(lambda: (s.name for s in SOURCES))
+complete_read_format = _offered(lambda: sorted(f.name for f in FORMATS))
+complete_written_format = _offered(lambda: [*sorted(written_names()), NATIVE])
 
 
 def complete_written_formats(incomplete: str) -> list[str]:

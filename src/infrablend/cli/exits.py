@@ -1,4 +1,4 @@
-"""Exit codes, and how errors are reported to the user.
+"""Exit codes, how errors are reported to the user, and what stops the program.
 
 0    done
 1    done, but some backgrounds or frames were skipped or failed; they are listed
@@ -10,15 +10,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import logging
-from collections.abc import Iterable
+import signal
+import threading
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from types import FrameType
 from typing import TypeGuard
 
 import typer
 
-from infrablend.cli.stopping import stop_requested
 from infrablend.core.file_names import escape_unfit
 from infrablend.core.files import output_error
 from infrablend.errors import (
@@ -47,6 +50,8 @@ _DISK = {errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EROFS}
 _PATH = {errno.EACCES, errno.EPERM, errno.ENAMETOOLONG}
 
 logger = logging.getLogger(__name__)
+
+_stop_requested = False
 
 
 def exit_code(error: BaseException) -> int:
@@ -140,3 +145,34 @@ def report_error(error: BaseException, log_path: Path | None) -> int:
             f"{bug}{type(error).__name__}: {printable(str(error))}\nThis is a bug in InfraBlend.{where}", err=True
         )
     return code
+
+
+@contextlib.contextmanager
+def stopped_by_signals() -> Iterator[None]:
+    """Raise KeyboardInterrupt where the first thread is, at Ctrl-C and SIGTERM; do nothing in other threads."""
+    global _stop_requested
+    _stop_requested = False
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {}
+    for number in (signal.SIGTERM, signal.SIGINT):
+        # Whoever starts a program in the background of a shell wants Ctrl-C to be ignored.
+        if number == signal.SIGTERM or signal.getsignal(number) is signal.default_int_handler:
+            before[number] = signal.signal(number, _stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+
+
+def stop_requested() -> bool:
+    """Return whether a signal came since `stopped_by_signals`: compiled code may raise another error in its place."""
+    return _stop_requested
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    global _stop_requested
+    _stop_requested = True
+    raise KeyboardInterrupt

@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from infrablend import api
 from infrablend.cli.completion import complete_experiment
-from infrablend.cli.options import JsonOption, SeedOption, WorkersOption, key_values, yaml_values
+from infrablend.cli.exits import printable
+from infrablend.cli.options import FieldsOf, JsonSession
+from infrablend.cli.output import grid, human_bytes, show_result, shown_progress, table
+from infrablend.report.figures import human_seconds
 
-if TYPE_CHECKING:
-    from infrablend.cli.session import Session
-    from infrablend.pipeline.experiments.request import ExperimentRequest
-
-
-class ScaleName(StrEnum):
-    """Scale of an experiment."""
-
-    PAPER = "paper"
-    SMALL = "small"
-    SMOKE = "smoke"
+_EVENTS = {"found": "already finished", "started": "started", "done": "done", "adopted": "adopted"}
 
 
 def experiment(
-    ctx: typer.Context,
+    session: JsonSession,
+    *,
     name: Annotated[
         str | None,
         typer.Argument(
@@ -35,98 +28,40 @@ def experiment(
             autocompletion=complete_experiment,
         ),
     ] = None,
-    data: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="[NAME=]DIR",
-            help="Folder of a dataset it needs, recognised by format and labelled classes, or named; repeatable.",
+    options: Annotated[
+        dict[str, Any],
+        FieldsOf(
+            api.ExperimentRequest,
+            "data work results scale seed device training only adopt workers",
+            data=Annotated[list[str] | None, typer.Option(metavar="[NAME=]DIR"), tuple],
+            work=typer.Option(metavar="DIR"),
+            results=typer.Option(metavar="DIR"),
+            training=typer.Option("--set"),
+            only=Annotated[list[str] | None, typer.Option(metavar="STAGE"), tuple],
+            adopt=typer.Option(metavar="STAGE=DIR"),
+            workers=typer.Option(min=1),
         ),
-    ] = None,
-    scale: Annotated[
-        ScaleName,
-        typer.Option(help="paper: as published, needs a GPU; small: minutes per training on two cores; smoke: a test."),
-    ] = ScaleName.SMALL,
-    work: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of the stages. Experiments in one folder share equal stages.")
-    ] = Path("experiments"),
-    results: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the page [default: results; WORK/results at the scale smoke]."),
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="STAGE",
-            help="Make only these stages and what they need: a kind (generate), name or id (train:fixed); repeatable.",
-        ),
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Setting of every training, e.g. passes=4000; repeatable."),
-    ] = None,
-    adopt: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="STAGE=DIR",
-            help="Use a training (train:fixed=DIR), run or dataset made by another command; repeatable.",
-        ),
-    ] = None,
-    device: Annotated[str, typer.Option(help="Device to train on: auto, cpu, cuda, or the number of a GPU.")] = "auto",
-    seed: SeedOption = 0,
-    workers: WorkersOption = None,
+    ],
     plan: Annotated[
         bool, typer.Option("--plan", help="Show stages, images, time and disk space; write nothing.")
     ] = False,
     show_list: Annotated[bool, typer.Option("--list", help="List the shipped experiments.")] = False,
-    as_json: JsonOption = False,
 ) -> None:
     """Run an experiment: make its data, train, evaluate, and write a page with the paper's figures beside yours.
 
     The same command continues an interrupted run and makes nothing twice.
     """
-    session: Session = ctx.obj
-    session.json = as_json
-
-    from infrablend import api
-    from infrablend.cli.results import print_json, print_result, table
-    from infrablend.pipeline.experiments.request import ExperimentRequest
-
     if show_list:
-        if as_json:
-            print_json(api.list_experiments())
-        else:
-            print_result(table(api.list_experiments()))
+        shipped = api.list_experiments()
+        show_result(session, shipped, lambda: table(shipped))
         return
     if name is None:
         raise typer.BadParameter("which experiment? --list shows the shipped ones", param_hint="NAME")
-    request = ExperimentRequest(
-        name,
-        tuple(data or ()),
-        work,
-        results,
-        scale=scale.value,
-        seed=seed,
-        device=device,
-        training=yaml_values(settings, "--set"),
-        only=tuple(only or ()),
-        adopt={stage: Path(folder) for stage, folder in key_values(adopt, "--adopt").items()},
-        workers=workers,
-    )
-    if not plan:
-        _run(session, request)
+    request = api.ExperimentRequest(name, **options)
+    if plan:
+        planned = api.plan_experiment(request).to_json()
+        show_result(session, planned, lambda: "\n\n".join(_plan_blocks(planned)))
         return
-    planned = api.plan_experiment(request).to_json()
-    if as_json:
-        print_json(planned)
-    else:
-        print_result("\n\n".join(_plan_blocks(planned)))
-
-
-def _run(session: Session, request: ExperimentRequest) -> None:
-    from infrablend import api
-    from infrablend.cli.exits import printable
-    from infrablend.cli.progress import shown_progress
-    from infrablend.cli.results import print_json, print_result
 
     def show_stage(stage: str, event: str, number: int, total: int) -> None:
         if not session.quiet:
@@ -137,24 +72,17 @@ def _run(session: Session, request: ExperimentRequest) -> None:
         report = api.experiment(request, on_stage=show_stage, on_progress=on_progress)
     for problem in report.problems:
         typer.echo(printable(f"{problem.severity}: {problem}"), err=True)
-    if session.json:
-        print_json(report.to_json())
-        return
-    print_result("\n\n".join(_result_blocks(report.facts)))
+    blocks = _result_blocks(report.facts)
     if report.facts["missing"]:
-        print_result(f"\nmissing: {', '.join(report.facts['missing'])}")
+        blocks.append(f"missing: {', '.join(report.facts['missing'])}")
     elif not report.made:
-        print_result("\nnothing to do: every stage was finished before")
-    print_result(f"\n{report.status}, scale {report.scale}: {report.page}")
-
-
-_EVENTS = {"found": "already finished", "started": "started", "done": "done", "adopted": "adopted"}
+        blocks.append("nothing to do: every stage was finished before")
+    blocks.append(f"{report.status}, scale {report.scale}: {report.page}")
+    show_result(session, report.to_json(), lambda: "\n\n".join(blocks))
 
 
 def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
-    from infrablend.cli.results import grid, human_bytes, table
     from infrablend.pipeline.experiments.plan import NO_WORK
-    from infrablend.report.figures import human_seconds
 
     rows = []
     for s in plan["stages"]:
@@ -194,8 +122,6 @@ def _result_blocks(facts: Mapping[str, Any]) -> list[str]:
 
 
 def _table_block(table: Mapping[str, Any]) -> str:
-    from infrablend.cli.results import grid
-
     rows = []
     for r in table["rows"]:
         ours = r["ours"] or {}
@@ -208,8 +134,6 @@ def _table_block(table: Mapping[str, Any]) -> str:
 
 
 def _datasets_block(datasets: Sequence[Mapping[str, Any]]) -> str:
-    from infrablend.cli.results import grid
-
     rows = [
         [d["title"], *(f"{d['paper'][k]} / {d['ours'][k] if d['ours'] else '-'}" for k in ("images", "classes"))]
         for d in datasets

@@ -42,12 +42,11 @@ def fetch(
     """
     session: Session = ctx.obj
     session.json = as_json
-    parts = comma_list(part, "--part")
+    parts = None if part is None else comma_list(part)
 
     from infrablend import api
     from infrablend.cli.exits import problem_lines
-    from infrablend.cli.progress import shown_fetch
-    from infrablend.cli.results import facts, print_json, print_result, table
+    from infrablend.cli.output import facts, print_json, print_result, shown_fetch, table
 
     if listing:
         sources = api.list_sources()

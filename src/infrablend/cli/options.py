@@ -1,78 +1,157 @@
-"""Options that several commands share, and parsing of options that contain lists."""
+"""Options of commands: made from the fields of requests, shared by several commands, and parsed.
+
+A command is a function whose parameters are Typer's, or requests: `settings: Annotated[EvaluationSettings, Fields()]`
+stands for an option per field. The field gives name, type and default of its option, and the docstring of the request
+gives the help, so that a new field is a new option.
+"""
 
 from __future__ import annotations
 
+import inspect
 import re
-from enum import StrEnum
+from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import MISSING, Field, fields
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import NoneType
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
 from infrablend.cli.completion import complete_read_format, complete_recipe
+from infrablend.cli.session import Session
+from infrablend.core.output import Existing
+from infrablend.formats.reading import Reading
 
-if TYPE_CHECKING:
-    from infrablend.core.output import Existing
-    from infrablend.formats.reading import Reading
+JsonSession = Annotated[Session, "--json"]
+"""Session of a command that can print its result as JSON: the command gets the option `--json`."""
 
+_GIVEN = {"ctx", "session"}
+"""Parameters of commands that are no options."""
 
-class Device(StrEnum):
-    """Where Cycles renders."""
-
-    AUTO = "auto"
-    CPU = "cpu"
-    CUDA = "cuda"
-    OPTIX = "optix"
-    HIP = "hip"
-    METAL = "metal"
-    ONEAPI = "oneapi"
+_FieldOption = tuple[inspect.Parameter, Callable[[Any], Any]]
+"""An option, as a parameter for Typer, and what makes the value of the field from the value of the option."""
 
 
-RecipeArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="RECIPE",
-        help="Name of a shipped recipe (see `recipes list`) or a YAML file.",
-        autocompletion=complete_recipe,
-    ),
-]
-DeviceOption = Annotated[Device, typer.Option(help="Device that Cycles renders on; auto uses a GPU if there is one.")]
-WorkersOption = Annotated[int | None, typer.Option(min=1, help="Number of worker processes [default: one per core].")]
-SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
-ReadingOption = Annotated[
-    list[str] | None,
-    typer.Option("--read", metavar="KEY=VALUE", help="Option of the dataset reader (docs/formats); repeatable."),
-]
-DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")]
-FormatOption = Annotated[
-    str | None,
-    typer.Option(
-        "--format",
-        metavar="NAME",
-        help="Format of the dataset to read [default: detected].",
-        autocompletion=complete_read_format,
-    ),
-]
-FormOption = Annotated[str | None, typer.Option(help="Annotation form to read, e.g. rotate_json [default: all].")]
-MetadataOption = Annotated[Path | None, typer.Option(metavar="FILE", help="CSV or JSON table of pitch and altitude.")]
-SplitsOption = Annotated[
-    str | None, typer.Option("--split", metavar="LIST", help="Splits to read, from train,val,test [default: all].")
-]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `generate` wrote.")]
+class Fields:
+    """Annotation of a parameter that is a request: which of its fields are options, and how.
+
+    Args:
+        names: Names of the fields, separated by blanks; empty for all.
+        options: What a field does not say, by its name: a `typer.Option` with flags, metavar, bounds or parser, and
+            with a help text if the field's would not do; or `Annotated[list[str] | None, typer.Option(...), convert]`
+            for an option of another type, with the function that makes the field's value from it, if there is one.
+    """
+
+    def __init__(self, names: str = "", /, **options: Any) -> None:
+        self.names = names.split()
+        self.options = options
 
 
-def comma_list(text: str | None, option: str) -> tuple[str, ...] | None:
-    r"""Parse `"a, b"` into `("a", "b")` without repeats; None stays None. A comma of a name is written `\,`.
+class FieldsOf(Fields):
+    """As `Fields`, for a request that also needs other values: the parameter is a dictionary with the fields.
+
+    Args:
+        request: Type of the request.
+        names: As of `Fields`.
+        options: As of `Fields`.
+    """
+
+    def __init__(self, request: type, names: str = "", /, **options: Any) -> None:
+        super().__init__(names, **options)
+        self.request = request
+
+
+def with_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a function for Typer with a parameter per option, which calls `function` with session and requests."""
+    given = inspect.signature(function, eval_str=True).parameters
+    options = [_parameter("ctx", typer.Context)]
+    requests: dict[str, tuple[Callable[..., Any], list[_FieldOption]]] = {}
+    for name, parameter in given.items():
+        kind, *marks = get_args(parameter.annotation) or (parameter.annotation,)
+        wanted = next((mark for mark in marks if isinstance(mark, Fields)), None)
+        if wanted is not None:
+            request = wanted.request if isinstance(wanted, FieldsOf) else kind
+            requests[name] = (kind, _field_options(request, wanted))
+            options += [option for option, _ in requests[name][1]]
+        elif name not in _GIVEN:
+            options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+    as_json = "session" in given and given["session"].annotation == JsonSession
+    if as_json:
+        options.append(_parameter("as_json", JsonOption, False))
+
+    def command(ctx: typer.Context, **values: Any) -> None:
+        if as_json:
+            ctx.obj.json = values.pop("as_json")
+        for name, (make, of_fields) in requests.items():
+            found = {o.name: (values.pop(o.name), convert) for o, convert in of_fields}
+            values[name] = make(**{n: convert(v) for n, (v, convert) in found.items() if v not in (None, [])})
+        values |= {n: v for n, v in (("ctx", ctx), ("session", ctx.obj)) if n in given}
+        function(**values)
+
+    command.__signature__ = inspect.Signature(options)  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in options}
+    command.__doc__ = function.__doc__
+    return command
+
+
+def _parameter(name: str, annotation: Any, default: Any = inspect.Parameter.empty) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _field_options(request: type, wanted: Fields) -> list[_FieldOption]:
+    """Return the options of the wanted fields of a request, in their order."""
+    texts, types = attribute_texts(request), get_type_hints(request)
+    return [
+        _field_option(f, types[f.name], texts[f.name], wanted.options.get(f.name, typer.Option()))
+        for f in fields(request)
+        if not wanted.names or f.name in wanted.names
+    ]
+
+
+def _field_option(field: Field[Any], of: Any, text: str, given: Any) -> _FieldOption:
+    """Return the option of one field: of the field's type, or of the type that `given` names."""
+    named = get_origin(given) is Annotated
+    kind, option, *convert = get_args(given) if named else (None, given)
+    option = deepcopy(option)
+    option.help = option.help or text
+    default: Any = None if named or field.default in (MISSING, ()) else field.default
+    if field.default is MISSING and field.default_factory is MISSING:
+        default = inspect.Parameter.empty
+    if not named:
+        # Typer keeps the first flag of an option where its other parameters have their default.
+        flag = option.default if isinstance(option.default, str) else f"--{field.name.replace('_', '-')}"
+        inner = next(part for part in get_args(of) if part is not NoneType) if NoneType in get_args(of) else of
+        kind = Path | None if Path in get_args(of) else of
+        if get_origin(inner) is Mapping:
+            kind, option.metavar = list[str] | None, option.metavar or "KEY=VALUE"
+            convert = [partial(yaml_values if get_args(inner)[1] is Any else key_values, option=flag)]
+        elif get_origin(inner) is Sequence:
+            kind, option.metavar = str | None, option.metavar or "LIST"
+            option.parser = option.parser or comma_list
+        elif default is False:
+            option.default = flag  # else Typer adds `--no-...`
+    return _parameter(field.name, Annotated[kind, option], default), convert[0] if convert else lambda value: value
+
+
+def attribute_texts(request: type) -> dict[str, str]:
+    """Return the text of each field from the `Attributes` of a class's docstring."""
+    section = (inspect.getdoc(request) or "").partition("Attributes:\n")[2].partition("\n\n")[0]
+    entries = re.split(r"^    (?=\w)", section, flags=re.MULTILINE)
+    pairs = (entry.partition(": ") for entry in entries if entry)
+    return {name: " ".join(text.split()).rstrip() for name, _, text in pairs}
+
+
+def comma_list(text: str) -> tuple[str, ...]:
+    r"""Parse `"a, b"` into `("a", "b")` without repeats. A comma of a name is written `\,`.
 
     Raises:
-        typer.BadParameter: An item is empty; the message names `option`.
+        typer.BadParameter: An item is empty.
     """
-    if text is None:
-        return None
     items = tuple(dict.fromkeys(split_at_commas(text)))
     if not all(items):
-        raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c", param_hint=option)
+        raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c")
     return items
 
 
@@ -81,24 +160,35 @@ def split_at_commas(text: str) -> list[str]:
     return [part.strip().replace("\\,", ",") for part in re.split(r"(?<!\\),", text)]
 
 
-def split_list(text: str | None) -> tuple[str, ...] | None:
-    """Parse the value of `--split`; None stays None.
+def split_list(text: str) -> tuple[str, ...]:
+    """Parse the value of `--split`.
 
     Raises:
         typer.BadParameter: A name is not a split.
     """
     from infrablend.core.dataset import SPLITS
 
-    splits = comma_list(text, "--split")
-    unknown = [s for s in splits or () if s not in SPLITS]
+    splits = comma_list(text)
+    unknown = [s for s in splits if s not in SPLITS]
     if unknown:
-        raise typer.BadParameter(
-            f"{', '.join(unknown)}: no such split; choose from {','.join(SPLITS)}", param_hint="--split"
-        )
+        raise typer.BadParameter(f"{', '.join(unknown)}: no such split; choose from {','.join(SPLITS)}")
     return splits
 
 
-def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:
+def one_format(text: str) -> str:
+    """Return the value of `--format`.
+
+    Raises:
+        typer.BadParameter: It is a list.
+    """
+    if "," in text:
+        raise typer.BadParameter(
+            f"{text!r}: name the one format of the dataset to read; --to lists the formats to write"
+        )
+    return text
+
+
+def key_values(pairs: Sequence[str] | None, option: str) -> dict[str, str]:
     """Parse `["a=1", "b=x=y"]` into `{"a": "1", "b": "x=y"}`.
 
     Raises:
@@ -113,7 +203,7 @@ def key_values(pairs: list[str] | None, option: str) -> dict[str, str]:
     return found
 
 
-def yaml_values(pairs: list[str] | None, option: str) -> dict[str, Any]:
+def yaml_values(pairs: Sequence[str] | None, option: str) -> dict[str, Any]:
     """Parse `["a=1", "b=[2, 3]"]` into `{"a": 1, "b": [2, 3]}`.
 
     Raises:
@@ -141,23 +231,40 @@ def earlier_output(resume: bool, overwrite: bool) -> Existing:
     return "resume" if resume else "overwrite" if overwrite else "refuse"
 
 
-def make_reading(
-    split: str | None = None,
-    format: str | None = None,
-    form: str | None = None,
-    metadata: Path | None = None,
-    options: list[str] | None = None,
-) -> Reading:
-    """Return the reading settings from the options `--split`, `--format`, `--form`, `--metadata` and `--read`.
+RecipeArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="RECIPE",
+        help="Name of a shipped recipe (see `recipes list`) or a YAML file.",
+        autocompletion=complete_recipe,
+    ),
+]
+DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")]
+RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `generate` wrote.")]
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Number of worker processes [default: one per core].")]
+SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+BackgroundsOption = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Folder of the backgrounds, if it has moved.")
+]
+SettingsOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Set a recipe field, e.g. output.image=png; repeatable."),
+]
 
-    Raises:
-        typer.BadParameter: A value is not what its option expects.
-    """
-    from infrablend.formats.reading import Reading
 
-    if format is not None and "," in format:
-        raise typer.BadParameter(
-            f"{format!r}: name the one format of the dataset to read; --to lists the formats to write",
-            param_hint="--format",
-        )
-    return Reading(split_list(split), format, form, metadata, key_values(options, "--read"))
+def _reading(names: str) -> Fields:
+    return Fields(
+        names,
+        splits=typer.Option("--split", parser=split_list),
+        format=typer.Option(metavar="NAME", parser=one_format, autocompletion=complete_read_format),
+        metadata=typer.Option(metavar="FILE"),
+        options=typer.Option("--read"),
+    )
+
+
+ReadingOptions = Annotated[Reading, _reading("")]
+ReadingOfAllSplits = Annotated[Reading, _reading("format form metadata options")]
+ReadingOfFormat = Annotated[Reading, _reading("format options")]
+ReadingOfPictures = Annotated[Reading, _reading("splits format options")]
+ReadingOfSplits = Annotated[Reading, _reading("splits")]

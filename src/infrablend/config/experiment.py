@@ -18,18 +18,15 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 from infrablend.config.recipe import LooseFactor, LoosePx
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.file_names import real_path
-from infrablend.core.shipped import shipped_names
+from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale, shipped_names
 from infrablend.core.strict_model import Strict
 from infrablend.core.validation_messages import did_you_mean, field_problems
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 
-Scale = Literal["smoke", "small", "paper"]
-SCALES: tuple[Scale, ...] = ("smoke", "small", "paper")
 Metric = Literal["p", "r", "map50", "map50_95"]
 METRICS: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
 
-NAME_PATTERN = r"^[a-z0-9][a-z0-9-]*$"
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
 

@@ -1,12 +1,16 @@
-"""Processor cores: how many this process may use, and reserving one for each worker."""
+"""Devices that compute: those of Cycles, the processor cores of this process, and reserving one for each worker."""
 
 from __future__ import annotations
 
 import logging
 import os
 from pathlib import Path
+from typing import Literal
 
 log = logging.getLogger(__name__)
+
+Device = Literal["auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"]
+"""Device that Cycles computes on."""
 
 _CORE_LOCKS: list[int] = []
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from infrablend.core.placed import PlacedScene
 
 Image32 = NDArray[np.float32]
-
-Device = Literal["auto", "cpu", "cuda", "optix", "hip", "metal", "oneapi"]
-"""Device that Cycles computes on."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,13 @@ from __future__ import annotations
 from importlib import resources
 from typing import Literal
 
+Scale = Literal["smoke", "small", "paper"]
+"""Scale of an experiment."""
+
+SCALES: tuple[Scale, ...] = ("smoke", "small", "paper")
+NAME_PATTERN = r"^[a-z0-9][a-z0-9-]*$"
+"""Names of experiments, and of what is in them."""
+
 
 def shipped_names(folder: Literal["recipes", "experiments"]) -> list[str]:
     """Return the names of the shipped YAML files of one folder, sorted."""

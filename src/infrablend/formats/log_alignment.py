@@ -30,7 +30,7 @@ class Clock:
 
     Attributes:
         offset_s: Seconds to add to the video's time to get the log's time.
-        log_start_s: Seconds since the log's start at which the video starts; None to find it.
+        log_start_s: Second of a flight log at which the video starts [default: found].
 
     Raises:
         ArgumentError: A value is not finite, or longer than any clock is wrong.
@@ -45,7 +45,7 @@ class Clock:
                 raise ArgumentError(f"{name} {value:g} s: expected at most {_MOST_S:g} s")
 
 
-NO_CLOCK = Clock()
+NO_CLOCK: Clock = Clock()
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,11 @@ class Reading:
     """How to read a dataset folder. By default the format is detected and every split is read.
 
     Attributes:
-        splits: Splits to read, some of train, val and test; None reads all of them.
-        format: Name of the format (docs/reference/formats.md); None detects it.
-        form: Annotation form to read where a dataset has several (HIT-UAV: normal_json, rotate_json, normal_xml,
-            rotate_xml); None reads all of them.
-        metadata: CSV or JSON table of pitch and altitude, for formats whose own files do not contain them.
-        options: Further options of the format's reader as text, e.g. `{"pitch_sign": "-1"}` for MONET.
+        splits: Splits to read, from train,val,test [default: all].
+        format: Format of the dataset to read [default: detected].
+        form: Annotation form to read, e.g. rotate_json [default: all].
+        metadata: CSV or JSON table of pitch and altitude.
+        options: Option of the dataset reader (docs/formats); repeatable.
 
     Raises:
         ArgumentError: `splits` is no list of names.

@@ -6,13 +6,12 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from infrablend.core.arguments import require_choice
 from infrablend.core.boxes import box_of_points
 from infrablend.core.capture import FACTS
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
@@ -35,35 +34,7 @@ from infrablend.formats.base import FormatModule, in_order, sort_images
 from infrablend.formats.capture import facts_from_name, fits_table
 from infrablend.formats.losses import Written
 from infrablend.formats.pictures import assign_ids
-
-
-@dataclass(frozen=True)
-class WriteSettings:
-    """Choices for writing; a format without such a choice ignores it.
-
-    Attributes:
-        ids: `new` assigns new numbers to images and annotations and keeps the source's as `source_id`; `source` keeps
-            the source's ids.
-        category_ids: The source's ids, or numbers from 1: many tools take COCO's category 0 for background.
-        dont_care: YOLO and BIRDSAI: leave regions to ignore out, or keep them as a class.
-        without_mask: yolo-seg: leave objects without a mask out, or write their oriented box (else their box).
-        pictures: Whether to link the pictures too, for formats that work without.
-
-    Raises:
-        ArgumentError: A value is not one of these.
-    """
-
-    ids: Literal["new", "source"] = "new"
-    category_ids: Literal["source", "from_one"] = "source"
-    dont_care: Literal["drop", "keep"] = "drop"
-    without_mask: Literal["omit", "obb"] = "omit"
-    pictures: bool = True
-
-    def __post_init__(self) -> None:
-        require_choice("ids", self.ids, ("new", "source"))
-        require_choice("category_ids", self.category_ids, ("source", "from_one"))
-        require_choice("dont_care", self.dont_care, ("drop", "keep"))
-        require_choice("without_mask", self.without_mask, ("omit", "obb"))
+from infrablend.formats.write_settings import WriteSettings
 
 
 def load_writer(writer: Writer) -> Callable[..., Written]:

@@ -24,9 +24,9 @@ class ModelAnswers:
     """What the user says about a 3D file.
 
     Attributes:
-        category: Class of its labels.
+        category: Class of its labels, e.g. drone.
         size_m: Length of its longest side.
-        parts: Role of pieces, by the name of an object or a material of the file; see `part_roles.ROLES`.
+        parts: Role of an object or a material of the file, e.g. Mesh1=motor; repeatable.
     """
 
     category: str | None = None

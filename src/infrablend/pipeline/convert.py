@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from typing import Any
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
 from infrablend.annotation.looseness import Looseness, loosen_inserted, loosened_text
 from infrablend.config.recipe import CLASS_NAME, MAX_LOOSEN, MAX_LOOSEN_PX
-from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.finished import CONVERT_FILE
 from infrablend.core.format_table import NATIVE, Writer, find_writer, written_names
@@ -21,11 +20,12 @@ from infrablend.core.output import require_apart
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
-from infrablend.formats.writing import WriteSettings
+from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline.dataset_folder import DatasetFolder
+from infrablend.pipeline.dataset_requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection
 from infrablend.pipeline.enlarged import count_enlarged, enlarged_counts
 from infrablend.pipeline.origin import origin_of
-from infrablend.pipeline.select import SELECT_ALL, Selection, select
+from infrablend.pipeline.select import select
 from infrablend.report.card import dataset_card, write_card, written_layout
 
 _LOOSEN, _LOOSEN_PX = "--loosen-inserted", "--loosen-inserted-px"
@@ -64,30 +64,6 @@ class ConvertReport:
             "losses": dict(self.losses),
             "problems": [p.to_json() for p in self.problems],
         }
-
-
-@dataclass(frozen=True)
-class ClassChanges:
-    """Classes to rename and to leave out.
-
-    Attributes:
-        rename: New names of classes, by old name; several classes may become one.
-        drop: Classes to leave out, by their names after renaming.
-        only: Single class to keep, instead of `drop`.
-
-    Raises:
-        ArgumentError: `drop` is no list of names.
-    """
-
-    rename: Mapping[str, str] = field(default_factory=dict)
-    drop: Sequence[str] = ()
-    only: str | None = None
-
-    def __post_init__(self) -> None:
-        require_names("drop", self.drop)
-
-
-KEEP_CLASSES = ClassChanges()
 
 
 def convert_dataset(

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -84,11 +84,12 @@ class CountScale:
     """Where the scale of counts comes from that have none of their own; at most one of the three.
 
     Attributes:
-        slope_k: Kelvin per count.
-        offset_k: Kelvin of count 0.
-        spots: Known temperatures, at least two; the scale is fitted to them.
-        converted: Folder with a TIFF per picture, of the same stem, that another program wrote.
-        unit: Unit of the converted files, see `CONVERTED_UNITS`.
+        slope_k: Kelvin per count, for DJI's counts: kelvin = slope * count + offset.
+        offset_k: Kelvin of count 0, for DJI's counts; may be negative. Of degrees Celsius, add 273.15.
+        spots: Known temperature, degrees Celsius, at column X and row Y of the radiometric layer; the median of the
+            3 x 3 px around it is used. Give at least two.
+        converted: TIFF files that another program converted, same names.
+        unit: Unit of the converted files.
 
     Raises:
         ArgumentError: The values do not fit together.
@@ -98,7 +99,7 @@ class CountScale:
     offset_k: float | None = None
     spots: Sequence[Spot] = ()
     converted: Path | None = None
-    unit: str | None = None
+    unit: Literal["celsius", "kelvin", "decikelvin", "centikelvin"] | None = None
 
     def __post_init__(self) -> None:
         if (self.slope_k is None) != (self.offset_k is None):

@@ -25,7 +25,7 @@ from infrablend.core.workspace import Workspace
 from infrablend.errors import Problem
 from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
-from infrablend.formats.writing import WriteSettings
+from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline.card import run_card
 from infrablend.pipeline.eight_bit import eight_bit_copies
 from infrablend.pipeline.labelled import labelled_image

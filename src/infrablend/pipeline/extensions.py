@@ -167,4 +167,4 @@ class _OwnSampler(RecipeSampler):
         return self._own.sample(SceneRequest(frame, self._recipe, self._models, self._seed, site))
 
 
-NO_EXTENSIONS = Extensions()
+NO_EXTENSIONS: Extensions = Extensions()

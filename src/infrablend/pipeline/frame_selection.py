@@ -5,11 +5,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from infrablend.core.arguments import require_names, require_whole
-from infrablend.core.dataset import ImageRecord
-from infrablend.core.rng import stream
 from infrablend.errors import ArgumentError, Problem
+
+if TYPE_CHECKING:
+    from infrablend.core.dataset import ImageRecord
 
 _SHOWN = 3
 
@@ -19,9 +21,9 @@ class FrameSelection:
     """Frames that a run produces; at most one of the fields is set. The frames are the same as in a full run.
 
     Attributes:
-        limit: Number of backgrounds to use, the first ones in sorted order.
-        sample: Number of backgrounds to use, spread over the dataset and drawn with the run's seed.
-        frames: Ids of frames (`test/a_c0`), or of backgrounds (`a` or `test/a`) for all of their frames.
+        limit: Use only the first N backgrounds in sorted order.
+        sample: Use only N backgrounds, spread over the dataset and drawn with --seed.
+        frames: Render only these frames: ids such as test/a_c0, or ids of backgrounds.
 
     Raises:
         ArgumentError: A value is not one of these, or several are set.
@@ -50,6 +52,8 @@ class FrameSelection:
             return images[: self.limit]
         if self.sample is None or self.sample >= len(images):
             return images
+        from infrablend.core.rng import stream
+
         # One from each of equal parts, so that no sequence is left out by chance. The parts share no picture.
         shares = stream(seed, "backgrounds", self.sample).random(self.sample)
         ends = [k * len(images) // self.sample for k in range(self.sample + 1)]

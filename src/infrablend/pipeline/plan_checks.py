@@ -17,7 +17,8 @@ from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.formats.detection import DATASET_INSIDE
 from infrablend.formats.temperatures import IMPLAUSIBLE, implausible_scales
-from infrablend.formats.writing import WriteSettings, unwritable
+from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.writing import unwritable
 from infrablend.pipeline.backgrounds import is_ground
 from infrablend.pipeline.frame_selection import similar
 from infrablend.thermal.sun import sun_position, time_of

@@ -11,6 +11,7 @@ from typing import Any
 from infrablend import __version__
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
+from infrablend.core.cores import Device
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, OutputError, Problem
 from infrablend.formats import detection
@@ -54,9 +55,10 @@ class RecordedRun:
         return str(self.machine["renderer"])
 
     @property
-    def device(self) -> str:
+    def device(self) -> Device:
         """Device that it rendered on."""
-        return str(self.machine["device"])
+        device: Device = self.machine["device"]
+        return device
 
     @property
     def workers(self) -> int | None:

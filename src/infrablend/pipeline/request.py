@@ -6,15 +6,12 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
-
-import psutil
+from typing import Any, Literal, get_args
 
 from infrablend.core.addresses import require_known
 from infrablend.core.arguments import require_choice, require_whole
-from infrablend.core.cores import available_cores
+from infrablend.core.cores import Device, available_cores
 from infrablend.core.output import Existing, require_existing
-from infrablend.core.render import Device
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
@@ -23,7 +20,7 @@ from infrablend.rendering import RENDERERS
 
 log = logging.getLogger(__name__)
 
-EXECUTORS = ("local", "ray")
+Executor = Literal["local", "ray"]
 WORKER_BYTES = 500 * 2**20  # memory of one rendering worker, measured and rounded up
 
 Settings = Sequence[str] | Mapping[str, Any]
@@ -34,26 +31,26 @@ Settings = Sequence[str] | Mapping[str, Any]
 class Execution:
     """Settings for computing frames. They do not change labels; the device may change pixels by one grey level.
 
+    With Ray, the machines of the cluster need the same paths and packages; there is one worker for each core of the
+    cluster by default, and a worker reserves a core, 500 MB and, if `device` names a kind of GPU, a GPU.
+
     Attributes:
-        workers: Worker processes; None for one per processor core.
-        device: Device that Cycles renders on: auto, cpu, cuda, optix, hip, metal or oneapi.
+        workers: Number of worker processes [default: one per core].
+        device: Device that Cycles renders on; auto uses a GPU if there is one.
         renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
         in_process: Compute all frames in the calling process; only with the flat renderer.
-        executor: `local`, or `ray` to run the workers on the machines of a Ray cluster, which need the same paths and
-            packages; `workers` None is then one for each core of the cluster, and a worker reserves a core, 500 MB and,
-            if `device` names a kind of GPU, a GPU.
-        address: Address of the cluster, as for `ray.init`; None takes `RAY_ADDRESS`, else starts Ray on this machine
-            for the run.
+        executor: Where the workers run: processes of this machine, or Ray (extra infrablend[ray]).
+        address: Ray cluster to use [default: RAY_ADDRESS, else Ray is started for the run].
 
     Raises:
         ArgumentError: A value is not one of these.
     """
 
     workers: int | None = None
-    device: str = "auto"
+    device: Device = "auto"
     renderer: str = "blender"
     in_process: bool = False
-    executor: str = "local"
+    executor: Executor = "local"
     address: str | None = None
 
     def __post_init__(self) -> None:
@@ -61,7 +58,7 @@ class Execution:
             require_whole("workers", self.workers, 1)
         require_choice("device", self.device, get_args(Device))
         require_choice("renderer", self.renderer, RENDERERS)
-        require_choice("executor", self.executor, EXECUTORS)
+        require_choice("executor", self.executor, get_args(Executor))
         if self.address is not None and self.executor != "ray":
             raise ArgumentError("address: used by executor='ray' only (--executor ray). Give both, or leave it out")
 
@@ -73,6 +70,8 @@ class Execution:
         cores = available_cores()
         if self.workers is None or self.workers <= cores or self.executor == "ray":  # Ray places them where they fit
             return self.workers or cores
+        import psutil
+
         most = max(cores, int(psutil.virtual_memory().available // WORKER_BYTES))
         if self.workers > most:
             log.warning(
@@ -94,12 +93,12 @@ class RunRequest:
         recipe: Name of a shipped recipe, or path of a YAML file.
         data: Folder of the background dataset, or its address in object storage.
         out: Folder to write, or with packed shards an address; None only for describing a run.
-        selection: Frames to produce.
+        selection: Frames to produce: `FrameSelection(sample=20)`, `FrameSelection(frames=["test/a_c0"])`.
         seed: Seed of every random stream. The same seed, data and recipe give the same bytes.
-        settings: Recipe fields to set.
-        reading: How to read `data`.
-        execution: How to compute the frames.
-        existing: What to do if `out` already contains a run.
+        settings: Recipe fields to set: `["output.image=png"]` or `{"output.formats": ["yolo", "coco"]}`.
+        reading: How to read `data`, e.g. `Reading(splits=("train",))`.
+        execution: Workers, device and renderer, e.g. `Execution(workers=2, device="cuda")`.
+        existing: What to do if `out` already contains a run: `refuse`, `resume` or `overwrite`.
         shard: Shard to produce; None for the whole run.
 
     Raises:

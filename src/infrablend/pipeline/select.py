@@ -12,61 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.annotation.classes import unknown_classes
-from infrablend.core.arguments import require_names
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import sort_images
 from infrablend.formats.images import load_background
-
-# Upper limit on the copies of one picture, however rare its flight conditions are.
-MOST_COPIES = 4
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Pictures to select; the default selects all.
-
-    Attributes:
-        with_class: Class that every selected picture shows; None for no such condition.
-        without: Classes that no selected picture shows; ignored classes (DontCare) are allowed here.
-        images: Number of pictures to draw at random; None for all that qualify.
-        like: Class whose pictures set the distribution of times of day, heights, camera pitches and grey levels to
-            match. A picture may be used up to `MOST_COPIES` times; each copy has its own name.
-        objects: Number of `with_class` objects that the pictures should contain in total, matched as closely as
-            possible.
-        seed: Seed of the random draw.
-
-    Raises:
-        ArgumentError: `without` is no list of names.
-    """
-
-    with_class: str | None = None
-    without: Sequence[str] = ()
-    images: int | None = None
-    objects: int | None = None
-    like: str | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        require_names("without", self.without)
-
-    def __bool__(self) -> bool:
-        return self != Selection(seed=self.seed)
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            "with_class": self.with_class,
-            "without": sorted(self.without),
-            "images": self.images,
-            "objects": self.objects,
-            "like": self.like,
-            "seed": self.seed,
-        }
-
-
-SELECT_ALL = Selection()
+from infrablend.pipeline.dataset_requests import MOST_COPIES, Selection
 
 
 def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]]:

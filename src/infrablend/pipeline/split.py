@@ -24,11 +24,11 @@ from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
 from infrablend.pipeline.dataset_folder import DatasetFolder
+from infrablend.pipeline.dataset_requests import SplitRule
 from infrablend.pipeline.enlarged import count_enlarged, enlarged_counts
 from infrablend.pipeline.origin import origin_of
 from infrablend.report.card import dataset_card, write_card, written_layout
 
-SHARES = (0.7, 0.1, 0.2)
 # Number of orders in which groups are assigned; the best result is used.
 _TRIES = 8
 # A class is scarce in a split that has less than this part of its share of the class's objects.
@@ -95,23 +95,6 @@ class SplitReport:
             "problems": [p.to_json() for p in self.problems],
             "groups": dict(self.groups),
         }
-
-
-@dataclass(frozen=True)
-class SplitRule:
-    """Rule for splitting a dataset.
-
-    Attributes:
-        by: Kind of group to keep in one split: `sequence`, `date`, or `gap` (runs of nearby frame numbers).
-        gap: Largest step between frame numbers within a run, for `by="gap"`; None for 5.
-        shares: Shares of train, val and test, scaled to a sum of 1. A share of 0 leaves that split empty.
-        seed: Seed of the order in which groups are assigned.
-    """
-
-    by: Grouping
-    gap: int | None = None
-    shares: Sequence[float] = SHARES
-    seed: int = 0
 
 
 def split_dataset(

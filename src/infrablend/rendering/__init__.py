@@ -14,9 +14,12 @@ To add a renderer, implement the protocol and add a line here. A class is called
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 from infrablend.core.registry import resolve
-from infrablend.core.render import Renderer
+
+if TYPE_CHECKING:
+    from infrablend.core.render import Renderer
 
 RENDERERS: Mapping[str, str] = {
     "blender": "infrablend.blender.renderer:BlenderRenderer",

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+PresetName = Literal["paper", "small", "smoke"]
 Task = Literal["detect", "obb", "segment"]
 TASKS: tuple[Task, ...] = ("detect", "obb", "segment")
 SUFFIX: Mapping[str, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}

@@ -10,7 +10,7 @@ from infrablend.config.agc import DEFAULT_AGC, Agc
 from infrablend.core.arguments import require_names
 from infrablend.errors import OutputError, Problem
 from infrablend.training import weights
-from infrablend.training.presets import PRESETS, Preset
+from infrablend.training.presets import PRESETS, Preset, PresetName, Task
 
 PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
 _LEAST = {"image_size": 1, "batch": 1}
@@ -21,23 +21,23 @@ class TrainRequest:
     """How to train a detector.
 
     Attributes:
-        preset: Name of the preset: `paper`, `small` or `smoke` (docs/how_to/train.md).
-        settings: Fields of the preset to change, e.g. `{"passes": 4000}`, and arguments of Ultralytics.
-        task: Task of the detector: detect, obb or segment.
-        weights: Starting point: a file, a name such as `yolov8s.pt`, `scratch`, or `auto` for the published weights of
-            the preset's network, falling back to `scratch` if they cannot be downloaded.
-        device: auto, cpu, mps, cuda, or one GPU as `cuda:1` or `1`.
+        preset: paper: YOLOv8s as in the paper, for a GPU; small: two cores, minutes; smoke: a few steps.
+        settings: Field of the preset (passes, epochs, batch ...) or argument of Ultralytics.
+        task: Boxes, oriented boxes or masks.
+        weights: Starting point; auto: the preset's published weights, or scratch if they cannot be downloaded.
+        device: auto, cpu, mps, cuda, or one GPU: cuda:1 or 1.
         seed: Seed of weights, order, augmentation and tiles.
-        classes: Classes to train on; None for all. The labels of other classes are left out and counted.
-        agc: Automatic gain control that turns 16-bit pictures into 8-bit ones.
+        classes: Only these classes [default: all].
+        agc: Automatic gain control for 16-bit pictures, e.g. {mode: fixed, low_c: 0, high_c: 40} [default:
+            linear].
 
     Raises:
         ArgumentError: `classes` is no list of names.
     """
 
-    preset: str = "small"
+    preset: PresetName = "small"
     settings: Mapping[str, Any] = field(default_factory=dict)
-    task: str = "detect"
+    task: Task = "detect"
     weights: str = weights.AUTO
     device: str = "auto"
     seed: int = 0

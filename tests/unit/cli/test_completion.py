@@ -80,7 +80,7 @@ def test_every_command_reads_with_format_and_writes_with_to() -> None:
     """`--format` names what is read, `--to` what is written, in every command."""
     commands = typer.main.get_command(build_app()).commands  # type: ignore[attr-defined]
     options = {
-        name: {o: p.help for p in command.params for o in p.opts}
+        name: {o: p.help for p in command.make_context(name, [], resilient_parsing=True).command.params for o in p.opts}
         for name, command in commands.items()
         if not hasattr(command, "commands")
     }

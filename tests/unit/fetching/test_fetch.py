@@ -12,7 +12,7 @@ import pytest
 
 from infrablend import api
 from infrablend.cli import main
-from infrablend.cli.progress import fetch_line
+from infrablend.cli.output import fetch_line
 from infrablend.core.workspace import partial_of, workspace
 from infrablend.errors import DatasetError, FetchError, InfraBlendError, OutputError
 from infrablend.fetching import fetch as fetching

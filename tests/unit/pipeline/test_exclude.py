@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import shutil
 from pathlib import Path
@@ -10,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
-from infrablend.pipeline import request, review
+from infrablend.pipeline import review
 from tests.command_line import done, run
+from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed
 from tests.run_files import without_times
 from tests.samples import SAMPLES
@@ -27,8 +27,7 @@ def refused(*words: object) -> str:
 
 @pytest.fixture(autouse=True)
 def flat(monkeypatch: pytest.MonkeyPatch) -> None:
-    execution = functools.partial(request.Execution, renderer="flat", in_process=True)
-    monkeypatch.setattr(request, "Execution", lambda *a, **k: execution(*a[:1]))
+    render_flat(monkeypatch)
 
 
 @pytest.fixture

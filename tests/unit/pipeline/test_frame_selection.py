@@ -109,4 +109,4 @@ def test_the_command_line_plans_chosen_frames(data: Path, tmp_path: Path) -> Non
     assert json.loads(call("--sample", "2").stdout)["frames"] == 4
     refused = call("--sample", "2", "--limit", "1")
     assert refused.exit_code == 2
-    assert "--limit and --sample exclude each other" in refused.output
+    assert "limit and sample exclude each other" in refused.output

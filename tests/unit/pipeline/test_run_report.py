@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
 import re
 import shutil
@@ -17,7 +16,6 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.errors import Problem
-from infrablend.pipeline import request
 from infrablend.pipeline import run as pipeline_run
 from infrablend.pipeline.run_report import write_report
 from infrablend.report.run import page
@@ -26,6 +24,7 @@ from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, R
 from infrablend.report.run.page import run_page
 from infrablend.report.run.removed import removed_crops
 from tests.command_line import done, run
+from tests.flat_renderer import render_flat
 from tests.run_files import without_times
 from tests.samples import SAMPLES
 
@@ -34,8 +33,7 @@ HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{ 7*7 }}&am
 
 @pytest.fixture(autouse=True)
 def flat(monkeypatch: pytest.MonkeyPatch) -> None:
-    execution = functools.partial(request.Execution, renderer="flat", in_process=True)
-    monkeypatch.setattr(request, "Execution", lambda *a, **k: execution(*a[:1]))
+    render_flat(monkeypatch)
 
 
 class _Page(HTMLParser):

@@ -331,7 +331,7 @@ WORDS = ("submit", "--shards", 3, "--into", "/out/all", "--image", "i", "--volum
         (("r", "--data", "/out/d", "--out", "/out/o", "--resume"), "--resume: the jobs set it"),
         (("r", "--data", "/out/d", "--out", "/out/o", "--typo"), "No such option: --typo"),
         (("r", "--data", "/out/d", "--out", "/out/o", "--price", "1"), "--price"),
-        (("r", "--data", "/out/d", "--out", "/out/o", "--limit", "2", "--sample", "2"), "--limit and --sample exclude"),
+        (("r", "--data", "/out/d", "--out", "/out/o", "--limit", "2", "--sample", "2"), "limit and sample exclude"),
         (("--data", "/out/d", "--out", "/out/o", "--", "-r"), "a second time"),
     ],
 )

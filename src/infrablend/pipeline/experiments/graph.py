@@ -17,13 +17,13 @@ from infrablend.config.experiment import (
     Merge,
     Paste,
     Resplit,
-    Scale,
     Source,
     Training,
 )
 from infrablend.config.loading import read_recipe
 from infrablend.core.dataset import SPLITS
 from infrablend.core.files import sha256_of
+from infrablend.core.shipped import Scale
 from infrablend.core.validation_messages import did_you_mean
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.content import content_digest

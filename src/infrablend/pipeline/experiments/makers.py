@@ -14,7 +14,8 @@ from infrablend.core.tasks import paced
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.convert import ClassChanges, convert_dataset
+from infrablend.pipeline.convert import convert_dataset
+from infrablend.pipeline.dataset_requests import ClassChanges, Selection, SplitRule
 from infrablend.pipeline.evaluate import evaluate_detector
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
@@ -24,8 +25,8 @@ from infrablend.pipeline.experiments.pasting import make_paste
 from infrablend.pipeline.experiments.training_setup import preset_settings
 from infrablend.pipeline.generate import generate_run
 from infrablend.pipeline.request import Execution, RunRequest
-from infrablend.pipeline.select import Selection, select
-from infrablend.pipeline.split import SplitRule, split_dataset
+from infrablend.pipeline.select import select
+from infrablend.pipeline.split import split_dataset
 from infrablend.pipeline.train import train_dataset
 from infrablend.pipeline.world import make_world
 from infrablend.training.request import TrainRequest

@@ -11,9 +11,10 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import sort_images
 from infrablend.pipeline.convert import convert_dataset
+from infrablend.pipeline.dataset_requests import Selection
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.job import StageJob
-from infrablend.pipeline.select import Selection, select
+from infrablend.pipeline.select import select
 
 
 def make_merge(job: StageJob) -> dict[str, Any]:

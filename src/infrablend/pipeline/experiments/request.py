@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.config.experiment import NAME_PATTERN, SCALES, Scale
 from infrablend.core.arguments import require_choice, require_names, require_whole
+from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale
 from infrablend.errors import DatasetError
 from infrablend.rendering import RENDERERS
 
@@ -22,17 +22,16 @@ class ExperimentRequest:
 
     Attributes:
         experiment: Name of a shipped experiment, or the path of a YAML file.
-        data: Folders of the datasets. A folder is matched with its source by its format, and by its labelled classes
-            if several sources have that format. A mapping gives folders by the name of their source.
-        work: Folder of the stages. Experiments that use the same folder share equal stages.
-        results: Folder of the page, its JSON and plots; None for `results`, or `WORK/results` at the scale `smoke`.
-        scale: `paper`, `small` or `smoke`.
-        seed: Seed of scenes, splits and trainings.
-        device: Device to train and evaluate on: auto, cpu, cuda, or the number of a GPU.
-        training: Settings that every training uses instead of those of the scale's preset.
-        only: Kinds (`generate`), names or ids (`train:fixed`) of stages to make, with all they need; empty for all.
-        adopt: Folders written by `train`, `generate` or `convert`, by the id of the stage to use them for.
-        workers: Number of rendering processes; None for one per core.
+        data: Folder of a dataset it needs, recognised by format and labelled classes, or named; repeatable.
+        work: Folder of the stages. Experiments in one folder share equal stages.
+        results: Folder of the page [default: results; WORK/results at the scale smoke].
+        scale: paper: as published, needs a GPU; small: minutes per training on two cores; smoke: a test.
+        seed: The same seed gives the same bytes.
+        device: Device to train on: auto, cpu, cuda, or the number of a GPU.
+        training: Setting of every training, e.g. passes=4000; repeatable.
+        only: Make only these stages and what they need: a kind (generate), name or id (train:fixed); repeatable.
+        adopt: Use a training (train:fixed=DIR), run or dataset made by another command; repeatable.
+        workers: Number of worker processes [default: one per core].
         renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
 
     Raises:

@@ -20,15 +20,15 @@ class FrameChoice:
     """Which frames of a video to extract.
 
     Attributes:
-        every: Step, `2s` or `500ms` for times, `60f` for frames.
-        start: Time of the first frame, as seconds or [h:]m:s; empty for the beginning.
-        end: Time after which no frame is taken; empty for the end.
+        every: Step: 2s or 500ms, or 60f for every 60th frame.
+        start: Time of the first frame: seconds or [h:]m:s.
+        end: Take no frame after this time.
 
     Raises:
         ArgumentError: A text is none of these.
     """
 
-    every: str
+    every: str = "2s"
     start: str = ""
     end: str = ""
 

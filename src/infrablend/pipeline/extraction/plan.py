@@ -26,12 +26,12 @@ class FlightFacts:
     """What the user says about the flights.
 
     Attributes:
-        log: Log for all videos; None takes the subtitles beside each video or else in it, if there are any.
+        log: DJI subtitles (.SRT), AirData CSV or DJI flight record CSV [default: subtitles beside the video].
         use_log: False to extract without telemetry.
         clock: What is known about the clocks.
-        time_of_day: Day or night, for the table; None takes it from the sun where time and place are known.
-        hfov_deg: Field of view across the width of the video, for the table; None if unknown.
-        names: Names of the sequences, one per video; empty to use the videos' names.
+        time_of_day: Time of day of the flight [default: by the sun, where known].
+        hfov_deg: Field of view across the width of the video, for the table.
+        names: Names of the sequences [default: names of the videos].
     """
 
     log: Path | None = None

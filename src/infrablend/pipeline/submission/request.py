@@ -73,14 +73,14 @@ class Submission:
         program: Words that start InfraBlend on the cluster.
         paths: Files and folders in `words` and `program` that have to exist on the cluster.
         name: Name of the jobs.
-        cores: Cores, and workers, of a shard.
+        cores: Cores, and worker processes, of a shard.
         memory_gib: Memory of a shard.
-        minutes: Time limit of a shard; it is continued when that is over.
-        parallel: Most shards at the same time; None for all.
-        partition: Partition of SLURM.
-        account: Account of SLURM.
-        image: Container image with InfraBlend, for Kubernetes.
-        volumes: Storage of the pods, for Kubernetes.
+        minutes: SLURM: time limit of a shard, which is then queued again and continues.
+        parallel: Most shards at the same time [default: all].
+        partition: SLURM: partition.
+        account: SLURM: account.
+        image: Kubernetes: container image with InfraBlend.
+        volumes: Kubernetes: shared storage of the pods; repeatable.
 
     Raises:
         ArgumentError: A value is out of range, or could be taken for something else by the scheduler.

@@ -1,19 +1,22 @@
-"""`infrablend models`: list and show object models."""
+"""What the package ships: `models`, `recipes` and `asset`; and `doctor`, which checks this machine."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from infrablend.cli.completion import complete_model
-from infrablend.cli.options import key_values
+from infrablend import api
+from infrablend.cli.completion import complete_model, complete_shipped_recipe
+from infrablend.cli.exits import ENVIRONMENT, printable
+from infrablend.cli.options import Fields, JsonSession, yaml_values
+from infrablend.cli.output import print_result, show_result, table
 
 if TYPE_CHECKING:
     from infrablend.assets.model import ObjectModel
-    from infrablend.pipeline.add_model import ModelAnswers
 
 ModelArgument = Annotated[
     str,
@@ -23,26 +26,16 @@ ModelArgument = Annotated[
 
 def list_models() -> None:
     """List the object models."""
-    from infrablend import api
-    from infrablend.cli.results import print_result, table
-
     print_result(table(api.list_models()))
 
 
-def describe_model(
-    name: ModelArgument,
-) -> None:
+def describe_model(name: ModelArgument) -> None:
     """List the options, parts and temperatures of a model that a recipe can set."""
-    from infrablend import api
-    from infrablend.cli.results import print_result
-
     print_result(_description(api.describe_model(name)))
 
 
 def _description(model: ObjectModel) -> str:
     """Return what a recipe can set of a model, in lines."""
-    from infrablend.cli.results import table
-
     parts = {
         part: f"{role.delta_t_k[0]:+g} to {role.delta_t_k[1]:+g} K, {role.emissivity[0]:g} to {role.emissivity[1]:g}"
         + (f"  {role.what}" if role.what else "")
@@ -71,44 +64,30 @@ def show_model(
 
     Its options, parts and temperatures are listed on stderr, so that stdout holds the path of the sheet alone.
     """
-    from infrablend import api
-    from infrablend.cli.exits import printable
-    from infrablend.cli.results import print_result
-    from infrablend.core.yaml_text import read_yaml
-
-    try:
-        settings = {key: read_yaml(text) for key, text in key_values(options, "--option").items()}
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--option") from error
+    settings = yaml_values(options, "--option")
     typer.echo(printable(_description(api.describe_model(name))), err=True)
     print_result(str(api.show_model(name, out or Path(f"{Path(name).stem}.png"), options=settings)))
 
 
 def add_model(
+    *,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="3D file: .glb, .gltf, .obj, .fbx, .usd* or .blend.")],
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for the description and the sheet [default: of FILE].")
     ] = None,
-    category: Annotated[str | None, typer.Option(metavar="NAME", help="Class of its labels, e.g. drone.")] = None,
-    size_m: Annotated[float | None, typer.Option(metavar="METRES", help="Length of its longest side.")] = None,
-    part: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=ROLE", help="Role of an object or a material of the file, e.g. Mesh1=motor; repeatable."
+    answers: Annotated[
+        api.ModelAnswers,
+        Fields(
+            category=typer.Option(metavar="NAME"),
+            size_m=typer.Option(metavar="METRES"),
+            parts=typer.Option("--part", metavar="NAME=ROLE"),
         ),
-    ] = None,
+    ],
 ) -> None:
     """Describe a 3D file as a model: guess its parts from their names, ask for the rest, and render a sheet.
 
     On a terminal the command asks for what it cannot know; elsewhere it lists everything that is missing at once.
     """
-    import sys
-
-    from infrablend import api
-    from infrablend.cli.results import print_result
-    from infrablend.pipeline.add_model import ModelAnswers
-
-    answers = ModelAnswers(category, size_m, key_values(part, "--part"))
     if sys.stdin.isatty() and sys.stderr.isatty():
         answers = _ask(file, answers)
     description = api.add_model(file, answers, out)
@@ -116,9 +95,8 @@ def add_model(
     print_result(str(api.show_model(str(description), description.with_suffix(".png"))))
 
 
-def _ask(file: Path, answers: ModelAnswers) -> ModelAnswers:
+def _ask(file: Path, answers: api.ModelAnswers) -> api.ModelAnswers:
     """Ask for everything that the names in the file and the options do not say."""
-    from infrablend import api
     from infrablend.assets.part_roles import ROLES
 
     if not answers.category:
@@ -134,3 +112,34 @@ def _ask(file: Path, answers: ModelAnswers) -> ModelAnswers:
             role = typer.prompt(f"What is {name!r}? One of {', '.join(ROLES)}", err=True)
         answers = replace(answers, parts={**answers.parts, name: role})
     return answers
+
+
+def list_recipes() -> None:
+    """List the shipped recipes."""
+    print_result(table(api.list_recipes()))
+
+
+def show_recipe(
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Name of a shipped recipe.", autocompletion=complete_shipped_recipe)
+    ],
+) -> None:
+    """Print a recipe, to save and edit."""
+    print_result(api.show_recipe(name).rstrip("\n"))
+
+
+def infrared_effect(out: Annotated[Path, typer.Option(metavar="FILE.blend", help="File to write.")]) -> None:
+    """Write the InfraredEffect node group as a .blend asset, for the Shader Editor."""
+    if out.suffix.lower() != ".blend":
+        raise typer.BadParameter(f"{out} must end in .blend", param_hint="--out")
+    print_result(str(api.write_infrared_effect(out)))
+
+
+def doctor(session: JsonSession) -> None:
+    """Report Python, bpy, libraries, devices, torch, Ultralytics, disk; exit code 3 if a run would fail."""
+    diagnosis = api.diagnose()
+    found = table({f"{c.status:<7}  {c.name}": c.found for c in diagnosis.checks})
+    todo = [f"-> {c.name}: {c.todo}" for c in diagnosis.checks if c.todo]
+    show_result(session, diagnosis.to_json(), lambda: "\n".join([found, *todo]))
+    if not diagnosis.ok:
+        raise typer.Exit(ENVIRONMENT)

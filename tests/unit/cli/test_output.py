@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
 from infrablend.cli.exits import report_error
-from infrablend.cli.results import print_problems
+from infrablend.cli.output import print_problems
 from infrablend.config.modes import DROPPED
 from infrablend.errors import DatasetError, Problem
 

@@ -1,0 +1,102 @@
+"""The names that `infrablend.api` offers, by the module that defines them."""
+
+from infrablend.api.datasets import (
+    check as check,
+    convert as convert,
+    describe_source as describe_source,
+    extract_frames as extract_frames,
+    extract_temperatures as extract_temperatures,
+    fetch as fetch,
+    inspect as inspect,
+    list_sources as list_sources,
+    make_world as make_world,
+    profile as profile,
+    read_dataset as read_dataset,
+    split as split,
+)
+from infrablend.api.detectors import (
+    compare_evaluations as compare_evaluations,
+    evaluate as evaluate,
+    plan_train as plan_train,
+    train as train,
+)
+from infrablend.api.experiments import (
+    experiment as experiment,
+    list_experiments as list_experiments,
+    plan_experiment as plan_experiment,
+)
+from infrablend.api.in_memory import frames as frames, try_recipe as try_recipe, watch_recipe as watch_recipe
+from infrablend.api.runs import (
+    PlanReport as PlanReport,
+    exclude as exclude,
+    generate as generate,
+    generate_shard as generate_shard,
+    include as include,
+    merge as merge,
+    plan as plan,
+    preview as preview,
+    preview_ground as preview_ground,
+    realism as realism,
+    realism_page as realism_page,
+    report as report,
+    rerender as rerender,
+    show as show,
+    status as status,
+    submission_text as submission_text,
+    submit as submit,
+)
+from infrablend.api.shipped import (
+    add_model as add_model,
+    describe_model as describe_model,
+    diagnose as diagnose,
+    list_models as list_models,
+    list_recipes as list_recipes,
+    show_model as show_model,
+    show_recipe as show_recipe,
+    survey_model as survey_model,
+    write_infrared_effect as write_infrared_effect,
+)
+from infrablend.fetching.fetch import (
+    FetchReport as FetchReport,
+    FetchRequest as FetchRequest,
+    SourceEntry as SourceEntry,
+)
+from infrablend.formats.log_alignment import Clock as Clock
+from infrablend.formats.reading import Reading as Reading
+from infrablend.formats.write_settings import WriteSettings as WriteSettings
+from infrablend.pipeline.add_model import ModelAnswers as ModelAnswers, ModelSurvey as ModelSurvey
+from infrablend.pipeline.choose import ChoiceReport as ChoiceReport
+from infrablend.pipeline.compare_objects import RealismReport as RealismReport
+from infrablend.pipeline.convert import ConvertReport as ConvertReport
+from infrablend.pipeline.count_scale import CountScale as CountScale, Spot as Spot
+from infrablend.pipeline.dataset_requests import (
+    ClassChanges as ClassChanges,
+    Selection as Selection,
+    SplitRule as SplitRule,
+)
+from infrablend.pipeline.evaluation_settings import EvaluationSettings as EvaluationSettings
+from infrablend.pipeline.experiments.request import ExperimentRequest as ExperimentRequest
+from infrablend.pipeline.extensions import (
+    BackgroundSource as BackgroundSource,
+    Extensions as Extensions,
+    Look as Look,
+    LookRequest as LookRequest,
+    SceneRequest as SceneRequest,
+    SceneSampler as SceneSampler,
+)
+from infrablend.pipeline.extraction.choice import FrameChoice as FrameChoice
+from infrablend.pipeline.extraction.plan import FlightFacts as FlightFacts
+from infrablend.pipeline.frame_selection import FrameSelection as FrameSelection
+from infrablend.pipeline.in_memory import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
+from infrablend.pipeline.request import Execution as Execution, RunRequest as RunRequest
+from infrablend.pipeline.run import RunReport as RunReport
+from infrablend.pipeline.shard import ShardRequest as ShardRequest
+from infrablend.pipeline.sharded_run import ShardState as ShardState
+from infrablend.pipeline.split import SplitReport as SplitReport
+from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
+from infrablend.pipeline.train import TrainReport as TrainReport
+from infrablend.pipeline.training.plan import TrainPlan as TrainPlan
+from infrablend.pipeline.trial import Trial as Trial
+from infrablend.training.request import TrainRequest as TrainRequest
+
+__all__: list[str]

@@ -1,0 +1,343 @@
+"""Commands about datasets: `inspect`, `check`, `convert` and `split`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from infrablend import api
+from infrablend.cli.completion import complete_written_format
+from infrablend.cli.exits import PARTIAL, printable
+from infrablend.cli.options import (
+    DatasetArgument,
+    Fields,
+    JsonSession,
+    ReadingOfAllSplits,
+    ReadingOptions,
+    key_values,
+    split_at_commas,
+)
+from infrablend.cli.output import facts, grid, print_problems, show_result, shown_progress, table
+
+if TYPE_CHECKING:
+    from infrablend.report.checking import CheckReport
+    from infrablend.report.inspection import Inspection
+
+SHOWN = 12
+SHOWN_EACH = 3
+
+
+def inspect(
+    session: JsonSession,
+    *,
+    data: DatasetArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write inspect.png (charts) and inspect.json there.")
+    ] = None,
+    decode: Annotated[bool, typer.Option("--decode", help="Decode the pictures: bit depth, channels, levels.")] = False,
+    reading: ReadingOptions,
+) -> None:
+    """Show what a dataset contains: splits, classes, sizes, pitch and altitude, sequences, leakage, problems."""
+    found = api.inspect(data, out, reading=reading, decode=decode)
+    written = [] if out is None else [f"{out / 'inspect.png'}\n{out / 'inspect.json'}"]
+    show_result(session, found.to_json(), lambda: "\n\n".join([*_contents(found), *written]))
+
+
+def _contents(found: Inspection) -> list[str]:
+    """Return the paragraphs on a dataset."""
+    splits = list(found.splits)
+    blocks = [f"{found.root}: {found.format} ({found.reason})"]
+    keys = ("images", "without_objects", "objects", "ignore_regions")
+    rows = [[k.replace("_", " "), *_summed([found.splits[s][k] for s in splits])] for k in keys]
+    blocks.append(grid(["", *splits, "all"], rows))
+    rows = []
+    for name, of in found.classes.items():
+        q = found.quantiles(name)
+        sizes = [f"{q[k]:.0f}" if q else "-" for k in ("0", "0.05", "0.5", "0.95", "1")]
+        title = f"{name} (ignored)" if name in found.ignored else name
+        rows.append([title, *_summed([of[s] for s in splits]), *sizes])
+    header = ["objects by class", *splits, "all", "size px min", "5 %", "50 %", "95 %", "max"]
+    if rows:
+        blocks.append(grid(header, rows) + "\n(size: square root of the box's area)")
+    rows = [[p, *(found.coverage.get((p, a), "") for a in found.altitudes)] for p in found.pitches]
+    blocks.append(grid(["images by pitch, altitude", *found.altitudes], rows))
+    kinds = sorted({k for of in found.time_of_day.values() for k in of})
+    rows = [[k, *_summed([found.time_of_day[s].get(k, 0) for s in splits])] for k in kinds]
+    blocks.append(grid(["images by time of day", *splits, "all"], rows))
+    blocks.append(table(_further(found)))
+    if "flight" in found.notes:
+        blocks.append(_flight(found.notes["flight"]))
+    if found.leakage:
+        lines = [
+            f"  {one.near} of {one.images} {one.split} images have a {one.other} image at most {one.distance} frame "
+            "numbers away"
+            for one in found.leakage
+        ]
+        blocks.append("\n".join(["neighbours across splits", *lines]))
+    if found.remarks:
+        blocks.append("\n".join(["known faults of this dataset", *(f"  - {r}" for r in found.remarks)]))
+    return [*blocks, _problem_list(found)]
+
+
+def _flight(note: Mapping[str, Any]) -> str:
+    """Return the table of what the pictures' own headers state, and where."""
+    rows = []
+    for row in note["facts"]:
+        low, high = row["lowest"], row["highest"]
+        span = "" if low is None else _value(low) if low == high else f"{_value(low)} to {_value(high)}"
+        rows.append([row["field"], row["source"] or "missing", row["count"], span])
+    lines = [grid(["flight data", "source", "pictures", "range"], rows)]
+    lines += [f"camera: {camera} ({count})" for camera, count in note["cameras"].items()]
+    lines += [f"left out: {count} {reason}" for reason, count in note["left_out"].items()]
+    if note["radiometric"]:
+        lines.append(f"with a radiometric layer: {note['radiometric']}")
+    return "\n".join(lines)
+
+
+def _value(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def _summed(counts: list[int]) -> list[int]:
+    return [*counts, sum(counts)]
+
+
+def _further(found: Inspection) -> dict[str, str]:
+    """Return one line each on labels, sequences, dates, tracks and pictures."""
+    rows: dict[str, Any] = {"labels": _listed(found.labels)}
+    if found.sequences:
+        mean = sum(found.sequences.values()) / len(found.sequences)
+        rows["sequences"] = f"{len(found.sequences)}, {mean:.1f} images each on average, at most "
+        rows["sequences"] += f"{max(found.sequences.values())}"
+    if found.dates:
+        rows["dates"] = _listed(found.dates)
+    if found.tracks:
+        mean = sum(found.tracks.values()) / len(found.tracks)
+        rows["tracks"] = f"{len(found.tracks)}, {mean:.1f} objects each on average"
+    rows["picture sizes"] = _listed(found.picture_sizes)
+    if found.temperatures:
+        rows["temperatures"] = _listed(found.temperatures)
+    if found.decoded:
+        rows["pictures"] = _listed(found.decoded["pictures"])
+        rows["grey levels"] = ", ".join(f"{k} {v:g}" for k, v in found.decoded["grey_levels"].items())
+    return rows
+
+
+def _listed(counts: Any) -> str:
+    shown = [f"{k.replace('_', ' ')} {n}" for k, n in list(counts.items())[:SHOWN]]
+    more = len(counts) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+
+
+def _problem_list(found: Inspection) -> str:
+    if not found.problems:
+        return "no problems found in the labels; `infrablend check` also checks the pictures"
+    lines = [f"{len(found.problems)} problem(s)", *(f"  - {p.severity}: {p}" for p in found.problems[:SHOWN])]
+    if len(found.problems) > SHOWN:
+        lines.append(f"  ... and {len(found.problems) - SHOWN} more; --json lists all")
+    return "\n".join(lines)
+
+
+def check(
+    session: JsonSession,
+    *,
+    data: DatasetArgument,
+    strict: Annotated[bool, typer.Option("--strict", help="Treat warnings as errors.")] = False,
+    no_decode: Annotated[bool, typer.Option("--no-decode", help="Read only the headers of the pictures.")] = False,
+    reading: ReadingOptions,
+) -> None:
+    """List every problem of a dataset's labels and pictures; exit code 1 if there are errors."""
+    with shown_progress(session, "checking") as on_progress:
+        report = api.check(data, reading=reading, decode=not no_decode, on_progress=on_progress)
+    show_result(session, report.to_json(), lambda: "\n".join(_check_lines(report)))
+    if not report.ok(strict):
+        raise typer.Exit(PARTIAL)
+
+
+def _check_lines(report: CheckReport) -> list[str]:
+    """Return the problems grouped by code, the first few of each, and the totals."""
+    lines: list[str] = []
+    for title, problems in (("errors", report.errors), ("warnings", report.warnings)):
+        if problems:
+            lines += [f"{len(problems)} {title if len(problems) > 1 else title[:-1]}"]
+        for code in dict.fromkeys(p.code for p in problems):
+            same = [p for p in problems if p.code == code]
+            lines.append(f"  {code}: {len(same)}")
+            lines += [f"    {p}" for p in same[:SHOWN_EACH]]
+            if len(same) > SHOWN_EACH:
+                lines.append(f"    ... and {len(same) - SHOWN_EACH} more; --json lists all")
+    how = "pictures decoded" if report.decoded else "pictures not decoded"
+    what = f"{report.format or 'unreadable'}, {report.images} images, {report.objects} objects, {how}"
+    totals = f"{len(report.errors)} error(s), {len(report.warnings)} warning(s)"
+    return [*lines, f"{report.root}: {what}: {totals if report.problems else 'clean'}"]
+
+
+def _renamed(texts: list[str] | None) -> dict[str, str]:
+    """Parse the values of `--rename`."""
+    return key_values([pair for text in texts or () for pair in split_at_commas(text)], "--rename")
+
+
+def convert(
+    session: JsonSession,
+    *,
+    source: Annotated[Path, typer.Argument(metavar="SRC", help="Folder of the dataset to read.")],
+    out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write.")],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT", help="Format to write: yolo, coco, ... or native.", autocompletion=complete_written_format
+        ),
+    ],
+    reading: ReadingOptions,
+    classes: Annotated[
+        api.ClassChanges,
+        Fields(
+            rename=Annotated[list[str] | None, typer.Option(metavar="OLD=NEW,..."), _renamed],
+            drop=typer.Option("--drop-class"),
+            only=typer.Option("--only-class", metavar="NAME"),
+        ),
+    ],
+    selection: Annotated[
+        api.Selection,
+        Fields(
+            with_class=typer.Option(metavar="NAME"),
+            images=typer.Option(metavar="N"),
+            objects=typer.Option(metavar="N"),
+            like=typer.Option("--like-class", metavar="NAME"),
+            seed=typer.Option(metavar="N"),
+        ),
+    ],
+    loosen: Annotated[
+        float,
+        typer.Option(
+            "--loosen-inserted",
+            metavar="FACTOR",
+            help="Enlarge boxes of inserted objects by this factor, to match hand-drawn ones.",
+        ),
+    ] = 1.0,
+    loosen_px: Annotated[
+        float,
+        typer.Option(
+            "--loosen-inserted-px",
+            metavar="PX",
+            help="Move each side of these boxes outwards by this distance, after the factor.",
+        ),
+    ] = 0.0,
+    writing: Annotated[api.WriteSettings, Fields("ids category_ids dont_care without_mask")],
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier conversion in DST.")] = False,
+) -> None:
+    """Write a dataset in another format; pictures are linked, and every loss is counted and reported."""
+    report = api.convert(
+        source, out, to, reading=reading, classes=classes, selection=selection,
+        loosen=loosen, loosen_px=loosen_px, writing=writing, overwrite=overwrite,
+    )  # fmt: skip
+    print_problems(report.problems, session.log_path, report.out / "convert.json")
+    show_result(session, report.to_json(), lambda: "\n".join(_conversion_lines(report)))
+    if not report.ok:
+        raise typer.Exit(PARTIAL)
+
+
+def _conversion_lines(report: api.ConvertReport) -> list[str]:
+    from infrablend.formats.losses import LOSSES
+
+    rows = facts({k: v for k, v in report.counts.items() if k != "selection"})
+    if selection := report.counts.get("selection"):
+        rows["selection"] = _selection_text(selection)
+    lost = [f"lost: {kind} {n}: {LOSSES[kind.rpartition('.')[2]]}" for kind, n in report.losses.items()]
+    return [table(rows), *lost, str(report.out)]
+
+
+def _selection_text(selection: Mapping[str, Any]) -> str:
+    """Describe what was selected and what was left out."""
+    named = selection["with_class"]
+    parts = [f"pictures with {named}"] if named is not None else []
+    parts += [f"no pictures with {' or '.join(selection['without'])}"] if selection["without"] else []
+    if selection["images"] is not None:
+        parts.append(f"{selection['images']} pictures drawn")
+    if selection["objects"] is not None:
+        parts.append(f"{selection['objects_taken']} of {selection['objects']} requested objects of {named}")
+    if selection["like"] is not None:
+        parts.append(f"matched to those of {selection['like']}, {selection['drawn_again']} of them copies")
+    parts += [f"seed {selection['seed']}"] if "drawn_again" in selection or selection["images"] is not None else []
+    left_out = ", ".join(f"{n} {why}" for why, n in selection["left_out"].items())
+    return ", ".join(parts) + (f"; left out: {left_out}" if left_out else "")
+
+
+def _shares(text: str) -> list[float]:
+    """Parse the value of `--shares`."""
+    try:
+        wanted = [float(part) for part in text.split(",")]
+    except ValueError:
+        wanted = []
+    if len(wanted) != 3:
+        raise typer.BadParameter(f"{text!r}: three numbers, such as 0.7,0.1,0.2")
+    return wanted
+
+
+def split(
+    session: JsonSession,
+    *,
+    data: DatasetArgument,
+    out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write.")],
+    rule: Annotated[
+        api.SplitRule,
+        Fields(
+            gap=typer.Option(min=1, metavar="N"), shares=Annotated[Any, typer.Option(metavar="LIST", parser=_shares)]
+        ),
+    ],
+    to: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORMAT",
+            help="Format to write [default: that of the dataset].",
+            autocompletion=complete_written_format,
+        ),
+    ] = None,
+    lists: Annotated[bool, typer.Option("--list", help="Write only three lists of pictures and split.json.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier split dataset in DST.")] = False,
+    reading: ReadingOfAllSplits,
+) -> None:
+    """Write a dataset with new splits that do not share neighbouring frames; pictures are hard links."""
+    if rule.gap is not None and rule.by != "gap":
+        raise typer.BadParameter("--gap goes with --by gap", param_hint="--gap")
+    if to is not None and lists:
+        raise typer.BadParameter("--list writes no dataset; leave out --to", param_hint="--to")
+    report = api.split(data, out, rule, to=to or "native", lists=lists, reading=reading, overwrite=overwrite)
+    for problem in report.problems:
+        typer.echo(printable(f"{problem.severity}: {problem}"), err=True)
+    show_result(session, {"out": str(report.out)} | report.to_json(), lambda: "\n\n".join(_split_blocks(report)))
+
+
+def _split_blocks(report: api.SplitReport) -> list[str]:
+    splits = list(report.images)
+    rows = []
+    for name, of in {"images": report.images, **report.objects}.items():
+        shares = report.shares(of)
+        rows.append([name, *(f"{of[s]} ({100 * shares[s]:.1f} %)" for s in splits)])
+    wanted = ["wanted", *(f"{100 * w:.1f} %" for w in report.wanted)]
+    blocks = [f"{len(report.groups)} groups by {report.by}", grid(["", *splits], [wanted, *rows])]
+    after = {(one.split, one.other): one for one in report.after}
+    near = []
+    for one in report.before:
+        then = after.get((one.split, one.other))
+        near.append(
+            [
+                f"{one.split} near {one.other}",
+                _near(one.near, one.images),
+                _near(then.near, then.images) if then else "-",
+            ]
+        )
+    if not near:
+        near = [[f"{one.split} near {one.other}", "-", _near(one.near, one.images)] for one in report.after]
+    if near:
+        blocks.append(grid(["neighbours (at most 5 frames away)", "before", "after"], near))
+    if report.losses:
+        blocks.append(table(facts({"losses": report.losses})))
+    return [*blocks, f"{report.out}: {report.format}, {report.files} files"]
+
+
+def _near(near: int, images: int) -> str:
+    return f"{near} of {images}"

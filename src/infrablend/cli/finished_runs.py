@@ -1,0 +1,235 @@
+"""Commands about finished runs: `preview`, `report`, `rerender`, `show`, `exclude`, `include` and `realism`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from infrablend import api
+from infrablend.cli.exits import PARTIAL
+from infrablend.cli.options import (
+    BackgroundsOption,
+    JsonSession,
+    ReadingOfAllSplits,
+    RunArgument,
+    WorkersOption,
+    comma_list,
+    split_list,
+)
+from infrablend.cli.output import print_json, print_problems, print_result, show_result, shown_progress, table
+from infrablend.cli.session import Session
+
+if TYPE_CHECKING:
+    from infrablend.report.preview import Draw
+
+FrameArgument = Annotated[str, typer.Argument(metavar="FRAME", help="Id of the frame, e.g. test/1_60_80_0_06117_c0.")]
+
+
+def preview(
+    run: RunArgument,
+    out: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Picture to write [default: RUN/preview.png].")
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option(min=1, max=400, help="Number of frames [default: 12; 6 with --ground].")
+    ] = None,
+    boxes: Annotated[bool, typer.Option("--boxes", help="Draw axis-aligned boxes.")] = False,
+    obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
+    masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
+    ground: Annotated[
+        bool, typer.Option("--ground", help="Draw the ground grid and people of 1.7 m instead: is the scale right?")
+    ] = False,
+) -> None:
+    """Write a contact sheet of a run with its labels: all kinds of labels, unless some are chosen."""
+    if ground:
+        print_result(str(api.preview_ground(run, out or run / "ground.png", count or 6)))
+        return
+    kinds: tuple[tuple[Draw, bool], ...] = (("boxes", boxes), ("obb", obb), ("masks", masks))
+    chosen = tuple(name for name, on in kinds if on)
+    print_result(str(api.preview(run, out or run / "preview.png", count or 12, chosen or ("boxes", "obb", "masks"))))
+
+
+def report(run: RunArgument) -> None:
+    """Write the report of a finished run again: RUN/report.html, one page that works offline.
+
+    `generate`, `exclude` and `include` write it at their end.
+    """
+    print_result(str(api.report(run)))
+
+
+def rerender(
+    run: RunArgument,
+    frame: FrameArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Picture to write; .png is lossless [default: the frame's file name, here]."),
+    ] = None,
+    data: BackgroundsOption = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace FILE if it exists and is something else.")
+    ] = False,
+) -> None:
+    """Render one frame of a run again."""
+    print_result(str(api.rerender(run, frame, out, data=data, overwrite=overwrite)))
+
+
+def show(run: RunArgument, frame: FrameArgument) -> None:
+    """Print the record of a frame as JSON: scene, labels and decisions, or why it failed."""
+    print_json(api.show(run, frame))
+
+
+def exclude(
+    session: JsonSession,
+    *,
+    run: RunArgument,
+    frames: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[FRAME]...", help="Ids such as test/a_c0, or ids of backgrounds for all their frames."),
+    ] = None,
+    review: Annotated[
+        bool, typer.Option("--review", help="Exclude what RUN/review.json rejects, and include what it accepts.")
+    ] = False,
+    reason: Annotated[str | None, typer.Option(help="Reason for FRAME, kept in the ledger.")] = None,
+    purge: Annotated[
+        bool, typer.Option("--purge", help="Delete the files of all excluded frames, which are kept otherwise.")
+    ] = False,
+    data: BackgroundsOption = None,
+) -> None:
+    """Leave frames out of a finished run: labels, splits, card and counts follow, and the files are kept apart."""
+    from infrablend.pipeline.choose import BY_HAND
+    from infrablend.pipeline.review import REVIEW_FILE
+
+    with shown_progress(session, "excluding") as on_progress:
+        changed = api.exclude(
+            run,
+            frames or (),
+            review=run / REVIEW_FILE if review else None,
+            reason=reason or BY_HAND,
+            purge=purge,
+            data=data,
+            on_progress=on_progress,
+        )
+    _show_choice(changed, session)
+
+
+def include(
+    session: JsonSession,
+    *,
+    run: RunArgument,
+    frames: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[FRAME]...", help="Ids of excluded frames, or of backgrounds for all their frames."),
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="Take all frames back.")] = False,
+    data: BackgroundsOption = None,
+) -> None:
+    """Take excluded frames of a run back; purged ones are rendered again."""
+    if bool(frames) == every:
+        raise typer.BadParameter("give either ids of frames or --all", param_hint="FRAME")
+    with shown_progress(session, "including") as on_progress:
+        changed = api.include(run, frames or (), every=every, data=data, on_progress=on_progress)
+    _show_choice(changed, session)
+
+
+def _show_choice(changed: api.ChoiceReport, session: Session) -> None:
+    print_problems(changed.problems, session.log_path, changed.out / "run.json")
+    rows = {
+        "changed": f"{changed.changed} frames",
+        "excluded": f"{len(changed.excluded)} frames",
+        "in the dataset": f"{changed.counts.get('frames', 0)} frames",
+    }
+    if changed.purged_files:
+        rows["deleted"] = f"{changed.purged_files} files"
+    show_result(session, changed.to_json(), lambda: f"{table(rows)}\n{changed.out}")
+    if not changed.ok:
+        raise typer.Exit(PARTIAL)
+
+
+def realism(
+    session: JsonSession,
+    *,
+    run: RunArgument,
+    against: Annotated[Path, typer.Option(metavar="DATASET", help="Background dataset of the run.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the report [default: RUN/realism].")
+    ] = None,
+    classes: Annotated[
+        Any,
+        typer.Option(
+            "--class", metavar="A,B", parser=comma_list, help="Classes [default: all with inserted and real objects]."
+        ),
+    ] = None,
+    time: Annotated[Literal["night", "day", "all"], typer.Option(help="Time of day of the images.")] = "all",
+    pairs: Annotated[int, typer.Option(min=10, help="Largest number of pairs per class.")] = 1000,
+    real: Annotated[
+        Path | None,
+        typer.Option(metavar="DATASET", help="Dataset of the real objects [default: that of the backgrounds]."),
+    ] = None,
+    real_split: Annotated[
+        Any, typer.Option(metavar="LIST", parser=split_list, help="Splits of --real to read [default: all].")
+    ] = None,
+    steps: Annotated[
+        bool, typer.Option(help="Render inserted objects again with each step of the sensor chain.")
+    ] = True,
+    page: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Add the figures to realism.md and realism.json in this folder.")
+    ] = None,
+    workers: WorkersOption = None,
+    reading: ReadingOfAllSplits,
+) -> None:
+    """Compare inserted objects with real ones of their class: classifiers, controls, medians, sheets of crops."""
+    if real_split is not None and real is None:
+        raise typer.BadParameter("needs --real; without it, splits are those of the run", param_hint="--real-split")
+    with shown_progress(session, "comparing") as on_progress:
+        compared = api.realism(
+            run,
+            against,
+            out,
+            categories=classes,
+            time_of_day=time,
+            pairs=pairs,
+            real=None if real is None else api.read_dataset(real, api.Reading(real_split)),
+            steps=steps,
+            reading=reading,
+            execution=api.Execution(workers),
+            on_progress=on_progress,
+        )
+    written = [] if page is None else [str(api.realism_page(compared, page))]
+    show_result(session, compared.to_json(), lambda: "\n".join([*_realism_lines(compared), *written]))
+
+
+def _realism_lines(compared: api.RealismReport) -> list[str]:
+    """Return the figures and the checks of each class, and the path of the report."""
+    from infrablend.report.realism_tables import check_rows
+
+    lines = []
+    for name, facts in compared.facts["classes"].items():
+        lines.append(table({name: "", **_class_rows(facts)}))
+        lines += [
+            f"  {contrast}: real {real}, inserted {inserted}, {found} ({required}): {holds}"
+            for contrast, real, inserted, found, required, holds in check_rows(facts["contrast"])
+        ]
+    return [*lines, str(compared.out / "realism.html")]
+
+
+def _class_rows(facts: Mapping[str, Any]) -> dict[str, str]:
+    from infrablend.report.figures import decimals, interval
+
+    def show(key: str) -> str:
+        return decimals(facts.get(key))
+
+    ends = "" if facts["ci"] is None else f" ({interval(facts['ci'])})"
+    return {
+        "  pairs": str(facts["n"]),
+        "  AUC, logistic": show("auc_logistic") + ends,
+        "  AUC, boosting": show("auc_boosting"),
+        "  floor, logistic": show("floor_logistic"),
+        "  floor, boosting": show("floor_boosting"),
+        "  hard paste, logistic": show("hard_paste_logistic"),
+        "  chain off, logistic": show("chain_off_logistic"),
+        "  valid": "yes" if facts["valid"] else "no: " + "; ".join(facts["invalid_because"]),
+        "  separated by": ", ".join(f["feature"] for f in facts["separating_features"][:5]),
+    }
