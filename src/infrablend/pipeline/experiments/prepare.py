@@ -6,6 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from infrablend.config.experiment import Experiment, load_experiment
+from infrablend.config.experiment_seeds import repeat_seeds
 from infrablend.core.output import require_apart
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.adopting import ADOPTABLE
@@ -89,7 +90,7 @@ def prepare_experiment(request: ExperimentRequest) -> PreparedExperiment:
         DatasetError: The datasets do not fit.
         OutputError: The work or results folder is inside a dataset, or a file in the place of the page is not ours.
     """
-    experiment = load_experiment(request.experiment)
+    experiment = repeat_seeds(load_experiment(request.experiment), request.scale)
     for _, folder in request.folders:
         require_apart(folder, request.work)
         require_apart(folder, request.results_folder)
