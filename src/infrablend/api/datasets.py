@@ -192,7 +192,7 @@ def profile(
 
 def make_world(
     out: str | Path, count: int, seed: int = 0, *, layout: Layout = "hit-uav",
-    workers: int | None = None, on_progress: OnProgress | None = None,
+    workers: int | None = None, overwrite: bool = False, on_progress: OnProgress | None = None,
 ) -> Path:  # fmt: skip
     """Render a background dataset of a virtual thermal world, with exact labels and without any download.
 
@@ -200,5 +200,6 @@ def make_world(
     some of it lost), the town in 16-bit centikelvin (`radiometric`), or a flight in radiometric JPEG files (`dji`,
     `flir`). It always renders on the CPU.
     """
-    world.make_world(Path(out), WorldRequest(count, seed, layout), Execution(workers).worker_count(), on_progress)
+    request = WorldRequest(count, seed, layout)
+    world.make_world(Path(out), request, Execution(workers).worker_count(), on_progress, overwrite=overwrite)
     return Path(out)

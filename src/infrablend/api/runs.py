@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from infrablend.api.datasets import read_dataset
 from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.dataset import Dataset
+from infrablend.core.file_names import real_path
 from infrablend.core.output import Existing
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
@@ -242,7 +243,7 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
     Args:
         run: Folder of a finished run that inserted objects of a class that also exists for real.
         against: Dataset that the run was made from.
-        out: Folder for `realism.json`, `realism.html` and the sheets; `realism` in the run folder by default.
+        out: Folder for `realism.json`, `realism.html` and the sheets; `RUN-realism`, beside the run, by default.
         categories: Classes to compare; by default all that are both inserted and annotated.
         time_of_day: Only pictures of that time.
         pairs: Largest number of pairs per class.
@@ -254,7 +255,8 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
     """
     from infrablend.pipeline.compare_objects import ComparisonRequest, compare
 
-    folder = Path(run) / "realism" if out is None else Path(out)
+    beside = real_path(Path(run))
+    folder = beside.with_name(f"{beside.name}-realism") if out is None else Path(out)
     request = ComparisonRequest(
         categories, time_of_day, pairs, execution.worker_count(), execution.in_process, real, steps
     )

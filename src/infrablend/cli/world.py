@@ -29,6 +29,7 @@ def world(
         Layout, typer.Option(help="Dataset or camera whose files to copy; radiometric: 16-bit centikelvin.")
     ] = Layout.HIT_UAV,
     seed: SeedOption = 0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier world in DIR.")] = False,
     workers: WorkersOption = None,
 ) -> None:
     """Render a background dataset of a virtual thermal world, as HIT-UAV, MONET or a camera's own files."""
@@ -37,5 +38,7 @@ def world(
     from infrablend.cli.results import print_result
 
     with shown_progress(ctx.obj, "rendering") as on_progress:
-        folder = api.make_world(out, count, seed, layout=layout.value, workers=workers, on_progress=on_progress)
+        folder = api.make_world(
+            out, count, seed, layout=layout.value, workers=workers, overwrite=overwrite, on_progress=on_progress
+        )
     print_result(str(folder))

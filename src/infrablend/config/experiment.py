@@ -265,7 +265,7 @@ class Row(Strict):
     title: str = Field(min_length=1)
     """Text of the first cell."""
     evaluation: Names | None = None
-    """Evaluation that gives the figures, with all its seeds, or several: then means are shown; the table's by default."""
+    """Evaluations that give the figures, with all their seeds: means of several are shown. The table's by default."""
     category: str = "all"
     """Class, or `all`."""
     paper: Figures = Figures()
@@ -389,8 +389,8 @@ class Experiment(Strict):
             "trainings": self.seeds_of_trainings(),
             "evaluations": self.seeds_of_evaluations(),
         }
-        for kind, of in repeated.items():
-            twice = [(n, one) for n, names in of.items() for one in names[1:] if one in of]
+        for kind, names_of in repeated.items():
+            twice = [(n, one) for n, names in names_of.items() for one in names[1:] if one in names_of]
             yield from (f"{kind}.{n}: its seeds include {one}, which the file has as well" for n, one in twice)
         trainings, evaluations = (
             {one for names in repeated[kind].values() for one in names} for kind in ("trainings", "evaluations")

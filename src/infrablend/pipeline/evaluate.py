@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +11,8 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.files import write_bytes, write_text
+from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.bootstrap import LEVEL
 from infrablend.evaluation.classes import evaluated_classes
@@ -33,7 +33,6 @@ from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image
 from infrablend.formats.base import shorten
 from infrablend.formats.pictures import with_sizes
 from infrablend.pipeline.detection_source import PREDICTIONS, DetectionSource, choose_task
-from infrablend.pipeline.evaluation_folder import PAGE, PLOTS, EvaluationFolder
 from infrablend.pipeline.evaluation_images import image_groups, rejected_in
 from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.report.evaluation import draw_plots, evaluation_page
@@ -41,6 +40,7 @@ from infrablend.training.weights import missing_packages
 
 log = logging.getLogger(__name__)
 
+PAGE, PLOTS = "evaluation.html", "plots"
 _SHOWN = 5
 _LEAST_AP = 0.001
 
@@ -84,23 +84,18 @@ def evaluate_detector(
 ) -> EvaluationReport:
     """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
-    folder = EvaluationFolder(out)
-    folder.require_usable(overwrite)
     other = None if against is None else read_evaluation(against)
     problems: list[Problem] = []
-    source = DetectionSource(weights, device, problems)
-    prepared = _prepare(dataset, source, settings, problems)
-    conditions = Conditions(
-        settings.split, len(prepared.labels), prepared.key, prepared.task, settings.ignore_regions, settings.group
-    )
-    if other is not None:
-        require_same(other[0], conditions, against or out)
-
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(folder.claimed())
+    with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
+        source = DetectionSource(weights, device, problems)
+        prepared = _prepare(dataset, source, settings, problems)
+        conditions = Conditions(
+            settings.split, len(prepared.labels), prepared.key, prepared.task, settings.ignore_regions, settings.group
+        )
+        if other is not None:
+            require_same(other[0], conditions, against or out)
         predictions = source.on(prepared.images, settings.image_size, on_image, problems)
-        stack.enter_context(folder.writing())
-        write_predictions(out / PREDICTIONS, predictions)
+        write_predictions(space.folder / PREDICTIONS, predictions)
         case = prepared.case(predictions)
         problems += _count_detections(predictions, case, prepared.counts)
         if settings.list_first:
@@ -141,13 +136,12 @@ def evaluate_detector(
             ),
             "problems": [p.to_json() for p in problems],
         }
-        write_matches(out / MATCHES, stored)
+        write_matches(space.folder / MATCHES, stored)
         plots = draw_plots(facts)
         for name, data in plots.items():
-            write_bytes(out / PLOTS / name, data)
-        write_text(out / PAGE, evaluation_page(facts, plots))
-        write_json(out / RECORD, facts)  # last, because it marks the evaluation as complete
-        problems += folder.problems()
+            write_bytes(space.folder / PLOTS / name, data)
+        write_text(space.folder / PAGE, evaluation_page(facts, plots))
+        space.finish(facts)
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
 
 
