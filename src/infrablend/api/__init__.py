@@ -96,7 +96,7 @@ if TYPE_CHECKING:
     from infrablend.pipeline.split import SplitReport, SplitRule
     from infrablend.pipeline.submission.request import Submission, Volume
     from infrablend.pipeline.train import TrainReport
-    from infrablend.pipeline.training.plan import TrainPlan
+    from infrablend.pipeline.training.planning import TrainPlan
     from infrablend.pipeline.trial import Trial
     from infrablend.training.request import TrainRequest
 
@@ -229,7 +229,7 @@ _MODULES = {
     "pipeline.split": "SplitReport SplitRule",
     "pipeline.submission.request": "Submission Volume",
     "pipeline.train": "TrainReport",
-    "pipeline.training.plan": "TrainPlan",
+    "pipeline.training.planning": "TrainPlan",
     "pipeline.trial": "Trial",
     "training.request": "TrainRequest",
 }

@@ -37,7 +37,7 @@ def inspect_folder(
     if out is None:
         return _inspected(root, reading, decode)
     require_apart(root, out)
-    with workspace(out, "inspection", INSPECT_FILE, "overwrite") as space:
+    with workspace(out, "report", INSPECT_FILE, "overwrite") as space:
         facts = _inspected(root, reading, decode)
         write_charts(facts, space.folder / "inspect.png")
         space.finish(facts.to_json())

@@ -13,6 +13,7 @@ import contextlib
 import functools
 import json
 import random
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -31,8 +32,6 @@ from infrablend.training.files import (
     RUN,
     ULTRALYTICS,
     WEIGHTS,
-    open_manifest,
-    remove_folders,
 )
 from infrablend.training.scale import MARK
 
@@ -295,7 +294,7 @@ def _train(job: Job, say: Any) -> None:
         if not begun.ended and begun.epochs < job.epochs:
             trainer.train()
     best = out / RUN / "weights" / "best.pt"
-    with open_manifest(out).recording(), replace_atomically(out / WEIGHTS) as temporary:
+    with replace_atomically(out / WEIGHTS) as temporary:
         torch_utils.strip_optimizer(
             best if job.patience and best.is_file() else checkpoint,
             temporary,
@@ -332,7 +331,7 @@ def _last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
         raise
     except Exception as error:  # unpickling can raise anything
         checkpoint.replace(checkpoint.with_name(DAMAGED))
-        remove_folders(open_manifest(checkpoint.parent), [RUN])
+        shutil.rmtree(checkpoint.with_name(RUN), ignore_errors=True)
         text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
         say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): moved to {DAMAGED}; the training starts again")
         return Reached()
