@@ -12,9 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from infrablend.core.files import part_path
-from infrablend.core.manifest import JOURNAL
-from infrablend.pipeline.training.folder import WORKING_FILES
 from tests.attack.child import Outcome, fork_command
 from tests.clips import write_clips, write_detections
 from tests.fuzzing import make_outside
@@ -312,7 +309,6 @@ SCENARIOS: dict[str, Scenario] = {
             (_evaluate,),
             share=0.03,
             trained=True,
-            working=(*WORKING_FILES, part_path(Path(JOURNAL)).name),
         ),
     )
 }  # fmt: skip

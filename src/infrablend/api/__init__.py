@@ -84,8 +84,7 @@ if TYPE_CHECKING:
         SceneRequest,
         SceneSampler,
     )
-    from infrablend.pipeline.extraction.choice import FrameChoice
-    from infrablend.pipeline.extraction.plan import FlightFacts
+    from infrablend.pipeline.extraction.clips import FlightFacts, FrameChoice
     from infrablend.pipeline.frame_selection import FrameSelection
     from infrablend.pipeline.in_memory import Frame, Frames, FramesRequest
     from infrablend.pipeline.request import Execution, RunRequest
@@ -217,8 +216,7 @@ _MODULES = {
     "pipeline.evaluation_settings": "EvaluationSettings",
     "pipeline.experiments.request": "ExperimentRequest",
     "pipeline.extensions": "BackgroundSource Extensions Look LookRequest SceneRequest SceneSampler",
-    "pipeline.extraction.choice": "FrameChoice",
-    "pipeline.extraction.plan": "FlightFacts",
+    "pipeline.extraction.clips": "FlightFacts FrameChoice",
     "pipeline.frame_selection": "FrameSelection",
     "pipeline.in_memory": "Frame Frames FramesRequest",
     "pipeline.request": "Execution RunRequest",

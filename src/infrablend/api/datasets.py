@@ -22,8 +22,7 @@ from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:
     from infrablend.pipeline.count_scale import CountScale
-    from infrablend.pipeline.extraction.choice import FrameChoice
-    from infrablend.pipeline.extraction.plan import FlightFacts
+    from infrablend.pipeline.extraction.clips import FlightFacts, FrameChoice
     from infrablend.pipeline.extraction.report import FramesReport
     from infrablend.pipeline.profile import ProfileReport
     from infrablend.pipeline.temperatures import TemperaturesReport

@@ -153,7 +153,7 @@ _EVENTS = {"found": "already finished", "started": "started", "done": "done", "a
 
 def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
     from infrablend.cli.results import grid, human_bytes, table
-    from infrablend.pipeline.experiments.plan import NO_WORK
+    from infrablend.pipeline.experiments.forecast import NO_WORK
     from infrablend.report.figures import human_seconds
 
     rows = []

@@ -62,8 +62,7 @@ def frames(
     from infrablend.cli.results import print_json, print_problems, print_result
     from infrablend.core.finished import FRAMES_FILE
     from infrablend.formats.log_alignment import Clock
-    from infrablend.pipeline.extraction.choice import FrameChoice
-    from infrablend.pipeline.extraction.plan import FlightFacts
+    from infrablend.pipeline.extraction.clips import FlightFacts, FrameChoice
 
     flight = FlightFacts(
         log, not no_log, Clock(offset, log_start), None if time is None else time.value, hfov,

@@ -245,7 +245,7 @@ def _choose(dataset: Dataset, classes: ClassChanges, selection: Selection) -> _C
     return _Chosen(drop_classes(renamed, drop), drop, dropped, facts)
 
 
-def _loosened(dataset: Dataset, images: Sequence[ImageRecord], by: Looseness) -> tuple[Sequence[ImageRecord], int]:
+def _loosened(dataset: Dataset, images: list[ImageRecord], by: Looseness) -> tuple[list[ImageRecord], int]:
     """Return the pictures with larger boxes of inserted objects, and the number of these boxes.
 
     Raises:

@@ -13,10 +13,17 @@ from infrablend.errors import ArgumentError
 from infrablend.formats.flight_log import Sampled, sample
 from infrablend.formats.images import png_bytes
 from infrablend.formats.video import Frame
-from infrablend.pipeline.extraction.choice import FrameChoice
-from infrablend.pipeline.extraction.plan import ClipPlan, FlightFacts, plan_clips
-from infrablend.pipeline.extraction.report import FramesReport, clip_problems, clip_result, missing_values
-from infrablend.pipeline.extraction.telemetry import TABLE, WrittenFrame, table_text, telemetry_rows
+from infrablend.pipeline.extraction.clips import ClipPlan, FlightFacts, FrameChoice, plan_clips
+from infrablend.pipeline.extraction.report import (
+    TABLE,
+    FramesReport,
+    WrittenFrame,
+    clip_problems,
+    clip_result,
+    missing_values,
+    table_text,
+    telemetry_rows,
+)
 
 
 def extract_frames(

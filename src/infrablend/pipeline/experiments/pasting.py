@@ -27,7 +27,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
 from infrablend.formats.images import Background, load_background, save_image
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
-from infrablend.pipeline.experiments.job import StageJob
+from infrablend.pipeline.experiments.stage import StageJob
 
 # Cut-outs tried at the place of an insert, then elsewhere in the sky, and places in the sky tried for each.
 _THERE, _ELSEWHERE, _PLACES = 8, 8, 40
