@@ -39,7 +39,6 @@ class Scenario:
         left_out: Beginnings of paths in the output that may differ between equal calls.
         trained: Whether the output depends on weights that the command trains.
         share: Share of the kills.
-        working: Beginnings of paths that a finished output may still contain: the command deletes them last.
         start: Folder of the lab that is copied to the output first, for commands that change one; empty for none.
     """
 
@@ -52,7 +51,6 @@ class Scenario:
     left_out: tuple[str, ...] = ("workers.log", "train.log")
     trained: bool = False
     share: float = 0.1
-    working: tuple[str, ...] = ()
     start: str = ""
 
     def begin(self, lab: Path) -> None:
