@@ -21,8 +21,7 @@ from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError, Problem
 from infrablend.evaluation.detections import Predictions, detections, write_predictions
 from infrablend.pipeline import evaluate as pipeline
-from infrablend.pipeline.evaluate import evaluate_detector
-from infrablend.pipeline.evaluation_images import image_groups, rejected_in
+from infrablend.pipeline.evaluate import evaluate_detector, image_groups, rejected_in
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from tests.samples import with_facts
 
