@@ -40,7 +40,7 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
     training = _checked_training(job, folder) if job.stage.kind == "train" else None
     if job.stage.kind == "generate":
         _check_run(job, folder)
-    shutil.copytree(folder, job.empty_out(), copy_function=lambda a, b: _adopt_file(folder, Path(a), Path(b)))
+    shutil.copytree(folder, job.out, copy_function=lambda a, b: _adopt_file(folder, Path(a), Path(b)))
     if training is not None:
         weights = "out/weights.pt"
         return {"record": {**training, "adopted": True}, "adopted": "checked", "weights": weights, "there": [weights]}

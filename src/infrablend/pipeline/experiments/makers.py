@@ -43,13 +43,13 @@ def _make_source(job: StageJob) -> dict[str, Any]:
         stand_in = {} if stage.path else {"dataset": folder, "there": [folder]}
         return {**facts, "whole": facts["images"], **stand_in}
     part = replace(dataset, images=tuple(spread_images(dataset, limits)))
-    convert_dataset(part, "coco", job.empty_out())
+    convert_dataset(part, "coco", job.out)
     return {**dataset_facts(part), "whole": facts["images"], "dataset": "out", "there": ["out"]}
 
 
 def _make_world(job: StageJob) -> dict[str, Any]:
     """Render a virtual world that stands in for a dataset."""
-    inputs, out = job.stage.inputs, job.empty_out()
+    inputs, out = job.stage.inputs, job.out
     if inputs["layout"] == "sky":
         write_sky_pictures(out, inputs["images"], inputs["seed"], inputs["classes"])
     else:
@@ -89,7 +89,7 @@ def _make_run(job: StageJob) -> dict[str, Any]:
 def _make_part(job: StageJob) -> dict[str, Any]:
     """Write a part of a dataset with its classes renamed or dropped."""
     spec: Convert = job.stage.spec
-    source, out = job.needs["of"], job.empty_out()
+    source, out = job.needs["of"], job.out
     dataset = read_dataset(source.dataset, splits=spec.splits, options=source.reader_options)
     images = [image for split in spec.splits for image in _chosen_images(job, dataset, split)]
     dataset = replace(dataset, images=tuple(images))
@@ -151,7 +151,7 @@ def _make_merge(job: StageJob) -> dict[str, Any]:
         names = ", ".join(name for name, _ in parts)
         problem = Problem(job.stage.id, "split-empty", f"no image in the splits taken from {names}", "at least one")
         raise DatasetError(f"{job.stage.id}: cannot be used", [problem])
-    convert_dataset(merged, "coco", job.empty_out())
+    convert_dataset(merged, "coco", job.out)
     return {**dataset_facts(merged), "dataset": "out", "there": ["out"]}
 
 
@@ -197,7 +197,7 @@ def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
 def _make_split(job: StageJob) -> dict[str, Any]:
     """Write a dataset with new splits."""
     spec: Resplit = job.stage.spec
-    source, out = job.needs["of"], job.empty_out()
+    source, out = job.needs["of"], job.out
     dataset = read_dataset(source.dataset, options=source.reader_options)
     rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed)
     report = split_dataset(dataset, out, rule, to="coco")
@@ -245,7 +245,7 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
     report = evaluate_detector(
         training.folder / training.result["weights"],
         read_dataset(data.dataset, options=data.reader_options),
-        job.empty_out(),
+        job.out,
         EvaluationSettings(
             split=spec.split,
             task=training.record["inputs"]["task"],

@@ -45,7 +45,7 @@ def make_paste(job: StageJob) -> dict[str, Any]:
         found = f"no usable object of {spec.category} in the split {spec.split}; unusable: {dict(unusable) or 'none'}"
         problem = Problem(job.stage.id, "class-none", found, "objects that stand out from their surroundings")
         raise DatasetError(f"{job.stage.id}: nothing to paste", [problem])
-    made, scenes, out = read_dataset(run.dataset), RunFolder(run.dataset.parent), job.empty_out()
+    made, scenes, out = read_dataset(run.dataset), RunFolder(run.dataset.parent), job.out
     paster = Paster(cuts, spec.category, job.stage.inputs["seed"])
     report = paced(job.on_progress)
     images = []

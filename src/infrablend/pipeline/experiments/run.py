@@ -34,6 +34,8 @@ from infrablend.pipeline.experiments.stage import (
 )
 from infrablend.report.results.write import write_page
 
+# Kinds of stages that continue what an interrupted run left; others start again.
+_RESUMING = ("generate", "train")
 # Packages that figures depend on.
 _PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "ultralytics", "torch")
 
@@ -231,7 +233,7 @@ def make_stage(
     adopt: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> FinishedStage:
-    """Make a stage, continuing what an interrupted run left of it.
+    """Make a stage; runs and trainings continue what an interrupted run left.
 
     Args:
         stage: Stage to make.
@@ -248,9 +250,10 @@ def make_stage(
         InfraBlendError: Any error of the stage's maker.
     """
     folder = stage_folder(request.work, stage, key)
-    # What is there was found unfinished: its output is gone.
-    existing: Existing = "overwrite" if (folder / RECORD).is_file() else "resume"
-    with workspace(folder, f"stage {stage.id}", RECORD, existing, keep=True) as space:
+    resumes = stage.kind in _RESUMING and adopt is None
+    # A stage with a record is made again because its output is gone.
+    existing: Existing = "resume" if resumes and not (folder / RECORD).is_file() else "overwrite"
+    with workspace(folder, f"stage {stage.id}", RECORD, existing, keep=resumes) as space:
         if (done := find_finished(request.work, stage, key)) is not None:  # made by the other command meanwhile
             return done
         needs = {role: finished[i] for role, i in stage.needs.items() if i in finished}

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 import os
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any, TypeVar
 from infrablend.core.file_names import leaves_folder, real_path
 from infrablend.core.files import read_object
 from infrablend.core.tasks import OnProgress
-from infrablend.core.workspace import Existing, partial_of
+from infrablend.core.workspace import Existing
 from infrablend.errors import OtherSettingsError
 from infrablend.pipeline.content import json_digest
 from infrablend.pipeline.experiments.request import ExperimentRequest
@@ -130,7 +129,7 @@ class StageJob:
 
     Attributes:
         stage: Stage to make.
-        out: Folder for its output, in the workspace of the stage.
+        out: Folder for its output, in the workspace of the stage. It is there only if the stage was interrupted.
         needs: Finished stages that it needs, by role.
         request: Request of the experiment.
         on_progress: Called by makers that report progress.
@@ -141,12 +140,6 @@ class StageJob:
     needs: Mapping[str, FinishedStage]
     request: ExperimentRequest
     on_progress: OnProgress | None = None
-
-    def empty_out(self) -> Path:
-        """Remove what an interrupted run left in the output folder; return the folder."""
-        for left in (self.out, partial_of(self.out)):
-            shutil.rmtree(left, ignore_errors=True)
-        return self.out
 
     def resume_or_restart(self, make: Callable[[Existing], T]) -> T:
         """Call `make` to continue what an interrupted run left; start again if that had other settings.
