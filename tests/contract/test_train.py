@@ -144,7 +144,6 @@ def test_other_tasks_train_too(ultralytics, tmp_path, write_tiny_hit_uav, task):
         "hit-uav-drone", data, tmp_path / "run", execution=api.Execution(renderer="flat", in_process=True)
     ).out
     report = train(run, tmp_path / "out", task=task, classes=["drone"], **SMOKE)
-    assert report.record["status"] == "complete"
     assert report.record["gate"]["labels"] == report.record["prepared"]["labels"] >= 2
 
 
