@@ -12,9 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from infrablend.core.files import part_path
-from infrablend.core.manifest import JOURNAL
-from infrablend.pipeline.training.folder import WORKING_FILES
 from tests.attack.child import Outcome, fork_command
 from tests.clips import write_clips, write_detections
 from tests.fuzzing import make_outside
@@ -42,7 +39,6 @@ class Scenario:
         left_out: Beginnings of paths in the output that may differ between equal calls.
         trained: Whether the output depends on weights that the command trains.
         share: Share of the kills.
-        working: Beginnings of paths that a finished output may still contain: the command deletes them last.
         start: Folder of the lab that is copied to the output first, for commands that change one; empty for none.
     """
 
@@ -55,7 +51,6 @@ class Scenario:
     left_out: tuple[str, ...] = ("workers.log", "train.log")
     trained: bool = False
     share: float = 0.1
-    working: tuple[str, ...] = ()
     start: str = ""
 
     def begin(self, lab: Path) -> None:
@@ -312,7 +307,6 @@ SCENARIOS: dict[str, Scenario] = {
             (_evaluate,),
             share=0.03,
             trained=True,
-            working=(*WORKING_FILES, part_path(Path(JOURNAL)).name),
         ),
     )
 }  # fmt: skip

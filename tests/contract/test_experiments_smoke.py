@@ -10,7 +10,7 @@ import pytest
 
 from infrablend import api
 from infrablend.config.experiment import list_experiments, load_experiment
-from infrablend.pipeline.experiments import making
+from infrablend.pipeline.experiments import run
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage
 
@@ -65,6 +65,6 @@ def test_every_experiment_runs_at_the_smoke_scale(
     def never(stage: Stage, *args: Any, **kwargs: Any) -> Any:
         raise AssertionError(f"{stage.id} is made again")
 
-    monkeypatch.setattr(making, "make_stage", never)
+    monkeypatch.setattr(run, "make_stage", never)
     again = api.experiment(request)
     assert again.made == () and again.page.read_text("utf-8") == page

@@ -20,19 +20,18 @@ import numpy as np
 import pytest
 import typer
 from PIL import Image
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.core.files import write_bytes, write_json
+from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
 from infrablend.pipeline import train as pipeline_train
 from infrablend.pipeline.training import process
-from infrablend.pipeline.training.requirements import choose_device, require_arguments
+from infrablend.pipeline.training.planning import choose_device, require_arguments
 from infrablend.realism import nets
 from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics
-from infrablend.training.files import DAMAGED, WEIGHTS, open_manifest
+from infrablend.training.files import DAMAGED, WEIGHTS
 from infrablend.training.presets import PRESETS
 from infrablend.training.request import choose_preset
 from infrablend.training.trainer import ShuffledPasses
@@ -83,7 +82,7 @@ SMOKE = {"preset": "smoke", "weights": "scratch", "device": "cpu"}
 def without_end(record: dict[str, Any]) -> dict[str, Any]:
     """The record as it was when the trainer was started."""
     ends = {"epochs_done", "passes", "seconds", "losses", "gate", "precision", "threads", "versions", "batch", "note"}
-    return {k: v for k, v in record.items() if k not in ends} | {"status": "running", "sessions": []}
+    return {k: v for k, v in record.items() if k not in (*ends, "contents")} | {"sessions": []}
 
 
 def without_times(record: dict[str, Any]) -> dict[str, Any]:
@@ -94,19 +93,19 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, m
     data = yolo(tmp_path / "data", {"train": 6, "val": 2, "test": 2})
     seen = []
     with monkeypatch.context() as patch:
-        patch.setattr(pipeline_train, "remove_working_files", lambda out, manifest: None)
+        patch.setattr(pipeline_train, "WORKING_FILES", ())
         report = train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
     record = json.loads((tmp_path / "out" / "train.json").read_text())
     assert record["losses"]
     # Killed after the last epoch, before the record was finished: the checkpoint has all that the record needs.
-    with open_manifest(tmp_path / "out").recording():
-        write_json(tmp_path / "out" / "train.json", without_end(record))
+    (tmp_path / "out").rename(partial_of(tmp_path / "out"))
+    write_json(partial_of(tmp_path / "out") / "train.json", without_end(record))
+    write_json(partial_of(tmp_path / "out") / ".workspace.json", {"noun": "training"})
     train(data, tmp_path / "out", settings={"tiles": 0}, existing="resume", **SMOKE)
     resumed = json.loads((tmp_path / "out" / "train.json").read_text())
-    assert without_times(resumed) == without_times(record)
+    assert without_times(resumed) == without_times(record) | {"contents": resumed["contents"]}
     record = resumed
     assert report.weights.stat().st_size > 1_000_000
-    assert record["status"] == "complete"
     assert record["start"]["kind"] == "scratch"
     assert record["gate"]["images"] == record["prepared"]["images"] == record["prepared"]["tiles"]["tiles"]
     assert record["gate"]["labels"] == record["prepared"]["labels"] >= 12
@@ -115,7 +114,7 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, m
     assert seen
     assert seen[-1].total == record["prepared"]["images"]
     # No copy of the data stays behind, and nothing outside the folder was written.
-    left = [".files.jsonl", "job.json", "train.json", "train.log", "weights.pt"]
+    left = ["job.json", "train.json", "train.log", "weights.pt"]
     assert sorted(p.name for p in report.out.iterdir()) == left
     # The weights alone, away from train.json, still carry the scale of the training: tiles at native resolution.
     moved = shutil.copy(report.weights, tmp_path / "detector.pt")
@@ -124,7 +123,7 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, m
     assert detector["image_size_from"] == "trained on tiles of 160 px at native resolution"
     again = train(data, tmp_path / "out", settings={"tiles": 0}, existing="resume", **SMOKE)
     assert again.record == record
-    with pytest.raises(OutputError, match="contains a training"):
+    with pytest.raises(OutputError, match="not empty"):
         train(data, tmp_path / "out", **SMOKE)
     with pytest.raises(OutputError, match="started with other settings"):
         train(data, tmp_path / "out", existing="resume", **{**SMOKE, "seed": 4})
@@ -145,7 +144,6 @@ def test_other_tasks_train_too(ultralytics, tmp_path, write_tiny_hit_uav, task):
         "hit-uav-drone", data, tmp_path / "run", execution=api.Execution(renderer="flat", in_process=True)
     ).out
     report = train(run, tmp_path / "out", task=task, classes=["drone"], **SMOKE)
-    assert report.record["status"] == "complete"
     assert report.record["gate"]["labels"] == report.record["prepared"]["labels"] >= 2
 
 
@@ -156,21 +154,19 @@ def test_stopped_training_resumes_from_its_last_epoch(ultralytics, tmp_path):
                "--device", "cpu", "--set", "epochs=3", "--set", "tiles=0", "--out", str(tmp_path / "out")]  # fmt: skip
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     end = time.monotonic() + 300
-    while time.monotonic() < end and not (tmp_path / "out" / "checkpoint.pt").exists():
+    while time.monotonic() < end and not (partial_of(tmp_path / "out") / "checkpoint.pt").exists():
         assert process.poll() is None, process.communicate()
         time.sleep(0.05)
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=120)
-    record = json.loads((tmp_path / "out" / "train.json").read_text())
     if process.returncode != 130:  # it was faster than the signal: nothing to go on with
-        assert record["status"] == "complete"
+        assert (tmp_path / "out" / "train.json").is_file()
         return
     assert "--resume continues" in said
-    assert record["status"] == "interrupted"
+    assert not (tmp_path / "out").exists()
     done = subprocess.run([*command, "--resume"], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "out" / "train.json").read_text())
-    assert record["status"] == "complete"
     assert record["epochs_done"] == 3
     assert [s["end"] for s in record["sessions"]] == ["stopped", "end"]
 
@@ -186,7 +182,7 @@ def test_the_gate_stops_where_ultralytics_would_drop_a_label(ultralytics, tmp_pa
     data = yolo(tmp_path / "data", {"train": 4}, rows="0 0.5 0.5 0.1 0.1\n0 0.5 0.5 0.1 0.1\n1 0.2 0.2 0.1 0.1\n")
     with pytest.raises(DatasetError, match="drop labels"):
         train(data, tmp_path / "out", settings={"tile": 0}, **SMOKE)
-    assert json.loads((tmp_path / "out" / "train.json").read_text())["status"] == "failed"
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
@@ -238,9 +234,10 @@ def test_a_plan_refuses_what_the_training_would(ultralytics, tmp_path):
     out = tmp_path / "out"
     assert plan_train(data, device="cpu", out=out, weights="yolov8n.pt").images
     out.mkdir()
-    (out / "train.json").write_text('{"infrablend": "1", "status": "complete"}')
     (out / "weights.pt").write_text("whole")
-    with pytest.raises(OutputError, match="contains a training"):
+    contents = {"names": ["train.json", "weights.pt"], "files": 2}
+    (out / "train.json").write_text(json.dumps({"infrablend": "1", "contents": contents}))
+    with pytest.raises(OutputError, match="not empty"):
         plan_train(data, device="cpu", out=out)
     assert plan_train(data, device="cpu", out=out, existing="overwrite").images
     assert (out / "weights.pt").read_text() == "whole"  # a plan replaces nothing
@@ -357,8 +354,7 @@ def events(monkeypatch, *said, code=0, stopped=False, weights_there=True):
         out = Path(job["out"])
         (out / "checkpoint.new").write_bytes(b"x")
         if weights_there:
-            with open_manifest(out).recording():
-                write_bytes(out / WEIGHTS, b"x")
+            write_bytes(out / WEIGHTS, b"x")
         return code, stopped
 
     monkeypatch.setattr(weights, "require_ultralytics", lambda: None)
@@ -373,11 +369,10 @@ def test_interruption_after_the_last_task_has_no_effect(tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 2})
     events(monkeypatch, END, code=-15, stopped=True)
     report = train(data, tmp_path / "out", **SMOKE)
-    assert report.record["status"] == "complete"
     assert report.record["sessions"][0]["end"] == "end"
     assert report.record["batch"] == 3
     assert "there are 3 images" in report.record["note"]
-    assert sorted(p.name for p in report.out.iterdir()) == [".files.jsonl", "job.json", "train.json", "weights.pt"]
+    assert sorted(p.name for p in report.out.iterdir()) == ["job.json", "train.json", "weights.pt"]
 
 
 def test_interruption_reports_the_progress(tmp_path, monkeypatch):
@@ -395,52 +390,38 @@ def test_interruption_reports_the_progress(tmp_path, monkeypatch):
     events(monkeypatch, {"event": "damaged", "message": "bad"}, code=-15, stopped=True, weights_there=False)
     with pytest.raises(Interrupted, match="before the end of the first"):
         train(data, tmp_path / "out", existing="resume", **call)
-    assert json.loads((tmp_path / "out" / "train.json").read_text())["sessions"][-1]["restarted"] == "bad"
+    record = json.loads((partial_of(tmp_path / "out") / "train.json").read_text())
+    assert record["sessions"][-1]["restarted"] == "bad"
 
 
 def test_a_record_that_cannot_be_read_starts_again_when_asked(tmp_path, monkeypatch, caplog):
-    data = yolo(tmp_path / "data", {"train": 2})
+    data, out = yolo(tmp_path / "data", {"train": 2}), tmp_path / "out"
+    events(monkeypatch, code=-15, stopped=True, weights_there=False)
+    with pytest.raises(Interrupted):
+        train(data, out, **SMOKE)
+    (partial_of(out) / "train.json").write_text("")
+    (partial_of(out) / "checkpoint.pt").write_bytes(b"old")
     events(monkeypatch, END)
-    out = tmp_path / "out"
-    for option in ("resume", "overwrite"):
-        train(data, out, existing="overwrite" if out.exists() else "refuse", **SMOKE)
-        (out / "train.json").write_text("")
-        (out / "checkpoint.pt").write_bytes(b"old")
-        with pytest.raises(OutputError, match="cannot be read"):
-            train(data, out, **SMOKE)
-        caplog.clear()
-        assert train(data, out, existing=option, **SMOKE).record["status"] == "complete"
-        assert "starts again" in caplog.text
-        assert not (out / "checkpoint.pt").exists()
-    # Somebody's own folder stays what it is.
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "train.json").write_text("")
-    with pytest.raises(OutputError, match="not a training"):
-        train(data, tmp_path / "mine", existing="overwrite", **SMOKE)
+    with pytest.raises(OutputError, match="--resume"):
+        train(data, out, **SMOKE)
+    assert train(data, out, existing="resume", **SMOKE).record["epochs_done"] == 1
+    assert "starts again" in caplog.text
+    assert not (out / "checkpoint.pt").exists()
 
 
-def test_overwriting_keeps_edited_and_foreign_files_and_reports_them(tmp_path, monkeypatch):
+def test_overwriting_replaces_a_training_and_refuses_foreign_files(tmp_path, monkeypatch):
     data, out = yolo(tmp_path / "data", {"train": 2}), tmp_path / "out"
     events(monkeypatch, END)
-    command = ["train", str(data), "--out", str(out), "--preset", "smoke", "--weights", "scratch", "--device", "cpu"]
-    assert CliRunner().invoke(build_app(), command).exit_code == 0
-    kept = ("job.json", "train.json", "weights.pt")
-    for name in kept:
-        (out / name).write_bytes(b" " + (out / name).read_bytes())
+    train(data, out, **SMOKE)
     (out / "note.txt").write_text("mine")
-    (out / "run").mkdir()
-    (out / "run" / "mine.png").write_text("mine")
-    ended = CliRunner().invoke(build_app(), [*command, "--overwrite"])
-    assert ended.exit_code == 0, ended.output
-    for name in (*kept, "run/mine.png"):
-        assert (out / "replaced" / name).is_file(), name
-        assert f"{name}: changed after InfraBlend wrote it" in ended.stderr, ended.stderr
-    assert (out / "note.txt").read_text() == "mine"
-    assert json.loads((out / "train.json").read_text())["status"] == "complete"
-    again = CliRunner().invoke(build_app(), [*command, "--overwrite"])
-    assert again.exit_code == 0
-    assert "replaced" not in again.stderr
-    assert sorted(p.name for p in (out / "replaced").iterdir()) == sorted([*kept, "run"])
+    with pytest.raises(OutputError, match=r"note\.txt"):
+        train(data, out, existing="overwrite", **SMOKE)
+    (out / "note.txt").rename(tmp_path / "note.txt")
+    train(data, out, existing="overwrite", **{**SMOKE, "seed": 4})
+    assert json.loads((out / "train.json").read_text())["seed"] == 4
+    (out / "weights.pt").unlink()
+    with pytest.raises(OutputError, match=r"weights\.pt: is not there"):
+        train(data, out, existing="resume", **{**SMOKE, "seed": 4})
 
 
 def test_resuming_needs_the_same_data_but_not_the_same_path(tmp_path, monkeypatch):
@@ -461,12 +442,6 @@ def test_resuming_needs_the_same_data_but_not_the_same_path(tmp_path, monkeypatc
     labels.write_text(was)
     Image.fromarray(np.full((240, 320), 9, np.uint8)).save(data / "images" / "train" / "1.png")
     with pytest.raises(OutputError, match="other labels or pictures"):
-        train(data, out, existing="resume", **SMOKE)
-    # Records of earlier versions know the place alone.
-    record = json.loads((out / "train.json").read_text())
-    del record["content"]
-    (out / "train.json").write_text(json.dumps(record))
-    with pytest.raises(OutputError, match="data: "):
         train(data, out, existing="resume", **SMOKE)
 
 

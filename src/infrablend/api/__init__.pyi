@@ -84,8 +84,8 @@ from infrablend.pipeline.extensions import (
     SceneRequest as SceneRequest,
     SceneSampler as SceneSampler,
 )
-from infrablend.pipeline.extraction.choice import FrameChoice as FrameChoice
-from infrablend.pipeline.extraction.plan import FlightFacts as FlightFacts
+from infrablend.pipeline.extraction.clips import FrameChoice as FrameChoice
+from infrablend.pipeline.extraction.clips import FlightFacts as FlightFacts
 from infrablend.pipeline.frame_selection import FrameSelection as FrameSelection
 from infrablend.pipeline.in_memory import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
 from infrablend.pipeline.request import Execution as Execution, RunRequest as RunRequest
@@ -95,7 +95,7 @@ from infrablend.pipeline.sharded_run import ShardState as ShardState
 from infrablend.pipeline.split import SplitReport as SplitReport
 from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
 from infrablend.pipeline.train import TrainReport as TrainReport
-from infrablend.pipeline.training.plan import TrainPlan as TrainPlan
+from infrablend.pipeline.training.planning import TrainPlan as TrainPlan
 from infrablend.pipeline.trial import Trial as Trial
 from infrablend.training.request import TrainRequest as TrainRequest
 

@@ -22,8 +22,7 @@ from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:
     from infrablend.pipeline.count_scale import CountScale
-    from infrablend.pipeline.extraction.choice import FrameChoice
-    from infrablend.pipeline.extraction.plan import FlightFacts
+    from infrablend.pipeline.extraction.clips import FlightFacts, FrameChoice
     from infrablend.pipeline.extraction.report import FramesReport
     from infrablend.pipeline.profile import ProfileReport
     from infrablend.pipeline.temperatures import TemperaturesReport
@@ -185,7 +184,7 @@ def profile(
 
 def make_world(
     out: str | Path, count: int, seed: int = 0, *, layout: Layout = "hit-uav",
-    workers: int | None = None, on_progress: OnProgress | None = None,
+    workers: int | None = None, overwrite: bool = False, on_progress: OnProgress | None = None,
 ) -> Path:  # fmt: skip
     """Render a background dataset of a virtual thermal world, with exact labels and without any download.
 
@@ -193,5 +192,6 @@ def make_world(
     some of it lost), the town in 16-bit centikelvin (`radiometric`), or a flight in radiometric JPEG files (`dji`,
     `flir`). It always renders on the CPU.
     """
-    world.make_world(Path(out), WorldRequest(count, seed, layout), Execution(workers).worker_count(), on_progress)
+    request = WorldRequest(count, seed, layout)
+    world.make_world(Path(out), request, Execution(workers).worker_count(), on_progress, overwrite=overwrite)
     return Path(out)

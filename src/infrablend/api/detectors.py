@@ -12,7 +12,7 @@ from infrablend.core.tasks import OnProgress, paced
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.pipeline.train import TrainReport, train_dataset
-from infrablend.pipeline.training.plan import TrainPlan, plan_training
+from infrablend.pipeline.training.planning import TrainPlan, plan_training
 from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from infrablend.core.tasks import OnProgress
 from infrablend.pipeline.experiments.request import ExperimentRequest
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.experiments.plan import ExperimentPlan
+    from infrablend.pipeline.experiments.forecast import ExperimentPlan
     from infrablend.pipeline.experiments.run import ExperimentReport, OnStage
 
 
@@ -35,7 +35,7 @@ def experiment(
 
 def plan_experiment(request: ExperimentRequest) -> ExperimentPlan:
     """Return stages, images, time and disk space of an experiment, without writing anything."""
-    from infrablend.pipeline.experiments.plan import plan_experiment as plan_stages
+    from infrablend.pipeline.experiments.forecast import plan_experiment as plan_stages
     from infrablend.pipeline.experiments.prepare import prepare_experiment
 
     return plan_stages(prepare_experiment(request))

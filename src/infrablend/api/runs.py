@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from infrablend.api.datasets import read_dataset
 from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.dataset import Dataset
+from infrablend.core.file_names import real_path
 from infrablend.core.output import Existing
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
@@ -207,12 +208,13 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
     """Compare the inserted objects of a run with real objects of the same class; needs `infrablend[realism]`.
 
     `against` is the dataset that the run was made from; it is read as the run read it, with every split, unless
-    `reading` says otherwise. `out` is `realism` in the run folder by default, and `real` another dataset of the real
+    `reading` says otherwise. `out` is `RUN-realism`, beside the run, by default, and `real` another dataset of the real
     objects, as from `read_dataset`. `ComparisonRequest` explains the other arguments.
     """
     from infrablend.pipeline.compare_objects import ComparisonRequest, compare
 
-    folder = Path(run) / "realism" if out is None else Path(out)
+    beside = real_path(Path(run))
+    folder = beside.with_name(f"{beside.name}-realism") if out is None else Path(out)
     request = ComparisonRequest(
         categories, time_of_day, pairs, execution.worker_count(), execution.in_process, real, steps
     )

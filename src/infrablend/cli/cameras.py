@@ -223,9 +223,12 @@ def world(
         typer.Option(help="Dataset or camera whose files to copy; radiometric: 16-bit centikelvin."),
     ] = "hit-uav",
     seed: SeedOption = 0,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier world in DIR.")] = False,
     workers: WorkersOption = None,
 ) -> None:
     """Render a background dataset of a virtual thermal world, as HIT-UAV, MONET or a camera's own files."""
     with shown_progress(session, "rendering") as on_progress:
-        folder = api.make_world(out, count, seed, layout=layout, workers=workers, on_progress=on_progress)
+        folder = api.make_world(
+            out, count, seed, layout=layout, workers=workers, overwrite=overwrite, on_progress=on_progress
+        )
     print_result(str(folder))

@@ -82,7 +82,7 @@ def experiment(
 
 
 def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
-    from infrablend.pipeline.experiments.plan import NO_WORK
+    from infrablend.pipeline.experiments.forecast import NO_WORK
 
     rows = []
     for s in plan["stages"]:

@@ -154,7 +154,7 @@ def realism(
     run: RunArgument,
     against: Annotated[Path, typer.Option(metavar="DATASET", help="Background dataset of the run.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder of the report [default: RUN/realism].")
+        Path | None, typer.Option(metavar="DIR", help="Folder of the report [default: RUN-realism].")
     ] = None,
     classes: Annotated[
         Any,

@@ -37,6 +37,7 @@ def _names(given: Any) -> Any:
 
 Names = Annotated[tuple[Name, ...], BeforeValidator(_names), Field(min_length=1)]
 Limits = dict[Split, Annotated[int, Field(ge=1)]]
+Seeds = Annotated[int, Field(ge=1)]
 
 
 class Source(Strict):
@@ -145,6 +146,8 @@ class Merge(Strict):
     kind: Literal["merge"]
     parts: tuple[Part, ...] = Field(min_length=1)
     """Parts to put together."""
+    redraw: bool = False
+    """Whether each seed of a training that uses it draws other images."""
     reseed: int = Field(0, ge=0)
     """Number added to the run's seed, to draw other images."""
 
@@ -183,10 +186,24 @@ class Training(Strict):
     """Start weights: `auto`, `scratch`, the name of published weights, or a file."""
     settings: dict[str, Any] = Field(default_factory=dict)
     """Settings to use instead of those of the scale's preset."""
+    seeds: Seeds | dict[Scale, Seeds] = 1
+    """Number of trainings with other start weights and another order of images, or that number by scale; 1 by default.
+
+    Three seeds of `NAME` are the trainings `NAME`, `NAME-1` and `NAME-2`, and its evaluations are repeated likewise.
+    """
     reseed: int = Field(0, ge=0)
-    """Number added to the run's seed, to train again with other start weights and another order of images."""
+    """Number added to the run's seed."""
     paper_images: int | None = Field(None, ge=1)
     """Training images in the paper."""
+
+    def seeds_at(self, scale: Scale) -> int:
+        """Return the number of seeds at a scale."""
+        return self.seeds if isinstance(self.seeds, int) else self.seeds.get(scale, 1)
+
+
+def seed_names(name: str, count: int) -> tuple[str, ...]:
+    """Return the names of the seeds of a training, evaluation or data item: `NAME`, `NAME-1`, `NAME-2`, ..."""
+    return (name, *(f"{name}-{k}" for k in range(1, count)))
 
 
 class Evaluation(Strict):
@@ -213,9 +230,11 @@ class Comparison(Strict):
     """The paired difference a - b of two evaluations on the same images and classes."""
 
     a: Names
-    """Evaluation, or several whose detectors differ only in `reseed`; their mean is compared."""
+    """Evaluation with all its seeds, or several whose detectors differ only in the seed; their mean is compared."""
     b: Names
-    """Evaluation, or several, to subtract."""
+    """Evaluation, or several, to subtract. Both sides have as many seeds as the evaluation with the fewest."""
+    seeds: Seeds | None = None
+    """Largest number of seeds to compare; all by default."""
     title: str = ""
     """Name on the page; `a - b` by default."""
 
@@ -243,7 +262,7 @@ class Row(Strict):
     title: str = Field(min_length=1)
     """Text of the first cell."""
     evaluation: Names | None = None
-    """Evaluation that gives the figures, the table's by default; or several, to show means of those of the scale."""
+    """Evaluations that give the figures, with all their seeds: means of several are shown. The table's by default."""
     category: str = "all"
     """Class, or `all`."""
     paper: Figures = Figures()
@@ -256,7 +275,8 @@ class Table(Strict):
     title: str = Field(min_length=1)
     """Heading."""
     evaluation: Name | None = None
-    """Evaluation of all rows that name none. Its remaining classes follow as rows without figures of the paper."""
+    """Evaluation, with its first seed, of all rows that name none. Its remaining classes follow as rows without figures
+    of the paper."""
     note: str = ""
     """Text below the table."""
     rows: tuple[Row, ...] = Field(min_length=1)
@@ -361,6 +381,17 @@ class Experiment(Strict):
         both = sorted(set(self.sources) & set(self.data))
         yield from (f"{n} is both in sources and in data" for n in both)
         items = {*self.sources, *self.data}
+        repeated = {
+            "data": self.seeds_of_data(),
+            "trainings": self.seeds_of_trainings(),
+            "evaluations": self.seeds_of_evaluations(),
+        }
+        for kind, names_of in repeated.items():
+            twice = [(n, one) for n, names in names_of.items() for one in names[1:] if one in names_of]
+            yield from (f"{kind}.{n}: its seeds include {one}, which the file has as well" for n, one in twice)
+        trainings, evaluations = (
+            {one for names in repeated[kind].values() for one in names} for kind in ("trainings", "evaluations")
+        )
         for n, d in self.data.items():
             yield from (f"data.{n}: no source or data {i}" for i in self.inputs_of(n).values() if i not in items)
             if isinstance(d, Paste) and not isinstance(self.data.get(d.like), Generate):
@@ -369,16 +400,16 @@ class Experiment(Strict):
             if t.data not in items:
                 yield f"trainings.{n}.data: no source or data {t.data}"
         for n, e in self.evaluations.items():
-            if e.training not in self.trainings:
+            if e.training not in trainings:
                 yield f"evaluations.{n}.training: no training {e.training}"
             if e.data not in items:
                 yield f"evaluations.{n}.data: no source or data {e.data}"
         for n, c in self.comparisons.items():
-            yield from (f"comparisons.{n}: no evaluation {e}" for e in (*c.a, *c.b) if e not in self.evaluations)
+            yield from (f"comparisons.{n}: no evaluation {e}" for e in (*c.a, *c.b) if e not in evaluations)
         for k, table in enumerate(self.tables):
             for row in table.rows:
                 for of in row.evaluation or (table.evaluation,):
-                    if of not in self.evaluations:
+                    if of not in evaluations:
                         yield f"tables.{k}: {row.title}: no evaluation {of}"
         for k, f in enumerate(self.facts):
             yield from (f"facts.{k}.data: no source or data {d}" for d in f.data if d not in items)
@@ -386,9 +417,27 @@ class Experiment(Strict):
             if check.comparison is not None and check.comparison not in self.comparisons:
                 yield f"checks.{k}.comparison: no comparison {check.comparison}"
             of_ratio = [e for side in check.ratio or () for e in side]
-            yield from (f"checks.{k}.ratio: no evaluation {e}" for e in of_ratio if e not in self.evaluations)
-        known = {*self.data, *self.trainings, *self.evaluations, *self.comparisons}
+            yield from (f"checks.{k}.ratio: no evaluation {e}" for e in of_ratio if e not in evaluations)
+        known = {*self.data, *trainings, *evaluations, *self.comparisons}
         yield from (f"only_at: no stage {n}" for n in self.only_at if n not in known)
+
+    def seeds_of_trainings(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of all seeds of each training, at any scale."""
+        return {n: seed_names(n, max(t.seeds_at(s) for s in SCALES)) for n, t in self.trainings.items()}
+
+    def seeds_of_evaluations(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of each evaluation of all seeds of its training."""
+        seeds = self.seeds_of_trainings()
+        return {n: seed_names(n, len(seeds.get(e.training, (n,)))) for n, e in self.evaluations.items()}
+
+    def seeds_of_data(self) -> dict[str, tuple[str, ...]]:
+        """Return the names of all draws of each data item: one per seed of the trainings that use it, if redrawn."""
+        seeds, found = self.seeds_of_trainings(), {}
+        for n, d in self.data.items():
+            redrawn = isinstance(d, Merge) and d.redraw
+            counts = [len(seeds[k]) for k, t in self.trainings.items() if t.data == n and redrawn]
+            found[n] = seed_names(n, max(counts, default=1))
+        return found
 
     def inputs_of(self, name: str) -> dict[str, str]:
         """Return the names of the sources and items that a data item is made from, by role."""

@@ -206,6 +206,11 @@ def workspace(
                 space.discard()
 
 
+def replacing(overwrite: bool) -> Existing:
+    """Return what to do with earlier output for commands that cannot resume."""
+    return "overwrite" if overwrite else "refuse"
+
+
 def require_existing(existing: Existing) -> None:
     """Check that a value is one of `Existing`.
 
@@ -291,8 +296,9 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
         {p.name for p in partial.iterdir()} - {part_path(partial / NOTE).name}
     )  # a kill may leave half a note
     started = read_object(partial / NOTE) is not None
-    if left and not started:
-        raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(left)}. Move it away.")
+    foreign = [name for name in left if name != part_path(partial / NOTE).name]  # killed before the first file
+    if foreign and not started:
+        raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(foreign)}. Move it away.")
     if existing == "refuse" and (entries or (started and keep)):
         raise _refused(space, entries, keep)
     if existing == "resume" and started:

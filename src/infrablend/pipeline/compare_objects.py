@@ -22,12 +22,12 @@ from infrablend.core.arguments import require_choice, require_names, require_who
 from infrablend.core.class_names import KnownClass, known_class, named_as
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, real_path
-from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.files import write_bytes, write_text
 from infrablend.core.frame_record import FrameRecord
-from infrablend.core.output import OutputFolder, require_replaceable
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
+from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.execution.serial import Serial
@@ -50,13 +50,13 @@ from infrablend.realism.features import Measured
 from infrablend.realism.looseness import looseness, looseness_against
 from infrablend.realism.pairing import pair_by_size
 from infrablend.realism.sensor_steps import SENSOR_STEPS
-from infrablend.report.picture_mark import CROP_SHEET, software_of
-from infrablend.report.realism import SHEET_ENDS, CropSheet, html_report, sheets_of
+from infrablend.report.realism import CropSheet, html_report, sheets_of
 
 Time = Literal["night", "day", "all"]
 
 # The class whose real control decides whether the method's figures are valid.
 _REFERENCE: KnownClass = "person"
+RECORD = "realism.json"
 WORKER = "infrablend.pipeline.measure_objects:make_measurer"
 _EIGHT_BIT = (16.0, 235.0)
 
@@ -365,20 +365,38 @@ def compare(
 ) -> RealismReport:
     """Compare the inserted objects of a run with real ones and write the report; arguments as `measure_populations`.
 
+    An earlier comparison in `out` is replaced.
+
     Raises:
         MissingDependencyError: scikit-learn is not installed.
-        OutputError, DatasetError: See `measure_populations`.
+        OutputError: See `measure_populations`; or `out` cannot be written, or has anything else in it.
+        DatasetError: See `measure_populations`.
     """
     request = request if request is not None else ComparisonRequest()
     require_sklearn()
-    record = OutputFolder(out, "comparison", "realism.json").read_record()
-    ours = record is not None and {"version", "run", "classes", "ablation"} <= record.keys()
-    for name in ("realism.json", "realism.html"):
-        require_replaceable(out / name, "comparison", ours=ours)
-    for sheet_file in (p for end in SHEET_ENDS for p in sorted(out.glob(f"*{end}"))):
-        own = not sheet_file.is_symlink() and software_of(sheet_file) == CROP_SHEET
-        require_replaceable(sheet_file, "sheet of crops", ours=own)
-    material = measure_populations(run, dataset, request, on_progress)
+    with workspace(out, "comparison", RECORD, "overwrite") as space:
+        material = measure_populations(run, dataset, request, on_progress)
+        comparisons, people = _compare_classes(material)
+        facts = {
+            "version": 1,
+            "time_of_day": request.time_of_day,
+            "most_pairs": request.most_pairs,
+            "run": _run_facts(run, dataset, request),
+            "unreadable": sorted(material.found.unreadable),
+            "person_floor": people,
+            **_figures(comparisons),
+        }
+        names = distinct_names([file_name(v.category.lower()) for v in comparisons])
+        sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
+        for sheet in sheets:
+            write_bytes(space.folder / f"{sheet.name}.png", sheet.png)
+        write_text(space.folder / "realism.html", html_report(facts, comparisons, sheets))
+        space.finish(facts)
+    return RealismReport(out, facts)
+
+
+def _compare_classes(material: Material) -> tuple[list[ClassComparison], dict[str, Any]]:
+    """Return the figures of each class, and the real control of people."""
     found = material.found
     comparisons = [
         compare_class(
@@ -391,7 +409,6 @@ def compare(
         for c in material.categories
     ]
     people = _people(material, comparisons)
-    by_name = {v.category: v.facts for v in comparisons}
     for v in comparisons:
         v.facts.update(validity(v.facts, people["floor_logistic"]))
         v.facts["contrast"] = compare_contrasts(
@@ -408,26 +425,17 @@ def compare(
             v.facts.setdefault("left_out", {})[population] = dict(
                 sorted(found.left_out.get(f"{population}/{v.category}", Counter()).items())
             )
-    facts: dict[str, Any] = {
-        "version": 1,
-        "time_of_day": request.time_of_day,
-        "most_pairs": request.most_pairs,
-        "run": _run_facts(run, dataset, request),
-        "unreadable": sorted(found.unreadable),
-        "person_floor": people,
-        "classes": by_name,
-        "ablation": {v.category: v.ablation for v in comparisons},
-    }
+    return comparisons, people
+
+
+def _figures(comparisons: Sequence[ClassComparison]) -> dict[str, Any]:
+    """Return the figures of all classes for the record."""
+    by_name = {v.category: v.facts for v in comparisons}
+    facts: dict[str, Any] = {"classes": by_name, "ablation": {v.category: v.ablation for v in comparisons}}
     cars, persons = named_as("car", by_name), named_as("person", by_name)
     if cars is not None and persons is not None:
         facts["car_to_person_contrast"] = contrast_ratio(by_name[cars], by_name[persons])
-    names = distinct_names([file_name(v.category.lower()) for v in comparisons])
-    sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
-    for sheet in sheets:
-        write_bytes(out / f"{sheet.name}.png", sheet.png)
-    write_json(out / "realism.json", facts)
-    write_text(out / "realism.html", html_report(facts, comparisons, sheets))
-    return RealismReport(out, facts)
+    return facts
 
 
 def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[str, Any]:

@@ -17,11 +17,11 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.finished import CONVERT_FILE
 from infrablend.core.format_table import NATIVE, Writer, find_writer, written_names
 from infrablend.core.output import require_apart
+from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.write_settings import WriteSettings
-from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.pipeline.dataset_requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection
 from infrablend.pipeline.enlarged import count_enlarged, enlarged_counts
 from infrablend.pipeline.origin import origin_of
@@ -89,7 +89,7 @@ def convert_dataset(
         loosen: Factor by which to enlarge the boxes of inserted objects, see `annotation.looseness`.
         loosen_px: Distance, px, by which to move each side of these boxes outwards after that.
         settings: Settings of the writer.
-        overwrite: Delete the files that the earlier call wrote first; changed and other files are kept.
+        overwrite: Replace the folder that an earlier call wrote.
 
     Raises:
         UnknownFormatError: No writer has this name.
@@ -97,38 +97,18 @@ def convert_dataset(
         OutputError: The folder cannot be used or written.
     """
     require_apart(dataset.root, out)
-    rename, drop, only = classes.rename, classes.drop, classes.only
     settings = settings or WriteSettings()
-    writer = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
-    if writer is None:
-        problem = Problem("--to", "format-none", f"{dataset.format} has no writer", f"one of {_choice()}")
-        raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
-    _require_classes(dataset, rename, "--rename")
-    _require_names(dataset, rename.values())
-    renamed = rename_classes(dataset, rename)
-    _require_classes(renamed, drop, "--drop-class")
-    if only is not None:
-        _require_classes(renamed, [only], "--only-class")
-        drop = [c.name for c in renamed.categories if c.name != only]
-    chosen: dict[str, Any] | None = None
-    if selection:
-        renamed, chosen = select(renamed, selection)
-    wanted = drop_classes(renamed, drop)
-    looseness, (earlier, at_most) = Looseness(loosen, loosen_px), count_enlarged(dataset, wanted)
+    writer = _writer(dataset, to)
+    chosen = _choose(dataset, classes, selection)
+    looseness = Looseness(loosen, loosen_px)
+    earlier, at_most = count_enlarged(dataset, chosen.wanted)
     if {"boxes", "obb"} <= writer.lacks:
         earlier = 0  # boxes that are read from masks are exact
     if (loosen, loosen_px) != (1, 0):
         _require_tight(dataset, looseness, earlier, writer)
-    problems = [*dataset.problems, *ignored_turned_objects(dataset, rename or {})]
-    images = with_sizes(wanted.images, partial(_location, wanted.root), problems)
-    loosened = 0
-    if looseness:
-        images, loosened = loosen_inserted(images, looseness)
-    if looseness and not loosened:
-        found, expected = "no object marked as inserted, among those that are written", "at least one"
-        todo = "convert the coco folder of a run, which marks them"
-        none = Problem(_loosen_option(looseness), "loosen-none", found, expected, todo)
-        raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
+    problems = [*dataset.problems, *ignored_turned_objects(dataset, classes.rename)]
+    images = with_sizes(chosen.wanted.images, partial(_location, dataset.root), problems)
+    images, loosened = _loosened(dataset, images, looseness)
     if not images:
         raise DatasetError(f"{dataset.root}: no picture with a readable size", problems[:20])
     fault = writing.unwritable(writer.name, images, settings)
@@ -138,31 +118,22 @@ def convert_dataset(
         "images": len(images),
         "images_per_split": dict(Counter(i.split for i in images)),
         "labels": _per_class(images),
-        "labels_dropped": {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)},
+        "labels_dropped": chosen.dropped,
         "source_format": dataset.format,
-        **({} if chosen is None else {"selection": chosen}),
+        **({} if chosen.selection is None else {"selection": chosen.selection}),
         # Those of the source count as well, or a further step would enlarge them again.
         **enlarged_counts(loosened or earlier, at_most),
         **(looseness.to_counts() if looseness else {}),
     }
-    header = {
-        "source": str(dataset.root),
-        "source_format": dataset.format,
-        "format": writer.name,
-        "rename": dict(rename),
-        "drop": sorted(drop),
-        "ids": settings.ids,
-        "category_ids": settings.category_ids,
-        "notes": dict(dataset.notes),
-    }
-    folder = DatasetFolder(out, "conversion", CONVERT_FILE)
-    with folder.writing(header, overwrite):
+    with workspace(out, "conversion", CONVERT_FILE, replacing(overwrite)) as space:
         try:
-            written = writing.write(to, out, images, wanted.categories, settings=settings, source=wanted)
+            written = writing.write(
+                to, space.folder, images, chosen.wanted.categories, settings=settings, source=chosen.wanted
+            )
         except ValueError as error:  # a label that the format does not allow
             raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
         problems += written.problems
-        changes = _changes(writer.name, rename, counts["labels_dropped"], problems, chosen)
+        changes = _changes(writer.name, classes.rename, chosen, problems)
         if earlier:
             changes.append(
                 f"{'Up to ' if at_most else ''}{earlier} boxes of inserted objects were enlarged or fitted before, to "
@@ -171,20 +142,100 @@ def convert_dataset(
         if looseness:
             changes.append(loosened_text(loosened, looseness))
         card = dataset_card(
-            origin_of(dataset, images, rename),
+            origin_of(dataset, images, classes.rename),
             images,
-            wanted.categories,
+            chosen.wanted.categories,
             changes=changes,
             to=writer.name,
             losses=written.losses,
-            layout=written_layout(out, written.files, CONVERT_FILE),
+            layout=written_layout(space.folder, written.files, CONVERT_FILE),
         )
-        problems += write_card(out, card)
-        problems += _background_class(writer.name, wanted, settings)
-        problems += folder.problems()
+        write_card(space.folder, card)
+        problems += _background_class(writer.name, chosen.wanted, settings)
         report = ConvertReport(out, writer.name, counts, written.losses, tuple(problems))
-        folder.finish(header, {k: v for k, v in report.to_json().items() if k not in ("out", "format")})
+        space.finish(
+            {
+                "source": str(dataset.root),
+                "source_format": dataset.format,
+                "format": writer.name,
+                "rename": dict(classes.rename),
+                "drop": sorted(chosen.drop),
+                "ids": settings.ids,
+                "category_ids": settings.category_ids,
+                "notes": dict(dataset.notes),
+                **{k: v for k, v in report.to_json().items() if k not in ("out", "format")},
+            }
+        )
     return report
+
+
+def _writer(dataset: Dataset, to: str) -> Writer:
+    """Return the writer of a format, or of the dataset's own.
+
+    Raises:
+        UnknownFormatError: No writer has this name.
+        DatasetError: The dataset's format has no writer.
+    """
+    writer = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
+    if writer is None:
+        problem = Problem("--to", "format-none", f"{dataset.format} has no writer", f"one of {_choice()}")
+        raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
+    return writer
+
+
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """What is written of a dataset.
+
+    Attributes:
+        wanted: The dataset with the pictures and classes to write.
+        drop: Classes that were left out, by their new names.
+        dropped: Number of labels left out, by class.
+        selection: Facts of the selection of pictures; None if all were taken.
+    """
+
+    wanted: Dataset
+    drop: Sequence[str]
+    dropped: Mapping[str, int]
+    selection: Mapping[str, Any] | None
+
+
+def _choose(dataset: Dataset, classes: ClassChanges, selection: Selection) -> _Chosen:
+    """Rename classes, select pictures, and drop classes.
+
+    Raises:
+        DatasetError: A class does not exist, has an invalid new name, or too few pictures match the selection.
+    """
+    _require_classes(dataset, classes.rename, "--rename")
+    _require_names(dataset, classes.rename.values())
+    renamed = rename_classes(dataset, classes.rename)
+    _require_classes(renamed, classes.drop, "--drop-class")
+    drop = classes.drop
+    if classes.only is not None:
+        _require_classes(renamed, [classes.only], "--only-class")
+        drop = [c.name for c in renamed.categories if c.name != classes.only]
+    facts: Mapping[str, Any] | None = None
+    if selection:
+        renamed, facts = select(renamed, selection)
+    dropped = {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)}
+    return _Chosen(drop_classes(renamed, drop), drop, dropped, facts)
+
+
+def _loosened(dataset: Dataset, images: list[ImageRecord], by: Looseness) -> tuple[list[ImageRecord], int]:
+    """Return the pictures with larger boxes of inserted objects, and the number of these boxes.
+
+    Raises:
+        DatasetError: There is no such box, although larger ones were asked for.
+    """
+    if not by:
+        return images, 0
+    images, count = loosen_inserted(images, by)
+    if not count:
+        found, expected = "no object marked as inserted, among those that are written", "at least one"
+        todo = "convert the coco folder of a run, which marks them"
+        none = Problem(_loosen_option(by), "loosen-none", found, expected, todo)
+        raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
+    return images, count
 
 
 def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) -> None:
@@ -214,22 +265,16 @@ def _loosen_option(by: Looseness) -> str:
     return _LOOSEN if "loosened_by" in by.to_counts() else _LOOSEN_PX
 
 
-def _changes(
-    to: str,
-    rename: Mapping[str, str],
-    dropped: Mapping[str, int],
-    problems: Sequence[Problem],
-    chosen: Mapping[str, Any] | None,
-) -> list[str]:
+def _changes(to: str, rename: Mapping[str, str], chosen: _Chosen, problems: Sequence[Problem]) -> list[str]:
     """Return the changes to list on the dataset card."""
     texts = [f"The labels were converted to the format `{to}`; the picture files are unchanged."]
     if rename:
         texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in rename.items()) + ".")
-    if dropped:
-        which = ", ".join(f"{name} {n}" for name, n in dropped.items())
-        texts.append(f"{sum(dropped.values())} labels of dropped classes ({which}) were left out.")
-    if chosen is not None:
-        what = ", ".join(f"{n} {why}" for why, n in chosen["left_out"].items()) or "none"
+    if chosen.dropped:
+        which = ", ".join(f"{name} {n}" for name, n in chosen.dropped.items())
+        texts.append(f"{sum(chosen.dropped.values())} labels of dropped classes ({which}) were left out.")
+    if chosen.selection is not None:
+        what = ", ".join(f"{n} {why}" for why, n in chosen.selection["left_out"].items()) or "none"
         texts.append(f"Only a selection of the source's pictures is included; left out: {what}; see `{CONVERT_FILE}`.")
     left_out = Counter(p.code for p in problems if p.severity == "error")
     if left_out:

@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.files import read_object
-from infrablend.core.finished import is_finished
-from infrablend.core.typed_command import recorded_command
+from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.detections import TASKS, Predictions, Task, read_predictions
 from infrablend.evaluation.truth import image_key
+from infrablend.training.files import WEIGHTS
 
 if TYPE_CHECKING:
     from infrablend.training.predict import Detector
@@ -86,28 +85,22 @@ class DetectionSource:
 
 
 def _file_of(path: Path) -> Path:
-    """Return the file to use from a folder: detections of an evaluation, or weights of a finished training.
+    """Return the file to use from a folder: detections of an evaluation, or weights of a training.
 
     Raises:
         ModelError: The folder is neither, or its training is not finished.
     """
-    from infrablend.pipeline.training.folder import RECORD as TRAINING
-    from infrablend.training.files import WEIGHTS
-
-    of_folder = (path / file for file in (PREDICTIONS, WEIGHTS) if (path / file).is_file())
-    file = next(of_folder, None) if path.is_dir() else path
-    record = read_object(file.with_name(TRAINING)) if file is not None and file.name == WEIGHTS else None
-    if file is not None and (record is None or is_finished(record)):
-        return file
-    found, expected = f"a folder with neither {PREDICTIONS} nor {WEIGHTS}", f"weights (.pt), or {PREDICTIONS}"
-    todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
-    if record is not None or (path / TRAINING).exists():
-        without = "" if file is not None else f", without {WEIGHTS}"
-        found, expected = f"an unfinished training{without}", "a finished one"
-        command = recorded_command(record, path)
-        todo = "finish it: repeat the `infrablend train` command with --resume"
-        todo = todo if command is None else f"finish it: {command}"
-    raise ModelError(f"{path}: nothing to evaluate", [Problem(str(path), "weights", found, expected, todo)])
+    if not path.is_dir() and (path.exists() or unfinished(path) is None):
+        return path
+    for file in (PREDICTIONS, WEIGHTS):
+        if (path / file).is_file():
+            return path / file
+    found, todo = unfinished(path), ""
+    if found is None:
+        found = f"a folder with neither {PREDICTIONS} nor {WEIGHTS}"
+        todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
+    problem = Problem(str(path), "weights", found, f"weights (.pt), or {PREDICTIONS}", todo)
+    raise ModelError(f"{path}: nothing to evaluate", [problem])
 
 
 def choose_task(wanted: str | None, source: DetectionSource, problems: list[Problem]) -> Task:

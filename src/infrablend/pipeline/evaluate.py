@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
+import re
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from infrablend import __version__
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.files import write_bytes, write_json, write_text
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
+from infrablend.core.files import write_bytes, write_text
+from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.bootstrap import LEVEL
 from infrablend.evaluation.classes import evaluated_classes
@@ -31,18 +33,23 @@ from infrablend.evaluation.files import MATCHES, RECORD
 from infrablend.evaluation.first_detections import list_found
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, truths
 from infrablend.formats.base import shorten
+from infrablend.formats.capture import facts_from_name
+from infrablend.formats.groups import GROUPINGS, background_stem, group_images
 from infrablend.formats.pictures import with_sizes
 from infrablend.pipeline.detection_source import PREDICTIONS, DetectionSource, choose_task
-from infrablend.pipeline.evaluation_folder import PAGE, PLOTS, EvaluationFolder
-from infrablend.pipeline.evaluation_images import image_groups, rejected_in
 from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.report.evaluation import draw_plots, evaluation_page
 from infrablend.training.weights import missing_packages
 
 log = logging.getLogger(__name__)
 
+PAGE, PLOTS = "evaluation.html", "plots"
 _SHOWN = 5
 _LEAST_AP = 0.001
+_SPLIT_WORDS: Mapping[str, Split] = {
+    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
+    "testing": "test",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,23 +91,18 @@ def evaluate_detector(
 ) -> EvaluationReport:
     """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
-    folder = EvaluationFolder(out)
-    folder.require_usable(overwrite)
     other = None if against is None else read_evaluation(against)
     problems: list[Problem] = []
-    source = DetectionSource(weights, device, problems)
-    prepared = _prepare(dataset, source, settings, problems)
-    conditions = Conditions(
-        settings.split, len(prepared.labels), prepared.key, prepared.task, settings.ignore_regions, settings.group
-    )
-    if other is not None:
-        require_same(other[0], conditions, against or out)
-
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(folder.claimed())
+    with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
+        source = DetectionSource(weights, device, problems)
+        prepared = _prepare(dataset, source, settings, problems)
+        conditions = Conditions(
+            settings.split, len(prepared.labels), prepared.key, prepared.task, settings.ignore_regions, settings.group
+        )
+        if other is not None:
+            require_same(other[0], conditions, against or out)
         predictions = source.on(prepared.images, settings.image_size, on_image, problems)
-        stack.enter_context(folder.writing())
-        write_predictions(out / PREDICTIONS, predictions)
+        write_predictions(space.folder / PREDICTIONS, predictions)
         case = prepared.case(predictions)
         problems += _count_detections(predictions, case, prepared.counts)
         if settings.list_first:
@@ -141,13 +143,12 @@ def evaluate_detector(
             ),
             "problems": [p.to_json() for p in problems],
         }
-        write_matches(out / MATCHES, stored)
+        write_matches(space.folder / MATCHES, stored)
         plots = draw_plots(facts)
         for name, data in plots.items():
-            write_bytes(out / PLOTS / name, data)
-        write_text(out / PAGE, evaluation_page(facts, plots))
-        write_json(out / RECORD, facts)  # last, because it marks the evaluation as complete
-        problems += folder.problems()
+            write_bytes(space.folder / PLOTS / name, data)
+        write_text(space.folder / PAGE, evaluation_page(facts, plots))
+        space.finish(facts)
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
 
 
@@ -238,6 +239,57 @@ def _label_warnings(names: Sequence[str], labels: Sequence[Truth], counts: Mappi
         if counts.get(key):
             problems.append(Problem("labels", key.replace("_", "-"), f"{counts[key]} {text}", severity="warning"))
     return problems
+
+
+def rejected_in(dataset: Dataset, split: str) -> list[Problem]:
+    """Return the errors of the reader in a split, without those that surely belong to another one.
+
+    An error names a file only. Its split is that of its folder, that of the picture with its name, or, for JSON of
+    many pictures, the one in the file name, as in `instances_val2017.json`.
+    """
+    of_stem: dict[str, set[str]] = {}
+    for image in dataset.images:
+        of_stem.setdefault(PurePosixPath(image.name).stem, set()).add(image.split)
+
+    def splits(p: Problem) -> set[str]:
+        path = PurePosixPath(p.where.partition(": ")[0])
+        folders: set[str] = {_SPLIT_WORDS[f.lower()] for f in path.parts[:-1] if f.lower() in _SPLIT_WORDS}
+        words = re.split(r"[^a-z]+", path.stem.lower()) if path.suffix == ".json" else []
+        return folders or of_stem.get(path.stem) or {_SPLIT_WORDS[w] for w in words if w in _SPLIT_WORDS} or {split}
+
+    return [p for p in dataset.problems if p.severity == "error" and split in splits(p)]
+
+
+def image_groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> tuple[str, ...]:
+    """Return the group of each image. Configurations of one background and the background itself share one."""
+    if by == "image":
+        return _frames(images)
+    kind = next(b for b in GROUPINGS if b == by)
+    try:
+        groups = group_images(images, kind)
+    except DatasetError as error:
+        todo = "take --group image, gap or date, whichever the dataset says"
+        problems += [replace(p, where="--group", todo=todo) for p in error.problems]
+        return ()
+    of = {image_key(i): name for name, group in groups.items() for i in group}
+    return tuple(of[image_key(i)] for i in images)
+
+
+def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
+    """Return the frame that each image shows: its own key, or one name for an original and all images made of it."""
+    backgrounds, made = [], []
+    for image in images:
+        key = PurePosixPath(image_key(image))
+        background = background_stem(key.stem)
+        backgrounds.append(str(key.with_name(background)))
+        made.append(background != key.stem)
+    sizes = Counter(backgrounds)
+    names = {b: f"frame {b}" for b, m in zip(backgrounds, made, strict=True) if m and sizes[b] > 1}
+    for image, background in zip(images, backgrounds, strict=True):
+        facts = facts_from_name(image.name)
+        if facts is not None and facts.configuration is not None:  # its number is the frame's in the whole dataset
+            names[background] = f"frame {facts.frame}"
+    return tuple(names.get(b, image_key(i)) for i, b in zip(images, backgrounds, strict=True))
 
 
 # -- figures ---------------------------------------------------------------------------------------------------

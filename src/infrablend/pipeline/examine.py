@@ -6,9 +6,9 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from infrablend.core.files import require_still_there, write_json
-from infrablend.core.output import OutputFolder, require_apart, require_replaceable
+from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, UnknownFormatError
 from infrablend.formats import detection, folder, shards
 from infrablend.formats.annotation_files import noting_understood
@@ -17,12 +17,10 @@ from infrablend.formats.unread import unread_label_files
 from infrablend.pipeline.written import changes_since_written
 from infrablend.report.checking import Checking, CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
-from infrablend.report.picture_mark import CHARTS, software_of
 
 # Codes of problems caused by the command, not by the data.
 _USAGE = {"shards-unmerged", "folder-missing", "option-unknown", "option-value", "table-unused"}
-# Keys that identify an `inspect.json` written by InfraBlend.
-_RECORDED = {"root", "format", "reason", "splits", "classes", "coverage"}
+INSPECT_FILE = "inspect.json"
 
 
 def inspect_folder(
@@ -30,25 +28,26 @@ def inspect_folder(
 ) -> Inspection:
     """Return the contents of a dataset; with `out`, also write `inspect.json` and the charts `inspect.png`.
 
+    An earlier inspection in `out` is replaced.
+
     Raises:
         DatasetError: The dataset cannot be read.
-        OutputError: `out` cannot be written, or contains files of these names that InfraBlend did not write.
+        OutputError: `out` cannot be written, or has anything else in it.
     """
-    if out is not None:
-        require_apart(root, out)
-        record = OutputFolder(out, "report", "inspect.json").read_record()
-        ours = record is not None and record.keys() >= _RECORDED
-        charts = out / "inspect.png"
-        require_replaceable(out / "inspect.json", "report", ours=ours)
-        require_replaceable(charts, "report", ours=ours or software_of(charts) == CHARTS)
+    if out is None:
+        return _inspected(root, reading, decode)
+    require_apart(root, out)
+    with workspace(out, "report", INSPECT_FILE, "overwrite") as space:
+        facts = _inspected(root, reading, decode)
+        write_charts(facts, space.folder / "inspect.png")
+        space.finish(facts.to_json())
+    return facts
+
+
+def _inspected(root: Path, reading: Reading, decode: bool) -> Inspection:
     dataset = detection.read(root, reading)
     reason = "as asked for" if reading.format else detection.detect(dataset.root).reasons[dataset.format]
-    facts = inspect_dataset(dataset, reason, decode=decode)
-    if out is not None:
-        write_json(out / "inspect.json", facts.to_json())
-        write_charts(facts, charts)
-        require_still_there([out / "inspect.json", charts])
-    return facts
+    return inspect_dataset(dataset, reason, decode=decode)
 
 
 def check_folder(

@@ -8,15 +8,22 @@ from pathlib import Path
 from infrablend.core.files import write_bytes, write_text
 from infrablend.core.finished import FRAMES_FILE
 from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import ArgumentError
 from infrablend.formats.flight_log import Sampled, sample
 from infrablend.formats.images import png_bytes
 from infrablend.formats.video import Frame
-from infrablend.pipeline.dataset_folder import DatasetFolder
-from infrablend.pipeline.extraction.choice import FrameChoice
-from infrablend.pipeline.extraction.plan import ClipPlan, FlightFacts, plan_clips
-from infrablend.pipeline.extraction.report import FramesReport, clip_problems, clip_result, missing_values
-from infrablend.pipeline.extraction.telemetry import TABLE, WrittenFrame, table_text, telemetry_rows
+from infrablend.pipeline.extraction.clips import ClipPlan, FlightFacts, FrameChoice, plan_clips
+from infrablend.pipeline.extraction.report import (
+    TABLE,
+    FramesReport,
+    WrittenFrame,
+    clip_problems,
+    clip_result,
+    missing_values,
+    table_text,
+    telemetry_rows,
+)
 
 
 def extract_frames(
@@ -38,7 +45,7 @@ def extract_frames(
         out: Folder to write: new or empty, or with `overwrite` one that an earlier call wrote.
         choice: Frames to take.
         flight: Logs, clocks and names.
-        overwrite: Delete the files that the earlier call wrote first; changed and other files are kept.
+        overwrite: Replace the folder that an earlier call wrote.
         on_progress: Called after each frame.
 
     Raises:
@@ -49,18 +56,15 @@ def extract_frames(
     flight = flight or FlightFacts()
     if not videos:
         raise ArgumentError("videos: found none, expected at least one file")
-    folder = DatasetFolder(out, "extraction of frames", FRAMES_FILE)
-    folder.require_usable(overwrite)
-    plans = plan_clips(videos, choice, flight)
-    header = {"source": " ".join(str(v) for v in videos), "every": choice.every}
-    total, done = sum(len(p.numbers) for p in plans), 0
-    report_done = paced(on_progress)
-    with folder.writing(header, overwrite):
+    done, report_done = 0, paced(on_progress)
+    with workspace(out, "extraction of frames", FRAMES_FILE, replacing(overwrite)) as space:
+        plans = plan_clips(videos, choice, flight)
+        total = sum(len(p.numbers) for p in plans)
         clips, rows, problems = [], [], []
         for plan in plans:
             written = []
             for frame in _wanted(plan):
-                written.append(_write_picture(out, plan.sequence, frame))
+                written.append(_write_picture(space.folder, plan.sequence, frame))
                 done += 1
                 if report_done is not None:
                     report_done(done, total)
@@ -69,10 +73,9 @@ def extract_frames(
             clips.append(clip_result(plan, written, sampled, flight.hfov_deg))
             problems += clip_problems(plan, written, sampled)
         problems += missing_values(clips)
-        write_text(out / TABLE, table_text(rows))
-        problems += folder.problems()
+        write_text(space.folder / TABLE, table_text(rows))
         report = FramesReport(out, tuple(clips), tuple(problems))
-        folder.finish({"every": choice.every, "start": choice.start, "end": choice.end}, report.to_json())
+        space.finish({"every": choice.every, "start": choice.start, "end": choice.end, **report.to_json()})
     return report
 
 

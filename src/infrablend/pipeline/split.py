@@ -18,12 +18,12 @@ from infrablend.core.finished import SPLIT_FILE
 from infrablend.core.format_table import NATIVE, find_writer
 from infrablend.core.output import require_apart
 from infrablend.core.rng import stream
+from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
-from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.pipeline.dataset_requests import SplitRule
 from infrablend.pipeline.enlarged import count_enlarged, enlarged_counts
 from infrablend.pipeline.origin import origin_of
@@ -113,7 +113,7 @@ def split_dataset(
         to: Format to write; `native` is the dataset's own.
         lists: Write only the record and the lists `train.txt`, `val.txt` and `test.txt`, with one path relative to the
             dataset per line.
-        overwrite: Delete the files that the earlier call wrote first; changed and other files are kept.
+        overwrite: Replace the folder that an earlier call wrote.
 
     Raises:
         DatasetError: The dataset lacks the facts that the grouping needs, its format has no writer, or the shares are
@@ -127,8 +127,6 @@ def split_dataset(
     wanted = check_shares(rule.shares)
     if gap < 1:
         raise DatasetError(f"gap: found {gap}, expected a positive number of frames")
-    folder = DatasetFolder(out, "split dataset", SPLIT_FILE)
-    folder.require_usable(overwrite)
     native = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if native is None and not lists:
         found = f"{dataset.format} without labels has no writer"
@@ -157,15 +155,16 @@ def split_dataset(
         "list" if lists or native is None else native.name,
         problems=split_warnings(images, names, wanted, by, len(groups)),
     )
-    header = {"source": str(dataset.root), "by": by, "format": report.format}
-    with folder.writing(header, overwrite):
-        report = _write_lists(report, images, dataset.root) if lists else _write_dataset(report, images, dataset, to)
-        report = replace(report, problems=(*report.problems, *folder.problems()))
+    with workspace(out, "split dataset", SPLIT_FILE, replacing(overwrite)) as space:
+        if lists:
+            report = _write_lists(space.folder, report, images, dataset.root)
+        else:
+            report = _write_dataset(space.folder, report, images, dataset, to)
         content = report.to_json()  # without the source: the same bytes wherever the dataset is
         if enlarged := enlarged_counts(*count_enlarged(dataset, replace(dataset, images=tuple(images)))):
             labels = Counter(o.category for i in images for o in i.instances)
             content["counts"] = {**enlarged, "labels": dict(sorted(labels.items()))}
-        folder.finish({}, content)
+        space.finish(content)
     return report
 
 
@@ -274,21 +273,23 @@ def split_warnings(
     return tuple(problems)
 
 
-def _write_lists(report: SplitReport, images: Sequence[ImageRecord], root: Path) -> SplitReport:
+def _write_lists(out: Path, report: SplitReport, images: Sequence[ImageRecord], root: Path) -> SplitReport:
     for split in SPLITS:
         here = [i.path for i in sort_images(images) if i.split == split]
         lines = [p.relative_to(root).as_posix() if p.is_relative_to(root) else str(p) for p in here]
-        write_text(report.out / f"{split}.txt", "".join(f"{line}\n" for line in lines))
+        write_text(out / f"{split}.txt", "".join(f"{line}\n" for line in lines))
     return replace(report, files=len(SPLITS) + 1)
 
 
-def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: Dataset, to: str) -> SplitReport:
+def _write_dataset(
+    out: Path, report: SplitReport, images: Sequence[ImageRecord], source: Dataset, to: str
+) -> SplitReport:
     unreadable: list[Problem] = []
     sized = with_sizes(images, lambda image: image.name, unreadable)
     if unreadable:
         raise DatasetError(f"{source.root}: the size of {len(unreadable)} picture(s) is unknown", shorten(unreadable))
     records = sort_images(_renamed(sized))
-    written = writing.write(to, report.out, records, source.categories, source=source)
+    written = writing.write(to, out, records, source.categories, source=source)
     done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{SPLIT_FILE}`."
     card = dataset_card(
         origin_of(source, records, {}),
@@ -297,14 +298,14 @@ def _write_dataset(report: SplitReport, images: Sequence[ImageRecord], source: D
         changes=[done],
         to=report.format,
         losses=written.losses,
-        layout=written_layout(report.out, written.files, SPLIT_FILE),
+        layout=written_layout(out, written.files, SPLIT_FILE),
     )
-    kept = write_card(report.out, card)
+    write_card(out, card)
     return replace(
         report,
         losses=written.losses,
         files=len(written.files) + 1,
-        problems=(*report.problems, *written.problems, *kept),
+        problems=(*report.problems, *written.problems),
     )
 
 

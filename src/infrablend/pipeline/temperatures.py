@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -19,6 +18,7 @@ from infrablend.core.finished import TEMPERATURES_FILE
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_median
+from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.coco import coco_chunks
 from infrablend.formats.images import png_bytes
@@ -32,7 +32,6 @@ from infrablend.formats.rjpeg.temperatures import (
 )
 from infrablend.formats.temperatures import CHECK_SCALE, IMPLAUSIBLE, shows_ground
 from infrablend.pipeline.count_scale import NO_SCALE, CountScale, SpotCount, count_at, spot_warnings, stated_scale
-from infrablend.pipeline.dataset_folder import DatasetFolder
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
@@ -156,8 +155,6 @@ def extract_temperatures(
         DatasetError: No picture has a radiometric layer.
         OutputError: The folder cannot be used or written.
     """
-    folder = DatasetFolder(out, "extraction of temperatures", TEMPERATURES_FILE)
-    folder.require_usable(overwrite)
     require_apart(dataset.root, out)
     if scale.converted is not None and not scale.converted.is_dir():
         raise ArgumentError(
@@ -168,31 +165,28 @@ def extract_temperatures(
     problems: list[Problem] = []
     layers: list[_Written] = []
     flir = 0
-    found = _layers(dataset, scale, stated)
-    # The folder is made once there is something to write: a command that is refused leaves nothing behind.
-    ahead = _up_to_the_first_layer(dataset, found)
     tell = paced(on_progress)
-    with folder.writing({"source": str(dataset.root)}, overwrite):
-        for k, one in enumerate(chain(ahead, found)):
+    with workspace(out, "extraction of temperatures", TEMPERATURES_FILE, replacing(overwrite)) as space:
+        for k, one in enumerate(_layers(dataset, scale, stated)):
             problems += one.faults
             if one.raw is not None and one.layer is not None:
                 flir += one.layer.source == _OF_FLIR
-                layers.append(_write(one.raw, one.layer, one.image, f"{one.name}.png", out))
+                layers.append(_write(one.raw, one.layer, one.image, f"{one.name}.png", space.folder))
             if tell is not None:
                 tell(k + 1, len(dataset.images))
+        if not layers:
+            raise DatasetError(f"{dataset.root}: no temperatures in {len(dataset.images)} picture(s)", problems)
         images = [w.record for w in layers]
         losses: Counter[str] = Counter()
         for split, chunks in coco_chunks(images, dataset.categories, losses).items():
-            write_chunks(out / "annotations" / f"instances_{split}", chunks)
+            write_chunks(space.folder / "annotations" / f"instances_{split}", chunks)
         scales = Counter(_scale_text(i) for i in images)
         problems += _of_reading(dataset, problems) + _remarks(dataset, layers) + spot_warnings(spots, stated)
-        problems += (
-            _unused_scale(dataset, scale, flir, len(layers)) + _loss_warnings(dataset, losses) + folder.problems()
-        )
+        problems += _unused_scale(dataset, scale, flir, len(layers)) + _loss_warnings(dataset, losses)
         ranges = [w.range_k for w in layers if w.range_k is not None]
         span = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
         report = TemperaturesReport(out, len(images), dict(sorted(scales.items())), span, spots, tuple(problems))
-        folder.finish({"source": str(dataset.root)}, report.to_json())
+        space.finish({"source": str(dataset.root), **report.to_json()})
     return report
 
 
@@ -208,21 +202,6 @@ def _layers(dataset: Dataset, given: CountScale, stated: TemperatureScale | None
             yield _Read(image, name, faults=tuple(error.problems))
         else:
             yield _Read(image, name, raw, layer)
-
-
-def _up_to_the_first_layer(dataset: Dataset, found: Iterator[_Read]) -> list[_Read]:
-    """Return what was read up to the first layer.
-
-    Raises:
-        DatasetError: No picture has one.
-    """
-    ahead = []
-    for one in found:
-        ahead.append(one)
-        if one.layer is not None:
-            return ahead
-    faults = [p for one in ahead for p in one.faults]
-    raise DatasetError(f"{dataset.root}: no temperatures in {len(ahead)} picture(s)", faults)
 
 
 def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, out: Path) -> _Written:

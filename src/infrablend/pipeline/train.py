@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import os
+import json
+import logging
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,32 +14,25 @@ from typing import Any
 from infrablend import __version__
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
-from infrablend.core.files import require_still_there, write_json
+from infrablend.core.files import read_object, write_json
 from infrablend.core.machine import describe_machine
-from infrablend.core.output import Existing
 from infrablend.core.tasks import OnProgress
 from infrablend.core.typed_command import command_facts
+from infrablend.core.workspace import Existing, workspace
+from infrablend.errors import OtherSettingsError, OutputError, Problem
 from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.training.data import (
     has_deep_pictures,
     select_training_data,
     write_training_data,
 )
-from infrablend.pipeline.training.folder import (
-    RECORD,
-    begin_training,
-    output_folder,
-    remove_working_files,
-    report_moved,
-    require_own_weights,
-    require_same,
-)
-from infrablend.pipeline.training.plan import plan_of
+from infrablend.pipeline.training.planning import choose_device, plan_of, require_arguments, require_space
 from infrablend.pipeline.training.process import run_trainer
-from infrablend.pipeline.training.requirements import choose_device, require_arguments, require_space
 from infrablend.training import weights
-from infrablend.training.files import WEIGHTS, open_manifest
+from infrablend.training.files import RECORD, WEIGHTS, WORKING_FILES
 from infrablend.training.request import TrainRequest
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -90,45 +84,77 @@ def train_dataset(
     device = choose_device(request.device)
     require_arguments(preset)
     wanted, left_out = select_training_data(dataset, preset, task, request.classes, request.agc)
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(output_folder(out).claimed())
-        manifest = open_manifest(out)
-        stack.callback(report_moved, manifest)
-        record = begin_training(out, existing, manifest)
-        asked = {
-            "preset": preset.name, "task": task, "seed": request.seed, "settings": dataclasses.asdict(preset),
-            "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
-            "start_asked": request.weights, "content": content_digest(wanted),
-        }  # fmt: skip
-        if has_deep_pictures(wanted):
-            asked["agc"] = request.agc.model_dump()
+    asked = {
+        "preset": preset.name, "task": task, "seed": request.seed, "settings": dataclasses.asdict(preset),
+        "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
+        "start_asked": request.weights, "content": content_digest(wanted),
+    }  # fmt: skip
+    if has_deep_pictures(wanted):
+        asked["agc"] = request.agc.model_dump()
+    with workspace(out, "training", RECORD, existing, keep=True) as space:
+        folder = space.folder
+        record = None if space.state == "new" else read_object(folder / RECORD)
         if record is not None:
             require_same(out, record, asked)
-            if record["status"] == "complete" and (out / WEIGHTS).is_file():
-                require_own_weights(out, manifest)
-                remove_working_files(out, manifest)  # of a call that was killed between its record and this
-                return TrainReport(out, out / WEIGHTS, record)
+        if space.state == "complete":
+            if not (folder / WEIGHTS).is_file():
+                raise OutputError(f"{out / WEIGHTS}: is not there; train again with --overwrite")
+            return TrainReport(out, out / WEIGHTS, record or {})
         if record is None or record.get("prepared") is None:
-            require_space(out, plan_of(wanted, preset, device, request.seed).disk_bytes)
+            if space.state == "started":
+                log.warning("%s: was not prepared to the end; the training starts again", out)
+            _remove_working_files(folder)
+            require_space(folder, plan_of(wanted, preset, device, request.seed).disk_bytes)
             start = weights.find_start(request.weights, preset, task)
-            stack.enter_context(manifest.recording())
             record = {
-                "infrablend": __version__, "status": "running", **command_facts(), **asked,
+                "infrablend": __version__, **command_facts(), **asked,
                 "left_out": left_out, "sessions": [],
                 "machine": _machine_facts(device), "start": dataclasses.asdict(start),
             }  # fmt: skip
-            write_json(out / RECORD, record, durable=True)
-            record["prepared"] = write_training_data(wanted, manifest, preset, task, request)
-            write_json(out / RECORD, record, durable=True)
+            write_json(folder / RECORD, record, durable=True)
+            record["prepared"] = write_training_data(wanted, folder, preset, task, request)
+            write_json(folder / RECORD, record, durable=True)
+        if "epochs_done" not in record:
+            record = run_trainer(folder, record, preset, task, device, request.seed, on_progress)
+        _remove_working_files(folder)
+        space.finish(record)
+    return TrainReport(out, out / WEIGHTS, record)
+
+
+def _remove_working_files(folder: Path) -> None:
+    for name in WORKING_FILES:
+        path = folder / name
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
         else:
-            stack.enter_context(manifest.recording())
-        if os.path.lexists(out / WEIGHTS) and not manifest.is_own(WEIGHTS):
-            manifest.move_aside(WEIGHTS)
-        record = run_trainer(out, record, preset, task, device, request.seed, on_progress)
-        manifest.read()  # the training process has added its weights
-        remove_working_files(out, manifest)
-        require_still_there([out / RECORD, out / WEIGHTS], "repeat the command with --resume")
-        return TrainReport(out, out / WEIGHTS, record)
+            path.unlink(missing_ok=True)
+
+
+def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+    """Raise OtherSettingsError if a training to resume was started with other data or settings."""
+    now, record = _flat(json.loads(json.dumps(asked))), _flat(record)
+    now.pop("data")  # the data must be the same, not their folder
+    # A setting that only one side has also differs.
+    more = [k for k in record if k.startswith("settings.") and k not in now]
+    other = [k for k in [*now, *more] if record.get(k) != now.get(k)]
+    if other:
+        problems = [
+            Problem(asked["data"], "resume-other",
+                    "other labels or pictures", f"those it was started with, then in {record.get('data')}")
+            if k == "content"
+            else Problem(k, "resume-other", str(now.get(k)), f"{record.get(k)}, as at the start")
+            for k in other
+        ]  # fmt: skip
+        raise OtherSettingsError(f"{out}: was started with other settings; use the same, or another folder", problems)
+
+
+def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a record with flattened settings (`settings.passes`, `settings.arguments.lr0`), without their summary."""
+    flat = dict(record)
+    settings = dict(flat.pop("settings", {}))
+    settings.pop("summary", None)  # prose, which may be reworded
+    settings |= {f"arguments.{k}": v for k, v in settings.pop("arguments", {}).items()}
+    return flat | {f"settings.{k}": v for k, v in settings.items()}
 
 
 def _machine_facts(device: str) -> dict[str, Any]:

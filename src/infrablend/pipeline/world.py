@@ -14,14 +14,21 @@ from infrablend.world.frames import FrameFacts
 WORKER = "infrablend.blender.world.worker:make_world_worker"
 
 
-def make_world(out: Path, request: WorldRequest, workers: int, on_progress: OnProgress | None = None) -> WorldReport:
+def make_world(
+    out: Path,
+    request: WorldRequest,
+    workers: int,
+    on_progress: OnProgress | None = None,
+    *,
+    overwrite: bool = False,
+) -> WorldReport:
     """Render a background dataset of the virtual world; the bytes do not depend on the number of workers.
 
     Raises:
         RecipeError: A value of `request` is out of range.
-        OutputError: `out` is not empty or cannot be written.
+        OutputError: `out` has something that may not be replaced, or cannot be written.
         RenderError: Blender failed on a frame.
-        Interrupted: The user stopped the run; no files are left behind.
+        Interrupted: The user stopped the run; nothing is left behind.
     """
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
@@ -32,4 +39,4 @@ def make_world(out: Path, request: WorldRequest, workers: int, on_progress: OnPr
                 raise result.failure.to_exception()
             yield result.value
 
-    return write_world(out, request, rendered, paced(on_progress))
+    return write_world(out, request, rendered, paced(on_progress), overwrite=overwrite)

@@ -22,7 +22,6 @@ from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import describe_scales
 from infrablend.report.figures import plot_text
-from infrablend.report.picture_mark import CHARTS
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 # More distinct values than this are grouped into bins.
@@ -320,7 +319,7 @@ def write_charts(facts: Inspection, path: Path) -> Path:
     times.set(title="Images by time of day", xlabel="images")
 
     out = io.BytesIO()
-    figure.savefig(out, format="png", metadata={"Software": CHARTS})
+    figure.savefig(out, format="png")
     return write_bytes(path, out.getvalue())
 
 

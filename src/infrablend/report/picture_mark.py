@@ -7,8 +7,6 @@ from pathlib import Path
 from infrablend.formats.pictures import open_picture
 
 CONTACT_SHEET = "InfraBlend contact sheet"
-CHARTS = "InfraBlend charts"
-CROP_SHEET = "InfraBlend sheet of crops"
 
 
 def software_of(path: Path) -> str | None:

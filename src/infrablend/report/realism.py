@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
-from PIL.PngImagePlugin import PngInfo
 
 from infrablend.core.rng import stream
 from infrablend.realism.class_comparison import ClassComparison
 from infrablend.realism.features import FEATURES, MEASURES, Measured
 from infrablend.report.figures import compact, interval
 from infrablend.report.page import render_page
-from infrablend.report.picture_mark import CROP_SHEET
 from infrablend.report.preview import FAINT, INK, PAPER
 from infrablend.report.realism_tables import (
     AS_WRITTEN,
@@ -55,8 +53,6 @@ class CropSheet:
 
 
 _CHOICES = (("most_obvious", "most obvious"), ("least_obvious", "least obvious"), ("random", "random"))
-SHEET_ENDS = tuple(f"_{what}.png" for what, _ in _CHOICES)
-"""Ends of the file names of sheets."""
 
 
 def sheets_of(comparison: ClassComparison, name: str) -> list[CropSheet]:
@@ -104,9 +100,7 @@ def _sheet(rows: Sequence[tuple[Measured, Measured, float]]) -> bytes:
         pen.text((x, y + side + 1), f"real {real.key.rsplit('/')[-1]}"[:32], fill=FAINT, font=font)
         pen.text((x + side, y + side + 1), f"inserted, log odds {score:+.1f}", fill=INK, font=font)
     data = io.BytesIO()
-    mark = PngInfo()
-    mark.add_text("Software", CROP_SHEET)
-    sheet.save(data, "PNG", compress_level=6, pnginfo=mark)
+    sheet.save(data, "PNG", compress_level=6)
     return data.getvalue()
 
 

@@ -84,7 +84,7 @@ class FoundResults:
 
 
 def result_folders(run: Path, further: Sequence[Path] = ()) -> list[Path]:
-    """Return the folders of reports: those directly inside the run, and further ones that the user named.
+    """Return the folders of reports: directly inside the run, its comparison beside it, and further ones.
 
     Raises:
         DatasetError: The run was removed.
@@ -96,7 +96,8 @@ def result_folders(run: Path, further: Sequence[Path] = ()) -> list[Path]:
             f"{run}: cannot be read ({error.strerror}); expected the run that was opened. If it was removed or is "
             "being written again, open it again when it is finished"
         ) from error
-    return [path for path in inside if _kinds(path)] + list(further)
+    comparison = run.with_name(f"{run.name}-realism")
+    return [path for path in (*inside, comparison) if _kinds(path)] + list(further)
 
 
 def find_results(run: Path, further: Sequence[Path] = ()) -> FoundResults:

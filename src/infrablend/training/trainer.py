@@ -13,6 +13,7 @@ import contextlib
 import functools
 import json
 import random
+import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -27,12 +28,11 @@ from infrablend.training.environment import configure_ultralytics, has_fast_bflo
 from infrablend.training.files import (
     CHECKPOINT,
     DAMAGED,
+    LOG,
     NEW_CHECKPOINT,
     RUN,
     ULTRALYTICS,
     WEIGHTS,
-    open_manifest,
-    remove_folders,
 )
 from infrablend.training.scale import MARK
 
@@ -194,7 +194,6 @@ def main(arguments: list[str]) -> int:
 def _train(job: Job, say: Any) -> None:
     out = Path(job.out)
     configure_ultralytics(out / ULTRALYTICS)
-    import numpy as np
     import torch
     import ultralytics
     from ultralytics.data import utils as data_utils
@@ -233,60 +232,11 @@ def _train(job: Job, say: Any) -> None:
     if begun.epochs:
         overrides["resume"] = str(checkpoint)
     trainer = Trainer(overrides=overrides)
-    state = {"steps": 0, "next": 0.0}
-    loaded: dict[str, int] = {}
-
-    def gate(t: Any) -> None:
-        images, labels = _loaded(t.train_loader)
-        shown = len(t.train_loader.sampler)
-        val = _loaded(t.test_loader) if job.val_images else (0, 0)
-        loaded.update(images=images, labels=labels, images_per_epoch=shown)
-        if job.val_images:
-            loaded.update(val_images=val[0], val_labels=val[1])
-        if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
-            raise _IncompleteDataError(
-                f"of {job.images} images and {job.labels} labels the trainer would use "
-                f"{min(images, shown * job.epochs)} and {labels}; its log lists those it left out ({out / 'train.log'})"
-            )
-        if val != (job.val_images, job.val_labels):
-            raise _IncompleteDataError(
-                f"of {job.val_images} images and {job.val_labels} labels of split val, which decides when to stop, "
-                f"the trainer would use {val[0]} and {val[1]}; its log lists those it left out ({out / 'train.log'})"
-            )
-
-    def reseed(t: Any) -> None:
-        state["steps"] = 0
-        # The seed depends on the job's seed and the epoch only: a resumed run draws the same as an uninterrupted one.
-        seed = (job.seed * 100_003 + t.epoch) % 2**31
-        random.seed(seed)
-        np.random.seed(seed)  # noqa: NPY002 - Ultralytics draws from it
-        torch.manual_seed(seed)
-        if getattr(t.train_loader, "generator", None) is not None:
-            t.train_loader.generator.manual_seed(seed)
-
-    def step(t: Any) -> None:
-        state["steps"] += 1
-        if time.monotonic() >= state["next"]:
-            state["next"] = time.monotonic() + 1.0
-            # The batch of the loader, which is smaller if there are fewer images.
-            done = t.epoch * job.shown + min(int(state["steps"]) * t.train_loader.batch_size, job.shown)
-            losses = {k: round(float(v), 4) for k, v in (t.tloss or {}).items()}
-            say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * job.shown), losses=losses)
-
-    def saved(t: Any) -> None:
-        losses = {k: round(float(v), 5) for k, v in (t.tloss or {}).items()}
-        batch = t.train_loader.batch_size
-        reached = Reached(t.epoch + 1, bool(t.stop), dict(loaded), losses, batch, t.batch_size != job.batch)
-        with replace_atomically(checkpoint, beside=out / NEW_CHECKPOINT, durable=True) as temporary:
-            state_of_epoch = torch.load(t.last, map_location="cpu", weights_only=False)
-            torch.save({**state_of_epoch, REACHED: asdict(reached)}, temporary)
-        say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=batch, losses=losses,
-            metrics={k: round(float(v), 5) for k, v in (t.metrics or {}).items()} if job.patience else {})  # fmt: skip
-
-    trainer.add_callback("on_pretrain_routine_end", gate)
-    trainer.add_callback("on_train_epoch_start", reseed)
-    trainer.add_callback("on_train_batch_end", step)
-    trainer.add_callback("on_model_save", saved)
+    callbacks = _Callbacks(job, checkpoint, torch, say)
+    trainer.add_callback("on_pretrain_routine_end", callbacks.require_all_loaded)
+    trainer.add_callback("on_train_epoch_start", callbacks.reseed)
+    trainer.add_callback("on_train_batch_end", callbacks.tell_step)
+    trainer.add_callback("on_model_save", callbacks.keep_checkpoint)
     precision = "float32"
     with contextlib.ExitStack() as stack:
         if on_cpu and has_fast_bfloat16(torch):
@@ -295,7 +245,7 @@ def _train(job: Job, say: Any) -> None:
         if not begun.ended and begun.epochs < job.epochs:
             trainer.train()
     best = out / RUN / "weights" / "best.pt"
-    with open_manifest(out).recording(), replace_atomically(out / WEIGHTS) as temporary:
+    with replace_atomically(out / WEIGHTS) as temporary:
         torch_utils.strip_optimizer(
             best if job.patience and best.is_file() else checkpoint,
             temporary,
@@ -309,6 +259,71 @@ def _train(job: Job, say: Any) -> None:
         batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,
         precision="amp" if not on_cpu else precision, threads=torch.get_num_threads(),
         versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
+
+
+class _Callbacks:
+    """What Ultralytics calls while it trains: the gate, seeds, progress and checkpoints."""
+
+    def __init__(self, job: Job, checkpoint: Path, torch: Any, say: Any) -> None:
+        self._job, self._checkpoint, self._torch, self._say = job, checkpoint, torch, say
+        self._steps, self._next_s = 0, 0.0
+        self._loaded: dict[str, int] = {}
+
+    def require_all_loaded(self, t: Any) -> None:
+        """Raise an error unless Ultralytics has loaded every image and label."""
+        job, log = self._job, self._checkpoint.with_name(LOG)
+        images, labels = _loaded(t.train_loader)
+        shown = len(t.train_loader.sampler)
+        val = _loaded(t.test_loader) if job.val_images else (0, 0)
+        self._loaded.update(images=images, labels=labels, images_per_epoch=shown)
+        if job.val_images:
+            self._loaded.update(val_images=val[0], val_labels=val[1])
+        if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
+            raise _IncompleteDataError(
+                f"of {job.images} images and {job.labels} labels the trainer would use "
+                f"{min(images, shown * job.epochs)} and {labels}; its log lists those it left out ({log})"
+            )
+        if val != (job.val_images, job.val_labels):
+            raise _IncompleteDataError(
+                f"of {job.val_images} images and {job.val_labels} labels of split val, which decides when to stop, "
+                f"the trainer would use {val[0]} and {val[1]}; its log lists those it left out ({log})"
+            )
+
+    def reseed(self, t: Any) -> None:
+        """Seed everything by job and epoch alone: a resumed run draws the same as an uninterrupted one."""
+        import numpy as np
+
+        self._steps = 0
+        seed = (self._job.seed * 100_003 + t.epoch) % 2**31
+        random.seed(seed)
+        np.random.seed(seed)  # noqa: NPY002 - Ultralytics draws from it
+        self._torch.manual_seed(seed)
+        if getattr(t.train_loader, "generator", None) is not None:
+            t.train_loader.generator.manual_seed(seed)
+
+    def tell_step(self, t: Any) -> None:
+        """Report progress, at most once per second."""
+        self._steps += 1
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + 1.0
+            shown = self._job.shown
+            # The batch of the loader, which is smaller if there are fewer images.
+            done = t.epoch * shown + min(self._steps * t.train_loader.batch_size, shown)
+            losses = {k: round(float(v), 4) for k, v in (t.tloss or {}).items()}
+            self._say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * shown), losses=losses)
+
+    def keep_checkpoint(self, t: Any) -> None:
+        """Write the checkpoint of an epoch together with the progress, and report the epoch."""
+        losses = {k: round(float(v), 5) for k, v in (t.tloss or {}).items()}
+        batch = t.train_loader.batch_size
+        short = t.batch_size != self._job.batch
+        reached = Reached(t.epoch + 1, bool(t.stop), dict(self._loaded), losses, batch, short)
+        new = self._checkpoint.with_name(NEW_CHECKPOINT)
+        with replace_atomically(self._checkpoint, beside=new, durable=True) as temporary:
+            state_of_epoch = self._torch.load(t.last, map_location="cpu", weights_only=False)
+            self._torch.save({**state_of_epoch, REACHED: asdict(reached)}, temporary)
+        metrics = {k: round(float(v), 5) for k, v in (t.metrics or {}).items()} if self._job.patience else {}
+        self._say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=batch, losses=losses, metrics=metrics)
 
 
 def _use_deterministic_algorithms(torch: Any, mode: bool, *, warn_only: bool = False) -> None:
@@ -332,7 +347,7 @@ def _last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
         raise
     except Exception as error:  # unpickling can raise anything
         checkpoint.replace(checkpoint.with_name(DAMAGED))
-        remove_folders(open_manifest(checkpoint.parent), [RUN])
+        shutil.rmtree(checkpoint.with_name(RUN), ignore_errors=True)
         text = " ".join(f"{type(error).__name__}: {error}".split())[:100]
         say("damaged", message=f"{CHECKPOINT} cannot be read ({text}): moved to {DAMAGED}; the training starts again")
         return Reached()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,12 +10,13 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from infrablend.core.arguments import require_choice
-from infrablend.core.dataset import Split
+from infrablend.core.dataset import ImageRecord, Split
 from infrablend.core.files import link_or_copy
+from infrablend.core.finished import WORLD_FILE
+from infrablend.core.workspace import replacing, workspace
 from infrablend.formats import coco, hit_uav, monet
 from infrablend.formats.losses import Written
 from infrablend.formats.rjpeg.writing import MAKERS
-from infrablend.world.folder import WorldFolder
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import (
     ALTITUDES_M,
@@ -32,6 +34,7 @@ Layout = Literal["hit-uav", "monet", "radiometric", "dji", "flir"]
 # Renders the given frames, writes their images below the given folder, and yields them in any order.
 FrameSource = Callable[[Sequence[FrameFacts], Path], Iterable[FinishedFrame]]
 
+_PICTURES = ".frames"
 _TOP = {"info": {"description": "InfraBlend virtual thermal world in HIT-UAV layout"}, "licenses": []}
 _RADIOMETRIC_INFO = {"description": "InfraBlend virtual thermal world, temperatures"}
 _MONET_TOP = {"info": {"description": "InfraBlend virtual thermal world in MONET layout"}, "licenses": []}
@@ -107,33 +110,38 @@ def write_world(
     request: WorldRequest,
     source: FrameSource,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> WorldReport:
     """Write a background dataset of the virtual world; the same request gives the same bytes.
 
     `world.json` lists the camera, the place and every object of each frame.
 
     Args:
-        out: Folder to write to; it must be empty, or hold what an interrupted call left.
+        out: Folder to write.
         request: Frames of the dataset.
         source: Renders the frames.
         progress: Called with (finished frames, all frames) after each frame.
+        overwrite: Replace an earlier world in `out`.
 
     Raises:
         RecipeError: A value of `request` is out of range.
-        OutputError: `out` is not empty or cannot be written.
+        OutputError: `out` has something that may not be replaced, or cannot be written.
         RenderError: Blender failed.
     """
     frames = request.frames()
     finished: dict[int, FinishedFrame] = {}
 
-    def rendered(stage: Path) -> list[FinishedFrame]:
-        for one in source(frames, stage):
+    with workspace(Path(out), "virtual world", WORLD_FILE, replacing(overwrite)) as space:
+        pictures = space.folder / _PICTURES
+        for one in source(frames, pictures):
             finished[one.number] = one
             if progress is not None:
                 progress(len(finished), len(frames))
-        return [finished[f.number] for f in frames]
-
-    ordered, written = _write(WorldFolder(Path(out)), request, rendered)
+        ordered = [finished[f.number] for f in frames]
+        written = _write(space.folder, request, [one.image for one in ordered])
+        shutil.rmtree(pictures)  # the dataset has links to them
+        space.finish({"seed": request.seed, "frames": [one.facts for one in ordered]})
     labels_of = Counter(i.category for one in ordered for i in one.image.instances)
     dropped: Counter[str] = Counter()
     for one in ordered:
@@ -147,21 +155,12 @@ def write_world(
     )
 
 
-def _write(
-    folder: WorldFolder, request: WorldRequest, rendered: Callable[[Path], list[FinishedFrame]]
-) -> tuple[list[FinishedFrame], Written]:
-    """Write the dataset; return its frames and what the format lost."""
-    out = folder.root
-    with folder.writing() as stage:
-        ordered = rendered(stage)
-        images = [one.image for one in ordered]
-        if request.layout == "monet":
-            written = monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
-        elif request.layout in MAKERS:
-            written = Written(tuple(link_or_copy(i.path, out / i.path.name) for i in images))
-        elif request.layout == "radiometric":
-            written = coco.write(out, images, hit_uav.CATEGORIES, info=_RADIOMETRIC_INFO, pictures=True)
-        else:
-            written = hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
-        folder.finish({"seed": request.seed, "frames": [one.facts for one in ordered]})
-    return ordered, written
+def _write(out: Path, request: WorldRequest, images: Sequence[ImageRecord]) -> Written:
+    """Write the dataset in its layout; return the files, and what the format lost."""
+    if request.layout == "monet":
+        return monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
+    if request.layout in MAKERS:
+        return Written(tuple(link_or_copy(i.path, out / i.path.name) for i in images))
+    if request.layout == "radiometric":
+        return coco.write(out, images, hit_uav.CATEGORIES, info=_RADIOMETRIC_INFO, pictures=True)
+    return hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
-from infrablend.core.files import write_bytes, write_json
-from infrablend.core.output import OutputFolder
+from infrablend.core.files import write_bytes
+from infrablend.core.finished import WORLD_FILE
 from infrablend.core.rng import stream
+from infrablend.core.workspace import workspace
 from infrablend.formats import coco
 from infrablend.formats.images import png_bytes
 
@@ -46,7 +47,13 @@ def write_sky_pictures(out: Path, count: int, seed: int, classes: Sequence[str])
     Raises:
         OutputError: The folder is not empty or cannot be written.
     """
-    OutputFolder(out, "virtual world").require_empty()
+    with workspace(out, "virtual world", WORLD_FILE) as space:
+        images = _write_pictures(space.folder, count, seed, classes)
+        coco.write(space.folder, images, [Category(n, name) for n, name in enumerate(classes, 1)])
+        space.finish({"seed": seed, "layout": "sky", "classes": list(classes), "frames": []})
+
+
+def _write_pictures(folder: Path, count: int, seed: int, classes: Sequence[str]) -> list[ImageRecord]:
     images = []
     per_split: dict[Split, int] = {"val": max(1, count // 10), "test": max(1, count // 5)}
     per_split["train"] = max(1, count - sum(per_split.values()))
@@ -55,12 +62,11 @@ def write_sky_pictures(out: Path, count: int, seed: int, classes: Sequence[str])
             category = classes[number % len(classes)]
             rng = stream(seed, "sky", *classes, split, number)
             grey, box = _picture(rng, _SHAPES.get(category, _SHAPES["drone"]))
-            path = out / "images" / split / f"sky_{number:05d}.png"
+            path = folder / "images" / split / f"sky_{number:05d}.png"
             write_bytes(path, png_bytes(grey))
             label = Instance(category, box)
             images.append(ImageRecord(f"{split}/{number}", path, split, SIZE_WH, (label,)))
-    coco.write(out, images, [Category(n, name) for n, name in enumerate(classes, 1)])
-    write_json(out / "world.json", {"seed": seed, "layout": "sky", "classes": list(classes), "frames": []})
+    return images
 
 
 def _picture(

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from click.testing import Result
 
-from infrablend.pipeline.experiments.intact import lost_files
+
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.samples import SAMPLES
@@ -186,23 +186,3 @@ def test_a_frame_record_without_its_digest_is_made_again(made: Path, data: Path)
     named(run("check", made), file.name, "it has no record_sha256")
     done(*generate(data, made, "--resume"))
     assert file.read_bytes() == before
-
-
-# -- stages of experiments
-
-
-def test_lost_files_of_a_finished_stage_are_found_without_reading_them(made: Path, data: Path, tmp_path: Path) -> None:
-    converted = tmp_path / "converted"
-    done("convert", data, converted, "--to", "yolo")
-    for out in (made, converted):
-        assert lost_files(out) == []
-        (out / "README.md").write_text("my own notes")
-        labels = sorted(out.rglob("labels/**/*.txt"))
-        picture = next(p for p in sorted(out.rglob("*.jpg")))
-        assert lost_files(out) == []
-        labels[0].unlink()
-        labels[1].write_text(labels[1].read_text() + " ")
-        picture.unlink()
-        picture.mkdir()
-        names = [p.relative_to(out).as_posix() for p in (*labels[:2], picture)]
-        assert lost_files(out) == sorted(names)

@@ -17,11 +17,11 @@ from infrablend.cli.app import build_app
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.core.rng import stream
+from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError, Problem
 from infrablend.evaluation.detections import Predictions, detections, write_predictions
 from infrablend.pipeline import evaluate as pipeline
-from infrablend.pipeline.evaluate import evaluate_detector
-from infrablend.pipeline.evaluation_images import image_groups, rejected_in
+from infrablend.pipeline.evaluate import evaluate_detector, image_groups, rejected_in
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from tests.samples import with_facts
 
@@ -94,8 +94,9 @@ def run(saved: Path, out: Path, dataset: Dataset | None = None, **settings: Any)
 def test_written_files(saved: Path, tmp_path: Path) -> None:
     report = run(saved, tmp_path / "out")
     files = sorted(p.name for p in (tmp_path / "out").iterdir())
-    assert files == [".files.jsonl", "evaluation.html", "evaluation.json", "matches.npz", "plots", "predictions.json"]
-    assert json.loads((tmp_path / "out" / "evaluation.json").read_text()) == json.loads(json.dumps(report.to_json()))
+    assert files == ["evaluation.html", "evaluation.json", "matches.npz", "plots", "predictions.json"]
+    written = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert written == json.loads(json.dumps(report.to_json())) | {"contents": written["contents"]}
     dataset = made_up_dataset()
     objects = [i.category for image in dataset.images for i in image.instances]
     table = report.metrics["classes"]
@@ -395,9 +396,11 @@ def test_a_folder_can_be_given_instead_of_its_file(tmp_path: Path, monkeypatch: 
         ModelError, match=r"with neither predictions\.json nor weights\.pt.*of a finished `infrablend train`"
     ):
         run(training, tmp_path / "out")
-    (training / "train.json").write_text("{}")
-    with pytest.raises(ModelError, match=r"an unfinished training, without weights\.pt.*--resume"):
-        run(training, tmp_path / "out")
+    with pytest.raises(RuntimeError), workspace(tmp_path / "later", "training", "train.json", keep=True) as space:
+        (space.folder / "checkpoint.pt").touch()
+        raise RuntimeError
+    with pytest.raises(ModelError, match=r"an unfinished training is in .*\.later\.partial"):
+        run(tmp_path / "later", tmp_path / "out")
     assert not asked
     (training / "weights.pt").write_bytes(b"")
     with pytest.raises(ModelError, match="asked for"):

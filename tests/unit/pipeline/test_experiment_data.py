@@ -15,10 +15,10 @@ from infrablend.errors import DatasetError
 from infrablend.formats.images import load_background
 from infrablend.pipeline.convert import convert_dataset
 from infrablend.pipeline.experiments.dataset_facts import read_dataset
-from infrablend.pipeline.experiments.merging import draw_images, merge_datasets
+from infrablend.pipeline.experiments.makers import draw_images, merge_datasets
 from infrablend.pipeline.experiments.pasting import Paster, cut_objects
+from infrablend.pipeline.experiments.prepare import assign_folders
 from infrablend.pipeline.experiments.request import ExperimentRequest
-from infrablend.pipeline.experiments.sources import assign_folders
 from infrablend.world.sky_pictures import write_sky_pictures
 
 BIRDS, DRONES = ("airplane", "bird", "helicopter"), ("drone",)

@@ -96,15 +96,6 @@ def test_the_same_arguments_give_the_same_bytes_and_overwrite_replaces(tmp_path:
     assert found[0] == found[1]
 
 
-def test_an_unfinished_extraction_is_no_dataset(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    done(flight(tmp_path), "--every", "1s", "--out", out)
-    record = json.loads((out / "frames.json").read_text("utf-8"))
-    (out / "frames.json").write_text(json.dumps({**record, "status": "running", "source": "a.mp4"}), "utf-8")
-    result = CliRunner().invoke(APP, ["inspect", str(out)])
-    assert result.exit_code == 2 and "infrablend frames a.mp4 --every 1s" in " ".join(result.output.split())
-
-
 @pytest.mark.parametrize(
     ("options", "numbers"),
     [

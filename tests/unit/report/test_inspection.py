@@ -36,7 +36,7 @@ def test_every_sample_can_be_inspected(name: str, tmp_path: Path) -> None:
     assert sum(n for of in facts.classes.values() for n in of.values()) == objects == facts.labels["boxes"]
     assert sum(facts.coverage.values()) == len(dataset.images) == sum(facts.decoded["pictures"].values())
     written = json.loads((tmp_path / "out" / "inspect.json").read_text())
-    assert written == json.loads(json.dumps(facts.to_json()))
+    assert {k: written[k] for k in facts.to_json()} == json.loads(json.dumps(facts.to_json()))
     with Image.open(tmp_path / "out" / "inspect.png") as chart:
         assert chart.size == (1300, 900)
     once = (tmp_path / "out" / "inspect.png").read_bytes()

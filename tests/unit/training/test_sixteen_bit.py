@@ -13,7 +13,6 @@ from infrablend.config.agc import DEFAULT_AGC, PlateauAgc, parse_agc
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
 from infrablend.pipeline.training.data import has_deep_pictures, select_training_data, write_training_data
-from infrablend.training.files import open_manifest
 from infrablend.training.request import TrainRequest
 from infrablend.training.scale import training_agc
 
@@ -41,9 +40,7 @@ def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path
     preset = request.chosen_preset()
     wanted, _ = select_training_data(detection.read(flight), preset, "detect", None, request.agc)
     assert has_deep_pictures(wanted)
-    manifest = open_manifest(tmp_path / "out")
-    with manifest.recording():
-        counts = write_training_data(wanted, manifest, preset, "detect", request)
+    counts = write_training_data(wanted, tmp_path / "out", preset, "detect", request)
     assert counts["labels"] == 2
     files = sorted((tmp_path / "out" / "data" / "images" / "train").iterdir())
     pictures = [np.array(Image.open(p)) for p in files]
@@ -52,7 +49,6 @@ def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path
         whole = np.array(Image.open(flight / "images" / "train" / "train0.tiff")).astype(np.uint16)
         assert (pictures[0] == agc.apply(whole)).all()
     assert not (tmp_path / "out" / "8bit").exists()  # a working folder
-    assert not manifest.moved
 
 
 def test_a_fixed_agc_needs_a_scale_and_depths_are_not_mixed(flight: Path) -> None:

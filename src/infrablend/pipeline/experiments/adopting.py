@@ -18,8 +18,8 @@ from infrablend.core.files import LINK_OUT, link_or_copy, load_json
 from infrablend.core.run_folder import RUN_FILE, RunFolder
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
-from infrablend.pipeline.experiments.job import StageJob
-from infrablend.pipeline.experiments.recipe_inputs import deciding_fields
+from infrablend.pipeline.experiments.graph import deciding_fields
+from infrablend.pipeline.experiments.stage import StageJob
 from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.training.presets import Preset
@@ -40,7 +40,7 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
     training = _checked_training(job, folder) if job.stage.kind == "train" else None
     if job.stage.kind == "generate":
         _check_run(job, folder)
-    shutil.copytree(folder, job.empty_out(), copy_function=lambda a, b: _adopt_file(folder, Path(a), Path(b)))
+    shutil.copytree(folder, job.out, copy_function=lambda a, b: _adopt_file(folder, Path(a), Path(b)))
     if training is not None:
         weights = "out/weights.pt"
         return {"record": {**training, "adopted": True}, "adopted": "checked", "weights": weights, "there": [weights]}
@@ -65,7 +65,6 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
     epochs, shown = Preset(**{"summary": "", **asked}).epochs_for(prepared.get("images") or 0)
     stops_early = bool(asked.get("patience"))
     pairs = {
-        "status": (record.get("status"), "complete"),
         "weights": (record.get("start_asked"), inputs["weights"]),
         "epochs": (record.get("epochs"), epochs),
         "images shown": (record.get("passes"), record.get("passes") if stops_early else epochs * shown),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
+from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.experiment import (
     Convert,
     Evaluation,
@@ -21,16 +23,16 @@ from infrablend.config.experiment import (
     Training,
 )
 from infrablend.config.loading import read_recipe
+from infrablend.config.recipe import NOT_IN_KEY, Recipe
 from infrablend.core.dataset import SPLITS
 from infrablend.core.files import sha256_of
 from infrablend.core.shipped import Scale
 from infrablend.core.validation_messages import did_you_mean
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import DatasetError, InfraBlendError, Problem
+from infrablend.fetching.fetch import require_source
 from infrablend.pipeline.content import content_digest
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset
-from infrablend.pipeline.experiments.recipe_inputs import recipe_inputs
 from infrablend.pipeline.experiments.request import ExperimentRequest
-from infrablend.pipeline.experiments.sources import where_to_get
 from infrablend.pipeline.experiments.stage import Stage, stage_keys
 from infrablend.pipeline.experiments.training_setup import preset_inputs, training_preset
 from infrablend.report.card import WORLD_FILE
@@ -347,3 +349,33 @@ _DATA_INPUTS: Mapping[str, Callable[[Any, ImagesByRole, ExperimentRequest], Data
 def _content_of_weights(weights: str) -> dict[str, str]:
     """Return the digest of start weights that are a file: training them anew must train what starts from them."""
     return {"weights_sha256": sha256_of(Path(weights))} if Path(weights).is_file() else {}
+
+
+def recipe_inputs(spec: Generate) -> dict[str, Any]:
+    """Return the contribution of a run's recipe to the stage's key; the user's own models count by their content."""
+    recipe = read_recipe(spec.recipe, spec.settings).recipe
+    own = {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}
+    return {
+        "recipe": deciding_fields(recipe),
+        "models": sorted(own.values()),
+        "splits": list(spec.splits),
+        "version": __version__,
+    }
+
+
+def deciding_fields(recipe: Recipe) -> dict[str, Any]:
+    """Return the fields that decide frames and labels, defaults left out.
+
+    Because defaults are left out, a field that a later version adds does not invalidate finished stages.
+    """
+    left_out: Any = {"description": True, "name": True, "output": NOT_IN_KEY}
+    found: dict[str, Any] = json.loads(recipe.model_dump_json(exclude=left_out, exclude_defaults=True))
+    return {k: v for k, v in found.items() if v != {}}
+
+
+def where_to_get(source: Source) -> str:
+    """Return one line on how to obtain a source."""
+    try:
+        return f"see {require_source(source.format).page}"
+    except InfraBlendError:
+        return "docs/how_to/fetch_data.md"

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from infrablend.config.experiment import Convert, Evaluation, Generate, Resplit, Training
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.run_folder import RUN_FILE
+from infrablend.config.experiment import Convert, Evaluation, Generate, Merge, Resplit, Training
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.tasks import paced
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
+from infrablend.formats.base import sort_images
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.convert import convert_dataset
 from infrablend.pipeline.dataset_requests import ClassChanges, Selection, SplitRule
 from infrablend.pipeline.evaluate import evaluate_detector
 from infrablend.pipeline.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
-from infrablend.pipeline.experiments.job import StageJob
-from infrablend.pipeline.experiments.merging import make_merge
 from infrablend.pipeline.experiments.pasting import make_paste
+from infrablend.pipeline.experiments.stage import StageJob
 from infrablend.pipeline.experiments.training_setup import preset_settings
 from infrablend.pipeline.generate import generate_run
 from infrablend.pipeline.request import Execution, RunRequest
@@ -46,13 +44,13 @@ def _make_source(job: StageJob) -> dict[str, Any]:
         stand_in = {} if stage.path else {"dataset": folder, "there": [folder]}
         return {**facts, "whole": facts["images"], **stand_in}
     part = replace(dataset, images=tuple(spread_images(dataset, limits)))
-    convert_dataset(part, "coco", job.empty_out())
+    convert_dataset(part, "coco", job.out)
     return {**dataset_facts(part), "whole": facts["images"], "dataset": "out", "there": ["out"]}
 
 
 def _make_world(job: StageJob) -> dict[str, Any]:
     """Render a virtual world that stands in for a dataset."""
-    inputs, out = job.stage.inputs, job.empty_out()
+    inputs, out = job.stage.inputs, job.out
     if inputs["layout"] == "sky":
         write_sky_pictures(out, inputs["images"], inputs["seed"], inputs["classes"])
     else:
@@ -65,8 +63,6 @@ def _make_run(job: StageJob) -> dict[str, Any]:
     """Insert objects by a recipe; frames that failed are tried a second time."""
     spec: Generate = job.stage.spec
     source, request = job.needs["of"], job.request
-    if job.out.exists() and not (job.out / RUN_FILE).is_file():  # killed before its first record
-        shutil.rmtree(job.out)
     execution = Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "flat")
     run = RunRequest(
         spec.recipe,
@@ -94,7 +90,7 @@ def _make_run(job: StageJob) -> dict[str, Any]:
 def _make_part(job: StageJob) -> dict[str, Any]:
     """Write a part of a dataset with its classes renamed or dropped."""
     spec: Convert = job.stage.spec
-    source, out = job.needs["of"], job.empty_out()
+    source, out = job.needs["of"], job.out
     dataset = read_dataset(source.dataset, splits=spec.splits, options=source.reader_options)
     images = [image for split in spec.splits for image in _chosen_images(job, dataset, split)]
     dataset = replace(dataset, images=tuple(images))
@@ -141,10 +137,68 @@ def _matchable_images(part: Dataset, like: str, without: Sequence[str]) -> int:
     return min(sum(not c & set(without) for c in classes), sum(like in c and not c & others for c in classes))
 
 
+def _make_merge(job: StageJob) -> dict[str, Any]:
+    """Write the images of several data items as one dataset."""
+    spec: Merge = job.stage.spec
+    parts = []
+    for k, (part, asked) in enumerate(zip(spec.parts, job.stage.inputs["parts"], strict=True)):
+        source = job.needs[f"part{k}"]
+        dataset = read_dataset(source.dataset, options=source.reader_options)
+        images = [i for i in dataset.images if i.split in part.splits]
+        dataset = replace(dataset, images=tuple(images))
+        parts.append((part.of, draw_images(dataset, asked["images"], job.stage.inputs["seed"])))
+    merged = merge_datasets(parts)
+    if not merged.images:
+        names = ", ".join(name for name, _ in parts)
+        problem = Problem(job.stage.id, "split-empty", f"no image in the splits taken from {names}", "at least one")
+        raise DatasetError(f"{job.stage.id}: cannot be used", [problem])
+    convert_dataset(merged, "coco", job.out)
+    return {**dataset_facts(merged), "dataset": "out", "there": ["out"]}
+
+
+def draw_images(dataset: Dataset, limits: Mapping[str, int], seed: int) -> Dataset:
+    """Return at most `limits` images per split, drawn at random; smaller draws are parts of larger ones."""
+    images: list[ImageRecord] = []
+    for split in dict.fromkeys(i.split for i in dataset.images):
+        of_split = replace(dataset, images=tuple(i for i in dataset.images if i.split == split))
+        n = limits.get(split, len(of_split.images))
+        drawn = of_split if n >= len(of_split.images) else select(of_split, Selection(images=n, seed=seed))[0]
+        images += drawn.images
+    return replace(dataset, images=tuple(images))
+
+
+def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
+    """Return one dataset with the images of several, each in a folder named after its part.
+
+    Classes of the same name are one class, with the id of the first that has it; an id that is taken is replaced by the
+    next free one. Such a class is ignored only if it is ignored in all datasets that have it.
+
+    Args:
+        parts: Names and datasets; a name that occurs again gets a number.
+    """
+    categories: dict[str, Category] = {}
+    images = []
+    names: list[str] = []
+    for name, dataset in parts:
+        folder = name if name not in names else f"{name}-{names.count(name) + 1}"
+        names.append(name)
+        for c in dataset.categories:
+            if (known := categories.get(c.name)) is not None:
+                categories[c.name] = replace(known, ignore=known.ignore and c.ignore)
+                continue
+            ids = {k.id for k in categories.values()}
+            categories[c.name] = replace(c, id=c.id if c.id not in ids else max(ids) + 1)
+        for image in dataset.images:
+            images.append(replace(image, id=f"{folder}/{image.id}", file_name=f"{folder}/{image.name}"))
+    first = parts[0][1]
+    problems = tuple(p for _, dataset in parts for p in dataset.problems)
+    return Dataset(first.root, first.format, tuple(categories.values()), sort_images(images), problems)
+
+
 def _make_split(job: StageJob) -> dict[str, Any]:
     """Write a dataset with new splits."""
     spec: Resplit = job.stage.spec
-    source, out = job.needs["of"], job.empty_out()
+    source, out = job.needs["of"], job.out
     dataset = read_dataset(source.dataset, options=source.reader_options)
     rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed)
     report = split_dataset(dataset, out, rule, to="coco")
@@ -192,7 +246,7 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
     report = evaluate_detector(
         training.folder / training.result["weights"],
         read_dataset(data.dataset, options=data.reader_options),
-        job.empty_out(),
+        job.out,
         EvaluationSettings(
             split=spec.split,
             task=training.record["inputs"]["task"],
@@ -238,7 +292,7 @@ MAKERS: Mapping[str, Callable[[StageJob], dict[str, Any]]] = {
     "generate": _make_run,
     "convert": _make_part,
     "split": _make_split,
-    "merge": make_merge,
+    "merge": _make_merge,
     "paste": make_paste,
     "train": _make_training,
     "evaluate": _make_evaluation,

@@ -27,7 +27,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
 from infrablend.formats.images import Background, load_background, save_image
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
-from infrablend.pipeline.experiments.job import StageJob
+from infrablend.pipeline.experiments.stage import StageJob
 
 # Cut-outs tried at the place of an insert, then elsewhere in the sky, and places in the sky tried for each.
 _THERE, _ELSEWHERE, _PLACES = 8, 8, 40
@@ -45,7 +45,7 @@ def make_paste(job: StageJob) -> dict[str, Any]:
         found = f"no usable object of {spec.category} in the split {spec.split}; unusable: {dict(unusable) or 'none'}"
         problem = Problem(job.stage.id, "class-none", found, "objects that stand out from their surroundings")
         raise DatasetError(f"{job.stage.id}: nothing to paste", [problem])
-    made, scenes, out = read_dataset(run.dataset), RunFolder(run.dataset.parent), job.empty_out()
+    made, scenes, out = read_dataset(run.dataset), RunFolder(run.dataset.parent), job.out
     paster = Paster(cuts, spec.category, job.stage.inputs["seed"])
     report = paced(job.on_progress)
     images = []

@@ -4,22 +4,40 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from infrablend.core.files import output_error, require_still_there
+from infrablend import __version__
+from infrablend.core.files import output_error, read_object
+from infrablend.core.machine import describe_machine, installed_versions, source_commit
 from infrablend.core.tasks import OnProgress
+from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
-from infrablend.pipeline.experiments import making, training_setup
-from infrablend.pipeline.experiments.estimate import estimate_bytes, free_bytes
+from infrablend.pipeline.experiments import training_setup
+from infrablend.pipeline.experiments.adopting import adopt_result
+from infrablend.pipeline.experiments.forecast import LEARNING, estimate_bytes, free_bytes
 from infrablend.pipeline.experiments.graph import OTHER_SCALES
-from infrablend.pipeline.experiments.plan import LEARNING
+from infrablend.pipeline.experiments.makers import MAKERS
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
+from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.results import collect_results
-from infrablend.pipeline.experiments.stage import RECORD, FinishedStage, Stage
+from infrablend.pipeline.experiments.stage import (
+    RECORD,
+    FinishedStage,
+    Stage,
+    StageJob,
+    find_finished,
+    stage_folder,
+)
 from infrablend.report.results.write import write_page
+
+# Kinds of stages that continue what an interrupted run left; others start again.
+_RESUMING = ("generate", "train")
+# Packages that figures depend on.
+_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "ultralytics", "torch")
 
 log = logging.getLogger(__name__)
 
@@ -118,7 +136,6 @@ class _Run:
                 self.write_unfinished(f"{type(error).__name__}: {stage.id}")
                 raise
         page, facts = self.write()
-        require_still_there([page, *(s.folder / RECORD for s in self.finished.values())], "run the same command again")
         left_out = {n: why for n, why in self.graph.left_out.items() if why != OTHER_SCALES}
         problems = tuple(Problem(n, "left-out", why, severity="warning") for n, why in left_out.items())
         scale, status = self.request.scale, facts["status"]
@@ -139,7 +156,7 @@ class _Run:
 
     def make(self, stage: Stage, finished: Mapping[str, FinishedStage], adopt: Path | None = None) -> FinishedStage:
         key = self.graph.keys[stage.id]
-        return making.make_stage(stage, key, finished, self.request, adopt=adopt, on_progress=self.on_progress)
+        return make_stage(stage, key, finished, self.request, adopt=adopt, on_progress=self.on_progress)
 
     def notify(self, stage: Stage, event: Event, number: int) -> None:
         if self.on_stage is not None:
@@ -205,3 +222,57 @@ def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> No
         request.work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise output_error(request.work, error) from error
+
+
+def make_stage(
+    stage: Stage,
+    key: str,
+    finished: Mapping[str, FinishedStage],
+    request: ExperimentRequest,
+    *,
+    adopt: Path | None = None,
+    on_progress: OnProgress | None = None,
+) -> FinishedStage:
+    """Make a stage; runs and trainings continue what an interrupted run left.
+
+    Args:
+        stage: Stage to make.
+        key: Key of the stage.
+        finished: Finished stages by id, including those it needs.
+        request: Request of the experiment.
+        adopt: Folder of a result to use instead of making it.
+        on_progress: Called by stages that report progress.
+
+    Raises:
+        DatasetError: The result to adopt belongs to something else.
+        OutputError: Another process is making the stage, or the disk is full.
+        Interrupted: The user stopped the run; everything done so far is kept.
+        InfraBlendError: Any error of the stage's maker.
+    """
+    folder = stage_folder(request.work, stage, key)
+    resumes = stage.kind in _RESUMING and adopt is None
+    # A stage with a record is made again because its output is gone.
+    existing: Existing = "resume" if resumes and not (folder / RECORD).is_file() else "overwrite"
+    with workspace(folder, f"stage {stage.id}", RECORD, existing, keep=resumes) as space:
+        if (done := find_finished(request.work, stage, key)) is not None:  # made by the other command meanwhile
+            return done
+        needs = {role: finished[i] for role, i in stage.needs.items() if i in finished}
+        job = StageJob(stage, space.folder / "out", needs, request, on_progress)
+        head, started = _record_head(stage, key, needs), time.monotonic()
+        result = MAKERS[stage.kind](job) if adopt is None else adopt_result(job, adopt)
+        space.finish({**head, "seconds": round(time.monotonic() - started, 3), "result": result})
+    return FinishedStage.of(stage, folder, read_object(folder / RECORD) or {})  # exactly as a later run reads it
+
+
+def _record_head(stage: Stage, key: str, needs: Mapping[str, FinishedStage]) -> dict[str, Any]:
+    """Return the part of a stage's record that is known before it is made."""
+    return {
+        "kind": stage.kind,
+        "name": stage.name,
+        "key": key,
+        "inputs": dict(stage.inputs),
+        "needs": {role: made.record["key"] for role, made in needs.items()},
+        "machine": describe_machine(),
+        "packages": {"infrablend": __version__, **installed_versions(_PACKAGES)},
+        "commit": source_commit(),
+    }

@@ -1,30 +1,34 @@
-"""Stages: what identifies one (its key), where it is kept, and its record.
+"""Stages: what identifies one (its key), where it is kept, its record, and what its maker works with.
 
-A stage is kept in `WORK/<kind>/<key>/`: `out/` is its output, `stage.json` its record, which is written last. The key
-is a digest of everything that decides the result, including the keys of the stages it needs, so the same training in
-two experiments is the same stage. A stage is finished when its record has the status `complete`.
+A finished stage is `WORK/<kind>/<key>/`: `out/` is its output, `stage.json` its record. The key is a digest of all that
+decides the result, including the keys of the stages it needs, so the same training in two experiments is one stage.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import load_json
+from infrablend.core.file_names import leaves_folder, real_path
+from infrablend.core.files import read_object
+from infrablend.core.tasks import OnProgress
+from infrablend.core.workspace import Existing
+from infrablend.errors import OtherSettingsError
 from infrablend.pipeline.content import json_digest
-from infrablend.pipeline.experiments.intact import lost_files
+from infrablend.pipeline.experiments.request import ExperimentRequest
 
 RECORD = "stage.json"
-OUT = "out"
 VERSIONS = {
     "source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "merge": 1, "paste": 1,
     "train": 2, "evaluate": 3, "compare": 1,
 }  # fmt: skip
 """Version of each kind, part of the key. Raise it when a kind produces something else from the same inputs."""
+
+T = TypeVar("T")
 
 log = logging.getLogger(__name__)
 
@@ -108,29 +112,47 @@ def stage_folder(work: Path, stage: Stage, key: str) -> Path:
     return work / stage.kind / key
 
 
-def read_stage_record(folder: Path) -> dict[str, Any] | None:
-    """Return the record in a stage's folder, or None if there is none that can be read."""
-    try:
-        data = load_json(folder / RECORD)
-    except (OSError, ValueError):
-        return None
-    return data if isinstance(data, dict) else None
-
-
 def find_finished(work: Path, stage: Stage, key: str) -> FinishedStage | None:
-    """Return the stage if it is finished and its files still exist with their sizes, else None."""
+    """Return the stage if it is finished and its output still exists, else None."""
     folder = stage_folder(work, stage, key)
-    record = read_stage_record(folder)
-    if record is None or record.get("status") != "complete" or not isinstance(record.get("result"), dict):
+    record = read_object(folder / RECORD)
+    if record is None or not isinstance(record.get("result"), dict):
         return None
     found = FinishedStage.of(stage, folder, record)
     there = [folder / p for p in found.result.get("there", [])]
-    if not all(p.exists() and not leaves_folder(p, folder) for p in there):
-        return None
-    # Nothing is known of a dataset that was adopted unchecked but what it was then.
-    lost = [] if found.result.get("adopted") == "unchecked" else lost_files(folder / OUT)
-    if lost:
-        log.warning("%s: %d files of %s were changed or removed, such as %s; it does not count as finished",
-                    stage.id, len(lost), folder / OUT, lost[0])  # fmt: skip
-        return None
-    return found
+    return found if all(p.exists() and not leaves_folder(p, folder) for p in there) else None
+
+
+@dataclass(frozen=True)
+class StageJob:
+    """Everything a maker needs.
+
+    Attributes:
+        stage: Stage to make.
+        out: Folder for its output, in the workspace of the stage. It is there only if the stage was interrupted.
+        needs: Finished stages that it needs, by role.
+        request: Request of the experiment.
+        on_progress: Called by makers that report progress.
+    """
+
+    stage: Stage
+    out: Path
+    needs: Mapping[str, FinishedStage]
+    request: ExperimentRequest
+    on_progress: OnProgress | None = None
+
+    def resume_or_restart(self, make: Callable[[Existing], T]) -> T:
+        """Call `make` to continue what an interrupted run left; start again if that had other settings.
+
+        The settings differ although the stage is the same if an earlier version of InfraBlend started it.
+        """
+        try:
+            return make("resume")
+        except OtherSettingsError as error:
+            log.warning("%s: an earlier run started it with other settings; it starts again", self.stage.id)
+            log.info("%s", error)  # its advice (--overwrite) does not apply to experiments
+            return make("overwrite")
+
+    def relative(self, path: Path) -> str:
+        """Return a path relative to the stage's folder, as records store it."""
+        return os.path.relpath(real_path(path), self.out.parent)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import logging
 import shlex
+import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes
@@ -14,15 +16,13 @@ from infrablend.config.agc import DEFAULT_AGC, Agc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import read_regular
 from infrablend.core.format_table import writer_for_task
-from infrablend.core.manifest import Manifest
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import deep_mode, is_deep
 from infrablend.pipeline.eight_bit import eight_bit_copies
-from infrablend.pipeline.training.folder import DATA, EIGHT_BIT, TILES
 from infrablend.training import presets, tiles
-from infrablend.training.files import remove_folders
+from infrablend.training.files import DATA, EIGHT_BIT, TILES
 from infrablend.training.presets import Preset
 from infrablend.training.request import TrainRequest
 
@@ -39,21 +39,49 @@ def select_training_data(
     dataset: Dataset, preset: Preset, task: str, classes: Sequence[str] | None, agc: Agc = DEFAULT_AGC
 ) -> tuple[Dataset, dict[str, int]]:
     """Return the dataset to train on and the labels left out by class; report all faults at once."""
-    problems: list[Problem] = []
     if task not in presets.TASKS:
         raise OutputError(f"--task {task}: no such task; expected one of {', '.join(presets.TASKS)}")
     known = [c.name for c in dataset.categories if not c.ignore]
-    unknown = [c for c in classes or () if c not in known]
-    if unknown:
-        expected = f"classes of the dataset ({', '.join(known) or 'it has none'})"
-        todo = _classes_line([c for c in known if c in (classes or ())])
-        problems.append(Problem("--classes", "category-unknown", ", ".join(unknown), expected, todo))
     keep = [c for c in known if classes is None or c in classes]
     dropped = [c.name for c in dataset.categories if c.name not in keep]
     left_out = Counter(o.category for i in dataset.images for o in i.instances if o.category in dropped)
     wanted = drop_classes(dataset, dropped)
-    if not keep and not unknown:
-        problems.append(Problem(str(dataset.root), "category-none", "no class", "at least one", "label something"))
+    problems = [
+        *_class_problems(dataset, known, classes),
+        *_split_problems(wanted, keep, preset),
+        *_shape_problems(wanted, keep, task),
+    ]
+    rejected = [p for p in dataset.problems if p.severity == "error"]
+    wrong = [p for p in problems if p.severity == "error"]
+    if rejected or wrong:
+        message = f"{dataset.root}: cannot be trained on"
+        if rejected:
+            shown = f"; here are the first {_REJECTED_SHOWN}" if len(rejected) > _REJECTED_SHOWN else ""
+            message += (
+                f". {len(rejected)} labels or pictures could not be read and would be missing{shown}. "
+                f"Correct them (infrablend check {dataset.root} lists all), or leave them out with "
+                f"infrablend convert {dataset.root} clean --to coco and train on clean"
+            )
+        raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
+    for p in problems:
+        log.warning("%s", p)
+    return _checked(wanted, agc), dict(sorted(left_out.items()))
+
+
+def _class_problems(dataset: Dataset, known: Sequence[str], classes: Sequence[str] | None) -> list[Problem]:
+    """Return what is wrong with the choice of classes."""
+    unknown = [c for c in classes or () if c not in known]
+    if unknown:
+        expected = f"classes of the dataset ({', '.join(known) or 'it has none'})"
+        todo = _classes_line([c for c in known if c in (classes or ())])
+        return [Problem("--classes", "category-unknown", ", ".join(unknown), expected, todo)]
+    if not known or (classes is not None and not classes):
+        return [Problem(str(dataset.root), "category-none", "no class", "at least one", "label something")]
+    return []
+
+
+def _split_problems(wanted: Dataset, keep: Sequence[str], preset: Preset) -> Iterator[Problem]:
+    """Yield the splits and classes without pictures or objects; they are warnings where nothing depends on them."""
     splits = Counter(i.split for i in wanted.images)
     expected_of: dict[Split, str] = {
         "train": "pictures to train on",
@@ -64,44 +92,36 @@ def select_training_data(
         if not splits[split]:
             todo = "create splits with infrablend split"
             problem = Problem(f"split {split}", "split-empty", "no pictures", expected, todo)
-            needed = split == "train" or preset.patience
-            problems.append(problem if needed else replace(problem, severity="warning"))
+            yield problem if split == "train" or preset.patience else replace(problem, severity="warning")
     if 0 < splits["train"] < _FEW_PICTURES and preset.name != "smoke":
-        problems.append(Problem("split train", "few-pictures", f"{splits['train']} pictures",
-                                f"{_FEW_PICTURES} or more: a detector finds little after fewer",
-                                "give more pictures, or take its figures as those of a test run",
-                                severity="warning"))  # fmt: skip
-    found = Counter(o.category for i in wanted.images if i.split == "train" for o in i.instances)
+        found, expected = f"{splits['train']} pictures", f"{_FEW_PICTURES} or more: a detector finds little after fewer"
+        todo = "give more pictures, or take its figures as those of a test run"
+        yield Problem("split train", "few-pictures", found, expected, todo, severity="warning")
+    objects = _objects_of_train(wanted)
     for name in keep:
-        if splits["train"] and not found[name]:
-            problem = Problem(f"class {name}", "class-empty", "no object in split train", "at least one",
-                              _classes_line([c for c in keep if found[c]]))  # fmt: skip
-            problems.append(replace(problem, severity="warning") if preset.name == "smoke" else problem)
-    if task == "obb":
-        bare = Counter(o.category for i in wanted.images for o in i.instances if o.corners_xy is None)
-        problems += [Problem(f"class {k}", "obb-missing", f"{n} objects without oriented box", "one for each",
-                             "train --task detect") for k, n in bare.items()]  # fmt: skip
+        if splits["train"] and not objects[name]:
+            todo = _classes_line([c for c in keep if objects[c]])
+            problem = Problem(f"class {name}", "class-empty", "no object in split train", "at least one", todo)
+            yield replace(problem, severity="warning") if preset.name == "smoke" else problem
+
+
+def _shape_problems(wanted: Dataset, keep: Sequence[str], task: str) -> Iterator[Problem]:
+    """Yield the classes with objects that lack the shape of the task: an oriented box or a mask."""
+    lacks = {"obb": lambda o: o.corners_xy is None, "segment": lambda o: o.mask is None}.get(task)
+    if lacks is None:
+        return
+    bare = Counter(o.category for i in wanted.images for o in i.instances if lacks(o))
+    todo, code, what = "train --task detect", "obb-missing", "oriented box"
     if task == "segment":
-        bare = Counter(o.category for i in wanted.images for o in i.instances if o.mask is None)
-        with_masks = _classes_line([c for c in keep if found[c] and not bare[c]])
-        problems += [Problem(f"class {k}", "mask-missing", f"{n} objects without mask", "one for each",
-                             f"train --task detect{f', or {with_masks}' if with_masks else ''}")
-                     for k, n in bare.items()]  # fmt: skip
-    rejected = [p for p in dataset.problems if p.severity == "error"]
-    if rejected or any(p.severity == "error" for p in problems):
-        message = f"{dataset.root}: cannot be trained on"
-        if rejected:
-            shown = f"; here are the first {_REJECTED_SHOWN}" if len(rejected) > _REJECTED_SHOWN else ""
-            message += (
-                f". {len(rejected)} labels or pictures could not be read and would be missing{shown}. "
-                f"Correct them (infrablend check {dataset.root} lists all), or leave them out with "
-                f"infrablend convert {dataset.root} clean --to coco and train on clean"
-            )
-        wrong = [p for p in problems if p.severity == "error"]
-        raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
-    for p in problems:
-        log.warning("%s", p)
-    return _checked(wanted, agc), dict(sorted(left_out.items()))
+        code, what, objects = "mask-missing", "mask", _objects_of_train(wanted)
+        with_masks = _classes_line([c for c in keep if objects[c] and not bare[c]])
+        todo += f", or {with_masks}" if with_masks else ""
+    for name, count in bare.items():
+        yield Problem(f"class {name}", code, f"{count} objects without {what}", "one for each", todo)
+
+
+def _objects_of_train(wanted: Dataset) -> Counter[str]:
+    return Counter(o.category for i in wanted.images if i.split == "train" for o in i.instances)
 
 
 def _classes_line(names: Sequence[str]) -> str:
@@ -162,11 +182,11 @@ def most_tiles(preset: Preset, split: str) -> int:
 
 
 def write_training_data(
-    dataset: Dataset, manifest: Manifest, preset: Preset, task: str, request: TrainRequest
+    dataset: Dataset, out: Path, preset: Preset, task: str, request: TrainRequest
 ) -> dict[str, Any]:
     """Write the data for the trainer to the folder `data` of a training, and return their counts."""
-    out, seed = manifest.root, request.seed
-    remove_folders(manifest, [DATA, TILES, EIGHT_BIT])  # of a call that was killed here
+    for name in (DATA, TILES, EIGHT_BIT):  # of a call that was killed here
+        shutil.rmtree(out / name, ignore_errors=True)
     images = [i for i in dataset.images if i.split in ("train", "val")]
     if has_deep_pictures(dataset):
         images = [*eight_bit_copies(images, out / EIGHT_BIT, request.agc)[0]]
@@ -179,7 +199,7 @@ def write_training_data(
         cut: list[ImageRecord] = []
         for split in ("train", "val"):
             part = [i for i in images if i.split == split]
-            planned = tiles.plan_tiles(part, preset.tile, seed=seed, most=most_tiles(preset, split))
+            planned = tiles.plan_tiles(part, preset.tile, seed=request.seed, most=most_tiles(preset, split))
             records, found = tiles.write_tiles(planned, out / TILES)
             cut += records
             counts["tiles" if split == "train" else "tiles_val"] = {"tiles": len(records), **found}
@@ -191,7 +211,8 @@ def write_training_data(
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
     name = writer_for_task(task).name
     written = writing.write(name, out / DATA, images, categories)
-    remove_folders(manifest, [TILES, EIGHT_BIT])
+    for working in (TILES, EIGHT_BIT):
+        shutil.rmtree(out / working, ignore_errors=True)
     fatal = {k: n for k, n in written.losses.items() if k.rpartition(".")[2] in _FATAL_LOSSES}
     if fatal:
         problems = [Problem(name, k, f"{n} labels would be lost", "none",

@@ -18,9 +18,8 @@ from infrablend.core.files import output_error, write_json
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
 from infrablend.execution.interrupt import Interruption
-from infrablend.pipeline.training.folder import DATA, JOB, RECORD
 from infrablend.training import trainer
-from infrablend.training.files import LOG
+from infrablend.training.files import DATA, JOB, LOG, RECORD
 from infrablend.training.presets import Preset
 
 log = logging.getLogger(__name__)
@@ -41,7 +40,7 @@ def run_trainer(
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
     )  # fmt: skip
     job.write(out / JOB)
-    record |= {"status": "running", "epochs": epochs, "device": device}
+    record |= {"epochs": epochs, "device": device}
     write_json(out / RECORD, record, durable=True)
     began = time.monotonic()
     last: dict[str, dict[str, Any]] = {}
@@ -68,7 +67,6 @@ def run_trainer(
     if "damaged" in last:
         session["restarted"] = last["damaged"]["message"]
     record["sessions"] = [*record["sessions"], session]
-    record["status"] = "complete" if done else "interrupted" if stopped else "failed"
     if done:
         end = last["end"]
         record |= {k: end[k] for k in ("precision", "threads", "versions", "batch")}

@@ -1,4 +1,4 @@
-"""The output folder of `infrablend world`: an unfinished one is refused by readers and finished by the same command."""
+"""The output folder of `infrablend world`: whole or not there, and finished by the same command."""
 
 from __future__ import annotations
 
@@ -37,32 +37,27 @@ def tree(root: Path) -> dict[str, bytes]:
     return {p.relative_to(root).as_posix(): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()}
 
 
-def test_killed_world_is_refused_and_finished_by_the_same_command(tmp_path: Path) -> None:
+def test_killed_world_is_not_there_and_finished_by_the_same_command(tmp_path: Path) -> None:
     write_world(tmp_path / "fresh", REQUEST, frames)
     for renames in (0, 1, 4, 6):
         out = tmp_path / str(renames)
         run_until_killed(renames, functools.partial(write_world, out, REQUEST, frames))
-        if (out / "world.json").is_file():
-            ended = CliRunner().invoke(build_app(), ["-q", "check", str(out)])
-            assert ended.exit_code == 2 and "infrablend world" in ended.stderr, ended.output
+        assert not out.exists()
         write_world(out, REQUEST, frames)
         assert tree(out) == tree(tmp_path / "fresh")
-    assert json.loads((out / "world.json").read_text())["status"] == "complete"
+    assert json.loads((out / "world.json").read_text())["seed"] == 3
     assert CliRunner().invoke(build_app(), ["-q", "check", str(out)]).exit_code == 0
 
 
-def test_folders_with_other_files_are_left_alone(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    run_until_killed(4, functools.partial(write_world, out, REQUEST, frames))
-    (out / "mine.txt").write_text("mine")
+def test_a_world_is_replaced_only_if_asked_for(tmp_path: Path) -> None:
+    out = tmp_path / "whole"
+    write_world(out, REQUEST, frames)
+    before = tree(out)
     with pytest.raises(OutputError, match="not empty"):
         write_world(out, REQUEST, frames)
-    assert (out / "mine.txt").read_text() == "mine"
-    write_world(tmp_path / "whole", REQUEST, frames)
-    before = tree(tmp_path / "whole")
-    with pytest.raises(OutputError, match="not empty"):
-        write_world(tmp_path / "whole", REQUEST, frames)
-    assert tree(tmp_path / "whole") == before
+    assert tree(out) == before
+    write_world(out, WorldRequest(1, 3, splits={"train": 1.0}), frames, overwrite=True)
+    assert len(json.loads((out / "world.json").read_text())["frames"]) == 1
 
 
 def test_failed_world_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -72,4 +67,4 @@ def test_failed_world_leaves_nothing_behind(tmp_path: Path) -> None:
 
     with pytest.raises(RuntimeError, match="broken"):
         write_world(tmp_path / "out", REQUEST, broken)
-    assert not (tmp_path / "out").exists()
+    assert list(tmp_path.iterdir()) == []
