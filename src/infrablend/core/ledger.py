@@ -71,6 +71,7 @@ class Ledger:
         self.file = file
         self._db = connection
         self._commit_at = time.monotonic() + _COMMIT_S
+        self._closed = False
 
     @classmethod
     def create(cls, folder: Path, record: Mapping[str, Any]) -> Ledger:
@@ -120,11 +121,14 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Commit what was added, and close the file.
+        """Commit what was added, and close the file; a second call does nothing.
 
         Raises:
             OutputError: The disk is full.
         """
+        if self._closed:
+            return
+        self._closed = True
         try:
             self.commit()
         finally:

@@ -38,6 +38,7 @@ from infrablend.core.render import RenderResult
 from infrablend.realism.surroundings import BANDS_PX, largest_changes
 from infrablend.rendering.flat import FlatRenderer
 from infrablend.sampling.scene import rebuild_scene
+from tests.run_files import records
 
 LEVELS = (16.0, 235.0)
 OFF = SensorStrength(0, 0, 0, 0, clip=False)
@@ -305,8 +306,7 @@ def generate(pictures, out, **settings):
         execution=api.Execution(renderer="flat", in_process=True),
         settings=fields,
     )
-    found = [(p, read_record(p)) for p in sorted((out / "scenes").rglob("*.json"))]
-    return [(r, np.array(Image.open(out / "images" / r.image))) for _, r in found]
+    return [(r, np.array(Image.open(out / "images" / r.image))) for r in records(out)]
 
 
 def test_the_papers_recipes_do_without_and_give_the_plain_overlay(pictures, tmp_path):

@@ -430,7 +430,7 @@ def crowd(tmp_path_factory):
 def test_boxes_drawn_around_what_is_visible_are_measured_as_such(crowd):
     """Objects whose box did not change were left out, and exact boxes were compared with visible extents."""
     run, data = crowd
-    record = next(r for r in map(load_record, RunFolder(run).records()) if len(r.inserted) > 1)
+    record = next(r for r in RunFolder(run).records() if len(r.inserted) > 1)
     first, *others = record.inserted
     x0, y0, x1, y1 = first.box_xyxy
     seen = replace(first, extra={**first.extra, SEEN_BOX: [x0, y0, (x1 - x0) / 2, y1 - y0]})

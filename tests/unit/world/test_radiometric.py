@@ -17,6 +17,7 @@ from infrablend.world.frame_files import FinishedFrame, make_frame
 from infrablend.world.frames import FrameFacts
 from infrablend.world.labels import Label
 from infrablend.world.plan import WorldPlan
+from tests.run_files import records
 
 
 class EvenGround:
@@ -55,8 +56,7 @@ def test_the_air_in_the_metadata_goes_before_that_of_the_recipe(tmp_path: Path) 
     out = tmp_path / "run"
     report = api.generate("hit-uav-person", tmp_path / "flight", out, settings=settings, execution=execution)
     assert "air-drawn" not in {p.code for p in report.problems}
-    (path,) = (out / "scenes").rglob("*.json")
-    record = load_record(path)
+    (record,) = records(out)
     assert record.facts["matching"]["air"] == "metadata"
     assert image.radiometry is not None and record.scene is not None and record.scene.weather is not None
     assert record.scene.weather.air_k == image.radiometry.air_k
