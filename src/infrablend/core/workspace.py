@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import logging
 import os
 import shutil
@@ -31,7 +32,7 @@ from typing import Any, Literal, get_args
 from infrablend import __version__
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import real_path
-from infrablend.core.files import output_error, part_path, read_object, write_json
+from infrablend.core.files import output_error, read_object, write_json
 from infrablend.core.typed_command import command_facts, recorded_command
 from infrablend.errors import OutputError
 
@@ -255,8 +256,8 @@ def is_being_written(out: Path) -> bool:
     return False
 
 
-def _require_own(space: Workspace) -> None:
-    """Check that the folder has nothing but what InfraBlend wrote there.
+def _require_own(space: Workspace, *, replaced: bool) -> None:
+    """Check that the folder has the record of this command and, if it is to be replaced, nothing that others put there.
 
     Raises:
         OutputError: It has no record of this command, or something was added to it.
@@ -269,6 +270,8 @@ def _require_own(space: Workspace) -> None:
             f"{root}: not empty and not a {noun} of InfraBlend (no {space.record} that it wrote); nothing was touched. "
             "Give another folder."
         )
+    if not replaced:
+        return
     foreign = sorted({p.name for p in root.iterdir()} - {*contents.get("names", ()), *_OWN})
     count, written = _count_files(root), int(contents.get("files", 0))
     if foreign or count > written:
@@ -287,10 +290,8 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
     """
     root, partial = space.out, space.partial
     entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
-    left = sorted(
-        {p.name for p in partial.iterdir()} - {part_path(partial / NOTE).name}
-    )  # a kill may leave half a note
-    started = read_object(partial / NOTE) is not None
+    left = sorted(p.name for p in partial.iterdir())
+    started = (partial / NOTE).is_file()
     if left and not started:
         raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(left)}. Move it away.")
     if existing == "refuse" and (entries or (started and keep)):
@@ -299,7 +300,7 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
         space.state = "started"
         return
     if entries:
-        _require_own(space)
+        _require_own(space, replaced=existing == "overwrite")
     if existing == "resume" and entries:
         space.folder, space.state = root, "complete"
         return
@@ -372,7 +373,9 @@ def _replaced_of(root: Path) -> Path:
 
 
 def _write_note(folder: Path, noun: str, *, replaces: bool = False, foreign: Sequence[str] = ()) -> None:
-    write_json(folder / NOTE, {"noun": noun, "replaces": replaces, "foreign": list(foreign), **command_facts()})
+    note = {"noun": noun, "replaces": replaces, "foreign": list(foreign), **command_facts()}
+    with _reported(folder):  # in place: a temporary file would be left by a kill
+        (folder / NOTE).write_text(json.dumps(note), "utf-8")
 
 
 def _count_files(root: Path, left_out: Collection[str] = _OWN) -> int:
