@@ -6,7 +6,6 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
 from PIL import Image
 
 from infrablend import api

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model

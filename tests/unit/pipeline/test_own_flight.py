@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from infrablend.pipeline.record import FrameRecord, read_record
 from PIL import Image
 
 from infrablend import api

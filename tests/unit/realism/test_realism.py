@@ -9,7 +9,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import load_record
 from PIL import Image
 
 from infrablend import api

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from infrablend.pipeline.record import load_record
 from numpy.typing import NDArray
 
 from infrablend import api
