@@ -62,6 +62,7 @@ class Workspace:
         state: What was found: `new` (nothing), `started` (the workspace of an interrupted call), or `complete` (a
             finished folder, which `folder` names until `reopen`).
         locks: Locks of this call.
+        derived: Names at the top of the finished folder that other commands may add, and `overwrite` may delete.
     """
 
     out: Path
@@ -70,6 +71,7 @@ class Workspace:
     record: str
     state: Literal["new", "started", "complete"]
     locks: contextlib.ExitStack
+    derived: frozenset[str] = frozenset()
 
     @property
     def partial(self) -> Path:
@@ -159,7 +161,13 @@ class Workspace:
 
 @contextlib.contextmanager
 def workspace(
-    out: Path, noun: str, record: str, existing: Existing = "refuse", *, keep: bool = False
+    out: Path,
+    noun: str,
+    record: str,
+    existing: Existing = "refuse",
+    *,
+    keep: bool = False,
+    derived: Collection[str] = (),
 ) -> Iterator[Workspace]:
     """Yield the workspace of an output folder, locked for this process.
 
@@ -172,6 +180,7 @@ def workspace(
         record: File name of its record.
         existing: What to do with what is there; `resume` only with `keep`.
         keep: Whether a later call can finish what this one leaves.
+        derived: Names at the top of the finished folder that other commands may add, and `overwrite` may delete.
 
     Raises:
         ArgumentError: `out` is an address of object storage.
@@ -187,7 +196,7 @@ def workspace(
     with contextlib.ExitStack() as locks:
         partial = partial_of(root)
         locks.enter_context(_lock(partial, noun, make=True))
-        space = Workspace(root, partial, noun, record, "new", locks)
+        space = Workspace(root, partial, noun, record, "new", locks, frozenset(derived))
         if space._is_finished():  # killed while it got its name
             space._publish()
             partial.mkdir()
@@ -272,8 +281,9 @@ def _require_own(space: Workspace, *, replaced: bool) -> None:
         )
     if not replaced:
         return
-    foreign = sorted({p.name for p in root.iterdir()} - {*contents.get("names", ()), *_OWN})
-    count, written = _count_files(root), int(contents.get("files", 0))
+    left_out = {*_OWN, *space.derived}
+    foreign = sorted({p.name for p in root.iterdir()} - {*contents.get("names", ()), *left_out})
+    count, written = _count_files(root, left_out), int(contents.get("files", 0))
     if foreign or count > written:
         what = _listed(foreign) if foreign else f"{count} files, where the {noun} had {written}"
         raise OutputError(

@@ -14,7 +14,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
 from infrablend.core.machine import installed_versions
-from infrablend.core.run_folder import EXCLUDED, RUN_FILE, WORKERS_LOG, RunFolder
+from infrablend.core.run_folder import DERIVED, EXCLUDED, RUN_FILE, WORKERS_LOG, RunFolder
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Existing, Workspace, workspace
@@ -136,7 +136,7 @@ def run_plan(
         RenderError: The renderer cannot start.
     """
     noun = "run" if plan.shard is None else "shard"
-    with workspace(out, noun, RUN_FILE, existing, keep=True) as space:
+    with workspace(out, noun, RUN_FILE, existing, keep=True, derived=DERIVED) as space:
         report, record = run_in(space, plan, execution, on_progress, choice, source)
         if record is not None:
             space.finish(record)
