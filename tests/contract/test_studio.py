@@ -124,9 +124,8 @@ def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(ch
         page.locator(".frame-cell img").first.wait_for()
         page.goto(f"{address.partition('/?')[0]}/review?frame=1")
         page.locator('.verdict[data-frame="test/b_c0"]').wait_for()
-        edit_ledger(
-            run, "UPDATE frames SET excluded = 'x' WHERE frame_id = 'test/a_c0'"
-        )  # as `exclude` does: frame 1 is now another one
+        # As `exclude` does: frame 1 is now another one.
+        edit_ledger(run, "UPDATE frames SET excluded = 'x' WHERE frame_id = 'test/a_c0'")
         os.utime(run / "run.json")
         page.keyboard.press("a")
         page.get_by_text("have changed since this page was opened").first.wait_for()

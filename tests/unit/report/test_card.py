@@ -293,27 +293,6 @@ def labels_of_inserts(folder):
     return [(one["recipe"], one["seed"], one["labels"]) for one in told]
 
 
-def without_inserts(run):
-    """Rewrite the records of a run as earlier versions wrote them: `SOURCE.json` does not list the inserts."""
-    told = json.loads((run / "SOURCE.json").read_text())
-    del told["inserts"]
-    (run / "SOURCE.json").write_text(json.dumps(told))
-    recorded = Path(__file__).parents[1] / "config" / "recorded_recipes.json"
-    record = json.loads((run / "run.json").read_text())
-    del record["sha256"]
-    record["recipe"] = record["key"]["recipe"] = json.loads(recorded.read_text("utf-8"))["hit-uav-drone"]
-    (run / "run.json").write_text(json.dumps(record))
-
-
-@pytest.mark.parametrize("folder", ["coco", "native", "yolo"])
-def test_the_inserts_of_a_run_of_an_earlier_version_are_read_from_its_record(data, tmp_path, folder):
-    generate(data, tmp_path / "run", seed=3)
-    without_inserts(tmp_path / "run")
-    api.convert(tmp_path / "run" / folder, tmp_path / "again", "coco")
-    assert labels_of_inserts(tmp_path / "again") == [("hit-uav-drone", 3, {"drone": 8})]
-    assert "by the recipe `hit-uav-drone` with seed 3, 8 labels (8 drone)" in card(tmp_path / "again")
-
-
 @pytest.mark.parametrize("folder", ["coco", "yolo"])  # yolo does not mark inserted objects
 @pytest.mark.parametrize(
     ("change", "labels"),

@@ -14,7 +14,7 @@ from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.masks import Mask
 from infrablend.core.scene import Appearance, CameraSpec, SceneSpec, View
-from infrablend.errors import DatasetError, OutputError
+from infrablend.errors import InfraBlendError, OutputError
 from infrablend.report.preview import (
     FILL,
     INSERTED,
@@ -369,5 +369,5 @@ def claim_size(picture: Path) -> None:
 )
 def test_damaged_runs_are_clear_errors(run, damage, words):
     damage(run)
-    with pytest.raises(DatasetError, match=words):
+    with pytest.raises(InfraBlendError, match=words):
         load_frames(run)
