@@ -8,19 +8,22 @@ from pathlib import Path
 
 
 def run_until_killed(renames: int, call: Callable[[], object]) -> None:
-    """Make a call in a process that dies just before it gives a file its name, after this many renames."""
+    """Make a call in a process that dies just before it gives a file or folder its name, after this many renames."""
     child = os.fork()
     if not child:
         left = [renames]
-        real = Path.replace
 
-        def replace(path: Path, target: Path) -> Path:
-            left[0] -= 1
-            if left[0] < 0:
-                os._exit(137)
-            return real(path, target)
+        def counted(rename: Callable[[Path, Path], Path]) -> Callable[[Path, Path], Path]:
+            def call_or_die(path: Path, target: Path) -> Path:
+                left[0] -= 1
+                if left[0] < 0:
+                    os._exit(137)
+                return rename(path, target)
 
-        Path.replace = replace  # type: ignore[assignment,method-assign]
+            return call_or_die
+
+        Path.replace = counted(Path.replace)  # type: ignore[assignment,method-assign]
+        Path.rename = counted(Path.rename)  # type: ignore[assignment,method-assign]
         try:
             call()
         finally:

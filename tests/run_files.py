@@ -6,7 +6,12 @@ import hashlib
 import json
 import re
 import sqlite3
+from collections.abc import Mapping
 from pathlib import Path
+
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.ledger import Ledger
+from infrablend.core.run_folder import RunFolder
 
 _TIMES = re.compile(rb'<section id="time">.*?</section>', re.DOTALL)
 
@@ -21,6 +26,30 @@ def ledger_rows(file: Path) -> list[tuple[object, ...]]:
     with sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True) as ledger:
         frames = ledger.execute("SELECT * FROM frames ORDER BY frame_id").fetchall()
         return frames + ledger.execute("SELECT * FROM records ORDER BY frame_id").fetchall()
+
+
+def records(run: Path) -> list[FrameRecord]:
+    """Return the records of the frames of a finished run, by id."""
+    return list(RunFolder(run).records())
+
+
+def frame_ids(run: Path) -> list[str]:
+    """Return the ids of the frames of a finished run that are not left out."""
+    with Ledger.open(run) as ledger:
+        return ledger.frame_ids()
+
+
+def excluded(run: Path) -> Mapping[str, str]:
+    """Return the frames of a run that are left out, each with its reason."""
+    with Ledger.open(run) as ledger:
+        return ledger.excluded()
+
+
+def edit_ledger(run: Path, query: str, *values: object) -> None:
+    """Change the ledger of a run behind its back."""
+    with sqlite3.connect(run / "run.sqlite") as ledger:
+        ledger.execute(query, values)
+    ledger.close()
 
 
 def hashes(run: Path) -> dict[str, str]:

@@ -77,4 +77,3 @@ def test_deer_are_put_into_every_usable_frame(world, run):
         assert (before != after)[mask].mean() > 0.9
         kept = [o.box_xyxy.tolist() for o in image.instances if o is not deer]
         assert all(box in [o.box_xyxy.tolist() for o in source.instances] for box in kept)
-    assert json.loads((out / "run.json").read_text())["status"] == "complete"

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.run_files import edit_ledger
 from tests.samples import picture
 from tests.studio_runs import frame_record, write_run
 from tests.unit.studio.test_results import REALISM
@@ -97,9 +98,9 @@ def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str,
         page.goto(address)
         page.locator(".frame-cell img").first.wait_for()
         (run / "images/test/b_c0.png").unlink()
-        (run / "scenes/test/c_c0.json").unlink()
+        edit_ledger(run, "DELETE FROM records WHERE frame_id = 'test/c_c0'")
         base = address.partition("/?")[0]
-        for number, words in ((1, "test/b_c0.png: not a readable picture"), (2, "c_c0.json")):
+        for number, words in ((1, "test/b_c0.png: not a readable picture"), (2, "no finished frame 'test/c_c0'")):
             page.goto(f"{base}/review?frame={number}")
             page.get_by_role("alert").get_by_text(words).wait_for()
             assert not page.locator("img.picture").is_visible()
@@ -123,7 +124,8 @@ def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(ch
         page.locator(".frame-cell img").first.wait_for()
         page.goto(f"{address.partition('/?')[0]}/review?frame=1")
         page.locator('.verdict[data-frame="test/b_c0"]').wait_for()
-        (run / "scenes/test/a_c0.json").unlink()  # as `exclude` does: frame 1 is now another one
+        # As `exclude` does: frame 1 is now another one.
+        edit_ledger(run, "UPDATE frames SET excluded = 'x' WHERE frame_id = 'test/a_c0'")
         os.utime(run / "run.json")
         page.keyboard.press("a")
         page.get_by_text("have changed since this page was opened").first.wait_for()

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
+from tests.run_files import records
 
 from infrablend import api
 from infrablend.core.margin import find_margin
@@ -24,7 +24,7 @@ def test_no_deer_where_the_undistorted_picture_is_black(tmp_path, real_data: Pat
     )
     rejected: Counter[str] = Counter()
     inserted = 0
-    for record in (read_record(p) for p in sorted((run / "scenes").rglob("*.json"))):
+    for record in records(run):
         picture = cv2.imread(str(real_data / "bambi" / record.background["path"]), cv2.IMREAD_GRAYSCALE)
         rejected.update(record.scene.draws["rejected"])
         for label in record.inserted:

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
+from tests.run_files import records
 
 from infrablend import api
 
@@ -35,7 +35,7 @@ def test_no_label_without_a_visible_change(tmp_path, real_data: Path, recipe, da
         settings=["output.image=png", "output.formats=[coco]", "configurations=1", *settings],
         execution=api.Execution(renderer="flat", in_process=True),
     )
-    found = [r for p in sorted((run / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
+    found = records(run)
     assert found
     for record in found:
         after = cv2.imread(str(run / "images" / record.image), cv2.IMREAD_GRAYSCALE).astype(int)
@@ -59,7 +59,7 @@ def test_drones_are_as_bright_against_the_sky_as_real_ones(tmp_path, real_data: 
         settings=["output.formats=[coco]"],
         execution=api.Execution(renderer="flat", in_process=True),
     )
-    found = [r for p in sorted((run / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
+    found = records(run)
     signed = [i.extra["contrast_grey"] for r in found for i in r.inserted]
     sky = [k for r in found for k in r.facts.get("matching", {}).get("behind", ())]
     assert len(signed) >= 0.8 * sum(r.facts != {} for r in found)

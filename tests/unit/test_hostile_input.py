@@ -1,7 +1,6 @@
 """Careless or hostile input gives a clear error, no partial output, and no loss of the user's files."""
 
 import fcntl
-import hashlib
 import json
 import logging
 import os
@@ -17,13 +16,14 @@ from infrablend.assets.user_model import read_description
 from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.config.loading import list_recipes, load_recipe, parse_recipe
 from infrablend.core.files import part_path
-from infrablend.core.run_folder import RunFolder
+from infrablend.core.workspace import partial_of
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import scratch
 from infrablend.pipeline import request, run
 from infrablend.pipeline.generate import prepare_run
 from infrablend.pipeline.request import Execution, RunRequest
+from tests.run_files import hashes
 
 
 @pytest.fixture
@@ -34,10 +34,6 @@ def data(tmp_path, write_tiny_hit_uav):
 def generate(data, out, recipe="hit-uav-drone", **kwargs):
     options = {"execution": api.Execution(renderer="flat", in_process=True), "settings": ["output.formats=[coco]"]}
     return api.generate(recipe, data, out, **{**options, **kwargs})
-
-
-def digests(folder):
-    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(folder.rglob("*.jpg"))}
 
 
 # ---- YAML
@@ -179,25 +175,16 @@ def test_output_and_data_must_be_apart(data, tmp_path):
 
 def test_two_runs_in_one_folder_are_refused(data, tmp_path):
     out = tmp_path / "run"
-    out.mkdir()
-    handle = os.open(out, os.O_RDONLY)
+    partial_of(out).mkdir()
+    handle = os.open(partial_of(out), os.O_RDONLY)
     fcntl.flock(handle, fcntl.LOCK_EX)
     try:
         with pytest.raises(OutputError, match="another process is writing this run"):
             generate(data, out)
-        assert list(out.iterdir()) == []
+        assert not out.exists()
     finally:
         os.close(handle)
     assert generate(data, out).ok
-
-
-def test_overwrite_refuses_folders_of_other_programs(tmp_path):
-    (tmp_path / "run.json").write_text('{"mine": 1}')
-    (tmp_path / "images").mkdir()
-    (tmp_path / "images" / "precious.jpg").write_bytes(b"1")
-    with pytest.raises(OutputError, match="not a run record"):
-        RunFolder(tmp_path).prepare("overwrite")
-    assert (tmp_path / "images" / "precious.jpg").is_file()
 
 
 def test_full_disk_in_a_worker_is_an_environment_error():
@@ -211,7 +198,7 @@ def test_full_disk_in_a_worker_is_an_environment_error():
 def test_frames_of_a_changed_background_are_rendered_again(data, tmp_path, caplog):
     out, fresh = tmp_path / "run", tmp_path / "fresh"
     generate(data, out)
-    before = digests(out)
+    before = hashes(out)
     picture = sorted((data / "normal_json" / "train").glob("*.jpg"))[0]
     other = sorted((data / "normal_json" / "test").glob("*.jpg"))[0]
     picture.write_bytes(other.read_bytes())
@@ -219,7 +206,7 @@ def test_frames_of_a_changed_background_are_rendered_again(data, tmp_path, caplo
         generate(data, out, existing="resume")
     assert "has changed" in caplog.text
     generate(data, fresh)
-    assert digests(out) == digests(fresh) != before
+    assert hashes(out) == hashes(fresh) != before
 
 
 def test_interruption_while_writing_labels_explains_resuming(data, tmp_path, monkeypatch):
@@ -229,22 +216,25 @@ def test_interruption_while_writing_labels_explains_resuming(data, tmp_path, mon
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "write_formats", stop)
+        patch.setattr(run, "export_run", stop)
         with pytest.raises(Interrupted, match="--resume"):
             generate(data, out)
-    assert json.loads((out / "run.json").read_text())["status"] == "interrupted"
+    assert not out.exists()
     assert generate(data, out, existing="resume").counts == generate(data, fresh).counts
 
 
 def test_half_written_files_of_a_killed_run_are_removed_on_resume(data, tmp_path):
-    out = tmp_path / "run"
-    generate(data, out)
-    whole = digests(out)
-    left = part_path(out / "images" / "train" / "0_60_30_0_00001_c0.jpg")
-    left.write_bytes(b"half")
+    out, fresh = tmp_path / "run", tmp_path / "fresh"
+
+    def stop(_):
+        raise Interrupted("stop")
+
+    with pytest.raises(Interrupted):
+        generate(data, out, on_progress=stop)
+    part_path(partial_of(out) / "images" / "train" / "0_60_30_0_00001_c1.jpg").write_bytes(b"half")
     generate(data, out, existing="resume")
-    assert not left.exists()
-    assert digests(out) == whole
+    generate(data, fresh)
+    assert hashes(out) == hashes(fresh)
 
 
 def test_every_image_left_out_counts(data, tmp_path):

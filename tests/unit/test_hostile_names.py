@@ -11,6 +11,7 @@ from infrablend import api
 from infrablend.cli import main
 from infrablend.core.format_table import written_names
 from tests.flat_renderer import render_flat
+from tests.run_files import edit_ledger, hashes, ledger_rows
 
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
 
@@ -85,10 +86,6 @@ def test_names_that_differ_in_case_alone_do_not_share_a_file_on_any_disk(tmp_pat
 # -- paths
 
 
-def records(run: Path) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for p in sorted((run / "scenes").rglob("*.json"))}
-
-
 def test_data_behind_a_symbolic_link_give_the_same_run(tmp_path):
     draw(tmp_path / "data" / "train" / "a.png")
     (tmp_path / "deep" / "er").mkdir(parents=True)
@@ -97,26 +94,24 @@ def test_data_behind_a_symbolic_link_give_the_same_run(tmp_path):
     real, linked = tmp_path / "real", tmp_path / "linked"
     assert generate(tmp_path / "data", real, "--set", "configurations=1") == 0
     assert generate(link, linked, "--set", "configurations=1") == 0
-    assert records(linked) == records(real)
-    assert str(tmp_path) not in b"".join(records(linked).values()).decode()
+    rows = ledger_rows(linked / "run.sqlite")
+    assert rows == ledger_rows(real / "run.sqlite")
+    assert str(tmp_path) not in repr(rows)
     assert generate(link, real, "--set", "configurations=1", "--resume") == 0
-    assert records(linked) == records(real)
+    assert ledger_rows(real / "run.sqlite") == rows
 
 
 @pytest.mark.parametrize("path", ["/tmp/escaped.png", "train/../../../escaped.png"])
-def test_a_record_that_names_a_path_outside_the_run_is_made_again(tmp_path, path):
+def test_a_ledger_that_names_a_path_outside_the_run_is_refused(tmp_path, path):
     draw(tmp_path / "data" / "train" / "a.png")
     run = tmp_path / "run"
     assert generate(tmp_path / "data", run, "--set", "configurations=1") == 0
-    before, (file,) = records(run), (run / "scenes").rglob("*.json")
-    edited = json.loads(file.read_text())
-    edited["image"] = path
     outside = (run / "images" / path).resolve()
     assert not outside.is_relative_to(run / "images")
-    file.write_text(json.dumps(edited))
+    before = hashes(run)
+    edit_ledger(run, "UPDATE frames SET image = ?", path)
     assert generate(tmp_path / "data", run, "--set", "configurations=1", "--resume") == 0
-    assert records(run) == before
-    assert names_in_coco(run) == ["a_c0.png"]
+    assert hashes(run) == before
     assert not outside.exists()
     assert main(["rerender", str(run), "../../images/train/a_c0"]) in (2, 3)
 

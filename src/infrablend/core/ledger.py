@@ -71,6 +71,7 @@ class Ledger:
         self.file = file
         self._db = connection
         self._commit_at = time.monotonic() + _COMMIT_S
+        self._closed = False
 
     @classmethod
     def create(cls, folder: Path, record: Mapping[str, Any]) -> Ledger:
@@ -120,11 +121,14 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Commit what was added, and close the file.
+        """Commit what was added, and close the file; a second call does nothing.
 
         Raises:
             OutputError: The disk is full.
         """
+        if self._closed:
+            return
+        self._closed = True
         try:
             self.commit()
         finally:
@@ -222,19 +226,16 @@ class Ledger:
 
         Raises:
             KeyError: There is no such frame.
+            OutputError: Its record is damaged.
         """
+        text = self.record_text(frame_id)
         try:
-            return FrameRecord.from_text(self.record_text(frame_id))
-        except KeyError as error:
-            if error.args == (frame_id,):
-                raise
-            raise self._damaged(frame_id, error) from error
+            return FrameRecord.from_text(text)
         except DAMAGED as error:
-            raise self._damaged(frame_id, error) from error
-
-    def _damaged(self, frame_id: str, error: Exception) -> OutputError:
-        found = f"the record of {frame_id} is damaged ({type(error).__name__}: {error})"
-        return OutputError(f"{self.file}: {found}. Make the run again with --overwrite, or restore the file.")
+            raise OutputError(
+                f"{self.file}: the record of {frame_id} is damaged ({type(error).__name__}: {error}); expected one as "
+                "it was written. Make the run again with --overwrite."
+            ) from error
 
     def records(self, frame_ids: Iterable[str] | None = None) -> Iterator[FrameRecord]:
         """Yield the records of these frames, or of all that `frame_ids()` returns; one is in memory at a time."""

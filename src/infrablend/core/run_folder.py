@@ -24,6 +24,8 @@ EXCLUDED = "excluded"
 REPORT_FILE = "report.html"
 WORKERS_LOG = "workers.log"
 """Output of the workers, kept while a run is unfinished or if a frame failed."""
+DERIVED = ("preview.png", "ground.png", "realism")
+"""What `preview` and `realism` write into the folder of a run, unless told otherwise."""
 SHARDS_FILE = "shards.json"
 """Plan of a run in shards, in the folder that has a folder per shard."""
 

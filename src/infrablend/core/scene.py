@@ -228,9 +228,7 @@ class SceneSpec:
         d["camera"] = CameraSpec(**camera)
         d["appearance"] = Appearance(**d["appearance"])
         if weather := d.get("weather"):
-            # Scenes of earlier versions also have the wind, which never had an effect.
-            known = {k: v for k, v in weather.items() if k != "wind_m_s"}
-            d["weather"] = Weather(**known | {"sun": Sun(**known["sun"]) if known.get("sun") else None})
+            d["weather"] = Weather(**weather | {"sun": Sun(**weather["sun"]) if weather.get("sun") else None})
         dx, dy = d.get("motion_px", (0.0, 0.0))
         d["motion_px"] = (dx, dy)
         d["view"] = View(**d["view"]) if d.get("view") else None

@@ -18,9 +18,11 @@ COMMAND = "command"
 # can be finished, or, as `fetch`, might have secrets in an address.
 _FLAGS: Mapping[str, str] = {
     "convert": "--overwrite",
+    "exclude": "",
     "experiment": "",
     "frames": "--overwrite",
     "generate": "--resume",
+    "include": "",
     "merge": "--resume",
     "split": "--overwrite",
     "temperatures": "--overwrite",

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import json
 import logging
 import os
 import shutil
@@ -31,7 +32,7 @@ from typing import Any, Literal, get_args
 from infrablend import __version__
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import real_path
-from infrablend.core.files import output_error, part_path, read_object, write_json
+from infrablend.core.files import output_error, read_object, write_json
 from infrablend.core.typed_command import command_facts, recorded_command
 from infrablend.errors import OutputError
 
@@ -61,6 +62,7 @@ class Workspace:
         state: What was found: `new` (nothing), `started` (the workspace of an interrupted call), or `complete` (a
             finished folder, which `folder` names until `reopen`).
         locks: Locks of this call.
+        derived: Names at the top of the finished folder that other commands may add, and `overwrite` may delete.
     """
 
     out: Path
@@ -69,6 +71,7 @@ class Workspace:
     record: str
     state: Literal["new", "started", "complete"]
     locks: contextlib.ExitStack
+    derived: frozenset[str] = frozenset()
 
     @property
     def partial(self) -> Path:
@@ -158,7 +161,13 @@ class Workspace:
 
 @contextlib.contextmanager
 def workspace(
-    out: Path, noun: str, record: str, existing: Existing = "refuse", *, keep: bool = False
+    out: Path,
+    noun: str,
+    record: str,
+    existing: Existing = "refuse",
+    *,
+    keep: bool = False,
+    derived: Collection[str] = (),
 ) -> Iterator[Workspace]:
     """Yield the workspace of an output folder, locked for this process.
 
@@ -171,6 +180,7 @@ def workspace(
         record: File name of its record.
         existing: What to do with what is there; `resume` only with `keep`.
         keep: Whether a later call can finish what this one leaves.
+        derived: Names at the top of the finished folder that other commands may add, and `overwrite` may delete.
 
     Raises:
         ArgumentError: `out` is an address of object storage.
@@ -186,7 +196,7 @@ def workspace(
     with contextlib.ExitStack() as locks:
         partial = partial_of(root)
         locks.enter_context(_lock(partial, noun, make=True))
-        space = Workspace(root, partial, noun, record, "new", locks)
+        space = Workspace(root, partial, noun, record, "new", locks, frozenset(derived))
         if space._is_finished():  # killed while it got its name
             space._publish()
             partial.mkdir()
@@ -260,8 +270,8 @@ def is_being_written(out: Path) -> bool:
     return False
 
 
-def _require_own(space: Workspace) -> None:
-    """Check that the folder has nothing but what InfraBlend wrote there.
+def _require_own(space: Workspace, *, replaced: bool) -> None:
+    """Check that the folder has the record of this command and, if it is to be replaced, nothing that others put there.
 
     Raises:
         OutputError: It has no record of this command, or something was added to it.
@@ -274,8 +284,11 @@ def _require_own(space: Workspace) -> None:
             f"{root}: not empty and not a {noun} of InfraBlend (no {space.record} that it wrote); nothing was touched. "
             "Give another folder."
         )
-    foreign = sorted({p.name for p in root.iterdir()} - {*contents.get("names", ()), *_OWN})
-    count, written = _count_files(root), int(contents.get("files", 0))
+    if not replaced:
+        return
+    left_out = {*_OWN, *space.derived}
+    foreign = sorted({p.name for p in root.iterdir()} - {*contents.get("names", ()), *left_out})
+    count, written = _count_files(root, left_out), int(contents.get("files", 0))
     if foreign or count > written:
         what = _listed(foreign) if foreign else f"{count} files, where the {noun} had {written}"
         raise OutputError(
@@ -292,20 +305,17 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
     """
     root, partial = space.out, space.partial
     entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
-    left = sorted(
-        {p.name for p in partial.iterdir()} - {part_path(partial / NOTE).name}
-    )  # a kill may leave half a note
-    started = read_object(partial / NOTE) is not None
-    foreign = [name for name in left if name != part_path(partial / NOTE).name]  # killed before the first file
-    if foreign and not started:
-        raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(foreign)}. Move it away.")
+    left = sorted(p.name for p in partial.iterdir())
+    started = (partial / NOTE).is_file()
+    if left and not started:
+        raise OutputError(f"{partial}: expected the workspace of InfraBlend, found {_listed(left)}. Move it away.")
     if existing == "refuse" and (entries or (started and keep)):
         raise _refused(space, entries, keep)
     if existing == "resume" and started:
         space.state = "started"
         return
     if entries:
-        _require_own(space)
+        _require_own(space, replaced=existing == "overwrite")
     if existing == "resume" and entries:
         space.folder, space.state = root, "complete"
         return
@@ -378,7 +388,9 @@ def _replaced_of(root: Path) -> Path:
 
 
 def _write_note(folder: Path, noun: str, *, replaces: bool = False, foreign: Sequence[str] = ()) -> None:
-    write_json(folder / NOTE, {"noun": noun, "replaces": replaces, "foreign": list(foreign), **command_facts()})
+    note = {"noun": noun, "replaces": replaces, "foreign": list(foreign), **command_facts()}
+    with _reported(folder):  # in place: a temporary file would be left by a kill
+        (folder / NOTE).write_text(json.dumps(note), "utf-8")
 
 
 def _count_files(root: Path, left_out: Collection[str] = _OWN) -> int:

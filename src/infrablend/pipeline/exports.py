@@ -38,7 +38,7 @@ from infrablend.pipeline.run_warnings import (
     hiding_warnings,
     limit_warnings,
 )
-from infrablend.report.card import write_card
+from infrablend.report.card import CARD_FILE, is_own, write_card
 
 
 @dataclass(frozen=True)
@@ -114,12 +114,13 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
 
 
 def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
-    """Delete what an earlier call exported, and pictures without a finished frame.
+    """Delete what an earlier call exported but an edited card, and pictures without a finished frame.
 
     Raises:
         OutputError: It cannot be deleted.
     """
-    space.clear(keep=(IMAGES, EXCLUDED, WORKERS_LOG, LEDGER, f"{LEDGER}-journal"))
+    edited = () if is_own(folder.root / CARD_FILE) else (CARD_FILE,)
+    space.clear(keep=(IMAGES, EXCLUDED, WORKERS_LOG, LEDGER, f"{LEDGER}-journal", *edited))
     out = ledger.excluded()
     images = {f"{IMAGES}/{frame.image}" for frame_id, frame in ledger.done().items() if frame_id not in out}
     for name in _files_below(folder.root, IMAGES):

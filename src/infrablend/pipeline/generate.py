@@ -90,7 +90,9 @@ def outlook(out: Path, existing: Existing) -> str | None:
     left = unfinished(out)
     if left is None and not (out.is_dir() and any(out.iterdir())):
         return None
-    state = "has an unfinished run" if left else "has a run" if (out / LEDGER).is_file() else "has something else"
+    if left is None and not (out / LEDGER).is_file():
+        return "has something else than a run of InfraBlend: would be refused"
+    state = "has an unfinished run" if left else "has a run"
     then = {
         "refuse": "would be refused without --resume (finish it) or --overwrite (replace it)",
         "resume": "--resume would keep its finished frames and make the missing ones",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
 from infrablend.core.machine import installed_versions
-from infrablend.core.run_folder import EXCLUDED, RUN_FILE, WORKERS_LOG, RunFolder
+from infrablend.core.run_folder import DERIVED, EXCLUDED, RUN_FILE, WORKERS_LOG, RunFolder
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Existing, Workspace, workspace
@@ -137,7 +136,7 @@ def run_plan(
         RenderError: The renderer cannot start.
     """
     noun = "run" if plan.shard is None else "shard"
-    with workspace(out, noun, RUN_FILE, existing, keep=True) as space:
+    with workspace(out, noun, RUN_FILE, existing, keep=True, derived=DERIVED) as space:
         report, record = run_in(space, plan, execution, on_progress, choice, source)
         if record is not None:
             space.finish(record)
@@ -182,7 +181,7 @@ def run_in(
         opened = Ledger.create(folder.root, _header(plan, execution, source))
     with opened as ledger:
         header = {**_header(plan, execution, source), **_command(previous, choice is not None)}
-        ledger.write_run(header)
+        ledger.write_run({**previous, **header})
         ledger.exclude(kept_out)
         _place_excluded(folder, done, kept_out, purge=choice is not None and choice.purge)
         state = RunState(excluded=sum(f.frame_id in kept_out for f in plan.frames))
@@ -386,8 +385,10 @@ def _place_excluded(
             source.replace(target)
         if left_out and purge:
             aside.unlink(missing_ok=True)
-    if not kept_out:
-        shutil.rmtree(folder.root / EXCLUDED)  # nothing but empty folders
+    root = folder.root / EXCLUDED
+    for path in sorted((root, *root.rglob("*")), reverse=True):
+        if path.is_dir() and not any(path.iterdir()):
+            path.rmdir()
 
 
 def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, execution: Execution) -> None:

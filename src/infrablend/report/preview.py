@@ -391,7 +391,8 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
 
     Raises:
         ArgumentError: `count` is below 1.
-        DatasetError: The folder is not a run, contains no frames, or a frame cannot be read.
+        OutputError: The folder is not a run.
+        DatasetError: It contains no frames, or a frame cannot be read.
     """
     if count is not None:
         require_whole("count", count, 1)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
 from PIL import Image
 
 from infrablend import api
@@ -26,6 +25,7 @@ from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
 from infrablend.formats.images import encode_image, load_background
 from infrablend.pipeline.frame import nearest_range_m
+from tests.run_files import records
 
 LEVELS = (16.0, 235.0)
 GREY = GreyMapping(0.0, 255.0, (0.0, 255.0))
@@ -313,7 +313,7 @@ def test_a_run_draws_and_records_the_motion(tmp_path):
             execution=api.Execution(renderer="flat", in_process=True),
             settings=fields,
         )
-        return [read_record(p) for p in sorted((out / "scenes").rglob("*.json"))]
+        return records(out)
 
     still = generate(tmp_path / "still", sensor_profile="hit-uav")
     moving = generate(tmp_path / "moving", sensor_profile="hit-uav", sensor_motion_px=[2, 6])

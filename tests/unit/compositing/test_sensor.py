@@ -6,7 +6,6 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
 from PIL import Image
 
 from infrablend import api
@@ -38,6 +37,7 @@ from infrablend.core.render import RenderResult
 from infrablend.realism.surroundings import BANDS_PX, largest_changes
 from infrablend.rendering.flat import FlatRenderer
 from infrablend.sampling.scene import rebuild_scene
+from tests.run_files import records
 
 LEVELS = (16.0, 235.0)
 OFF = SensorStrength(0, 0, 0, 0, clip=False)
@@ -305,8 +305,7 @@ def generate(pictures, out, **settings):
         execution=api.Execution(renderer="flat", in_process=True),
         settings=fields,
     )
-    found = [(p, read_record(p)) for p in sorted((out / "scenes").rglob("*.json"))]
-    return [(r, np.array(Image.open(out / "images" / r.image))) for _, r in found]
+    return [(r, np.array(Image.open(out / "images" / r.image))) for r in records(out)]
 
 
 def test_the_papers_recipes_do_without_and_give_the_plain_overlay(pictures, tmp_path):

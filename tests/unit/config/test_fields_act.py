@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
@@ -13,6 +12,7 @@ from infrablend.formats import detection
 from infrablend.pipeline.request import Execution
 from infrablend.sampling.scene import sample_scene
 from infrablend.sampling.site import FrameKey, Site
+from tests.run_files import records
 
 WH = (640, 512)
 FLAT = Execution(renderer="flat", in_process=True)
@@ -32,8 +32,7 @@ def generate(tmp_path, write_tiny_hit_uav, name, settings):
         write_tiny_hit_uav(data, ("normal_json", "rotate_json"))
     out = tmp_path / name
     api.generate("hit-uav-drone", data, out, limit=1, settings={"output.image": "png", **settings}, execution=FLAT)
-    found = (read_record(p) for p in sorted((out / "scenes").rglob("*.json")))
-    return out, [r for r in found if r is not None and r.scene is not None]
+    return out, [r for r in records(out) if r.scene is not None]
 
 
 def test_the_dew_point_lies_below_the_air_by_the_drawn_difference():

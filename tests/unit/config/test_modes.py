@@ -1,14 +1,12 @@
 """Each mode has its own fields: fields of other modes are errors, and a change of mode drops and lists them."""
 
 import json
-from pathlib import Path
 
 import pytest
 
 from infrablend import api
 from infrablend.config.loading import list_recipes, load_recipe, parse_recipe, read_recipe
 from infrablend.config.modes import (
-    MOVED,
     REMOVED,
     Modes,
     all_modes,
@@ -16,7 +14,6 @@ from infrablend.config.modes import (
     modes_of,
     recipe_class,
     recipe_from_json,
-    upgrade_recorded,
 )
 from infrablend.config.recipe import (
     LocalMatching,
@@ -26,7 +23,6 @@ from infrablend.config.recipe import (
     PercentileMatching,
     RadiometricRecipe,
 )
-from infrablend.core.scene import SceneSpec
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import RecipeError
 from infrablend.pipeline.request import Execution
@@ -228,10 +224,9 @@ def test_the_scale_of_16_bit_pictures_is_checked():
             load_recipe("hit-uav-person", wrong)
 
 
-def test_no_moved_or_removed_field_exists():
+def test_no_removed_field_exists():
     existing = {".".join(f) for m in all_modes() for f in fields_of(m)}
-    assert not existing & {*MOVED, *REMOVED}
-    assert set(MOVED.values()) <= existing
+    assert not existing & {*REMOVED}
 
 
 def test_recipes_have_the_class_of_their_modes():
@@ -252,48 +247,6 @@ def test_recipes_keep_their_modes_through_json(name):
     short = json.loads(recipe.model_dump_json(exclude_defaults=True))
     assert modes_of(short) == modes_of(json.loads(text))
     assert recipe_class(modes_of(short)).model_validate_json(json.dumps(short)) == recipe
-
-
-def test_records_of_earlier_versions_are_read():
-    recipe = load_recipe("hit-uav-person")
-    recorded = json.loads(recipe.model_dump_json())
-    # Earlier records have all fields in every mode.
-    recorded["camera"]["distance_m"] = [1, 10]
-    recorded["objects"][0] |= {"x_m": [-3, 3], "y_m": [-3, 3]}
-    recorded["environment"]["wind_m_s"] = [0, 4]
-    recorded["appearance"]["hot_above_air_k"] = 20
-    recorded["matching"] |= {"mode": "local", "low_percentile": 1}
-    recorded["placement"] |= {"on_miss": "redraw", "min_contrast_grey": 4.0}
-    recorded["matching"]["min_contrast_grey"] = 4.0
-    assert recipe_from_json(json.dumps(upgrade_recorded(recorded))) == recipe
-
-
-# The shipped recipes as run.json recorded them before each mode had its own classes of sections.
-RECORDED = json.loads((Path(__file__).parent / "recorded_recipes.json").read_text("utf-8"))
-
-
-@pytest.mark.parametrize("name", RECORDED)
-def test_recorded_shipped_recipes_are_read(name):
-    recorded = RECORDED[name]
-    upgraded = upgrade_recorded(recorded)
-    recipe = recipe_from_json(json.dumps(upgraded))
-    assert modes_of(upgraded) == modes_of(recorded)
-    # null was the mode's default: the paper does not keep clear of ignore regions.
-    assert recorded["placement"]["clear_of_ignored"] is None
-    assert recipe.placement.clear_of_ignored == (recorded["placement"]["mode"] == "metric")
-    added = {"fit": "shape", "loosen": 1.0, "loosen_px": 0.0, "occluded_box": "visible"}
-    assert json.loads(recipe.model_dump_json())["labels"] == recorded["labels"] | added
-    assert recipe.placement.attempts == recorded["placement"]["attempts"]
-
-
-def test_scenes_of_earlier_versions_are_read(tmp_path, write_tiny_hit_uav):
-    data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
-    settings = {"appearance.mode": "physical", "placement.min_contrast": "off"}
-    api.generate("hit-uav-drone", data, tmp_path / "run", settings=settings, execution=FLAT)
-    scene = json.loads(next((tmp_path / "run" / "scenes").rglob("*.json")).read_text())["scene"]
-    assert "wind_m_s" not in scene["weather"]
-    older = {**scene, "weather": {**scene["weather"], "wind_m_s": 1.5}}
-    assert SceneSpec.from_json(older) == SceneSpec.from_json(scene)
 
 
 def test_plan_and_run_record_list_dropped_fields(tmp_path, write_tiny_hit_uav):

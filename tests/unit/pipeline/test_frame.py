@@ -6,7 +6,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import FrameRecord, read_record
 from PIL import Image
 
 from infrablend import api
@@ -15,6 +14,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import LocalMatching
 from infrablend.errors import DatasetError
 from infrablend.pipeline.looks import local_settings
+from tests.run_files import records
 
 RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")
 
@@ -46,10 +46,6 @@ def write_yolo(root: Path, stem: str, pixels: np.ndarray, lines: list[str]) -> N
 def generate(data: Path, out: Path, recipe: str = "hit-uav-drone-physical", settings=()):
     pairs = ["output.image=png", "configurations=1", *settings]
     return api.generate(recipe, data, out, settings=pairs, execution=api.Execution(renderer="flat", in_process=True))
-
-
-def records(run: Path) -> list[FrameRecord]:
-    return [r for p in sorted((run / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
 
 
 @pytest.mark.parametrize("recipe", ["hit-uav-drone-physical", "monet-deer-physical"])

@@ -15,6 +15,7 @@ from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import ArgumentError, OtherSettingsError
 from infrablend.pipeline.frame_selection import FrameSelection
+from tests.run_files import ledger_rows
 
 FLAT = api.Execution(renderer="flat", in_process=True)
 RECIPE = "hit-uav-drone-physical"
@@ -39,7 +40,8 @@ def test_chosen_frames_have_the_bytes_of_the_full_run(data: Path, tmp_path: Path
     pictures = {name: content for name, content in part.items() if name.endswith(".jpg")}
     assert {name.removeprefix("images/").removesuffix(".jpg") for name in pictures} == stems
     assert pictures.items() <= full.items()
-    assert files(tmp_path / "part", "scenes").items() <= files(tmp_path / "full", "scenes").items()
+    full_rows, part_rows = (ledger_rows(tmp_path / name / "run.sqlite") for name in ("full", "part"))
+    assert len(part_rows) == 6 and set(part_rows) <= set(full_rows)
 
 
 def test_a_run_of_chosen_frames_is_resumed_only_with_the_same_frames(data: Path, tmp_path: Path) -> None:

@@ -9,13 +9,14 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import FrameRecord, read_record
 from PIL import Image
 
 from infrablend import api
 from infrablend.compositing.occlusion import Occluder, Scenery
 from infrablend.config.recipe import Occlusion
+from infrablend.core.frame_record import FrameRecord
 from infrablend.pipeline.occlusion import Cover
+from tests.run_files import records
 
 SHARE = "occlusion={share: 1, visible: [0.4, 0.75]}"
 
@@ -47,10 +48,6 @@ def generate(data: Path, out: Path, *settings: str, limit: int | None = None) ->
     given = ["output.image=png", "objects=[{model: deer, count: 3}]", "placement.min_contrast=off", *settings]
     how = api.Execution(renderer="flat", in_process=True)
     return api.generate("monet-deer-physical", data, out, settings=given, limit=limit, execution=how)
-
-
-def records(run: Path) -> list[FrameRecord]:
-    return [r for p in sorted((run / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
 
 
 def pictures(run: Path, data: Path, record: FrameRecord) -> tuple[np.ndarray, np.ndarray]:

@@ -7,16 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from infrablend.pipeline.record import FrameRecord, read_record
 from PIL import Image
 
 from infrablend import api
+from infrablend.core.frame_record import FrameRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.rjpeg.lens import fov_of_35mm
 from infrablend.formats.rjpeg.writing import Maker
 from infrablend.pipeline.generate import prepare_run
 from infrablend.pipeline.request import RunRequest
 from tests.flights import SIZE_WH, flight, shot
+from tests.run_files import records
 
 FLAT = api.Execution(renderer="flat", in_process=True)
 
@@ -24,7 +25,7 @@ FLAT = api.Execution(renderer="flat", in_process=True)
 def run(data: Path, out: Path, *settings: str) -> list[FrameRecord]:
     # Without objects: the camera of a frame does not depend on them.
     api.generate("hit-uav-people", data, out, settings=["empty_share=1.0", *settings], execution=FLAT)
-    return [r for p in sorted((out / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
+    return records(out)
 
 
 def hfov(record: FrameRecord) -> float:
@@ -75,8 +76,7 @@ def test_deer_above_has_its_own_lens_over_pictures_of_any(tmp_path: Path) -> Non
     shot(data / "DJI_0002_T.JPG", number=1, focal_length_35mm=None)
     settings = ["empty_share=1.0"]
     api.generate("deer-above", data, tmp_path / "out", settings=settings, execution=FLAT)
-    records = [read_record(p) for p in sorted((tmp_path / "out" / "scenes").rglob("*.json"))]
-    assert [round(hfov(r)) for r in records if r is not None] == [50, 50]
+    assert [round(hfov(r)) for r in records(tmp_path / "out")] == [50, 50]
 
 
 def test_a_lens_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from infrablend.errors import DatasetError, InfraBlendError, OutputError, Recipe
 from infrablend.formats.images import load_background
 from infrablend.formats.writing import write
 from infrablend.pipeline.profile import jpeg_quality
+from tests.run_files import records
 
 
 def scene(seed, psf=0.9, gain=0.6, radius=1.6, noise=1.7, size=1.1, codec=None, shape=(320, 384)):
@@ -127,7 +128,7 @@ def test_one_picture_is_enough_and_recipes_take_the_file(tmp_path):
         execution=api.Execution(renderer="flat", in_process=True),
         settings=settings,
     )
-    record = json.loads(next((tmp_path / "run" / "scenes").rglob("*.json")).read_text())
+    record = records(tmp_path / "run")[0].to_json()
     assert run.ok
     assert record["facts"]["sensor"]["profile"] == "mine"
     # The run holds the numbers: the file is not needed to make a frame again.

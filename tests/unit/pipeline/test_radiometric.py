@@ -9,17 +9,18 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import FrameRecord, read_record
 from numpy.typing import NDArray
 from PIL import Image
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.radiometric import radiance_of, temperature_of
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
+from tests.run_files import records
 
 AIR_C = 12.0
 _UM = np.linspace(8e-6, 14e-6, 2001)
@@ -72,7 +73,7 @@ def settings(temperature_c: float, emissivity: float = 0.9, **more: Any) -> dict
 def generate(data: Path, out: Path, fields: dict[str, Any]) -> list[FrameRecord]:
     execution = api.Execution(renderer="flat", in_process=True)
     api.generate("hit-uav-car", data, out, settings=fields, execution=execution, existing="overwrite")
-    return [r for p in sorted((out / "scenes").rglob("*.json")) if (r := read_record(p)) is not None]
+    return records(out)
 
 
 def pixels_of(path: Path) -> NDArray[np.uint16]:

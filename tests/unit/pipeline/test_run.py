@@ -13,13 +13,13 @@ from PIL import Image
 from infrablend import api
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB
-from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
+from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.planning import make_plan
 from infrablend.pipeline.run_warnings import absent_warnings, limit_warnings
-from tests.run_files import hashes
+from tests.run_files import edit_ledger, hashes, records
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
 SPLIT = {"train": NAMES[:2], "val": NAMES[2:3], "test": NAMES[3:]}
@@ -124,12 +124,6 @@ def test_labels_describe_the_pixels(dataset, tmp_path):
     assert changed_in_masks / 8 > 0.9
 
 
-def records(run: Path) -> list[FrameRecord]:
-    found = [read_record(p) for p in sorted((run / "scenes").rglob("*.json"))]
-    assert all(found)
-    return found
-
-
 def test_same_seed_gives_same_bytes_and_another_seed_others(dataset, tmp_path):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         generate(dataset, tmp_path / name, seed=seed)
@@ -159,13 +153,19 @@ def test_interrupted_and_resumed_gives_the_same_bytes(dataset, tmp_path, monkeyp
 
     with pytest.raises(Interrupted, match="--resume"):
         generate(dataset, run, on_progress=stop_after_three)
-    assert json.loads((run / "run.json").read_text())["status"] == "interrupted"
-    made = {p: p.stat().st_mtime_ns for p in (run / "images").rglob("*.png")}
+    assert not run.exists()
+    made = times(partial_of(run))
     assert 3 <= len(made) < 8
     report = generate(dataset, run, existing="resume")
     assert report.counts["frames"] == 8
-    assert {p: p.stat().st_mtime_ns for p in made} == made  # not made again
+    assert made.items() <= times(run).items()  # not made again
     assert hashes(run) == hashes(tmp_path / "whole")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "part", "whole"]
+
+
+def times(run: Path) -> dict[str, int]:
+    """Return when each picture was made, by its name."""
+    return {p.name: p.stat().st_mtime_ns for p in (run / "images").rglob("*.png")}
 
 
 def test_resume_mends_damaged_frames(dataset, tmp_path):
@@ -173,15 +173,30 @@ def test_resume_mends_damaged_frames(dataset, tmp_path):
     generate(dataset, run)
     whole = hashes(run)
     images = sorted((run / "images").rglob("*.png"))
-    scenes = sorted((run / "scenes").rglob("*.json"))
     # Unlink first: the images are hard-linked into the formats' folders.
     data = images[0].read_bytes()
     images[0].unlink()
     images[0].write_bytes(data[: len(data) // 2])
     images[1].unlink()
-    scenes[4].write_text("{")
+    edit_ledger(run, "DELETE FROM frames WHERE frame_id = ?", f"val/{NAMES[2]}_c0")
+    before = times(run)
     generate(dataset, run, existing="resume")
     assert hashes(run) == whole
+    assert len(before.items() & times(run).items()) == 5  # the others were not made again
+
+
+@pytest.mark.parametrize("name", ["coco/train.json", "yolo/data.yaml", "README.md", "report.html"])
+def test_resume_writes_a_missing_file_again_and_makes_no_frame(dataset, tmp_path, name):
+    run = tmp_path / "run"
+    generate(dataset, run)
+    whole, before = hashes(run), times(run)
+    (run / name).unlink()
+    generate(dataset, run, existing="resume")
+    assert hashes(run) == whole
+    assert times(run) == before
+    stamp = (run / "run.json").stat().st_mtime_ns
+    generate(dataset, run, existing="resume")
+    assert (run / "run.json").stat().st_mtime_ns == stamp, "nothing was to do"
 
 
 def test_resume_refuses_another_run_and_lists_differences(dataset, tmp_path):
@@ -208,43 +223,6 @@ def test_resume_names_options_and_not_digests(dataset, tmp_path):
     assert differences(key, {**changed, "backgrounds": "01ab"}) == []
 
 
-RECORDED = Path(__file__).parents[1] / "config" / "recorded_recipes.json"
-
-
-def record_recipe_of_earlier_version(run: Path, **camera: object) -> None:
-    """Put the recipe that an earlier version recorded into a run's record."""
-    recipe = json.loads(RECORDED.read_text("utf-8"))["hit-uav-drone"]
-    recipe["output"]["image"] = "png"
-    recipe["camera"].update(camera)
-    recipe["description"] = "Worded differently."
-    record = json.loads((run / "run.json").read_text())
-    record["recipe"] = record["key"]["recipe"] = recipe
-    record.pop("sha256", None)
-    (run / "run.json").write_text(json.dumps(record))
-
-
-def test_run_of_an_earlier_version_is_resumed(dataset, tmp_path):
-    run = tmp_path / "run"
-    generate(dataset, run)
-    whole = hashes(run)
-    record_recipe_of_earlier_version(run)
-    sorted((run / "scenes").rglob("*.json"))[0].unlink()
-    generate(dataset, run, existing="resume")
-    assert hashes(run) == whole
-    record_recipe_of_earlier_version(run, roll_deg=[0.0, 1.0])
-    with pytest.raises(OutputError, match=r"run: recipe\.camera\.roll_deg was \[0\.0, 1\.0\], is \[-10\.0, 10\.0\]\. "):
-        generate(dataset, run, existing="resume")
-
-
-def test_frame_of_a_run_of_an_earlier_version_is_rerendered(dataset, tmp_path):
-    run = tmp_path / "run"
-    generate(dataset, run)
-    record_recipe_of_earlier_version(run)
-    frame = f"train/{NAMES[0]}_c0"
-    again = api.rerender(run, frame, tmp_path / "again.png")
-    assert again.read_bytes() == (run / "images" / f"{frame}.png").read_bytes()
-
-
 def test_output_folder_rules(dataset, tmp_path):
     out = tmp_path / "full"
     out.mkdir()
@@ -257,8 +235,10 @@ def test_output_folder_rules(dataset, tmp_path):
     (tmp_path / "run" / "mine.txt").write_text("mine")
     with pytest.raises(OutputError, match="--resume"):
         generate(dataset, tmp_path / "run", limit=1)
+    with pytest.raises(OutputError, match=r"not part of the run \(mine\.txt\); nothing was touched"):
+        generate(dataset, tmp_path / "run", limit=2, existing="overwrite")
+    (tmp_path / "run" / "mine.txt").unlink()
     generate(dataset, tmp_path / "run", limit=2, existing="overwrite")
-    assert (tmp_path / "run" / "mine.txt").read_text() == "mine"
     assert len(list((tmp_path / "run" / "images").rglob("*.png"))) == 4
     with pytest.raises(OutputError, match="refuse, resume or overwrite"):
         generate(dataset, tmp_path / "run", existing="both")
@@ -303,7 +283,7 @@ def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path,
     monkeypatch.setattr(frame, "write_bytes", full_after_two)
     with pytest.raises(OutputError, match="No space left"):
         generate(dataset, tmp_path / "run")
-    assert len(list((tmp_path / "run" / "images").rglob("*.png"))) == 2
+    assert len(list((partial_of(tmp_path / "run") / "images").rglob("*.png"))) == 2
     monkeypatch.undo()
     assert generate(dataset, tmp_path / "run", existing="resume").counts["frames"] == 8
 
@@ -491,8 +471,8 @@ def test_a_single_object_that_is_barely_visible_is_not_inserted(dataset, tmp_pat
     held = generate(dataset, tmp_path / "held", settings={**settings, "placement.min_visibility": 0.6})
 
     def seen(name):
-        records = [read_record(p) for p in sorted((tmp_path / name / "scenes").rglob("*.json"))]
-        return [i.visibility for r in records for i in r.inserted], [r.scene.draws["absent"] for r in records]
+        found = records(tmp_path / name)
+        return [i.visibility for r in found for i in r.inserted], [r.scene.draws["absent"] for r in found]
 
     assert min(seen("free")[0]) < 0.6 <= min(seen("held")[0])
     absent = sum(a.get("min_visibility", 0) for a in seen("held")[1])
@@ -561,12 +541,20 @@ def test_a_plan_shows_what_would_happen_to_an_earlier_run(dataset, tmp_path):
         return found
 
     assert outlook() is None
-    generate(dataset, tmp_path / "out")
-    assert "status complete" in outlook() and "would be refused without --resume" in outlook()
+    generate(dataset, tmp_path / "out", limit=1)
+    assert "has a run: would be refused without --resume" in outlook()
     assert "would keep its finished frames" in outlook("resume")
-    assert "would delete it first" in outlook("overwrite")
-    (tmp_path / "out" / "run.json").unlink()
-    assert "would be refused" in outlook("overwrite") and "not a run of InfraBlend" in outlook("overwrite")
+    assert "would replace it once the new run is complete" in outlook("overwrite")
+    (tmp_path / "out" / "run.sqlite").unlink()
+    assert "something else than a run of InfraBlend: would be refused" in outlook("overwrite")
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(Interrupted):
+        generate(dataset, tmp_path / "out", on_progress=interrupt)
+    assert "has an unfinished run" in outlook("resume")
+
+
+def interrupt(_: Progress) -> None:
+    raise Interrupted("stop")
 
 
 def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):

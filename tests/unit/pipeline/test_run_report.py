@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
-import shutil
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -16,16 +14,14 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.errors import Problem
-from infrablend.pipeline import run as pipeline_run
-from infrablend.pipeline.run_report import write_report
 from infrablend.report.run import page
 from infrablend.report.run.charts import bin_edges
 from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.page import run_page
 from infrablend.report.run.removed import removed_crops
-from tests.command_line import done, run
+from tests.command_line import done
 from tests.flat_renderer import render_flat
-from tests.run_files import without_times
+from tests.run_files import frame_ids, without_times
 from tests.samples import SAMPLES
 
 HOSTILE = "<script>alert(1)</script>\"'><img src=x onerror=alert(1)>{{ 7*7 }}&amp;\u202e"
@@ -84,13 +80,9 @@ def made(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def ids(made: Path) -> list[str]:
-    return sorted(p.relative_to(made / "scenes").with_suffix("").as_posix() for p in (made / "scenes").rglob("*.json"))
-
-
 def test_generate_writes_a_page_that_needs_nothing_else(made: Path) -> None:
     found = read(made / "report.html")
-    frames = ids(made)
+    frames = frame_ids(made)
     assert all(frame_id in found.text for frame_id in frames)
     assert "--seed 0" in found.text and "recipe.yaml" in found.text
     assert "Classes before and after" in found.text and "Smallest" in found.text
@@ -108,7 +100,7 @@ def test_generate_writes_a_page_that_needs_nothing_else(made: Path) -> None:
 def test_a_list_of_frames_contains_the_frames_of_its_number(made: Path) -> None:
     text = (made / "report.html").read_text()
     (name, count) = re.findall(r'<tr><td><bdi>drone</bdi>.*?href="#(f\d+)"[^>]*>(\d+)<', text)[0]
-    assert int(count) == len(ids(made)) == _Page(text).classes.count(name)
+    assert int(count) == len(frame_ids(made)) == _Page(text).classes.count(name)
     assert f"#{name}:target~#list>:not(.{name})" in text
 
 
@@ -119,31 +111,13 @@ def test_report_writes_the_same_page_again(made: Path) -> None:
     assert without_times("report.html", (made / "report.html").read_bytes()) == without_times("report.html", before)
 
 
-def test_an_edited_report_is_kept_aside(made: Path) -> None:
-    (made / "report.html").write_text("mine")
-    done("report", made)
-    assert "Frames" in read(made / "report.html").text
-    assert [p.read_text() for p in (made / "log/replaced").rglob("report.html*")] == ["mine"]
-
-
 def test_excluded_frames_are_listed_with_their_reason_only(made: Path) -> None:
-    left_out, *rest = ids(made)
+    left_out, *rest = frame_ids(made)
     done("exclude", made, left_out, "--reason", "too bright")
     found = read(made / "report.html")
     assert f"{left_out}: too bright" in found.text
     assert not [a for a in found.addresses if left_out.rpartition("/")[2] in a]
     assert all(any(f"images/{frame_id}." in a for a in found.addresses) for frame_id in rest)
-
-
-def test_an_unfinished_run_is_refused_with_the_command_that_finishes_it(made: Path) -> None:
-    record = json.loads((made / "run.json").read_text())
-    (made / "run.json").write_text(json.dumps({**record, "status": "interrupted"}))
-    ended = run("report", made)
-    assert ended.exit_code == 2
-    assert f"--out {made}" in ended.output and "--resume" in ended.output
-    ended = run("report", made / "images")
-    assert ended.exit_code == 2
-    assert "infrablend generate" in ended.output
 
 
 # -- removed labels
@@ -250,37 +224,3 @@ def test_bins_are_few_and_cover_every_value(low: float, high: float) -> None:
     assert edges[0] <= low and edges[-1] > high
     assert edges == sorted(set(edges))
     assert 2 <= len(edges) <= 26
-
-
-@pytest.mark.parametrize("folder", ["coco", "images"])
-def test_what_is_removed_while_the_report_is_written_is_missed(
-    folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The last check comes after the last file, and the run is left as one that can be resumed."""
-    out = tmp_path / "out"
-    fields = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
-    words = (
-        "generate",
-        "hit-uav-drone",
-        "--data",
-        SAMPLES["coco"](tmp_path / "data"),
-        "--out",
-        out,
-        "--to",
-        "coco",
-        *fields,
-    )
-
-    def write_and_remove(*arguments: object) -> object:
-        written = write_report(*arguments)  # type: ignore[arg-type]
-        shutil.rmtree(out / folder)
-        return written
-
-    with monkeypatch.context() as patch:
-        patch.setattr(pipeline_run, "write_report", write_and_remove)
-        ended = run(*words)
-    assert ended.exit_code in (2, 3), ended.output
-    assert "removed while the command was running" in ended.output
-    assert "unfinished" in run("check", out / "coco" if folder == "images" else out / "images").output
-    done(*words, "--resume")
-    done("check", out / "coco")

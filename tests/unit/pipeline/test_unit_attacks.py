@@ -9,13 +9,13 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 from PIL import Image
 from typer.testing import CliRunner
 
 from infrablend import api
 from infrablend.cli.app import build_app
+from tests.run_files import records
 
 APP = build_app()
 SHAPE = (128, 160)
@@ -104,7 +104,7 @@ def test_an_empty_picture_fails_alone(level: int, tmp_path: Path) -> None:
     }  # fmt: skip
     execution = api.Execution(renderer="flat", in_process=True)
     result = api.generate("hit-uav-car", source, tmp_path / "out", settings=fields, execution=execution)
-    assert len([r for p in (tmp_path / "out/scenes").rglob("*.json") if (r := read_record(p)) is not None]) == 1
+    assert len(records(tmp_path / "out")) == 1
     assert [p.code for p in result.problems if p.severity == "error"] == ["temperature-implausible"]
 
 

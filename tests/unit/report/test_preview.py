@@ -10,8 +10,11 @@ import pytest
 from PIL import Image
 
 from infrablend.core.dataset import Instance
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.masks import Mask
-from infrablend.errors import DatasetError, OutputError
+from infrablend.core.scene import Appearance, CameraSpec, SceneSpec, View
+from infrablend.errors import InfraBlendError, OutputError
 from infrablend.report.preview import (
     FILL,
     INSERTED,
@@ -281,19 +284,18 @@ def run(tmp_path):
     (root / "coco" / "test.json").write_text(
         json.dumps({"images": images[::-1], "annotations": annotations, "categories": categories})
     )
-    (root / "scenes" / "test").mkdir(parents=True)
-    (root / "scenes" / "test" / "a_c0.json").write_text(
-        json.dumps(
-            {
-                "frame_id": "test/a_c0",
-                "image": "test/a_c0.png",
-                "background": {"pitch_deg": 60.0, "altitude_m": 80.0, "time_of_day": "night"},
-                "scene": {"camera": {"pitch_rad": 0.0}},
-                "inserted": [make_instance().to_json()],
-            }
-        )
-    )
+    write_ledger(root, view=None)
     return root
+
+
+def write_ledger(run, view):
+    """Write the ledger of the run; its one scene looks straight ahead."""
+    background = {"pitch_deg": 60.0, "altitude_m": 80.0, "time_of_day": "night"}
+    camera = CameraSpec(10.0, 0.0, 0.0, 0.0, 0.4, (160, 120))
+    scene = SceneSpec("test/a_c0", "a", "test", 0, camera, (), 290.0, Appearance(), 0, 0, view=view)
+    record = FrameRecord("test/a_c0", "test/a_c0.png", "", background, scene, None, (), (make_instance(),))
+    with Ledger.create(run, {}) as ledger:
+        ledger.add(record.frame_id, DoneFrame(record.image, 1, "", 1), record.to_text())
 
 
 def test_load_frames(run):
@@ -313,10 +315,7 @@ def test_load_frames(run):
 
 
 def test_the_title_shows_the_height_of_the_camera_that_was_used(run):
-    path = run / "scenes" / "test" / "a_c0.json"
-    record = json.loads(path.read_text())
-    record["scene"]["view"] = {"stated_height_m": 60.04}
-    path.write_text(json.dumps(record))
+    write_ledger(run, View(60.0, 60.04, 0.0, {}, 0.1))
     assert load_frames(run)[0].title == "test/a_c0   pitch 0°   altitude 60 m   night"
 
 
@@ -365,10 +364,10 @@ def claim_size(picture: Path) -> None:
         (lambda run: claim_size(run / "images/test/a_c0.png"), r"a_c0\.png: not a readable image"),
         (lambda run: (run / "coco/test.json").write_text("{"), r"test\.json: not a COCO file .*JSONDecodeError"),
         (lambda run: (run / "coco/test.json").write_text('{"images": []}'), r"not a COCO file .*KeyError"),
-        (lambda run: (run / "coco").rename(run / "cocoa") and (run / "scenes").rename(run / "s"), "folder of a run"),
+        (lambda run: (run / "coco").rename(run / "cocoa") and (run / "run.sqlite").unlink(), "folder of a run"),
     ],
 )
 def test_damaged_runs_are_clear_errors(run, damage, words):
     damage(run)
-    with pytest.raises(DatasetError, match=words):
+    with pytest.raises(InfraBlendError, match=words):
         load_frames(run)

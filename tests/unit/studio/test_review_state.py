@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import signal
@@ -15,7 +14,7 @@ import pytest
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.review import Verdict, read_verdicts
-from infrablend.studio.frame_index import UNREADABLE, FrameRow, View, read_row
+from infrablend.studio.frame_index import FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.verdicts import Review
@@ -60,37 +59,15 @@ def test_a_view_survives_its_address() -> None:
     assert View.from_query({"sort": "evil", "size_px_min": "nan", "other": "1"}).sort == "id"
 
 
-def test_rows_are_read_from_the_records_and_damaged_ones_are_shown(tmp_path: Path) -> None:
-    write_run(tmp_path, {"test/a_c0": frame_record("test/a_c0"), "test/b_c0": frame_record("test/b_c0")})
-    (tmp_path / "scenes/test/b_c0.json").write_text("{")
-    leaving = frame_record("test/c_c0") | {"image": "../../../etc/passwd"}
-    (tmp_path / "scenes/test/c_c0.json").write_text(json.dumps(leaving))
-    a, b, c = RowReading(RunFolder(tmp_path), tmp_path / "cache.json").wait()
-    assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (("drone",), 10, 12, 60)
-    assert b.warnings == c.warnings == (UNREADABLE,)
-
-
-def test_rows_of_an_earlier_studio_are_taken_unless_the_record_has_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_are_read_from_the_ledger(tmp_path: Path) -> None:
     names = [f"test/{n}_c0" for n in "abc"]
-    layout, cache = RunFolder(write_run(tmp_path / "run", {n: frame_record(n) for n in names})), tmp_path / "rows.json"
-    first = RowReading(layout, cache).wait()
-    read: list[str] = []
-
-    def counted(of: RunFolder, record: Path) -> FrameRow:
-        read.append(record.stem)
-        return read_row(of, record)
-
-    monkeypatch.setattr("infrablend.studio.row_reading.read_row", counted)
-    assert RowReading(layout, cache).wait() == first
-    assert read == []
-    (tmp_path / "run/scenes/test/b_c0.json").write_text(json.dumps(frame_record("test/b_c0", inserted=[])))
-    assert [row.inserted for row in RowReading(layout, cache).wait()] == [1, 0, 1]
-    assert read == ["b_c0"]
-    for damaged in ("{", "[]", '{"version": 1, "rows": {"test/a_c0": [1]}}'):
-        cache.write_text(damaged)
-        assert len(RowReading(layout, cache).wait()) == 3
+    write_run(tmp_path, {n: frame_record(n) for n in names})
+    reading = RowReading(RunFolder(tmp_path))
+    assert reading.ids == names
+    a, *others = reading.wait()
+    assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (("drone",), 10, 12, 60)
+    assert [row.id for row in others] == names[1:]
+    assert reading.is_complete and reading.count == 3
 
 
 def test_every_verdict_is_in_the_file_at_once_and_can_be_undone(tmp_path: Path) -> None:
@@ -150,14 +127,11 @@ def test_a_kill_loses_no_verdict(tmp_path: Path) -> None:
 
 
 def test_runs_that_cannot_be_opened_say_why(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="expected the record of a run"):
+    with pytest.raises(OutputError, match="not the folder of a run"):
         OpenedRun(tmp_path)
     empty = write_run(tmp_path / "empty", {})
     with pytest.raises(DatasetError, match="without frames"):
         OpenedRun(empty)
-    running = write_run(tmp_path / "running", {"test/a_c0": frame_record("test/a_c0")}, status="running")
-    with pytest.raises(DatasetError, match="still being written"):
-        OpenedRun(running)
     run = write_run(tmp_path / "run", {"test/a_c0": frame_record("test/a_c0")})
     first = OpenedRun(run)
     with pytest.raises(OutputError, match="another studio"):

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from infrablend.pipeline.record import load_record
 from numpy.typing import NDArray
 
 from infrablend import api
@@ -17,6 +16,7 @@ from infrablend.world.frame_files import FinishedFrame, make_frame
 from infrablend.world.frames import FrameFacts
 from infrablend.world.labels import Label
 from infrablend.world.plan import WorldPlan
+from tests.run_files import records
 
 
 class EvenGround:
@@ -59,8 +59,7 @@ def test_the_air_in_the_metadata_goes_before_that_of_the_recipe(tmp_path: Path) 
     out = tmp_path / "run"
     report = api.generate("hit-uav-person", tmp_path / "flight", out, settings=settings, execution=execution)
     assert "air-drawn" not in {p.code for p in report.problems}
-    (path,) = (out / "scenes").rglob("*.json")
-    record = load_record(path)
+    (record,) = records(out)
     assert record.facts["matching"]["air"] == "metadata"
     assert image.capture.radiometry is not None and record.scene is not None and record.scene.weather is not None
     assert record.scene.weather.air_k == image.capture.radiometry.air_k
