@@ -72,7 +72,8 @@ def studio(
     reading = make_reading(split, format, form, metadata, options)
 
     from infrablend.pipeline.request import Execution
-    from infrablend.studio.server import Address, StudioRequest, serve
+    from infrablend.studio.request import Address, StudioRequest
+    from infrablend.studio.server import serve
 
     request = StudioRequest(recipe, data, run, compare, tuple(results or ()), seed, reading, Execution(1, device.value))
 

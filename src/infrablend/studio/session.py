@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from infrablend.errors import ArgumentError
 from infrablend.studio.comparison import Comparison, RecipeComparison, RunComparison
 from infrablend.studio.opened_run import OpenedRun, RunFrames
+from infrablend.studio.request import StudioRequest
 
 if TYPE_CHECKING:
-    from infrablend.studio.server import StudioRequest
     from infrablend.studio.tuning import Tuning
 
 
@@ -58,8 +58,7 @@ class Session:
         with self._opening:
             if self._tuning is None:
                 # Loaded here, since a run to review should not wait for it.
-                from infrablend.studio.tuning import Tuning
-                from infrablend.studio.tuning_request import tuning_request
+                from infrablend.studio.tuning import Tuning, tuning_request
 
                 self._tuning = Tuning(tuning_request(self.request, self.run))
             return self._tuning

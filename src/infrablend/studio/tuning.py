@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import math
 import shlex
 import threading
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from ruamel.yaml import YAML
 
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import read_recipe
@@ -19,16 +22,21 @@ from infrablend.core.files import write_text
 from infrablend.core.typed_command import reading_words
 from infrablend.errors import ArgumentError, DatasetError, OutputError
 from infrablend.formats import detection
+from infrablend.formats.reading import READ_ALL
+from infrablend.pipeline.recorded_run import RecordedRun
 from infrablend.pipeline.temperature_scale import with_scale
 from infrablend.pipeline.trial import Trial, TrialRequest, Trials, gain_words, how_visible
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
+from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.pictures import Rgb, decode, enlarged, with_originals
-from infrablend.studio.recipe_text import to_yaml
+from infrablend.studio.request import StudioRequest
 from infrablend.studio.run_labels import Box, RunLabel
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240
+FIRST_RECIPE = "hit-uav-drone-physical"
+"""Recipe to tune where neither a recipe nor a run is given."""
 
 
 @dataclass(frozen=True)
@@ -220,3 +228,50 @@ def _size(label: Instance) -> float:
 def _crop(rgb: Rgb, label: Instance) -> Rgb:
     zoom = max(1, min(8, round(_CROP_PX / (2 * _size(label)))))
     return enlarged(rgb, [float(v) for v in label.box_xyxy], zoom)
+
+
+def tuning_request(request: StudioRequest, run: OpenedRun | None) -> TrialRequest:
+    """Return what to tune: without a recipe of the user's the run's own, with its seed, on its backgrounds.
+
+    Backgrounds that the user gave are read as the run read its own, unless the user says how.
+
+    Raises:
+        OutputError: The record of the run is damaged, or its recipe cannot be written to the cache folder.
+        DatasetError: The backgrounds are not where they were.
+    """
+    if run is None or (request.recipe is not None and request.data is not None):
+        assert request.data is not None
+        recipe = request.recipe or FIRST_RECIPE
+        return TrialRequest(
+            recipe, request.data, seed=request.seed, reading=request.reading, execution=request.execution
+        )
+    recorded = RecordedRun.from_record(run.record, run.layout.run_file)
+    data = request.data or recorded.data
+    if not data.is_dir():
+        raise DatasetError(
+            f"{data}: no such folder; expected the backgrounds of this run. Its frames can be reviewed without "
+            f"them; to tune, start with `infrablend studio --run {run.layout.root} --data DIR`, where they are now"
+        )
+    return TrialRequest(
+        request.recipe or _recipe_file(recorded.recipe, run),
+        data,
+        seed=request.seed or recorded.seed,
+        reading=recorded.reading if request.reading == READ_ALL else request.reading,
+        execution=replace(request.execution, renderer=recorded.renderer),
+    )
+
+
+def _recipe_file(recipe: Recipe, run: OpenedRun) -> Path:
+    """Write the recipe of the run to the user's cache folder: the form reads recipes from files."""
+    return write_text(run.thumbnails.folder / f"{run.name}.yaml", to_yaml(recipe))
+
+
+def to_yaml(recipe: Recipe) -> str:
+    """Return the YAML text of a recipe."""
+    text = io.StringIO()
+    yaml = YAML(typ="safe", pure=True)
+    yaml.default_flow_style = None
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    yaml.width = 120
+    yaml.dump(recipe.model_dump(mode="json", exclude_unset=True), text)
+    return text.getvalue()

@@ -9,7 +9,7 @@ import pytest
 
 from infrablend.errors import ArgumentError
 from infrablend.studio.guard import Guard, is_loopback, new_token
-from infrablend.studio.server import Address
+from infrablend.studio.request import Address
 
 TOKEN = "secret-token"
 PORT = 8123

@@ -13,9 +13,8 @@ from infrablend.errors import DatasetError
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.request import Execution
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.server import StudioRequest
-from infrablend.studio.tuning import Tuning
-from infrablend.studio.tuning_request import FIRST_RECIPE, tuning_request
+from infrablend.studio.request import StudioRequest
+from infrablend.studio.tuning import FIRST_RECIPE, Tuning, tuning_request
 
 FLAT = Execution(renderer="flat", in_process=True)
 SETTINGS = {"camera.distance_m": [3, 4]}
