@@ -28,14 +28,12 @@ from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray, IntArray
 from infrablend.errors import RenderError
 from infrablend.world.buildings import building
-from infrablend.world.cycles import cycle
-from infrablend.world.furniture import furniture
+from infrablend.world.fixtures import TREE_KINDS, Tree, furniture, tree_matrix, tree_prototype
 from infrablend.world.ground import ground_kelvin
 from infrablend.world.labels import Label, VisibleSamples, label_object
-from infrablend.world.people import person
+from infrablend.world.people import cycle, person
 from infrablend.world.plan import WorldPlan
 from infrablend.world.surfaces import Surface, placed
-from infrablend.world.trees import TREE_KINDS, Tree, tree_matrix, tree_prototype
 from infrablend.world.vehicles import vehicle
 
 OVERSAMPLE = 2
