@@ -11,7 +11,7 @@ from infrablend.core.files import part_path, require_still_there
 from infrablend.core.manifest import JOURNAL, REPLACED, Manifest, files_below
 from infrablend.core.output import OutputFolder
 from infrablend.errors import OutputError, Problem
-from infrablend.evaluation.files import MATCHES, RECORD
+from infrablend.evaluation.detections import MATCHES, RECORD
 from infrablend.pipeline.detection_source import PREDICTIONS
 
 PAGE, PLOTS = "evaluation.html", "plots"
