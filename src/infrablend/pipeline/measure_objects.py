@@ -27,7 +27,7 @@ from infrablend.formats.images import Background, SaveKind, encode_image, load_b
 from infrablend.pipeline.frame import overlay
 from infrablend.pipeline.occlusion import recorded_front
 from infrablend.realism.contrasts import ObjectContrast, object_contrast
-from infrablend.realism.controls import paste_controls
+from infrablend.realism.controls import SENSOR_STEPS, paste_controls, sensor_steps
 from infrablend.realism.features import (
     Bool,
     Labels,
@@ -39,7 +39,6 @@ from infrablend.realism.features import (
     reason_not_measured,
 )
 from infrablend.realism.looseness import BoxExtent, box_extent
-from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
 
