@@ -14,7 +14,7 @@ ALLOWED = {
     "config/experiment.py": "shipped files, and one that the user names",
     "config/loading.py": "shipped files, and one that the user names",
     "config/sensor_profile.py": "a file that the user names",
-    "core/cores.py": "locks",
+    "core/machine.py": "locks",
     "core/files.py": "the place that all others use",
     "core/machine.py": "files of the kernel",
     "core/manifest.py": "the end of its own file, after a check that it is no link",

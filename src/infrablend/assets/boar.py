@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from infrablend.assets.anatomy import smoothstep, unit
-from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, warmed_by_sun
+from infrablend.assets.params import Choice, Dials, Number
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 

@@ -15,10 +15,10 @@ from functools import lru_cache
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.drone import PARTS as DRONE_PARTS
 from infrablend.assets.implicit import Body, ellipsoid, surface, tube
 from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.params import Choice, Dials, Number
 from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.params import Choice, Dials, Number
 from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, Mesh

@@ -13,9 +13,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.drone import PARTS as DRONE_PARTS
 from infrablend.assets.model import ObjectModel, Params, PartRange
+from infrablend.assets.params import Choice, Dials, Number
 from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.core.mesh import FloatArray, Mesh
 

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.params import Choice, Dials, Number
 from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, assembled
 from infrablend.core.mesh import FloatArray, Mesh
 

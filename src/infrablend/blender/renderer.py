@@ -24,10 +24,8 @@ from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.render import Device, RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
-from infrablend.rendering.crop import crop_of
-from infrablend.rendering.emission import only_emits, render_emission
-from infrablend.rendering.glow import ground_radiance
-from infrablend.rendering.surfaces import ZERO_C_K, is_two_sided, surface_values
+from infrablend.rendering.emission import crop_of, only_emits, render_emission
+from infrablend.rendering.surfaces import ZERO_C_K, ground_radiance, is_two_sided, surface_values
 
 # A part mirrors another part, which mirrors the sky. A third bounce would add less than 1 % of the mirrored 5 %.
 PHYSICAL_BOUNCES = 2

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from infrablend.blender import session
 from infrablend.blender.nodes import new_material
 from infrablend.core.camera import CameraSpec
-from infrablend.core.cores import take_core
+from infrablend.core.machine import take_core
 from infrablend.core.mesh import FloatArray, IntArray
 from infrablend.core.tasks import Task
 from infrablend.errors import RenderError

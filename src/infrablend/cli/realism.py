@@ -126,7 +126,7 @@ def _lines(facts: dict[str, Any]) -> dict[str, str]:
 
 def _contrast_lines(facts: dict[str, Any]) -> list[str]:
     """Return a line per check of the contrasts."""
-    from infrablend.report.realism_tables import check_rows
+    from infrablend.report.realism import check_rows
 
     return [
         f"  {name}: real {real}, inserted {inserted}, {found} ({required}): {holds}"

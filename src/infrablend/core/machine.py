@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import logging
+import os
 import platform
 import subprocess
 from collections.abc import Iterable
@@ -13,9 +15,10 @@ from typing import Any
 
 import psutil
 
-from infrablend.core.cores import available_cores
-
 _CGROUP = Path("/sys/fs/cgroup")
+log = logging.getLogger(__name__)
+
+_CORE_LOCKS: list[int] = []
 
 
 @cache
@@ -88,3 +91,38 @@ def _read(path: Path) -> str:
     with contextlib.suppress(OSError, UnicodeDecodeError):
         return path.read_text("utf-8")
     return ""
+
+
+def available_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def take_core() -> int | None:
+    """Pin this process to a processor core that no other worker on this machine uses; return its number.
+
+    Measured: with one render thread, the main thread of Cycles waits by spinning and burns as much processor time as
+    the render itself; on a single core it cannot. File locks, which end with the process, assign the cores. Without a
+    free core (more workers than cores) nothing is pinned and None is returned.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        return None
+    import fcntl  # not available on every system
+
+    folder = Path("/dev/shm" if Path("/dev/shm").is_dir() else "/tmp")
+    for core in sorted(os.sched_getaffinity(0)):
+        path = folder / f"infrablend_core_{core}_{os.getuid()}.lock"
+        try:
+            handle = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        except OSError:
+            return None
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(handle)
+            continue
+        _CORE_LOCKS.append(handle)
+        os.sched_setaffinity(0, {core})
+        return core
+    log.info("no free core to pin this worker to")
+    return None

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from infrablend.core.camera_angles import roll_of_gimbal
+from infrablend.core.camera import roll_of_gimbal
 from infrablend.core.dataset import TimeOfDay
 from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem

@@ -24,7 +24,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
 from infrablend.formats.values import is_place
-from infrablend.thermal.sun import sun_position, time_of
+from infrablend.thermal.sky import sun_position, time_of
 
 # Only these formats hold pictures of any camera; those of the public datasets are known.
 ANY_CAMERA = ("folder", "yolo", "coco", "voc", "dota", "masks")

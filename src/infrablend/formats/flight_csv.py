@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
+from infrablend.core.camera import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.csv_text import comma_of, delimiter_of
 from infrablend.formats.flight_log import MAX_DAMAGED, FlightLog, Values, in_order, with_places, with_rolls

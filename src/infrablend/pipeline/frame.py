@@ -33,7 +33,6 @@ from infrablend.config.recipe import (
     PaperSensor,
     RadiometricMatching,
 )
-from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.frame_record import FrameRecord

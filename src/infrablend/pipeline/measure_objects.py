@@ -16,7 +16,6 @@ from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.render import Renderer

@@ -46,7 +46,7 @@ from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection, find
 from infrablend.pipeline.models import ready_model
 from infrablend.pipeline.shard import Shard
 from infrablend.sampling.scene import FrameKey, mean_objects, require_parts
-from infrablend.thermal.sun import sun_position, time_of
+from infrablend.thermal.sky import sun_position, time_of
 
 # For estimates only. Measured with Cycles on the CPU and one worker: 4 frames took 6.4 CPU seconds, 24 took 11.8.
 # Workers start in parallel, so their number does not change the time until the first frame.

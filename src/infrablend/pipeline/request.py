@@ -12,7 +12,7 @@ import psutil
 
 from infrablend.core.addresses import require_known
 from infrablend.core.arguments import require_choice, require_whole
-from infrablend.core.cores import available_cores
+from infrablend.core.machine import available_cores
 from infrablend.core.output import Existing, require_existing
 from infrablend.core.render import Device
 from infrablend.errors import ArgumentError

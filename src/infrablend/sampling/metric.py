@@ -32,8 +32,7 @@ from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance, TimeOfDay
-from infrablend.core.ground_lines import find_ground_lines
-from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
+from infrablend.core.ground_plane import at_height, find_ground_lines, ground_point, ground_z_m, pixel_ray
 from infrablend.core.margin import find_margin, on_margin
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import View

@@ -43,8 +43,7 @@ from infrablend.sampling.calibration import is_below
 from infrablend.sampling.metric import Site, common_headings, place_metric, real_camera
 from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose, place_as_paper
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
-from infrablend.thermal.sky import dew_point
-from infrablend.thermal.sun import irradiance, sun_position, time_of
+from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
 
 ZERO_C_K = 273.15
 

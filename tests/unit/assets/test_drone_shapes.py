@@ -11,7 +11,7 @@ import pytest
 
 from infrablend.assets import camera_quad, drones, fixed_wing, hexacopter, racer
 from infrablend.assets.catalogue import load_model
-from infrablend.assets.dials import Choice, Number
+from infrablend.assets.params import Choice, Number
 from infrablend.assets.rotors import DISC_RINGS
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream

@@ -9,8 +9,7 @@ import pytest
 
 from infrablend.assets import deer, person
 from infrablend.assets.catalogue import list_models, load_model
-from infrablend.assets.materials import MATERIALS
-from infrablend.assets.model import PartRange, part_role
+from infrablend.assets.model import MATERIALS, PartRange, part_role
 from infrablend.assets.user_model import GroupFacts, assign_parts, read_description
 from infrablend.config.loading import load_recipe
 from infrablend.core.rng import stream

@@ -22,9 +22,8 @@ from infrablend.pipeline import run as pipeline_run
 from infrablend.pipeline.run_report import write_report
 from infrablend.report.run import page
 from infrablend.report.run.charts import bin_edges
-from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
+from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts, removed_crops
 from infrablend.report.run.page import run_page
-from infrablend.report.run.removed import removed_crops
 from tests.command_line import done, run
 from tests.run_files import without_times
 from tests.samples import SAMPLES

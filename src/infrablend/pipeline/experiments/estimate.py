@@ -10,7 +10,7 @@ from typing import Any
 
 from infrablend.config.experiment import Generate
 from infrablend.config.loading import read_recipe
-from infrablend.core.cores import available_cores
+from infrablend.core.machine import available_cores
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, read_stage_record
 from infrablend.pipeline.experiments.training_setup import runs_on_gpu, training_preset, training_seconds

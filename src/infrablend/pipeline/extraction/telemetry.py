@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
+from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.formats.flight import time_of_day
 from infrablend.formats.flight_log import Sampled
 from infrablend.pipeline.extraction.plan import ClipPlan, FlightFacts

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset
+from infrablend.core.machine import available_cores
 from infrablend.core.output import Existing
 from infrablend.pipeline.training.data import most_tiles, select_training_data
 from infrablend.pipeline.training.folder import earlier_training

@@ -15,11 +15,10 @@ from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
-from infrablend.studio.by_hand import Move, can_move, moved, origin_px, released
 from infrablend.studio.pages.layout import error_text
 from infrablend.studio.pages.tune_pictures import Pictures
 from infrablend.studio.pictures import Rgb, to_png
-from infrablend.studio.recipe_form import FormField, fitting, form_of
+from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
 from infrablend.studio.tuning import Tuned, Tuning
 
 _KEPT = 48
