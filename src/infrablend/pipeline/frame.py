@@ -36,6 +36,7 @@ from infrablend.config.recipe import (
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.machine import take_core
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream

@@ -313,7 +313,7 @@ def write_charts(facts: Inspection, path: Path) -> Path:
 
 def _stacked_bars(axis: Any, names: Sequence[str], counts: Mapping[str, Sequence[int]]) -> None:
     """Draw a bar per name, from the top; `counts` holds the number of each name by split."""
-    colours = dict(zip(SPLITS, ("#30638e", "#edae49", "#b23a48"), strict=True))
+    colours: dict[str, str] = dict(zip(SPLITS, ("#30638e", "#edae49", "#b23a48"), strict=True))
     left = np.zeros(len(names))
     for split, found in counts.items():
         values = np.array(found, np.float64)
