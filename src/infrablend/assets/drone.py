@@ -206,9 +206,7 @@ def _angles(shares: FloatArray, options: Params) -> list[float]:
 
 
 def _require_params(params: Params) -> None:
-    # Scenes written before propellers could spin have no parameter for it.
     _CHECKS.known("parameter", params, tuple(NOMINAL))
-    params = {"propellers": PROPELLERS[0], **params}
     _CHECKS.complete(params, tuple(NOMINAL))
     for name in NOMINAL:
         where, value = f"parameter {name}", params[name]

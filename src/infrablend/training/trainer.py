@@ -361,8 +361,7 @@ def _last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
 
 def _read_checkpoint(checkpoint: Path, torch: Any) -> Reached:
     content = torch.load(checkpoint, map_location="cpu", weights_only=False)
-    known = content.get(REACHED) or {"epochs": int(content["epoch"]) + 1}  # earlier versions wrote the epoch only
-    return Reached(**known)
+    return Reached(**content[REACHED])
 
 
 @contextlib.contextmanager
