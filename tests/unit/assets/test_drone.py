@@ -188,9 +188,6 @@ def test_propellers_are_an_option_that_changes_nothing_else() -> None:
     assert MODEL.sample(stream(4, "o"), {"propellers": "spinning"}) == {**free, "propellers": "spinning"}
     both = {MODEL.sample(stream(k, "o"), {"propellers": ["still", "spinning"]})["propellers"] for k in range(20)}
     assert both == {"still", "spinning"}
-    # A scene written before there was the choice.
-    old = {k: v for k, v in NOMINAL.items() if k != "propellers"}
-    assert MODEL.build(old).vertices_m.tobytes() == MODEL.build(NOMINAL).vertices_m.tobytes()
 
 
 def test_draws_and_meshes_of_the_paper_s_recipes_stay() -> None:
