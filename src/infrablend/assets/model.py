@@ -1,4 +1,11 @@
-"""The interface of object models: draw parameters, build a mesh from them, give each part its thermal role."""
+"""The interface of object models: draw parameters, build a mesh from them, give each part its thermal role.
+
+Materials have an emissivity in the thermal band and a reflection. Emissivities are for 8-14 um at normal incidence.
+Sources: the emissivity tables of FLIR (T505002), testo, ired.co.uk and Ideal Industries (HeatSeeker manual), and a
+study of horses' coats for fur. "Computed" values follow from the refractive index; "est." marks estimates.
+`docs/how_to/infrared_effect.md` shows this table. `SUNLIT` has the response to sunlight: what
+docs/explanation/physical_look.md says under "Sunlight", with its sources.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Checks and draws of the parameters and options of a model, with errors that name the model and the option."""
+"""Parameters and options of a model: checks with errors that name the model and the option, and draws.
+
+`Dials` holds the parameters of a model as a table: which numbers and choices it has, and how they are drawn.
+"""
 
 from __future__ import annotations
 

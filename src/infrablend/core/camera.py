@@ -1,7 +1,8 @@
-"""The pinhole camera: position, direction, projection.
+"""The pinhole camera: position, direction, projection; and the camera angles of drones and datasets, converted to ours.
 
 World: Z up, metres. Camera axes as in OpenCV: x right, y down, z forward. Pixel (column j, row i) covers
-[j, j+1) x [i, i+1), origin at the top left corner of the image.
+[j, j+1) x [i, i+1), origin at the top left corner of the image. Pitch counts below the horizon (90 straight down); this
+is the only place that knows other conventions.
 """
 
 from __future__ import annotations

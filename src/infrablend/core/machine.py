@@ -1,4 +1,4 @@
-"""Facts about the computer and the installed packages, for run records, result pages and `infrablend doctor`."""
+"""Facts about the computer and the installed packages, for records and `doctor`; and a core for each worker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures of an evaluation: tables by class, strata, intervals, confusion, curves."""
+"""The figures of an evaluation: tables by class, strata, intervals, confusion, curves, and found objects one by one."""
 
 from __future__ import annotations
 

@@ -3,6 +3,8 @@
 A detection is matched to the label of its class with the largest overlap among those that no detection with a higher
 score has taken. It is neutral, neither a hit nor a false positive, if it only matches a label to ignore (a region, or
 an object outside the size range), or if it matches none and is itself outside the size range.
+
+Boxes, oriented boxes and masks overlap by their intersection over their union.
 """
 
 from __future__ import annotations

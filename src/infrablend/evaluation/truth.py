@@ -1,4 +1,4 @@
-"""Labels of a split, by evaluated class."""
+"""Labels of a split by evaluated class, the classes to evaluate, and the detector's classes that match them."""
 
 from __future__ import annotations
 

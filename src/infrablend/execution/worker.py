@@ -4,6 +4,9 @@
 
  parent -> worker   StartMessage; then ("task", index, Task), ("finish",) after the last, ("stop",) to drop what waits
  worker -> parent   ("ready",) or ("no-start", Failure); then ("done", index, ResultMessage) for each task, in order
+
+The second part has the rules that all pools share, wherever their workers are: when a worker is replaced, and what its
+end means.
 """
 
 from __future__ import annotations

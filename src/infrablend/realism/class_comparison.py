@@ -1,4 +1,8 @@
-"""Comparison of one class: how well, how reliably and by which features inserted objects differ from real ones."""
+"""Comparison of one class: how well, how reliably and by which features inserted objects differ from real ones.
+
+Objects are compared in pairs of similar size, so that size cannot separate the two populations. The distance of two
+sets of crops is the squared maximum mean discrepancy (MMD) with the kernel of KID.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +26,9 @@ HARD_AT_LEAST = 0.99
 FLOOR_RANGE = (0.70, 0.80)
 
 Pairs = Sequence[tuple[Measured, Measured]]
-SUBSET = 100
-SUBSETS = 100
-_SIDE = 8
+# Crops of a subset of the MMD, subsets, and side of the block of lowest frequencies.
+SUBSET, SUBSETS, _SIDE = 100, 100, 8
+# Largest difference in size of a pair.
 CALIPER_OCTAVES = 0.25
 
 

@@ -2,6 +2,10 @@
 
 The slope within images shows whether an object's level moves with the ground that it stands on: 1 if it does, 0 if
 objects look the same everywhere in a picture. Quantiles show whether objects stand out as much as real ones.
+
+An object's level follows its ring by the camera's local share, plus what object and ground have in common: sunlit
+places have sunlit people. The second part is not negative, so each class's slope within images is an upper bound on the
+share.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 The first is as good as an insert can be: only its place distinguishes it from an untouched object. The second is as
 bad as one can be: a classifier that misses it is blind.
+
+The sensor chain, switched on step by step, shows what each step does for realism.
 """
 
 from __future__ import annotations

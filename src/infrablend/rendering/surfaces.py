@@ -1,6 +1,8 @@
 """Values of an object's surfaces at the corners of its faces; every renderer that interpolates them uses these.
 
 Arrays have one value per face corner, (3T,), in the order of `mesh.triangles.ravel()`.
+
+`ground_radiance` is the radiance of ground that objects warm, against which renderers measure its glow.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Report of a comparison of inserted and real objects: sheets of crops, plots and a self-contained HTML page."""
+"""Report of a comparison of inserted and real objects: sheets of crops, plots, tables and an HTML page."""
 
 from __future__ import annotations
 

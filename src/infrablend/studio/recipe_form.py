@@ -1,4 +1,4 @@
-"""The fields of a recipe as a form, made from the recipe's own schema: kinds, units, ranges and help texts."""
+"""What a browser changes of a recipe: its fields as a form, made from its schema, and inserts moved by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The sky's radiance by zenith angle, and the transmittance of the air between object and camera."""
+"""The sky's radiance by zenith angle, the transmittance of the air between object and camera, and the sun.
+
+Irradiance of a clear sky after Haurwitz (1945), which needs the sun's elevation only; clouds after Kasten and Czeplak
+(1980). Position of the sun after the low-precision formulas of the Astronomical Almanac (0.01 degrees from 1950 to
+2050).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Environment for Ultralytics: no network, no settings outside our folder, a stand-in where torchvision fails."""
+"""Environment for Ultralytics: no network, no settings outside our folder, a stand-in where torchvision fails.
+
+The package registry has torchvision for Linux with CUDA only. Its compiled operators do not load beside the CPU build
+of torch, and detection needs one of them, `nms`. Ultralytics' own replacement handles one detection at a time with
+torch operations, which takes longer than the network. It also sorts unstably, so that the order of equal scores, and
+thus the result, depends on the processor.
+"""
 
 from __future__ import annotations
 

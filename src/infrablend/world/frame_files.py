@@ -1,4 +1,7 @@
-"""One frame of the virtual world: its image on disk, its labels and its entry in `world.json`."""
+"""One frame of the virtual world: its image on disk, its labels and its entry in `world.json`.
+
+As the radiometric JPEG file of a camera, a frame is part of a made-up flight off the card.
+"""
 
 from __future__ import annotations
 

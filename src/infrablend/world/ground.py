@@ -2,6 +2,8 @@
 
 The ground is flat, so its temperature is needed only where the ray of a pixel meets it. Computing it there, at the
 resolution of the render, makes lane markings and soft marks equally sharp at 60 m and at 260 m.
+
+By day, thermal shadows are ground that stayed cold because something kept the sun off it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Draws the plan of a whole scene: weather, place, what stands there, and the camera's gain."""
+"""Draws the plan of a whole scene: weather, place, what stands there, traces of use, and the camera's gain."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """The page of an experiment: tables with the paper's figures beside ours, conclusions, differences, charts, times.
 
-Everything comes from the results' JSON, nothing from the clock or the disk: the same JSON gives the same bytes.
+Everything comes from the results' JSON, nothing from the clock or the disk: the same JSON gives the same bytes. Data,
+renderer, trainings, boxes and scale that differ from the paper's are listed in a line each.
 """
 
 from __future__ import annotations

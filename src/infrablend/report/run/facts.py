@@ -1,4 +1,8 @@
-"""Facts that the report of a run shows; the records of the frames already hold all of them."""
+"""Facts that the report of a run shows, lists of frames that its numbers lead to, and removed labels to show as crops.
+
+The records of the frames already hold all facts. A list has an anchor; the page's style hides all other frames when the
+anchor is the target of a link, so that the page works without scripts.
+"""
 
 from __future__ import annotations
 
