@@ -2,7 +2,7 @@
 
 `bench/headings.py DATA [--category Car] [--recipe NAME] [--split train] [--read KEY=VALUE]` reads oriented boxes,
 projects their longer axis to the ground, and prints, by time of day: quantiles of the angle to the lines that
-`core.ground_lines` finds in the picture (0 to 45 degrees; 22.5 is the median of random directions), for all pictures
+`core.ground_plane` finds in the picture (0 to 45 degrees; 22.5 is the median of random directions), for all pictures
 and for those with clear lines; the shares of pairs in one picture that are parallel, and at right angles, within 12
 degrees; and the shares of objects along the line of sight, and at right angles to it, within 15 degrees. Boxes less
 than 1.4 times as long as wide do not count. Oriented boxes of HIT-UAV: `--read form=rotate_json`.
@@ -24,8 +24,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import MetricCamera
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.core.ground_lines import find_ground_lines
-from infrablend.core.ground_plane import at_height, ground_point, ground_z_m
+from infrablend.core.ground_plane import at_height, find_ground_lines, ground_point, ground_z_m
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 

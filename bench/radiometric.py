@@ -19,12 +19,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from infrablend.pipeline.record import FrameRecord, read_record
+from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 from PIL import Image
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
+from infrablend.core.frame_record import FrameRecord
 from infrablend.core.run_folder import RunFolder
 
 LIMIT_K = 0.1

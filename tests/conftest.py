@@ -219,7 +219,7 @@ def _has_module_fixture(item: pytest.Item) -> bool:
 def pytest_configure(config: pytest.Config) -> None:
     """Share the cores among parallel workers, which inherit this: waiting threads of torch and OpenBLAS spin."""
     if workers := getattr(config.option, "numprocesses", None):
-        from infrablend.core.cores import available_cores
+        from infrablend.core.machine import available_cores
 
         os.environ.setdefault("OMP_NUM_THREADS", str(max(1, available_cores() // workers)))
 

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.blender
 
 
 def in_this_process(seed: int, threads: int) -> FrameSource:
-    from infrablend.blender.world.worker import WorldWorker
+    from infrablend.blender.world import WorldWorker
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
         worker = WorldWorker(seed, folder, threads)
@@ -58,7 +58,7 @@ def someone(x: float, y: float) -> Person:
 
 
 def test_pixels_and_boxes_agree_and_walls_hide(bare):
-    from infrablend.blender.world.renderer import WorldRenderer
+    from infrablend.blender.world import WorldRenderer
 
     with WorldRenderer(1) as renderer:
         empty, labels = renderer.render(bare)

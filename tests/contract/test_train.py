@@ -451,8 +451,6 @@ def test_a_checkpoint_contains_the_progress_and_is_moved_away_if_damaged(ultraly
     said = []
     checkpoint = tmp_path / "checkpoint.pt"
     assert trainer._last_checkpoint(checkpoint, torch, None).epochs == 0
-    torch.save({"epoch": 4}, checkpoint)
-    assert trainer._last_checkpoint(checkpoint, torch, None).epochs == 5
     reached = trainer.Reached(5, True, {"images": 8}, {"box_loss": 0.5}, 4)
     torch.save({"epoch": 4, trainer.REACHED: asdict(reached)}, checkpoint)
     assert trainer._last_checkpoint(checkpoint, torch, None) == reached

@@ -301,11 +301,7 @@ def _visible_shape(
     supersample = _samples_per_pixel([surfaces[k].every, *others], offset_xy, crop_wh)
     grid = SampleGrid.over_pixels(offset_xy, crop_wh, supersample)
     alone = _unoccluded(surfaces[k], grid)
-    seen = alone
-    if others:
-        front = _joined(others)
-        depth = nearest_inverse_depth(own.xy, own.inverse_depth, grid)
-        seen = alone & (depth >= nearest_inverse_depth(front.xy, front.inverse_depth, grid))
+    seen = alone & _not_behind(own, others, grid) if others else alone
     hull_xy = hull[:, :2]
     if hidden.any():
         points_xy = np.concatenate([outline_points(seen, grid), hull_xy[~hidden]])
@@ -322,6 +318,13 @@ def _visible_shape(
         visibility *= _share_in_frame(surfaces[k], full_box, size_wh, alone_count * grid.pitch_px**2)
     coverage = share_per_pixel(seen, supersample) if with_coverage else None
     return _Shape(hull_xy, visibility, truncated, coverage, offset_xy, bool(hidden.any()))
+
+
+def _not_behind(own: ProjectedTriangles, others: Sequence[ProjectedTriangles], grid: SampleGrid) -> NDArray[np.bool_]:
+    """Return the samples in which none of the others is nearer."""
+    front = _joined(others)
+    depth = nearest_inverse_depth(own.xy, own.inverse_depth, grid)
+    return np.asarray(depth >= nearest_inverse_depth(front.xy, front.inverse_depth, grid))
 
 
 def _moved_nearer(triangles: ProjectedTriangles, share: float) -> ProjectedTriangles:

@@ -63,7 +63,7 @@ def show_recipe(name: str) -> str:
 
 def write_infrared_effect(path: str | Path) -> Path:
     """Write the InfraredEffect node group as a .blend file to append from; return its path."""
-    return Path(run_once("infrablend.blender.node_group_file:make_node_group_writer", str(path), "infrared-effect"))
+    return Path(run_once("infrablend.blender.materials:make_node_group_writer", str(path), "infrared-effect"))
 
 
 def diagnose() -> Diagnosis:

@@ -1,13 +1,29 @@
-"""Geometry shared by the deer and the person: unit vectors, smooth steps, and the joint between two bones."""
+"""What the grown models share: joints and legs of a skeleton, pieces of skin, the finished mesh, coats in the sun."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from infrablend.core.mesh import FloatArray
+from infrablend.assets.implicit import Body, Tube, concatenate, surface
+from infrablend.assets.model import Params, PartRange, warmed_by_sun
+from infrablend.core.mesh import FloatArray, IntArray, Mesh
+
+Piece = tuple[FloatArray, IntArray, IntArray]
+"""Vertices (V, 3), triangles (T, 3), and the number of each triangle's part (T,)."""
+
+
+@dataclass(frozen=True)
+class Leg:
+    """Position of a hoof relative to a standing animal's, and how far the foot hangs (0 on the ground, 1 swinging)."""
+
+    dx: float = 0.0
+    dz: float = 0.0
+    hang: float = 0.0
 
 
 def unit(v: ArrayLike) -> FloatArray:
@@ -38,3 +54,82 @@ def joint(a: FloatArray, b: FloatArray, bones: tuple[float, float], side: FloatA
     along = (span**2 + upper**2 - lower**2) / (2 * span)
     direction = reach / span
     return np.asarray(a + along * direction + math.sqrt(max(upper**2 - along**2, 0.0)) * side)
+
+
+def skin(body: Body, cell: float, names: Sequence[str], bands: Sequence[tuple[float, str]] = ()) -> Piece:
+    """Return the surface of a body; whatever nearly touches the ground does touch it.
+
+    Args:
+        body: The body; with `bands`, its first primitive is the trunk.
+        cell: Size of the grid's cells.
+        names: Names of all parts.
+        bands: Parts of the trunk by height: (height relative to the trunk's half height, part above it), or below it if
+            the height is negative.
+    """
+    vertices, triangles = surface(body, cell)
+    centres = vertices[triangles].mean(axis=1)
+    parts = body.parts(centres, names)
+    trunk = body.primitives[0]
+    if bands and isinstance(trunk, Tube):
+        own = np.flatnonzero(parts == names.index(trunk.part))
+        above = trunk.coordinates(centres[own])[2]
+        for height, name in bands:
+            parts[own[above > height if height > 0 else above < height]] = names.index(name)
+    return on_ground(vertices, cell), triangles, parts
+
+
+def joined(pieces: Sequence[Piece]) -> Piece:
+    """Return several pieces as one."""
+    vertices, triangles = concatenate([(v, t) for v, t, _ in pieces])
+    return vertices, triangles, np.concatenate([parts for _, _, parts in pieces])
+
+
+def on_ground(vertices: FloatArray, cell: float) -> FloatArray:
+    """Stretch the two lowest cells to the ground, so that whatever nearly touches it does touch it."""
+    lowest, top = float(vertices[:, 2].min()), 2.0 * cell
+    if lowest > cell:
+        return vertices
+    v = vertices.copy()
+    v[:, 2] = np.where(v[:, 2] < top, (v[:, 2] - lowest) * (top / (top - lowest)), v[:, 2])
+    return v
+
+
+def feet_centre(hooves: FloatArray) -> float:
+    """Return the mean x of the middle of the fore hooves and the middle of the hind hooves."""
+    fore = hooves[:, 0] > 0
+    return float(0.5 * (hooves[fore, 0].mean() + hooves[~fore, 0].mean()))
+
+
+def withers_height(vertices: FloatArray, triangles: IntArray, withers_x: float) -> float:
+    """Return the shoulder height of a standing animal: the highest point of its trunk over the forelegs.
+
+    Args:
+        vertices: (V, 3) positions, not yet moved along x.
+        triangles: (T, 3) triangles of the trunk.
+        withers_x: Position of the withers.
+    """
+    v = vertices[np.unique(triangles)]
+    return float(v[np.abs(v[:, 0] - withers_x) < 0.03, 2].max())
+
+
+def mirrored(vertices: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
+    """Return a surface with left and right exchanged."""
+    return vertices * np.array([1.0, -1.0, 1.0]), np.ascontiguousarray(triangles[:, ::-1])
+
+
+def finished(piece: Piece, names: Sequence[str], *, smooth: NDArray[np.bool_] | None = None) -> Mesh:
+    """Return a piece as a mesh of closed parts, with the parts that it has; faces are smooth unless `smooth` says."""
+    vertices, triangles, parts = piece
+    used = np.unique(parts)
+    number = np.full(len(names), -1, np.int32)
+    number[used] = np.arange(len(used), dtype=np.int32)
+    own = tuple(names[i] for i in used)
+    smooth = np.ones(len(triangles), np.bool_) if smooth is None else smooth
+    return Mesh(vertices, triangles, number[parts], own, smooth, frozenset(own))
+
+
+def roles_of_coat(
+    params: Params, parts: Mapping[str, PartRange], sun_k: tuple[float, float], shares: Mapping[str, float]
+) -> Mapping[str, PartRange]:
+    """Return the thermal role of every part; by day the sun warms the coat as in `warmed_by_sun`."""
+    return parts if params.get("time_of_day", "night") == "night" else warmed_by_sun(parts, sun_k, shares)

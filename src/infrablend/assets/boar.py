@@ -24,10 +24,22 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.assets.anatomy import smoothstep, unit
-from infrablend.assets.dials import Choice, Dials, Number
-from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, warmed_by_sun
+from infrablend.assets.anatomy import (
+    Leg,
+    Piece,
+    feet_centre,
+    finished,
+    joined,
+    mirrored,
+    roles_of_coat,
+    skin,
+    smoothstep,
+    unit,
+    withers_height,
+)
+from infrablend.assets.implicit import Body, Primitive, Tube, ellipsoid, tube
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.params import Choice, Dials, Number
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
@@ -97,9 +109,7 @@ OPTIONS: Mapping[str, str] = DIALS.options | {
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
     """Return the thermal role of every part; by day the sun warms the coat."""
-    if params.get("time_of_day", "night") == "night":
-        return PARTS
-    return warmed_by_sun(PARTS, SUN_K, _SUN_SHARE)
+    return roles_of_coat(params, PARTS, SUN_K, _SUN_SHARE)
 
 
 BODY_CELL = 0.0235
@@ -125,15 +135,6 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class _Leg:
-    """Position of a hoof relative to a standing boar's, and how far the foot hangs (0 on the ground, 1 swinging)."""
-
-    dx: float = 0.0
-    dz: float = 0.0
-    hang: float = 0.0
-
-
-@dataclass(frozen=True)
 class _Pose:
     """Free parameters of the skeleton in one pose.
 
@@ -145,42 +146,31 @@ class _Pose:
         tilt: Further distance by which the withers are lowered.
     """
 
-    legs: tuple[_Leg, _Leg, _Leg, _Leg]
+    legs: tuple[Leg, Leg, Leg, Leg]
     poll: Point
     head: Point
     drop: float = 0.0
     tilt: float = 0.0
 
 
-_STILL = _Leg()
+_STILL = Leg()
 _POSES: Mapping[tuple[str, str], _Pose] = {
-    ("standing", "square"): _Pose((_STILL, _Leg(-0.02), _Leg(0.02), _Leg(-0.02)), (0.650, 0, 0.735), (0.87, 0, -0.49)),
-    ("standing", "alert"): _Pose(
-        (_Leg(0.02), _Leg(-0.03), _Leg(-0.05), _Leg(0.02)), (0.655, 0, 0.800), (0.965, 0, -0.26)
-    ),
+    ("standing", "square"): _Pose((_STILL, Leg(-0.02), Leg(0.02), Leg(-0.02)), (0.650, 0, 0.735), (0.87, 0, -0.49)),
+    ("standing", "alert"): _Pose((Leg(0.02), Leg(-0.03), Leg(-0.05), Leg(0.02)), (0.655, 0, 0.800), (0.965, 0, -0.26)),
     ("walking", "left-fore"): _Pose(
-        (_Leg(0.14), _Leg(-0.12), _Leg(-0.14), _Leg(0.07, 0.06, 0.8)), (0.655, 0, 0.690), (0.84, 0, -0.54), 0.012
+        (Leg(0.14), Leg(-0.12), Leg(-0.14), Leg(0.07, 0.06, 0.8)), (0.655, 0, 0.690), (0.84, 0, -0.54), 0.012
     ),
     ("walking", "right-fore"): _Pose(
-        (_Leg(-0.13), _Leg(0.06, 0.08, 1.0), _Leg(0.10), _Leg(-0.16)), (0.655, 0, 0.715), (0.87, 0, -0.49), 0.012
+        (Leg(-0.13), Leg(0.06, 0.08, 1.0), Leg(0.10), Leg(-0.16)), (0.655, 0, 0.715), (0.87, 0, -0.49), 0.012
     ),
     ("rooting", "ground"): _Pose(
-        (_Leg(0.07), _Leg(-0.07), _Leg(0.02), _Leg(-0.06)), (0.620, 0, 0.510), (0.70, 0, -0.714), 0.015, 0.045
+        (Leg(0.07), Leg(-0.07), Leg(0.02), Leg(-0.06)), (0.620, 0, 0.510), (0.70, 0, -0.714), 0.015, 0.045
     ),
     ("rooting", "step"): _Pose(
-        (_Leg(0.13), _Leg(-0.11), _Leg(-0.10), _Leg(0.05)), (0.630, 0, 0.480), (0.80, 0, -0.600), 0.015, 0.060
+        (Leg(0.13), Leg(-0.11), Leg(-0.10), Leg(0.05)), (0.630, 0, 0.480), (0.80, 0, -0.600), 0.015, 0.060
     ),
     ("lying", "resting"): _Pose((_STILL,) * 4, (0.640, 0, 0.700), (0.92, 0, -0.39), 0.395),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class _Shape:
-    """Undeformed boar of withers height 1: (V, 3) vertices, (T, 3) triangles, and (T,) indices into `PART_NAMES`."""
-
-    vertices: FloatArray
-    triangles: IntArray
-    parts: IntArray
 
 
 def _trunk(pose: _Pose, lying: bool, girth: float) -> Tube:
@@ -279,7 +269,7 @@ def _foot(fetlock: FloatArray, hang: float, lying: bool) -> list[Primitive]:
     return [pastern, *toes]
 
 
-def _fore_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
+def _fore_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
     """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a foreleg."""
     y, fall = 0.118 * sign, pose.drop + pose.tilt
     blade = np.array([0.24, 0.110 * sign, 0.80 - fall])
@@ -312,7 +302,7 @@ def _fore_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Prim
     return upper, lower + _foot(fetlock, leg.hang, lying)
 
 
-def _hind_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
+def _hind_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
     """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a hind leg."""
     y = 0.105 * sign
     if lying:
@@ -386,7 +376,7 @@ _BUILD = {"yearling": (0.88, 0.022, 1.03, 0.94), "sow": (1.0, 0.038, 1.0, 1.0), 
 
 
 @lru_cache(maxsize=32)
-def _shape(pose_name: str, variant: str, build_name: str) -> _Shape:
+def _shape(pose_name: str, variant: str, build_name: str) -> Piece:
     """Return the whole boar, withers at height 1, straight."""
     pose, lying = _POSES[pose_name, variant], pose_name == "lying"
     girth, crest, big, sturdy = _BUILD[build_name]
@@ -403,56 +393,27 @@ def _shape(pose_name: str, variant: str, build_name: str) -> _Shape:
         lowers.append(lower)
     neck = _neck(poll, f, pose, lying, girth)
     body = Body((trunk, *uppers, neck, _mane(trunk, neck, crest), _tail(pose.drop)), lying)
-    pieces, labels = [], []
-    v, t = surface(body, BODY_CELL)
-    pieces.append((_on_ground(v, BODY_CELL), t))
-    centres = v[t].mean(axis=1)
-    labels.append(body.parts(centres, PART_NAMES))
-    _trunk_parts(labels[0], trunk, centres)
+    pieces = [skin(body, BODY_CELL, PART_NAMES, _BANDS)]
     for fine, cell in [(_head(poll, axes, big, sturdy), HEAD_CELL), *((lower, LEG_CELL) for lower in lowers)]:
-        piece = Body(tuple(fine), floor=True)
-        fv, ft = surface(piece, cell)
-        pieces.append((_on_ground(fv, cell), ft))
-        labels.append(piece.parts(fv[ft].mean(axis=1), PART_NAMES))
+        pieces.append(skin(Body(tuple(fine), floor=True), cell, PART_NAMES))
     extras = [(_ear(poll, axes, big, sign), "ear") for sign in (1, -1)]
     if build_name == "tusker":
         extras += [(_tusk(poll, axes, big, sign), "tusk") for sign in (1, -1)]
-    for solid, name in extras:
-        pieces.append(solid)
-        labels.append(np.full(len(solid[1]), PART_NAMES.index(name), np.int32))
-    vertices, triangles = concatenate(pieces)
-    parts = np.concatenate(labels)
+    pieces += [(v, t, np.full(len(t), PART_NAMES.index(name), np.int32)) for (v, t), name in extras]
+    vertices, triangles, parts = joined(pieces)
     if lying:
         origin, size = np.array([0.5 * (_TRUNK[0, 0] + _TRUNK[-1, 0]), 0.0, 0.0]), 1.0
     else:
         soles = vertices[np.unique(triangles[parts == PART_NAMES.index("hoof")])]
-        fore = soles[:, 0] > 0
-        origin = np.array([0.5 * (soles[fore, 0].mean() + soles[~fore, 0].mean()), 0.0, 0.0])
+        origin = np.array([feet_centre(soles), 0.0, 0.0])
         # Blending, the lowered trunk and the mane change the height of the withers.
-        top = vertices[np.unique(triangles[np.isin(parts, _BACK)])]
-        size = 1.0 / float(top[np.abs(top[:, 0] - _WITHERS_X) < 0.03, 2].max())
-    return _Shape((vertices - origin) * size, triangles, parts)
+        size = 1.0 / withers_height(vertices, triangles[np.isin(parts, _BACK)], _WITHERS_X)
+    return (vertices - origin) * size, triangles, parts
 
 
+# Parts of the trunk, by height.
+_BANDS = ((0.60, "back"), (-0.80, "belly"))
 _BACK = tuple(PART_NAMES.index(n) for n in ("back", "flank", "mane"))
-
-
-def _trunk_parts(part: IntArray, trunk: Tube, points: FloatArray) -> None:
-    """Divide the flank by height into back, flank and belly, in place."""
-    own = np.flatnonzero(part == PART_NAMES.index("flank"))
-    above = trunk.coordinates(points[own])[2]
-    for mask, name in ((above > 0.60, "back"), (above < -0.80, "belly")):
-        part[own[mask]] = PART_NAMES.index(name)
-
-
-def _on_ground(vertices: FloatArray, cell: float) -> FloatArray:
-    """Stretch the two lowest cells to the ground, so that whatever nearly touches it does touch it."""
-    lowest, top = float(vertices[:, 2].min()), 2.0 * cell
-    if lowest > cell:
-        return vertices
-    v = vertices.copy()
-    v[:, 2] = np.where(v[:, 2] < top, (v[:, 2] - lowest) * (top / (top - lowest)), v[:, 2])
-    return v
 
 
 def _bent(vertices: FloatArray, bend_rad: float, head_rad: float) -> FloatArray:
@@ -505,26 +466,15 @@ def build(params: Params) -> Mesh:
     """
     DIALS.require(params)
     variants = VARIANTS[params["pose"]]
-    shape = _shape(params["pose"], variants[min(params["variant"], len(variants)) - 1], params["build"])
-    v = _bent(shape.vertices, float(params["bend_rad"]), float(params["head_turn_rad"]))
-    triangles = shape.triangles.copy()
-    if params["mirror"]:
-        v = v * np.array([1.0, -1.0, 1.0])
-        triangles = np.ascontiguousarray(triangles[:, ::-1])
-    factors = np.array([float(params["length_factor"]), float(params["width_factor"]), 1.0])
-    used = np.unique(shape.parts)
-    number = np.full(len(PART_NAMES), -1, np.int32)
-    number[used] = np.arange(len(used), dtype=np.int32)
-    names = tuple(PART_NAMES[i] for i in used)
-    smooth = np.ones(len(triangles), np.bool_)
-    return Mesh(
-        v * factors * float(params["shoulder_height_m"]),
-        triangles,
-        number[shape.parts],
-        names,
-        smooth,
-        frozenset(names),
+    vertices, triangles, parts = _shape(
+        params["pose"], variants[min(params["variant"], len(variants)) - 1], params["build"]
     )
+    v = _bent(vertices, float(params["bend_rad"]), float(params["head_turn_rad"]))
+    triangles = triangles.copy()
+    if params["mirror"]:
+        v, triangles = mirrored(v, triangles)
+    factors = np.array([float(params["length_factor"]), float(params["width_factor"]), 1.0])
+    return finished((v * factors * float(params["shoulder_height_m"]), triangles, parts), PART_NAMES)
 
 
 MODEL = ObjectModel(

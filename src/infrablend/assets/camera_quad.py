@@ -15,13 +15,13 @@ from functools import lru_cache
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.drone import PARTS as DRONE_PARTS
 from infrablend.assets.implicit import Body, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange
-from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, assembled
+from infrablend.assets.model import Params, PartRange
+from infrablend.assets.params import Choice, Dials, Number
+from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, multirotor
 from infrablend.assets.shapes import Solid
-from infrablend.core.mesh import FloatArray, IntArray, Mesh
+from infrablend.core.mesh import FloatArray, IntArray
 
 _UNUSED = ("esc", "frame", "arm")
 PARTS: Mapping[str, PartRange] = {name: role for name, role in DRONE_PARTS.items() if name not in _UNUSED}
@@ -43,8 +43,6 @@ DIALS = Dials(
         "lean_deg": Number((0.0, 18.0), (-45.0, 45.0)),
     },
 )
-# Thin parts that stick out, and propellers, whose extent changes with their angle.
-OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
 # Form -> half length, half width and half height of the body; half width and half height of an arm at the body and at
 # the motor.
@@ -70,24 +68,6 @@ def _rotors(p: Params) -> Rotors:
     r, start = 0.040 * float(p["motor_radius"]), float(p["propeller_angle_deg"])
     seat = _ARM_Z + 0.8 * _FORMS[p["form"]][2][1] * float(p["body_height"])
     return Rotors(_motors_xy(), seat, r, 0.75 * r, propeller, tuple(start + 137.5 * k for k in range(4)))
-
-
-def parts_for(params: Params) -> dict[str, PartRange]:
-    """Return the thermal role of every part, without discs if the propellers are still."""
-    return _rotors(params).propeller.roles_among(PARTS)
-
-
-def build_camera_quad(params: Params) -> Mesh:
-    """Build the mesh of one aircraft: origin at the centre of its bounding box without propellers and antennas.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
-    DIALS.require(params)
-    lean = shapes.turn_y(math.radians(float(params["lean_deg"])))
-    size = float(params["size_m"])
-    discs = _rotors(params).discs()
-    return assembled(build_pieces(params), discs, attitude=lean, size=size, outside=OUTSIDE_ORIGIN_BOX)
 
 
 def build_pieces(p: Params) -> Pieces:
@@ -189,15 +169,8 @@ def _add_camera(out: Pieces, p: Params, height: float) -> None:
     out.add("lens", shapes.placed(shapes.cylinder(0.48 * s, 1.2 * s, 1.36 * s, 16, 0.03 * s), forward, at))
 
 
-MODEL = ObjectModel(
-    name="camera-quad",
-    category="drone",
-    description="A quadrotor moulded in one piece, with fixed arms, landing bows and a camera.",
-    origin="the centre of its bounding box without propellers and antennas",
-    stands=False,
-    parts=PARTS,
-    sample=DIALS.sample,
-    build=build_camera_quad,
-    options=DIALS.options,
-    parts_for=parts_for,
-)
+MODEL = multirotor(
+    "camera-quad",
+    "A quadrotor moulded in one piece, with fixed arms, landing bows and a camera.",
+    PARTS, DIALS, _rotors, build_pieces,
+)  # fmt: skip

@@ -581,9 +581,40 @@ _ROOF_RINGS = (0.96, 0.88, 0.76, 0.60, 0.42, 0.22)
 
 def _add_cabin(out: _Pieces, plan: _Plan) -> None:
     """Add windscreen, windows, pillars and roof as one skin from bottom to top."""
+    levels = _cabin_levels(plan)
+    edge = levels[-1]
+    centre_x = (edge[0, 0] + edge[-1, 0]) / 2
+    for s in _ROOF_RINGS:
+        xs = centre_x + (edge[:, 0] - centre_x) * s
+        levels.append(np.stack([xs, edge[:, 1] * s, plan.roof(xs) + _CROWN_M * (1 - s**2)], axis=1))
+    half = np.stack(levels)
+
+    name = {n: _PART_NAMES.index(n) for n in _PART_NAMES}
+    parts = np.full((len(half) - 1, half.shape[1] - 1), name["pillar"], np.intp)
+    parts[5:] = name["roof"]
+    parts[:5, :2] = name["windscreen"]
+    parts[1 if plan.p["body"] == "saloon" else 2 : 4, 11:13] = name["rear_window"]
+    parts[2:4, 4] = name["window"]
+    if not plan.p["panelled"]:
+        parts[2:4, 6] = name["window"]
+        if plan.body.quarter_window:
+            parts[2:4, 8] = name["window"]
+    else:
+        parts[2:4, 6:9] = name["side"]
+        parts[2:4, 11:13] = name["rear"]
+    out.add(*_skin(_ring(half), parts, name["side"], name["roof"]))
+    _add_on_roof(out, plan, edge)
+    # Mirrors at the foot of the windscreen pillars.
+    foot = half[2, 4]
+    at = np.array([foot[0] - 0.06, plan.half + 0.03, foot[2] + 0.07])
+    out.add_both_sides("trim", shapes.placed(shapes.ellipsoid((0.065, 0.09, 0.068), 14, 8), shapes.turn_z(0.15), at))
+    out.add_both_sides("trim", shapes.capsule(at, (at[0], 0.88 * plan.half, at[2] - 0.06), 0.022, n=8))
+
+
+def _cabin_levels(plan: _Plan) -> list[FloatArray]:
+    """Return half an outline of the cabin at each level, (14, 3) from windscreen over the sides to the rear window."""
     body = plan.body
     rake = float(plan.p["screen_rake"])
-    # Columns along half an outline: windscreen, pillar, side windows, pillar, rear window.
     levels: list[FloatArray] = []
     # Start at the roof: its pillars fix the position of the middle one, which is upright.
     for t in (1.0, *_LEVELS):
@@ -605,47 +636,22 @@ def _add_cabin(out: _Pieces, plan: _Plan) -> None:
         ys = wide * np.concatenate([in_front, np.ones(len(side)), behind]) * plan.taper(xs) ** 0.8
         foot = plan.top(xs) - 0.05
         levels.append(np.stack([xs, ys, foot + (plan.roof(xs) - foot) * t], axis=1))
-    levels = levels[1:]
-    edge = levels[-1]
-    centre_x = (edge[0, 0] + edge[-1, 0]) / 2
-    for s in _ROOF_RINGS:
-        xs = centre_x + (edge[:, 0] - centre_x) * s
-        levels.append(np.stack([xs, edge[:, 1] * s, plan.roof(xs) + _CROWN_M * (1 - s**2)], axis=1))
-    half = np.stack(levels)
+    return levels[1:]
 
-    name = {n: _PART_NAMES.index(n) for n in _PART_NAMES}
-    parts = np.full((len(half) - 1, half.shape[1] - 1), name["pillar"], np.intp)
-    parts[5:] = name["roof"]
-    parts[:5, :2] = name["windscreen"]
-    parts[1 if plan.p["body"] == "saloon" else 2 : 4, 11:13] = name["rear_window"]
-    parts[2:4, 4] = name["window"]
-    if not plan.p["panelled"]:
-        parts[2:4, 6] = name["window"]
-        if body.quarter_window:
-            parts[2:4, 8] = name["window"]
-    else:
-        parts[2:4, 6:9] = name["side"]
-        parts[2:4, 11:13] = name["rear"]
-    of_triangle, solid = _skin(_ring(half), parts, name["side"], name["roof"])
-    out.add(of_triangle, solid)
+
+def _add_on_roof(out: _Pieces, plan: _Plan, edge: FloatArray) -> None:
+    """Add sunroof and rails on a roof whose edge is half an outline of the cabin."""
+    centre_x, span = (edge[0, 0] + edge[-1, 0]) / 2, edge[0, 0] - edge[-1, 0]
     if plan.p["sunroof"]:
-        long = 0.34 * (edge[0, 0] - edge[-1, 0])
-        x = np.linspace(edge[0, 0] - 0.18 - long, edge[0, 0] - 0.18, 6)
-        reach = np.abs(x - centre_x) / ((edge[0, 0] - edge[-1, 0]) / 2)
-        z = plan.roof(x) + _CROWN_M * (1 - reach**2) - 0.012
-        out.add(
-            "sunroof", shapes.sweep(np.stack([x, 0 * x, z], axis=1), 0.55 * float(edge[5, 1]), 0.02, n=24, exponent=6.0)
-        )
+        x = np.linspace(edge[0, 0] - 0.18 - 0.34 * span, edge[0, 0] - 0.18, 6)
+        reach = np.abs(x - centre_x) / (span / 2)
+        path = np.stack([x, 0 * x, plan.roof(x) + _CROWN_M * (1 - reach**2) - 0.012], axis=1)
+        out.add("sunroof", shapes.sweep(path, 0.55 * float(edge[5, 1]), 0.02, n=24, exponent=6.0))
     if plan.p["rails"]:
         x = np.linspace(edge[9, 0] + 0.12, edge[4, 0] - 0.10, 7)
         y = 0.93 * np.interp(x, edge[9:3:-1, 0], edge[9:3:-1, 1])
         z = plan.roof(x) + 0.055 - 0.05 * np.linspace(-1, 1, 7) ** 6
         out.add_both_sides("trim", shapes.sweep(np.stack([x, y, z], axis=1), 0.02, 0.018, n=8, round_ends=True))
-    # Mirrors at the foot of the windscreen pillars.
-    foot = half[2, 4]
-    at = np.array([foot[0] - 0.06, plan.half + 0.03, foot[2] + 0.07])
-    out.add_both_sides("trim", shapes.placed(shapes.ellipsoid((0.065, 0.09, 0.068), 14, 8), shapes.turn_z(0.15), at))
-    out.add_both_sides("trim", shapes.capsule(at, (at[0], 0.88 * plan.half, at[2] - 0.06), 0.022, n=8))
 
 
 def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int, proud: float = 0.012) -> Solid:

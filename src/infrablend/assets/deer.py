@@ -25,9 +25,21 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.assets.anatomy import joint, smoothstep, unit
-from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role, warmed_by_sun
+from infrablend.assets.anatomy import (
+    Leg,
+    feet_centre,
+    finished,
+    joined,
+    joint,
+    mirrored,
+    roles_of_coat,
+    skin,
+    smoothstep,
+    unit,
+    withers_height,
+)
+from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, tube
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -90,9 +102,7 @@ _SUN_SHARE: Mapping[str, float] = {
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
     """Return the thermal role of every part; by day the sun warms the coat."""
-    if params.get("time_of_day", "night") == "night":
-        return PARTS
-    return warmed_by_sun(PARTS, SUN_K, _SUN_SHARE)
+    return roles_of_coat(params, PARTS, SUN_K, _SUN_SHARE)
 
 
 BODY_CELL = 0.019
@@ -123,15 +133,6 @@ Point = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class _Leg:
-    """Position of a hoof relative to a standing deer's, and how far the foot hangs (0 on the ground, 1 swinging)."""
-
-    dx: float = 0.0
-    dz: float = 0.0
-    hang: float = 0.0
-
-
-@dataclass(frozen=True)
 class _Pose:
     """Free parameters of the skeleton in one pose.
 
@@ -143,43 +144,43 @@ class _Pose:
         tilt: Further distance by which the withers are lowered.
     """
 
-    legs: tuple[_Leg, _Leg, _Leg, _Leg]
+    legs: tuple[Leg, Leg, Leg, Leg]
     neck: tuple[Point, ...]
     head: Point
     drop: float = 0.0
     tilt: float = 0.0
 
 
-_STILL = _Leg()
+_STILL = Leg()
 _UPRIGHT: tuple[Point, ...] = ((0.32, 0, 0.82), (0.46, 0, 0.95), (0.575, 0, 1.12), (0.645, 0, 1.275))
 _FORWARD: tuple[Point, ...] = ((0.32, 0, 0.82), (0.48, 0, 0.91), (0.63, 0, 1.03), (0.745, 0, 1.15))
 _POSES: Mapping[tuple[str, str], _Pose] = {
-    ("standing", "alert"): _Pose((_STILL, _Leg(-0.01), _Leg(0.015), _Leg(-0.02)), _UPRIGHT, (0.90, 0, -0.44)),
-    ("standing", "relaxed"): _Pose((_Leg(0.02), _Leg(-0.02), _Leg(-0.04), _Leg(0.03)), _FORWARD, (0.87, 0, -0.50)),
+    ("standing", "alert"): _Pose((_STILL, Leg(-0.01), Leg(0.015), Leg(-0.02)), _UPRIGHT, (0.90, 0, -0.44)),
+    ("standing", "relaxed"): _Pose((Leg(0.02), Leg(-0.02), Leg(-0.04), Leg(0.03)), _FORWARD, (0.87, 0, -0.50)),
     ("standing", "shifted"): _Pose(
-        (_Leg(-0.045), _Leg(0.035), _Leg(-0.09), _Leg(0.06)),
+        (Leg(-0.045), Leg(0.035), Leg(-0.09), Leg(0.06)),
         ((0.32, 0, 0.82), (0.47, 0, 0.93), (0.61, 0, 1.07), (0.71, 0, 1.21)),
         (0.93, 0, -0.37),
         0.004,
     ),
     ("walking", "left-fore"): _Pose(
-        (_Leg(0.15, 0.0), _Leg(-0.12, 0.0), _Leg(-0.15, 0.0), _Leg(0.02, 0.075, 0.8)), _FORWARD, (0.88, 0, -0.47), 0.012
+        (Leg(0.15, 0.0), Leg(-0.12, 0.0), Leg(-0.15, 0.0), Leg(0.02, 0.075, 0.8)), _FORWARD, (0.88, 0, -0.47), 0.012
     ),
     ("walking", "right-hind"): _Pose(
-        (_Leg(-0.10), _Leg(0.05, 0.10, 1.0), _Leg(0.11), _Leg(-0.17)),
+        (Leg(-0.10), Leg(0.05, 0.10, 1.0), Leg(0.11), Leg(-0.17)),
         ((0.32, 0, 0.82), (0.48, 0, 0.90), (0.64, 0, 1.00), (0.765, 0, 1.105)),
         (0.90, 0, -0.43),
         0.012,
     ),
     ("grazing", "ground"): _Pose(
-        (_Leg(0.13), _Leg(-0.09), _Leg(-0.03), _Leg(0.04)),
+        (Leg(0.13), Leg(-0.09), Leg(-0.03), Leg(0.04)),
         ((0.33, 0, 0.82), (0.48, 0, 0.77), (0.605, 0, 0.61), (0.70, 0, 0.405)),
         (0.30, 0, -0.954),
         0.01,
         0.02,
     ),
     ("grazing", "browse"): _Pose(
-        (_Leg(0.05), _Leg(-0.05), _Leg(0.04), _Leg(-0.05)),
+        (Leg(0.05), Leg(-0.05), Leg(0.04), Leg(-0.05)),
         ((0.33, 0, 0.82), (0.49, 0, 0.82), (0.64, 0, 0.75), (0.77, 0, 0.66)),
         (0.72, 0, -0.69),
         0.004,
@@ -314,7 +315,7 @@ def _head(poll: FloatArray, neck_end: FloatArray, frame: tuple[FloatArray, ...],
     return [throat, skull, muzzle, jaw, nose, *brows, *eyes]
 
 
-def _fore_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
+def _fore_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
     """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a foreleg."""
     y = 0.092 * sign
     fall = pose.drop + pose.tilt
@@ -358,7 +359,7 @@ def _fore_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Prim
     return upper, lower + _hoof(fetlock, leg.hang, lying, 1.0)
 
 
-def _hind_leg(pose: _Pose, leg: _Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
+def _hind_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
     """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a hind leg."""
     y = 0.092 * sign
     hip = np.array([-0.385, 0.078 * sign, 0.835 - pose.drop])
@@ -429,14 +430,6 @@ def _hoof(fetlock: FloatArray, hang: float, lying: bool, size: float) -> list[Pr
         ),
         *toes,
     ]
-
-
-def _trunk_parts(part: IntArray, trunk: Tube, points: FloatArray) -> None:
-    """Divide the flank by height into back, upper flank, flank and belly, in place."""
-    own = np.flatnonzero(part == PART_NAMES.index("flank"))
-    above = trunk.coordinates(points[own])[2]
-    for mask, name in ((above > 0.35, "upper_flank"), (above > 0.75, "back"), (above < -0.80, "belly")):
-        part[own[mask]] = PART_NAMES.index(name)
 
 
 def _ear(poll: FloatArray, frame: tuple[FloatArray, ...], sign: int) -> tuple[FloatArray, IntArray]:
@@ -572,35 +565,24 @@ def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
     head = _head(poll, unit(neck.path[-1] - neck.path[-3]), frame, sturdy)
     body = Body((trunk, *uppers, neck, tail), floor=lying)
 
-    pieces, parts = [], []
-    v, t = surface(body, BODY_CELL)
-    v = _on_ground(v, BODY_CELL)
-    pieces.append((v, t))
-    centres = v[t].mean(axis=1)
-    parts.append(body.parts(centres, PART_NAMES))
-    _trunk_parts(parts[0], trunk, centres)
+    pieces = [skin(body, BODY_CELL, PART_NAMES, _BANDS)]
     for fine, cell in [(head, HEAD_CELL), *((lower, LEG_CELL) for lower in lowers)]:
-        piece = Body(tuple(fine), floor=True)
-        fv, ft = surface(piece, cell)
-        pieces.append((_on_ground(fv, cell), ft))
-        parts.append(piece.parts(fv[ft].mean(axis=1), PART_NAMES))
-    vertices, triangles = concatenate(pieces)
-    label = np.concatenate(parts)
+        pieces.append(skin(Body(tuple(fine), floor=True), cell, PART_NAMES))
+    vertices, triangles, label = joined(pieces)
     if lying:
         origin = np.array([0.5 * (_TRUNK[0, 0] + _TRUNK[-1, 0]), 0.0, 0.0])
     else:
         soles = vertices[np.unique(triangles[label == PART_NAMES.index("hoof")])]
-        origin = np.array([_feet_centre(soles), 0.0, 0.0])
+        origin = np.array([feet_centre(soles), 0.0, 0.0])
     # Scale the withers back to height 1: blending, the lowered trunk and the build change it.
-    size = 1.0 if lying else 1.0 / withers_height(vertices, triangles[np.isin(label, _BACK)])
+    size = 1.0 if lying else 1.0 / withers_height(vertices, triangles[np.isin(label, _BACK)], _WITHERS_X)
     along = neck.coordinates(vertices)[0] / (len(neck.path) - 1)
-    first_leg = len(pieces[0][0]) + len(pieces[1][0])
+    first_head, first_leg = len(pieces[0][0]), len(pieces[0][0]) + len(pieces[1][0])
     neck_weight = smoothstep((along - 0.25) / 0.65)
-    neck_weight[: len(v)] *= 1.0 - smoothstep(neck.distance(v) / 0.05)
-    neck_weight[len(v) : first_leg] = np.maximum(neck_weight[len(v) : first_leg], 0.0)
+    neck_weight[:first_head] *= 1.0 - smoothstep(neck.distance(vertices[:first_head]) / 0.05)
     neck_weight[first_leg:] = 0.0
     head_weight = smoothstep(((vertices - poll) @ frame[0] + 0.05) / 0.12)
-    head_weight[: len(v)] = 0.0
+    head_weight[:first_head] = 0.0
     head_weight[first_leg:] = 0.0
     return _Shape(
         (vertices - origin) * size,
@@ -615,34 +597,9 @@ def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
     )
 
 
+# Parts of the trunk, by height.
+_BANDS = ((0.35, "upper_flank"), (0.75, "back"), (-0.80, "belly"))
 _BACK = tuple(PART_NAMES.index(n) for n in ("back", "upper_flank", "flank"))
-
-
-def withers_height(vertices: FloatArray, triangles: IntArray) -> float:
-    """Return the shoulder height of a standing deer: the highest point of its trunk over the forelegs.
-
-    Args:
-        vertices: (V, 3) positions, with the trunk about as long as `_TRUNK` and not yet moved along x.
-        triangles: (T, 3) triangles of the trunk.
-    """
-    v = vertices[np.unique(triangles)]
-    return float(v[np.abs(v[:, 0] - _WITHERS_X) < 0.03, 2].max())
-
-
-def _on_ground(vertices: FloatArray, cell: float) -> FloatArray:
-    """Stretch the two lowest cells to the ground, so that whatever nearly touches it does touch it."""
-    lowest, top = float(vertices[:, 2].min()), 2.0 * cell
-    if lowest > cell:
-        return vertices
-    v = vertices.copy()
-    v[:, 2] = np.where(v[:, 2] < top, (v[:, 2] - lowest) * (top / (top - lowest)), v[:, 2])
-    return v
-
-
-def _feet_centre(hooves: FloatArray) -> float:
-    """Return the mean x of the middle of the fore hooves and that of the hind hooves."""
-    fore = hooves[:, 0] > 0
-    return float(0.5 * (hooves[fore, 0].mean() + hooves[~fore, 0].mean()))
 
 
 def _with_crown(shape: _Shape, antlers: str, form: str) -> _Shape:
@@ -759,23 +716,12 @@ def build(params: Params) -> Mesh:
     v = _rotated_about_vertical(v, shape.neck_pivot, float(p["neck_turn_rad"]) * shape.neck_weight)
     if abs(float(p["spine_bend_rad"])) > _STRAIGHT_RAD:
         v = _bent(v, float(p["spine_bend_rad"]))
-    triangles = shape.triangles
+    triangles = shape.triangles.copy()
     if p["mirror"]:
-        v = v * np.array([1.0, -1.0, 1.0])
-        triangles = np.ascontiguousarray(triangles[:, ::-1])
+        v, triangles = mirrored(v, triangles)
     height = float(p["shoulder_height_m"])
     scale = np.array([float(p["length_factor"]), float(p["width_factor"]), 1.0]) * height
-    used = np.unique(shape.parts)
-    renumber = np.full(len(PART_NAMES), -1, np.int32)
-    renumber[used] = np.arange(len(used), dtype=np.int32)
-    return Mesh(
-        v * scale,
-        triangles.copy(),
-        renumber[shape.parts],
-        tuple(PART_NAMES[i] for i in used),
-        np.ones(len(triangles), np.bool_),
-        frozenset(PART_NAMES),
-    )
+    return finished((v * scale, triangles, shape.parts), PART_NAMES)
 
 
 def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:

@@ -20,9 +20,9 @@ import numpy as np
 from infrablend.assets import shapes
 from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
 from infrablend.assets.params import Checks, Range
-from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, Vector, with_discs
+from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, Vector, assembled
 from infrablend.assets.shapes import Solid
-from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
+from infrablend.core.mesh import FloatArray, Mesh
 
 _CHECKS = Checks("drone")
 
@@ -206,9 +206,7 @@ def _angles(shares: FloatArray, options: Params) -> list[float]:
 
 
 def _require_params(params: Params) -> None:
-    # Scenes written before propellers could spin have no parameter for it.
     _CHECKS.known("parameter", params, tuple(NOMINAL))
-    params = {"propellers": PROPELLERS[0], **params}
     _CHECKS.complete(params, tuple(NOMINAL))
     for name in NOMINAL:
         where, value = f"parameter {name}", params[name]
@@ -721,16 +719,12 @@ def build_drone(params: Params) -> Mesh:
         ModelError: A parameter is missing, unknown or out of range.
     """
     _require_params(params)
-    pieces = _build_pieces(params)
-    counted = np.concatenate([v for part, v, _, _ in pieces if part not in OUTSIDE_ORIGIN_BOX])
-    centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
-    size = float(params["size_m"])
-    mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in pieces], closed=True)
-    return with_discs(mesh, [(d - centre) * size for d in _rotors(_plan(params)).discs()])
+    discs = _rotors(_plan(params)).discs()
+    return assembled(_build_pieces(params), discs, attitude=np.eye(3), size=float(params["size_m"]))
 
 
-def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]]:
-    """Return the closed solids of one drone, each `(part, vertices, triangles, smooth)`, for a diagonal of 1."""
+def _build_pieces(params: Params) -> Pieces:
+    """Return the closed solids of one drone, for a diagonal of 1."""
     plan = _plan(params)
     out = Pieces()
     add_body = {"shell": _add_shell_body, "plate": _add_plate_body, "industrial": _add_industrial_body}
@@ -741,7 +735,7 @@ def _build_pieces(params: Params) -> list[tuple[str, FloatArray, IntArray, bool]
     if params["camera"]:
         _add_gimbal(out, plan)
     _add_antennas(out, plan)
-    return out.items
+    return out
 
 
 def _option_text(name: str) -> str:

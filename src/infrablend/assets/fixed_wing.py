@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
-from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, assembled
+from infrablend.assets.model import Params, PartRange, part_role
+from infrablend.assets.params import Choice, Dials, Number
+from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, aircraft, assembled
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, Mesh
 
@@ -63,8 +63,6 @@ DIALS = Dials(
         "bank_deg": Number((-30.0, 30.0), (-80.0, 80.0)),
     },
 )
-# Thin parts that stick out, and propellers, whose extent changes with their angle.
-OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ def build_fixed_wing(params: Params) -> Mesh:
     thrust = _thrust(params)
     discs = [d @ thrust.turn.T + thrust.at for d in _rotor(params).discs()]
     size = float(params["size_m"])
-    return assembled(build_pieces(params), discs, attitude=attitude, size=size, outside=OUTSIDE_ORIGIN_BOX)
+    return assembled(build_pieces(params), discs, attitude=attitude, size=size)
 
 
 def build_pieces(p: Params) -> Pieces:
@@ -313,15 +311,8 @@ def _add_camera(out: Pieces, at: tuple[float, float, float]) -> None:
     out.add("lens", shapes.cylinder(0.012, -0.009, 0.0, 14, 0.002), at=(x, y, z))
 
 
-MODEL = ObjectModel(
-    name="fixed-wing",
-    category="drone",
-    description="A fixed-wing drone of foam with a tail or twin booms, or a flying wing, and one electric motor.",
-    origin="the centre of its bounding box without propeller and antennas",
-    stands=False,
-    parts=PARTS,
-    sample=DIALS.sample,
-    build=build_fixed_wing,
-    options=DIALS.options,
-    parts_for=parts_for,
-)
+MODEL = aircraft(
+    "fixed-wing",
+    "A fixed-wing drone of foam with a tail or twin booms, or a flying wing, and one electric motor.",
+    PARTS, DIALS, build_fixed_wing, parts_for,
+)  # fmt: skip

@@ -13,11 +13,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
 from infrablend.assets.drone import PARTS as DRONE_PARTS
-from infrablend.assets.model import ObjectModel, Params, PartRange
-from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, assembled
-from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.assets.model import Params, PartRange
+from infrablend.assets.params import Choice, Dials, Number
+from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, multirotor
+from infrablend.core.mesh import FloatArray
 
 PARTS: Mapping[str, PartRange] = DRONE_PARTS
 DIALS = Dials(
@@ -43,8 +43,6 @@ DIALS = Dials(
         "lean_deg": Number((0.0, 14.0), (-45.0, 45.0)),
     },
 )
-# Thin parts that stick out, and propellers, whose extent changes with their angle.
-OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
 _HUB = (0.155, 0.045)  # radius and half height
 _ARM = 0.0125
@@ -67,24 +65,6 @@ def _rotors(p: Params) -> Rotors:
 
 def _tip_z(p: Params) -> float:
     return 0.5 * math.tan(math.radians(float(p["arm_rise_deg"])))
-
-
-def parts_for(params: Params) -> dict[str, PartRange]:
-    """Return the thermal role of every part, without discs if the propellers are still."""
-    return _rotors(params).propeller.roles_among(PARTS)
-
-
-def build_hexacopter(params: Params) -> Mesh:
-    """Build the mesh of one hexacopter: origin at the centre of its bounding box without propellers and antennas.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
-    DIALS.require(params)
-    lean = shapes.turn_y(math.radians(float(params["lean_deg"])))
-    size = float(params["size_m"])
-    discs = _rotors(params).discs()
-    return assembled(build_pieces(params), discs, attitude=lean, size=size, outside=OUTSIDE_ORIGIN_BOX)
 
 
 def build_pieces(p: Params) -> Pieces:
@@ -230,15 +210,8 @@ def _add_masts(out: Pieces, p: Params, radius: float, top: float) -> None:
         out.add("antenna", shapes.lathe(puck, 20), at=at)
 
 
-MODEL = ObjectModel(
-    name="hexacopter",
-    category="drone",
-    description="A hexacopter: six arms around a round hub, propellers still or spinning, legs down or raised.",
-    origin="the centre of its bounding box without propellers and antennas",
-    stands=False,
-    parts=PARTS,
-    sample=DIALS.sample,
-    build=build_hexacopter,
-    options=DIALS.options,
-    parts_for=parts_for,
-)
+MODEL = multirotor(
+    "hexacopter",
+    "A hexacopter: six arms around a round hub, propellers still or spinning, legs down or raised.",
+    PARTS, DIALS, _rotors, build_pieces,
+)  # fmt: skip

@@ -392,31 +392,47 @@ def surface_nets(grid: FloatArray, cell: float, low: FloatArray) -> tuple[FloatA
     vertices = low + (total / crossings[:, None]) * cell
     number = np.full(pattern_grid.shape, -1, np.int64)
     number[tuple(cells.T)] = np.arange(len(cells))
-    quads = []
-    for axis in range(3):
-        b, c = (axis + 1) % 3, (axis + 2) % 3
-        here: list[slice] = [slice(1, -1)] * 3
-        there: list[slice] = [slice(1, -1)] * 3
-        here[axis], there[axis] = slice(None, -1), slice(1, None)
-        edge = np.argwhere(inside[tuple(here)] != inside[tuple(there)])
-        leaves = inside[tuple(here)][tuple(edge.T)]
-        edge[:, b] += 1
-        edge[:, c] += 1
-        ring = []
-        for db, dc in ((-1, -1), (0, -1), (0, 0), (-1, 0)):
-            spot = edge.copy()
-            spot[:, b] += db
-            spot[:, c] += dc
-            at_cell = number[tuple(spot.T)]
-            lower = -db << b | -dc << c
-            ring.append(first[at_cell] + _SHEET[pattern[at_cell], _EDGE_NUMBER[lower, lower | 1 << axis]])
-        quad = np.stack(ring, axis=1)
-        quads.append(np.where(leaves[:, None], quad, quad[:, ::-1]))
-    q = np.concatenate(quads)
+    q = np.concatenate([_quads(axis, inside, pattern, first, number) for axis in range(3)])
     v = vertices[q]
     short = np.linalg.norm(v[:, 0] - v[:, 2], axis=1) <= np.linalg.norm(v[:, 1] - v[:, 3], axis=1)
     split = np.where(short[:, None], q[:, [0, 1, 2, 0, 2, 3]], q[:, [1, 2, 3, 1, 3, 0]])
     return vertices, np.ascontiguousarray(split.reshape(-1, 3), np.int32)
+
+
+def _quads(
+    axis: int,
+    inside: NDArray[np.bool_],
+    pattern: NDArray[np.uint8],
+    first: NDArray[np.int64],
+    number: NDArray[np.int64],
+) -> NDArray[np.int64]:
+    """Return the (Q, 4) vertices around the edges of the grid along an axis that the surface crosses.
+
+    Args:
+        axis: Axis of the edges.
+        inside: Whether each node of the grid is inside.
+        pattern: (C,) nodes of each cell on the surface that are inside, as bits.
+        first: (C + 1,) first vertex of each cell.
+        number: (X - 1, Y - 1, Z - 1) number of each cell, -1 for one that the surface does not cross.
+    """
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    here: list[slice] = [slice(1, -1)] * 3
+    there: list[slice] = [slice(1, -1)] * 3
+    here[axis], there[axis] = slice(None, -1), slice(1, None)
+    edge = np.argwhere(inside[tuple(here)] != inside[tuple(there)])
+    leaves = inside[tuple(here)][tuple(edge.T)]
+    edge[:, b] += 1
+    edge[:, c] += 1
+    ring = []
+    for db, dc in ((-1, -1), (0, -1), (0, 0), (-1, 0)):
+        spot = edge.copy()
+        spot[:, b] += db
+        spot[:, c] += dc
+        at_cell = number[tuple(spot.T)]
+        lower = -db << b | -dc << c
+        ring.append(first[at_cell] + _SHEET[pattern[at_cell], _EDGE_NUMBER[lower, lower | 1 << axis]])
+    quad = np.stack(ring, axis=1)
+    return np.asarray(np.where(leaves[:, None], quad, quad[:, ::-1]))
 
 
 def is_closed(triangles: IntArray) -> bool:

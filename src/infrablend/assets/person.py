@@ -27,13 +27,13 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.assets.anatomy import joint, smoothstep, unit
+from infrablend.assets.anatomy import Piece, finished, joined, joint, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import ObjectModel, Params, PartRange, SunResponse, part_role, sun_response, warmed_by_sun
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
-from infrablend.core.mesh import FloatArray, IntArray, Mesh
+from infrablend.core.mesh import FloatArray, Mesh
 
 POSES = ("standing", "walking", "sitting")
 # Pose -> its variants.
@@ -167,7 +167,6 @@ _PADDING = {"jacket": 0.011, "puffer": 0.024, "coat": 0.013}
 _GIRTH = {"slim": 0.92, "average": 1.0, "heavy": 1.16}
 
 Point = tuple[float, float, float]
-Piece = tuple[FloatArray, IntArray, IntArray]  # vertices (V, 3), triangles (T, 3), their parts (T,)
 
 
 @dataclass(frozen=True)
@@ -575,7 +574,7 @@ def _shoes(pose_name: str, variant: str) -> Piece:
             floor=True,
         )
         pieces.append(_skin(body, SHOE_CELL))
-    return _joined(pieces)
+    return joined(pieces)
 
 
 @lru_cache(maxsize=16)
@@ -634,7 +633,7 @@ def _head(headwear: str, hair: str) -> Piece:
         visor = ellipsoid_solid((0.052, 0.041, 0.0045), n=20, rows=6)
         tilt = Solid(visor.vertices @ turn_y(0.16).T, visor.triangles)
         pieces.append(_one_part("hat", moved(tilt, (0.056, 0.0, 0.952))))
-    v, t, parts = _joined(pieces)
+    v, t, parts = joined(pieces)
     return v - _NECK, t, parts
 
 
@@ -672,18 +671,13 @@ def _backpack(top: str, build_name: str) -> Piece:
         path.append((back - 0.002, 0.055 * sign, 0.775))
         line = tube("strap", path, 0.014, steps=3).path
         straps.append(sweep(line, 0.006, 0.014, n=8, up=(0.0, 1.0, 0.0)))
-    return _joined([_one_part("backpack", pack), _one_part("strap", *straps)])
+    return joined([_one_part("backpack", pack), _one_part("strap", *straps)])
 
 
 @lru_cache(maxsize=4)
 def _seat(height: float) -> Piece:
     """Return a block to sit on with its top at `height`."""
     return _one_part("seat", moved(box((0.24, 0.34, height), 0.008), (0.02, 0.0, height / 2)))
-
-
-def _joined(pieces: list[Piece]) -> Piece:
-    v, t = concatenate([(p[0], p[1]) for p in pieces])
-    return v, t, np.concatenate([p[2] for p in pieces])
 
 
 DEFAULTS: Mapping[str, Any] = {
@@ -806,26 +800,16 @@ def build(params: Params) -> Mesh:
     if on_seat and p["seat"]:
         pieces.append(_seat(round(pose.hip[1] - 0.055, 4)))
 
-    vertices, triangles, label = _joined(pieces)
+    vertices, triangles, label = joined(pieces)
     middle = 0.0 if seated else 0.5 * (pose.feet[0].ankle[0] + pose.feet[1].ankle[0]) + 0.028
     vertices = vertices - np.array([middle, 0.0, float(vertices[:, 2].min())])
     if p["mirror"]:
-        vertices = vertices * np.array([1.0, -1.0, 1.0])
-        triangles = np.ascontiguousarray(triangles[:, ::-1])
+        vertices, triangles = mirrored(vertices, triangles)
     # Scale the upright body to height 1, headwear included.
     scale = p["height_m"] / (float(_NECK[2]) + top)
     across = scale * p["width_factor"]
-    used = np.unique(label)
-    renumber = np.full(len(PART_NAMES), -1, np.int32)
-    renumber[used] = np.arange(len(used), dtype=np.int32)
-    return Mesh(
-        vertices * np.array([across, across, scale]),
-        triangles,
-        renumber[label],
-        tuple(PART_NAMES[i] for i in used),
-        np.asarray(label != _NUMBER["seat"]),
-        frozenset(PART_NAMES),
-    )
+    vertices = vertices * np.array([across, across, scale])
+    return finished((vertices, triangles, label), PART_NAMES, smooth=np.asarray(label != _NUMBER["seat"]))
 
 
 def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> FloatArray:

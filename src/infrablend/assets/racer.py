@@ -13,10 +13,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from infrablend.assets import shapes
-from infrablend.assets.dials import Choice, Dials, Number
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
-from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, assembled
-from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.assets.model import Params, PartRange, part_role
+from infrablend.assets.params import Choice, Dials, Number
+from infrablend.assets.rotors import DISC_PARTS, PROPELLERS, Pieces, Propeller, Rotors, multirotor
+from infrablend.core.mesh import FloatArray
 
 PARTS: Mapping[str, PartRange] = {
     "battery": part_role("plastic", (10.0, 28.0), "pack under high current, in the open", emissivity=(0.92, 0.95)),
@@ -54,8 +54,6 @@ DIALS = Dials(
         "lean_deg": Number((5.0, 45.0), (-80.0, 80.0)),
     },
 )
-# Thin parts that stick out, and propellers, whose extent changes with their angle.
-OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
 # Half length and half width of the body; heights of the lower and the upper plate; half thickness of an arm.
 _LENGTH, _WIDTH = 0.215, 0.068
@@ -75,24 +73,6 @@ def _rotors(p: Params) -> Rotors:
     propeller = Propeller(gap / 2 * float(p["propeller_radius"]), p["blades"], 1.05, p["propellers"] == "spinning")
     r, start = 0.060 * float(p["motor_radius"]), float(p["propeller_angle_deg"])
     return Rotors(xy, _ARM_HALF, r, 1.25 * r, propeller, tuple(start + 137.5 * k for k in range(4)))
-
-
-def parts_for(params: Params) -> dict[str, PartRange]:
-    """Return the thermal role of every part, without discs if the propellers are still."""
-    return _rotors(params).propeller.roles_among(PARTS)
-
-
-def build_racer(params: Params) -> Mesh:
-    """Build the mesh of one racer: origin at the centre of its bounding box without propellers and antennas.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
-    DIALS.require(params)
-    lean = shapes.turn_y(math.radians(float(params["lean_deg"])))
-    size = float(params["size_m"])
-    discs = _rotors(params).discs()
-    return assembled(build_pieces(params), discs, attitude=lean, size=size, outside=OUTSIDE_ORIGIN_BOX)
 
 
 def build_pieces(p: Params) -> Pieces:
@@ -178,15 +158,8 @@ def _add_antennas(out: Pieces, p: Params, length: float) -> None:
         out.add("antenna", shapes.capsule(tip - 0.01 * lean, tip + 0.035 * lean, 0.028, n=12))
 
 
-MODEL = ObjectModel(
-    name="racer",
-    category="drone",
-    description="A small FPV quadrotor with an open carbon frame that leans forward; propellers still or spinning.",
-    origin="the centre of its bounding box without propellers and antennas",
-    stands=False,
-    parts=PARTS,
-    sample=DIALS.sample,
-    build=build_racer,
-    options=DIALS.options,
-    parts_for=parts_for,
-)
+MODEL = multirotor(
+    "racer",
+    "A small FPV quadrotor with an open carbon frame that leans forward; propellers still or spinning.",
+    PARTS, DIALS, _rotors, build_pieces,
+)  # fmt: skip

@@ -10,7 +10,7 @@ blades * chord / (2 pi r).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from infrablend.assets import shapes
-from infrablend.assets.model import PartRange, part_role
+from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.params import Dials
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
 
@@ -26,6 +27,8 @@ Vector = tuple[float, float, float]
 Piece = tuple[str, FloatArray, IntArray, bool]
 
 PROPELLERS = ("still", "spinning")
+# Thin parts that stick out, and propellers, whose extent changes with their angle.
+OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
 _DISC: Mapping[str, Any] = {"emissivity": (0.85, 0.94), "label": False, "opacity": 0.1}
 DISC_PARTS: Mapping[str, PartRange] = {
@@ -236,21 +239,71 @@ def with_discs(mesh: Mesh, discs: Sequence[FloatArray]) -> Mesh:
     )
 
 
-def assembled(
-    pieces: Pieces, discs: Sequence[FloatArray], *, attitude: FloatArray, size: float, outside: Collection[str]
-) -> Mesh:
-    """Return the mesh of an aircraft, with the origin at the centre of its bounding box without discs and `outside`.
+def assembled(pieces: Pieces, discs: Sequence[FloatArray], *, attitude: FloatArray, size: float) -> Mesh:
+    """Return the mesh of an aircraft; its origin is the centre of its bounding box, see `OUTSIDE_ORIGIN_BOX`.
 
     Args:
         pieces: Closed solids of the level aircraft.
         discs: Vertices of the discs of spinning propellers, level as well.
         attitude: (3, 3) rotation from level to the attitude in flight.
         size: Scale.
-        outside: Parts that the bounding box leaves out.
     """
     turned = Pieces()
     turned.add_all(pieces, attitude)
-    counted = np.concatenate([v for part, v, _, _ in turned.items if part not in outside])
+    counted = np.concatenate([v for part, v, _, _ in turned.items if part not in OUTSIDE_ORIGIN_BOX])
     centre = (counted.min(axis=0) + counted.max(axis=0)) / 2
     mesh = make_mesh([(part, (v - centre) * size, t, smooth) for part, v, t, smooth in turned.items], closed=True)
     return with_discs(mesh, [(d @ attitude.T - centre) * size for d in discs])
+
+
+def multirotor(
+    name: str,
+    description: str,
+    parts: Mapping[str, PartRange],
+    dials: Dials,
+    rotors: Callable[[Params], Rotors],
+    pieces: Callable[[Params], Pieces],
+) -> ObjectModel:
+    """Return the model of an aircraft that leans forward by `lean_deg`.
+
+    Args:
+        name: Name of the model.
+        description: What it is.
+        parts: Thermal role of every part.
+        dials: Its parameters, with `size_m` and `lean_deg`.
+        rotors: Returns the motors for parameters.
+        pieces: Returns the closed solids of the level aircraft for parameters, for a diagonal of 1.
+    """
+
+    def roles(params: Params) -> dict[str, PartRange]:
+        return rotors(params).propeller.roles_among(parts)
+
+    def build(params: Params) -> Mesh:
+        dials.require(params)
+        lean = shapes.turn_y(math.radians(float(params["lean_deg"])))
+        return assembled(pieces(params), rotors(params).discs(), attitude=lean, size=float(params["size_m"]))
+
+    return aircraft(name, description, parts, dials, build, roles)
+
+
+def aircraft(
+    name: str,
+    description: str,
+    parts: Mapping[str, PartRange],
+    dials: Dials,
+    build: Callable[[Params], Mesh],
+    roles: Callable[[Params], Mapping[str, PartRange]],
+) -> ObjectModel:
+    """Return the model of a drone that flies."""
+    return ObjectModel(
+        name=name,
+        category="drone",
+        description=description,
+        origin="the centre of its bounding box without propellers and antennas",
+        stands=False,
+        parts=parts,
+        sample=dials.sample,
+        build=build,
+        options=dials.options,
+        parts_for=roles,
+    )

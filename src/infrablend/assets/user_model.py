@@ -34,8 +34,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
-from infrablend.assets.materials import MATERIALS
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.model import MATERIALS, ObjectModel, Params, PartRange, part_role
 from infrablend.assets.model_files import ModelFiles, find_model_files, is_regular_file
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import LINK_OUT, LinkOutError, read_regular

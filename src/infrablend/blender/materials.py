@@ -13,13 +13,16 @@ An IOR of 1 removes the dependence on the angle: rough surfaces such as fur, clo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import bpy
 
+from infrablend.blender.nodes import Nodes, new_material
 from infrablend.blender.physical import SKY, add_inputs, emission_alone, physical_group, two_sided_ior
 from infrablend.core.files import replace_atomically
+from infrablend.core.tasks import Task
 
 GROUP_NAME = "InfraredEffect"
 # Name, default, minimum, maximum and description, in the order of the sockets.
@@ -50,51 +53,37 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
     level_out = group.interface.new_socket("Level", in_out="OUTPUT", socket_type="NodeSocketFloat")
     level_out.description = "The emitted level, 0 cold to 1 hot"
 
-    new, link = group.nodes.new, group.links.new
-    inputs = new("NodeGroupInput")
-    inputs.location = (-1100, 0)
-    outputs = new("NodeGroupOutput")
-    outputs.location = (700, 0)
+    nodes = Nodes(group)
+    link = nodes.link
+    inputs = nodes.add("NodeGroupInput", location=(-1100, 0))
+    outputs = nodes.add("NodeGroupOutput", location=(700, 0))
 
     def ramp_of(temperature: bpy.types.NodeSocket, label: str, y: float) -> bpy.types.NodeSocket:
-        span = new("ShaderNodeMapRange")
-        span.clamp = True
-        span.label, span.location = f"{label}: Cold..Hot to 0..1", (-850, y)
+        span = nodes.add("ShaderNodeMapRange", clamp=True, label=f"{label}: Cold..Hot to 0..1", location=(-850, y))
         link(temperature, span.inputs["Value"])
         link(inputs.outputs["Cold"], span.inputs["From Min"])
         link(inputs.outputs["Hot"], span.inputs["From Max"])
-        ramp = new("ShaderNodeValToRGB")
-        ramp.label, ramp.location = f"{label}: grey of a temperature", (-620, y)
+        ramp = nodes.add("ShaderNodeValToRGB", label=f"{label}: grey of a temperature", location=(-620, y))
         link(span.outputs["Result"], ramp.inputs["Fac"])
         return ramp.outputs["Color"]
 
     own = ramp_of(inputs.outputs["Temperature"], "Surface", 250)
     mirrored = ramp_of(inputs.outputs["Surroundings"], "Surroundings", -50)
 
-    fresnel = new("ShaderNodeFresnel")
-    fresnel.location = (-620, -350)
+    fresnel = nodes.add("ShaderNodeFresnel", location=(-620, -350))
     link(inputs.outputs["IOR"], fresnel.inputs["IOR"])
-    keep = new("ShaderNodeMath")
-    keep.operation, keep.label, keep.location = "SUBTRACT", "1 - Fresnel", (-420, -350)
-    keep.inputs[0].default_value = 1.0
-    link(fresnel.outputs["Fac"], keep.inputs[1])
-    emissivity = new("ShaderNodeMath")
-    emissivity.operation, emissivity.use_clamp = "MULTIPLY", True
-    emissivity.label, emissivity.location = "Emissivity at this angle", (-220, -250)
-    link(inputs.outputs["Emissivity"], emissivity.inputs[0])
-    link(keep.outputs["Value"], emissivity.inputs[1])
+    keep = nodes.math("SUBTRACT", 1.0, fresnel.outputs["Fac"])
+    keep.node.label, keep.node.location = "1 - Fresnel", (-420, -350)
+    emissivity = nodes.math("MULTIPLY", inputs.outputs["Emissivity"], keep, clamp=True)
+    emissivity.node.label, emissivity.node.location = "Emissivity at this angle", (-220, -250)
 
-    mix = new("ShaderNodeMix")
-    mix.data_type, mix.label, mix.location = "RGBA", "Emitted + mirrored", (0, 100)
-    mix.clamp_factor = True
-    link(emissivity.outputs["Value"], mix.inputs[0])
+    mix = nodes.add("ShaderNodeMix", data_type="RGBA", clamp_factor=True, label="Emitted + mirrored", location=(0, 100))
+    link(emissivity, mix.inputs[0])
     link(mirrored, mix.inputs[6])
     link(own, mix.inputs[7])
-    emission = new("ShaderNodeEmission")
-    emission.location = (250, 100)
+    emission = nodes.add("ShaderNodeEmission", location=(250, 100))
     link(mix.outputs[2], emission.inputs["Color"])
-    grey = new("ShaderNodeRGBToBW")
-    grey.location = (250, -100)
+    grey = nodes.add("ShaderNodeRGBToBW", location=(250, -100))
     link(mix.outputs[2], grey.inputs["Color"])
     link(emission.outputs["Emission"], outputs.inputs["Shader"])
     link(grey.outputs["Val"], outputs.inputs["Level"])
@@ -125,22 +114,12 @@ def object_material(
     material = bpy.data.materials.get(name)
     if material is not None:
         return material
-    material = bpy.data.materials.new(name)
-    material.use_nodes = True
-    tree = material.node_tree
-    tree.nodes.clear()
-    new, link = tree.nodes.new, tree.links.new
-    effect = new("ShaderNodeGroup")
-    effect.node_tree = physical_group() if physical else infrared_effect_group()
-
-    def attribute(attribute_name: str, kind: str = "GEOMETRY") -> bpy.types.NodeSocket:
-        node = new("ShaderNodeAttribute")
-        node.attribute_type, node.attribute_name = kind, attribute_name
-        return node.outputs["Fac"]
-
+    material, nodes = new_material(name)
+    attribute, link = nodes.attribute, nodes.link
+    effect = nodes.add("ShaderNodeGroup", node_tree=physical_group() if physical else infrared_effect_group())
     celsius, emissivity, ior = (attribute(n) for n in ("temperature_c", "emissivity", "ior"))
     if two_sided:
-        ior = two_sided_ior(tree, ior)
+        ior = two_sided_ior(nodes, ior)
     link(celsius, effect.inputs["Temperature"])
     link(emissivity, effect.inputs["Emissivity"])
     link(ior, effect.inputs["IOR"])
@@ -153,29 +132,15 @@ def object_material(
         link(attribute("hot_c", "OBJECT"), effect.inputs["Hot"])
     shown = effect.outputs["Shader"]
     if translucent:
-        opacity, clear = attribute("opacity"), new("ShaderNodeBsdfTransparent")
-        sky = {n: attribute(n, "OBJECT") for n in SKY if physical}
-        thin = emission_alone(tree, celsius, emissivity, ior, sky) if physical else shown
-        thin = _mixed_shaders(tree, opacity, clear.outputs["BSDF"], thin)
-        opaque = new("ShaderNodeMath")
-        opaque.operation = "GREATER_THAN"
-        link(opacity, opaque.inputs[0])
-        opaque.inputs[1].default_value = 0.9999
-        shown = _mixed_shaders(tree, opaque.outputs["Value"], thin, shown)
-    output = new("ShaderNodeOutputMaterial")
-    link(shown, output.inputs["Surface"])
-    aov = new("ShaderNodeOutputAOV")
-    aov.aov_name = aov_name(slot)
-    link(attribute("label"), aov.inputs["Value"])
+        opacity, clear = attribute("opacity"), nodes.new("ShaderNodeBsdfTransparent")
+        thin = shown
+        if physical:
+            thin = emission_alone(nodes, celsius, emissivity, ior, {n: attribute(n, "OBJECT") for n in SKY})
+        thin = nodes.mixed(opacity, clear.outputs["BSDF"], thin)
+        shown = nodes.mixed(nodes.math("GREATER_THAN", opacity, 0.9999), thin, shown)
+    nodes.surface(shown)
+    link(attribute("label"), nodes.add("ShaderNodeOutputAOV", aov_name=aov_name(slot)).inputs["Value"])
     return material
-
-
-def _mixed_shaders(tree: bpy.types.NodeTree, share: Any, none: Any, full: Any) -> Any:
-    """Return a shader that mixes `none` (share 0) and `full` (share 1)."""
-    mix = tree.nodes.new("ShaderNodeMixShader")
-    for socket, value in zip(mix.inputs, (share, none, full), strict=True):
-        tree.links.new(value, socket)
-    return mix.outputs["Shader"]
 
 
 def aov_name(slot: int) -> str:
@@ -193,16 +158,19 @@ def write_infrared_effect(path: Path) -> Path:
         group.use_fake_user = True
         group.asset_mark()
         group.asset_data.description = what
-        material = bpy.data.materials.new(f"{group.name} example")
+        material, nodes = new_material(f"{group.name} example")
         material.use_fake_user = True
-        material.use_nodes = True
-        tree = material.node_tree
-        tree.nodes.clear()
-        node = tree.nodes.new("ShaderNodeGroup")
-        node.node_tree = group
-        output = tree.nodes.new("ShaderNodeOutputMaterial")
-        output.location = (250, 0)
-        tree.links.new(node.outputs["Shader"], output.inputs["Surface"])
+        output = nodes.add("ShaderNodeOutputMaterial", location=(250, 0))
+        nodes.link(nodes.add("ShaderNodeGroup", node_tree=group).outputs["Shader"], output.inputs["Surface"])
     with replace_atomically(path) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=False)
     return path
+
+
+def make_node_group_writer(_settings: Any) -> Callable[[Task], str]:
+    """Create a worker; the payload of its tasks is the .blend to write."""
+
+    def run(task: Task) -> str:
+        return str(write_infrared_effect(Path(task.payload)))
+
+    return run

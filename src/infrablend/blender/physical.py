@@ -18,6 +18,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from infrablend.blender.nodes import Nodes
 from infrablend.core.scene import Weather
 from infrablend.thermal.radiometry import ZERO_C_K, band_radiance
 from infrablend.thermal.sky import window_transmittance
@@ -56,108 +57,92 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     group = bpy.data.node_groups.new(GROUP_NAME, "ShaderNodeTree")
     add_inputs(group, SOCKETS)
     group.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
-    new, link = group.nodes.new, group.links.new
+    nodes = Nodes(group)
+    new, link = nodes.new, nodes.link
     inputs, outputs = new("NodeGroupInput"), new("NodeGroupOutput")
 
-    deviation = _math(group, "MULTIPLY", _pattern(group, inputs.outputs["Texture Size"]), inputs.outputs["Texture"])
-    celsius = _math(group, "ADD", inputs.outputs["Temperature"], deviation)
-    radiance = _radiance_of(group, _math(group, "ADD", celsius, ZERO_C_K))
+    deviation = nodes.math("MULTIPLY", _pattern(nodes, inputs.outputs["Texture Size"]), inputs.outputs["Texture"])
+    celsius = nodes.math("ADD", inputs.outputs["Temperature"], deviation)
+    radiance = _radiance_of(nodes, nodes.math("ADD", celsius, ZERO_C_K))
 
     # The emissivity of metals is constant, which is expressed by an IOR of 1.
-    dielectric = _math(group, "SUBTRACT", 1.0, inputs.outputs["Metal"])
-    ior = _math(group, "MULTIPLY_ADD", _math(group, "SUBTRACT", inputs.outputs["IOR"], 1.0), dielectric, 1.0)
-    emissivity = _emissivity_at_angle(group, inputs.outputs["Emissivity"], ior)
+    dielectric = nodes.math("SUBTRACT", 1.0, inputs.outputs["Metal"])
+    ior = nodes.math("MULTIPLY_ADD", nodes.math("SUBTRACT", inputs.outputs["IOR"], 1.0), dielectric, 1.0)
+    emissivity = _emissivity_at_angle(nodes, inputs.outputs["Emissivity"], ior)
 
-    emission = new("ShaderNodeEmission")
-    emission.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-    link(_math(group, "MULTIPLY", radiance, emissivity), emission.inputs["Strength"])
-    diffuse, glossy, kind = new("ShaderNodeBsdfDiffuse"), new("ShaderNodeBsdfAnisotropic"), new("ShaderNodeMixShader")
+    emission = nodes.emission(nodes.math("MULTIPLY", radiance, emissivity))
+    diffuse, glossy = new("ShaderNodeBsdfDiffuse"), new("ShaderNodeBsdfAnisotropic")
     # White, with the share as a mix factor: a grey surface would lose light in every bounce between its own facets.
     for node in (diffuse, glossy):
         node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
     glossy.distribution = "MULTI_GGX"  # plain GGX loses energy at grazing angles
     link(inputs.outputs["Roughness"], glossy.inputs["Roughness"])
     # `two_sided_ior` is below 1 on the backs of smooth surfaces.
-    smooth = _math(group, "GREATER_THAN", _math(group, "ABSOLUTE", _math(group, "SUBTRACT", ior, 1.0)), 1e-4)
-    link(_math(group, "MAXIMUM", smooth, inputs.outputs["Metal"]), kind.inputs["Fac"])
-    link(diffuse.outputs["BSDF"], kind.inputs[1])
-    link(glossy.outputs["BSDF"], kind.inputs[2])
-    mirror = new("ShaderNodeMixShader")
-    link(_math(group, "SUBTRACT", 1.0, emissivity), mirror.inputs["Fac"])
-    link(kind.outputs["Shader"], mirror.inputs[2])
+    smooth = nodes.math("GREATER_THAN", nodes.math("ABSOLUTE", nodes.math("SUBTRACT", ior, 1.0)), 1e-4)
+    kind = nodes.mixed(
+        nodes.math("MAXIMUM", smooth, inputs.outputs["Metal"]), diffuse.outputs["BSDF"], glossy.outputs["BSDF"]
+    )
     both = new("ShaderNodeAddShader")
-    link(emission.outputs["Emission"], both.inputs[0])
-    link(mirror.outputs["Shader"], both.inputs[1])
+    link(emission, both.inputs[0])
+    link(nodes.mixed(nodes.math("SUBTRACT", 1.0, emissivity), None, kind), both.inputs[1])
     link(both.outputs["Shader"], outputs.inputs["Shader"])
     return group
 
 
-def _emissivity_at_angle(tree: bpy.types.NodeTree, straight_on: Any, ior: Any) -> Any:
+def _emissivity_at_angle(nodes: Nodes, straight_on: Any, ior: Any) -> Any:
     """Return eps(theta) = eps0 (1 - F(theta)) / (1 - F(0)).
 
     Nearly constant up to about 50 degrees, 0 at grazing angles; with IOR 1 constant at all angles.
     """
-    fresnel = tree.nodes.new("ShaderNodeFresnel")
-    tree.links.new(ior, fresnel.inputs["IOR"])
-    less, more = (_math(tree, op, ior, 1.0) for op in ("SUBTRACT", "ADD"))
-    ratio = _math(tree, "DIVIDE", less, more)
-    through = _math(tree, "MULTIPLY_ADD", ratio, _math(tree, "MULTIPLY", ratio, -1.0), 1.0)
-    share = _math(tree, "DIVIDE", _math(tree, "SUBTRACT", 1.0, fresnel.outputs["Fac"]), through)
-    emissivity = _math(tree, "MULTIPLY", straight_on, share)
-    emissivity.node.use_clamp = True
-    return emissivity
+    fresnel = nodes.new("ShaderNodeFresnel")
+    nodes.link(ior, fresnel.inputs["IOR"])
+    less, more = (nodes.math(op, ior, 1.0) for op in ("SUBTRACT", "ADD"))
+    ratio = nodes.math("DIVIDE", less, more)
+    through = nodes.math("MULTIPLY_ADD", ratio, nodes.math("MULTIPLY", ratio, -1.0), 1.0)
+    share = nodes.math("DIVIDE", nodes.math("SUBTRACT", 1.0, fresnel.outputs["Fac"]), through)
+    return nodes.math("MULTIPLY", straight_on, share, clamp=True)
 
 
-def two_sided_ior(tree: bpy.types.NodeTree, ior: Any) -> Any:
+def two_sided_ior(nodes: Nodes, ior: Any) -> Any:
     """Return the refractive index for which Fresnel nodes reflect at the backs of faces as at their fronts.
 
     Cycles inverts the index at backs, as if the camera were inside the body: total reflection from 42 degrees on.
     """
-    geometry = tree.nodes.new("ShaderNodeNewGeometry")
-    return _math(tree, "POWER", ior, _math(tree, "MULTIPLY_ADD", geometry.outputs["Backfacing"], -2.0, 1.0))
+    geometry = nodes.new("ShaderNodeNewGeometry")
+    return nodes.math("POWER", ior, nodes.math("MULTIPLY_ADD", geometry.outputs["Backfacing"], -2.0, 1.0))
 
 
-def _pattern(tree: bpy.types.NodeTree, size_m: Any) -> Any:
+def _pattern(nodes: Nodes, size_m: Any) -> Any:
     """Return smooth noise in [-1, 1] in object coordinates."""
-    where, noise = tree.nodes.new("ShaderNodeTexCoord"), tree.nodes.new("ShaderNodeTexNoise")
+    where, noise = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexNoise")
     noise.normalize = True
     noise.inputs["Detail"].default_value = 0.0
-    tree.links.new(where.outputs["Object"], noise.inputs["Vector"])
-    tree.links.new(_math(tree, "DIVIDE", 1.0, size_m), noise.inputs["Scale"])
-    return _math(tree, "MULTIPLY_ADD", noise.outputs["Fac"], 2.0, -1.0)
+    nodes.link(where.outputs["Object"], noise.inputs["Vector"])
+    nodes.link(nodes.math("DIVIDE", 1.0, size_m), noise.inputs["Scale"])
+    return nodes.math("MULTIPLY_ADD", noise.outputs["Fac"], 2.0, -1.0)
 
 
-def emission_alone(tree: bpy.types.NodeTree, celsius: Any, emissivity: Any, ior: Any, sky: Mapping[str, Any]) -> Any:
+def emission_alone(nodes: Nodes, celsius: Any, emissivity: Any, ior: Any, sky: Mapping[str, Any]) -> Any:
     """Return the shader of a translucent surface, which emits its own radiance and the reflection of sky and ground.
 
     A scattering shader mixed with a Transparent node is sampled at random, which makes alpha and coverage noisy; an
     emission is exact. Reflections of other parts are missing.
 
     Args:
-        tree: Node tree of the material.
+        nodes: Nodes of the material.
         celsius: Socket of the temperature, degrees Celsius.
         emissivity: Socket of the emissivity at normal incidence.
         ior: Socket of the refractive index.
         sky: Socket for each name of `sky_values`.
     """
-    geometry, dot = tree.nodes.new("ShaderNodeNewGeometry"), tree.nodes.new("ShaderNodeVectorMath")
-    dot.operation = "DOT_PRODUCT"
-    upward = []
-    for i, name in enumerate(("Incoming", "Normal")):
-        tree.links.new(geometry.outputs[name], dot.inputs[i])
-        parts = tree.nodes.new("ShaderNodeSeparateXYZ")
-        tree.links.new(geometry.outputs[name], parts.inputs["Vector"])
-        upward.append(parts.outputs["Z"])
+    geometry = nodes.new("ShaderNodeNewGeometry")
+    incoming, normal = geometry.outputs["Incoming"], geometry.outputs["Normal"]
     # The mirrored direction is 2 (N I) N - I, with I from the surface to the eye.
-    twice = _math(tree, "MULTIPLY", dot.outputs["Value"], 2.0)
-    up = _math(tree, "SUBTRACT", _math(tree, "MULTIPLY", twice, upward[1]), upward[0])
-    eps = _emissivity_at_angle(tree, emissivity, ior)
-    own, mirrored = _radiance_of(tree, _math(tree, "ADD", celsius, ZERO_C_K)), _sky(tree, up, sky)
-    shown = _math(tree, "MULTIPLY_ADD", eps, _math(tree, "SUBTRACT", own, mirrored), mirrored)
-    emission = tree.nodes.new("ShaderNodeEmission")
-    emission.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
-    tree.links.new(shown, emission.inputs["Strength"])
-    return emission.outputs["Emission"]
+    twice = nodes.math("MULTIPLY", nodes.dot(incoming, normal), 2.0)
+    up = nodes.math("SUBTRACT", nodes.math("MULTIPLY", twice, nodes.upward(normal)), nodes.upward(incoming))
+    eps = _emissivity_at_angle(nodes, emissivity, ior)
+    own, mirrored = _radiance_of(nodes, nodes.math("ADD", celsius, ZERO_C_K)), _sky(nodes, up, sky)
+    return nodes.emission(nodes.math("MULTIPLY_ADD", eps, nodes.math("SUBTRACT", own, mirrored), mirrored))
 
 
 def add_inputs(group: bpy.types.ShaderNodeTree, sockets: Sequence[tuple[str, float, float, float, str]]) -> None:
@@ -193,53 +178,33 @@ def _build_world() -> bpy.types.World:
     world.use_nodes = True
     # Only reflections see the World. Sampling it as a light would cost a table per render without any effect.
     world.cycles.sampling_method = "NONE"
-    tree = world.node_tree
-    tree.nodes.clear()
-    new, link = tree.nodes.new, tree.links.new
-
-    def value(name: str) -> Any:
-        node = new("ShaderNodeValue")
-        node.name = name
-        return node.outputs[0]
-
-    values = {name: value(name) for name in SKY}
-    direction, parts = new("ShaderNodeTexCoord"), new("ShaderNodeSeparateXYZ")
-    link(direction.outputs["Generated"], parts.inputs["Vector"])
-    background, output = new("ShaderNodeBackground"), new("ShaderNodeOutputWorld")
+    world.node_tree.nodes.clear()
+    nodes = Nodes(world.node_tree)
+    values = {name: nodes.value(name) for name in SKY}
+    up = nodes.upward(nodes.new("ShaderNodeTexCoord").outputs["Generated"])
+    background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
     background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)  # Blender's own is 0.8
-    link(_sky(tree, parts.outputs["Z"], values), background.inputs["Strength"])
-    link(background.outputs["Background"], output.inputs["Surface"])
+    nodes.link(_sky(nodes, up, values), background.inputs["Strength"])
+    nodes.link(background.outputs["Background"], output.inputs["Surface"])
     return world
 
 
-def _sky(tree: bpy.types.NodeTree, up: Any, values: Mapping[str, Any]) -> Any:
+def _sky(nodes: Nodes, up: Any, values: Mapping[str, Any]) -> Any:
     """Return the radiance from a direction with this upward component; `values` holds a socket for each of `SKY`."""
     clear, air, cloud, cover, ground = (values[name] for name in SKY)
-    cos = _math(tree, "MAXIMUM", up, float(np.cos(np.radians(89.0))))
-    through = _math(tree, "POWER", clear, _math(tree, "DIVIDE", 1.0, cos))
-    sky = _math(tree, "MULTIPLY", air, _math(tree, "SUBTRACT", 1.0, through))
-    covered = _math(tree, "MULTIPLY_ADD", cover, _math(tree, "SUBTRACT", cloud, sky), sky)
-    above = _math(tree, "GREATER_THAN", up, 0.0)
-    return _math(tree, "MULTIPLY_ADD", above, _math(tree, "SUBTRACT", covered, ground), ground)
+    cos = nodes.math("MAXIMUM", up, float(np.cos(np.radians(89.0))))
+    through = nodes.math("POWER", clear, nodes.math("DIVIDE", 1.0, cos))
+    sky = nodes.math("MULTIPLY", air, nodes.math("SUBTRACT", 1.0, through))
+    covered = nodes.math("MULTIPLY_ADD", cover, nodes.math("SUBTRACT", cloud, sky), sky)
+    above = nodes.math("GREATER_THAN", up, 0.0)
+    return nodes.math("MULTIPLY_ADD", above, nodes.math("SUBTRACT", covered, ground), ground)
 
 
-def _radiance_of(tree: bpy.types.NodeTree, kelvin: Any) -> Any:
+def _radiance_of(nodes: Nodes, kelvin: Any) -> Any:
     """Return L(T) in units of L(300 K), from `radiance_coefficients` by Horner's rule."""
-    x = _math(tree, "SUBTRACT", _math(tree, "DIVIDE", REFERENCE_K, kelvin), 1.0)
+    x = nodes.math("SUBTRACT", nodes.math("DIVIDE", REFERENCE_K, kelvin), 1.0)
     *lower, highest = radiance_coefficients()
-    sum_ = _math(tree, "MULTIPLY_ADD", x, highest, lower.pop())
+    sum_ = nodes.math("MULTIPLY_ADD", x, highest, lower.pop())
     while lower:
-        sum_ = _math(tree, "MULTIPLY_ADD", x, sum_, lower.pop())
-    return _math(tree, "EXPONENT", sum_)
-
-
-def _math(tree: bpy.types.NodeTree, operation: str, *values: Any) -> Any:
-    """Add a Math node and return its output; each value is a number or a socket."""
-    node = tree.nodes.new("ShaderNodeMath")
-    node.operation = operation
-    for i, v in enumerate(values):
-        if isinstance(v, int | float):
-            node.inputs[i].default_value = v
-        else:
-            tree.links.new(v, node.inputs[i])
-    return node.outputs["Value"]
+        sum_ = nodes.math("MULTIPLY_ADD", x, sum_, lower.pop())
+    return nodes.math("EXPONENT", sum_)

@@ -20,15 +20,13 @@ from infrablend.blender.materials import aov_name, object_material
 from infrablend.blender.physical import UNIT_W_M2_SR, set_world, sky_values
 from infrablend.blender.quality import sampling_for
 from infrablend.core.camera import CameraSpec
-from infrablend.core.cores import Device
+from infrablend.core.machine import Device
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.render import RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
-from infrablend.rendering.crop import crop_of
-from infrablend.rendering.emission import only_emits, render_emission
-from infrablend.rendering.glow import ground_radiance
-from infrablend.rendering.surfaces import ZERO_C_K, is_two_sided, surface_values
+from infrablend.rendering.emission import crop_of, only_emits, render_emission
+from infrablend.rendering.surfaces import ZERO_C_K, ground_radiance, is_two_sided, surface_values
 
 # A part mirrors another part, which mirrors the sky. A third bounce would add less than 1 % of the mirrored 5 %.
 PHYSICAL_BOUNCES = 2

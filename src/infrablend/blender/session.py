@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 
 from infrablend.core.camera import CameraSpec
-from infrablend.core.cores import Device
+from infrablend.core.machine import Device
 from infrablend.errors import MissingDependencyError
 
 log = logging.getLogger(__name__)

@@ -203,7 +203,7 @@ def realism(
 
 def _realism_lines(compared: api.RealismReport) -> list[str]:
     """Return the figures and the checks of each class, and the path of the report."""
-    from infrablend.report.realism_tables import check_rows
+    from infrablend.report.realism import check_rows
 
     lines = []
     for name, facts in compared.facts["classes"].items():

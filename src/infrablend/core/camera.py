@@ -1,7 +1,8 @@
-"""The pinhole camera: position, direction, projection.
+"""The pinhole camera: position, direction, projection; and the camera angles of drones and datasets, converted to ours.
 
 World: Z up, metres. Camera axes as in OpenCV: x right, y down, z forward. Pixel (column j, row i) covers
-[j, j+1) x [i, i+1), origin at the top left corner of the image.
+[j, j+1) x [i, i+1), origin at the top left corner of the image. Pitch counts below the horizon (90 straight down); this
+is the only place that knows other conventions.
 """
 
 from __future__ import annotations
@@ -16,6 +17,14 @@ from infrablend.core.mesh import FloatArray
 
 BLENDER_FOCAL_LENGTH_MM = 50.0
 BLENDER_SENSOR_WIDTH_MM = 36.0
+STRAIGHT_DOWN_DEG = 90.0
+
+# Gimbals overshoot their stop: DJI reports up to -90.9 for a camera that looks straight down.
+_OVERSHOOT_DEG = 2.0
+# Gimbals roll by at most about this angle; a larger one is a turned mount, or the other way to write a pitch past 90.
+_MOST_ROLL_DEG = 45.0
+# From this pitch on, turning the camera about its axis only turns the ground in the picture.
+_FROM_ABOVE_DEG = 80.0
 
 
 @dataclass(frozen=True)
@@ -89,3 +98,48 @@ def object_to_world(
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(scale * (vertices_m @ turn.T) + np.asarray(position_m, np.float64))
+
+
+def pitch_of_gimbal(gimbal_deg: float) -> float:
+    """Return the angle below the horizon for a gimbal's pitch, which is negative below the horizon (DJI, AirData).
+
+    An overshoot of at most 2 degrees counts as straight down. Larger angles are returned as they are, above 90: the
+    camera looks back under the aircraft, which callers refuse.
+
+    >>> pitch_of_gimbal(-90.0), pitch_of_gimbal(-30.5), pitch_of_gimbal(12.0)
+    (90.0, 30.5, -12.0)
+    """
+    return _without_overshoot(0.0 - gimbal_deg)
+
+
+def pitch_of_tilt(tilt_deg: float) -> float:
+    """Return the angle below the horizon for a tilt away from straight down, in any number of turns (BAMBI).
+
+    >>> pitch_of_tilt(0.0), pitch_of_tilt(25.0), pitch_of_tilt(359.0)
+    (90.0, 65.0, 89.0)
+    """
+    return STRAIGHT_DOWN_DEG - abs((tilt_deg + 180.0) % 360.0 - 180.0)
+
+
+def roll_of_gimbal(gimbal_deg: float) -> float:
+    """Return the roll of the camera, in (-180, 180], for a gimbal's roll in any number of turns (DJI, AirData).
+
+    Both are positive clockwise as seen from behind the camera: the right edge of the picture points further down, so
+    the horizon in the picture is turned counter-clockwise.
+
+    >>> roll_of_gimbal(10.0), roll_of_gimbal(-180.0), roll_of_gimbal(350.0)
+    (10.0, 180.0, -10.0)
+    """
+    return 180.0 - (180.0 - gimbal_deg) % 360.0 if not -180.0 < gimbal_deg <= 180.0 else gimbal_deg
+
+
+def is_plausible_roll(roll_deg: float, pitch_deg: float | None) -> bool:
+    """Return whether a camera can have a gimbal's roll, or is seen so far from above that any roll is only a heading.
+
+    A larger roll at a flatter pitch leaves open whether the picture is upside down: some cameras turn it upright.
+    """
+    return abs(roll_deg) <= _MOST_ROLL_DEG or (pitch_deg is not None and pitch_deg >= _FROM_ABOVE_DEG)
+
+
+def _without_overshoot(pitch_deg: float) -> float:
+    return STRAIGHT_DOWN_DEG if STRAIGHT_DOWN_DEG < pitch_deg <= STRAIGHT_DOWN_DEG + _OVERSHOOT_DEG else pitch_deg

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
-from infrablend.core.camera_angles import roll_of_gimbal
+from infrablend.core.camera import roll_of_gimbal
 from infrablend.core.temperature import Radiometry, TemperatureScale
 
 TimeOfDay = Literal["day", "night"]

@@ -1,17 +1,36 @@
-"""The ground plane under a camera: where pixels meet it, and how high the camera is above it."""
+"""The ground plane under a camera: where pixels meet it, the height of the camera, and the direction of its lines.
+
+Lines are edges of roads, kerbs, walls and rows of parked cars. Two directions at right angles count as one, as in a
+street grid. The strongest edges of the picture are projected to the ground plane, and the direction is that of their
+mean, weighted by the squared gradient. In HIT-UAV's train, the longer axis of real cars differs from it, or from its
+normal, by 3.6 degrees by day and 6.6 by night (medians, `bench/headings.py`); 22.5 would be chance.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray
 
 # Ground farther away than this counts as the horizon.
 FARTHEST_M = 5_000.0
+# Smoothing before gradients are taken, px: below it there is grain and the codec's blocks.
+_SMOOTH_PX = 2.0
+# Gradients count up to this quantile, so that one bright roof does not decide alone.
+_STRONGEST = 0.97
+# Share of the picture's gradients that are projected: the strongest.
+_USED = 0.2
+# Gradients this near the edge of the picture or a label's box do not count, px.
+_APART_PX = 6
+# Edges farther away than this many heights of the camera are not read: their direction on the ground is uncertain.
+_FARTHEST_HEIGHTS = 10.0
 
 
 def at_height(camera: CameraSpec, height_m: float) -> CameraSpec:
@@ -45,3 +64,82 @@ def pixel_ray(camera: CameraSpec, u: float, v: float) -> FloatArray:
     ray = np.array([(u - w / 2) / camera.focal_px, (v - h / 2) / camera.focal_px, 1.0])
     turned = camera.world_to_camera.T @ ray
     return np.asarray(turned / np.linalg.norm(turned))
+
+
+@dataclass(frozen=True)
+class GroundLines:
+    """Direction of the lines on the ground.
+
+    Attributes:
+        yaw_rad: Direction in the world, counter-clockwise from +X, seen from above, within 45 degrees of +X; lines at
+            right angles to it count as well.
+        clarity: 0 for edges of all directions to 1 for parallel or perpendicular ones alone.
+    """
+
+    yaw_rad: float
+    clarity: float
+
+
+def find_ground_lines(
+    picture: NDArray[np.uint8] | NDArray[np.uint16],
+    camera: CameraSpec,
+    ground_z_m: float,
+    boxes_xyxy: Sequence[FloatArray] | FloatArray = (),
+    margin: NDArray[np.bool_] | None = None,
+) -> GroundLines | None:
+    """Find the direction of the lines on the ground; None if the picture shows no edges on it.
+
+    Args:
+        picture: (h, w) levels.
+        camera: The picture's camera.
+        ground_z_m: Height of the ground plane in the world, metres.
+        boxes_xyxy: (n, 4) boxes of objects and texts, whose edges do not count.
+        margin: (h, w) mask of margins where the camera saw nothing; None without any.
+    """
+    grey = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _SMOOTH_PX)
+    gx, gy = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
+    strength = np.hypot(gx, gy)
+    strength = np.minimum(strength, np.quantile(strength, _STRONGEST))
+    strength[~_counted(strength.shape, boxes_xyxy)] = 0
+    if margin is not None:
+        side = 2 * _APART_PX + 1
+        strength[cv2.dilate(margin.astype(np.uint8), np.ones((side, side), np.uint8)) > 0] = 0
+    rows, columns = np.nonzero((strength > 0) & (strength >= np.quantile(strength, 1 - _USED)))
+    if not len(rows):
+        return None
+    weight = strength[rows, columns].astype(np.float64) ** 2
+    along = np.stack([-gy[rows, columns], gx[rows, columns]], axis=1).astype(np.float64)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    centre = np.stack([columns, rows], axis=1) + 0.5
+    start, end = (_on_ground(camera, centre + side * along, ground_z_m) for side in (-1, 1))
+    seen = np.isfinite(start).all(axis=1) & np.isfinite(end).all(axis=1)
+    if not seen.any():
+        return None
+    step = (end - start)[seen]
+    weight = weight[seen]
+    total = np.sum(weight * np.exp(4j * np.arctan2(step[:, 1], step[:, 0])))
+    return GroundLines(float(np.angle(total)) / 4, float(np.abs(total) / weight.sum()))
+
+
+def _counted(shape: tuple[int, ...], boxes_xyxy: Sequence[FloatArray] | FloatArray) -> NDArray[np.bool_]:
+    """Return the (h, w) mask of pixels away from the picture's edge and from all boxes."""
+    counted = np.zeros(shape, np.bool_)
+    counted[_APART_PX:-_APART_PX, _APART_PX:-_APART_PX] = True
+    for x0, y0, x1, y1 in boxes_xyxy:
+        top, left = (max(int(c) - _APART_PX, 0) for c in (y0, x0))
+        counted[top : max(int(y1) + _APART_PX, 0), left : max(int(x1) + _APART_PX, 0)] = False
+    return counted
+
+
+def _on_ground(camera: CameraSpec, xy: FloatArray, z_m: float) -> FloatArray:
+    """Return (n, 2) positions on the ground, from the point below the camera, of (n, 2) pixel positions.
+
+    NaN above the horizon and far away.
+    """
+    w, h = camera.size_wh
+    rays = np.column_stack([(xy - (w / 2, h / 2)) / camera.focal_px, np.ones(len(xy))]) @ camera.world_to_camera
+    height = float(camera.position_m[2]) - z_m
+    down = np.where(rays[:, 2] < 0, -rays[:, 2], np.nan)
+    reach = height / down
+    far = reach * np.linalg.norm(rays, axis=1) > _FARTHEST_HEIGHTS * height
+    return np.asarray(np.where(far, np.nan, reach)[:, None] * rays[:, :2])

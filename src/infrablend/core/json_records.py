@@ -37,15 +37,15 @@ _CLOSING = {"[": "]", "{": "}"}
 
 
 @dataclass(frozen=True)
-class JsonList:
-    """List in a file, read anew each time it is iterated.
+class _InFile:
+    """List or object in a file.
 
     Attributes:
         path: The file.
         name: Name of the list in messages; empty for the top of the file.
         stamp: Identity, size and time of the file.
         start: Byte after the opening bracket.
-        count: Number of items.
+        count: Number of items or members.
     """
 
     path: Path
@@ -55,8 +55,12 @@ class JsonList:
     count: int
 
     def __len__(self) -> int:
-        """Return the number of items."""
+        """Return the number of items or members."""
         return self.count
+
+
+class JsonList(_InFile):
+    """List in a file, read anew each time it is iterated."""
 
     def __iter__(self) -> Iterator[Any]:
         """Yield the items.
@@ -67,19 +71,8 @@ class JsonList:
         return (value for _, value in _read_again(self, "]"))
 
 
-@dataclass(frozen=True)
-class JsonTable:
-    """Object in a file, whose members are read anew each time; attributes as of `JsonList`."""
-
-    path: Path
-    name: str
-    stamp: tuple[int, ...]
-    start: int
-    count: int
-
-    def __len__(self) -> int:
-        """Return the number of members."""
-        return self.count
+class JsonTable(_InFile):
+    """Object in a file, whose members are read anew each time."""
 
     def items(self) -> Iterator[tuple[str, Any]]:
         """Yield the keys with their values.

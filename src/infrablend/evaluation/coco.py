@@ -13,7 +13,7 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 from infrablend.evaluation.detections import Detections, FloatArray, Task
-from infrablend.evaluation.overlap import overlaps
+from infrablend.evaluation.matching import overlaps
 from infrablend.evaluation.truth import Truth, long_sides
 
 MAX_DETECTIONS = 300

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from infrablend.core.arguments import require_names, require_whole
 from infrablend.core.files import open_regular, read_regular, replace_atomically
 from infrablend.errors import ArgumentError, DatasetError, Problem
-from infrablend.evaluation.bootstrap import draw_images, paired
+from infrablend.evaluation.detections import MATCHES, RECORD
 from infrablend.evaluation.figures import Draws
-from infrablend.evaluation.files import MATCHES, RECORD
 from infrablend.evaluation.matching import ClassMatches
+from infrablend.evaluation.precision import draw_images, paired
 from infrablend.evaluation.truth import match_classes
 
 

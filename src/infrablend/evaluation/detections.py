@@ -36,6 +36,9 @@ TASKS: tuple[Task, ...] = ("detect", "obb", "segment")
 FloatArray = NDArray[np.float64]
 _SHOWN = 20
 
+RECORD, MATCHES = "evaluation.json", "matches.npz"
+"""Names of the files of a stored evaluation."""
+
 
 @dataclass(frozen=True, eq=False)
 class Detections:

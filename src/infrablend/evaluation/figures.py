@@ -1,7 +1,8 @@
-"""The figures of an evaluation: tables by class, strata, intervals, confusion, curves."""
+"""The figures of an evaluation: tables by class, strata, intervals, confusion, curves, and found objects one by one."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,15 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
-from infrablend.evaluation.bootstrap import MEASURES, draw_images, drawn_figures, has_several_groups, interval
 from infrablend.evaluation.coco import coco_precisions
-from infrablend.evaluation.confusion import IOU as CONFUSION_IOU
-from infrablend.evaluation.confusion import confusion_matrix
 from infrablend.evaluation.detections import Detections, Task
-from infrablend.evaluation.matching import ClassMatches, match_all, size_bins
-from infrablend.evaluation.precision import RECALLS, average_precisions, operating_point, precision_by_recall
-from infrablend.evaluation.strata import image_strata
+from infrablend.evaluation.matching import ClassMatches, match_all, overlaps, size_bins
+from infrablend.evaluation.precision import (
+    MEASURES,
+    RECALLS,
+    average_precisions,
+    draw_images,
+    drawn_figures,
+    has_several_groups,
+    interval,
+    operating_point,
+    precision_by_recall,
+)
 from infrablend.evaluation.truth import Truth
+
+# Least overlap of a match in the confusion matrix.
+CONFUSION_IOU = 0.5
+PITCH_EDGES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
+ALTITUDE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 150.0)
+# At most this many different values get a bin each.
+_SINGLE_VALUES = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,3 +213,123 @@ def _intervals(
     if not len(drawn) or not has_several_groups(held, groups):
         return None
     return {name: interval(drawn[:, k]) for k, name in enumerate(MEASURES)}
+
+
+def confusion_matrix(
+    truths: Sequence[Truth],
+    found: Mapping[str, Detections],
+    class_of: NDArray[np.int64],
+    classes: int,
+    task: Task,
+    confidence: float,
+) -> NDArray[np.int64]:
+    """Return (classes + 1, classes + 1) counts by detected class (row) and labelled class (column); last is background.
+
+    Detections with at least the given confidence are matched in the order of their score, each to the unmatched label
+    with the largest IoU of at least 0.5. Unmatched detections in regions to ignore are left out, in crowds those of the
+    crowd's class.
+    """
+    matrix = np.zeros((classes + 1, classes + 1), np.int64)
+    for truth in truths:
+        ours = found.get(truth.key)
+        free = ~truth.ignore
+        if ours is not None:
+            ours = ours.take(np.flatnonzero((ours.scores >= confidence) & (class_of[ours.classes] >= 0)))
+            overlap, regions = overlaps(ours, truth, task), truth.regions_of(class_of[ours.classes])
+            for d, c in enumerate(class_of[ours.classes]):
+                value = np.where(free, overlap[d], 0.0)
+                if value.max(initial=0.0) >= CONFUSION_IOU:
+                    label = int(value.argmax())
+                    matrix[c, truth.classes[label]] += 1
+                    free[label] = False
+                elif not (overlap[d, regions[d]] >= CONFUSION_IOU).any():
+                    matrix[c, classes] += 1
+        for c in truth.classes[free]:
+            matrix[classes, c] += 1
+    return matrix
+
+
+def image_strata(images: Sequence[ImageRecord]) -> dict[str, dict[str, NDArray[np.bool_]]]:
+    """Return (i,) masks of the images in each bin of pitch, altitude and time; `unknown` has those without a value."""
+    return {
+        "pitch": _binned([i.capture.pitch_deg for i in images], PITCH_EDGES_DEG),
+        "altitude": _binned([i.capture.altitude_m for i in images], ALTITUDE_EDGES_M),
+        "time": _bins([i.capture.time_of_day for i in images], ("day", "night")),
+    }
+
+
+def _binned(values: Sequence[float | None], edges: Sequence[float]) -> dict[str, NDArray[np.bool_]]:
+    """Bin by value if there are few different values (HIT-UAV has steps of 10), else by ranges."""
+    known = sorted({v for v in values if v is not None})
+    if len(known) <= _SINGLE_VALUES:
+        names: Mapping[float, str] = {v: f"{v:g}" for v in known}
+        ordered = [f"{v:g}" for v in known]
+    else:
+        place = np.searchsorted(np.array(edges), np.array(known), side="right")
+        labels = [f"<{edges[0]:g}", *(f"{a:g}-{b:g}" for a, b in itertools.pairwise(edges))]
+        labels.append(f">={edges[-1]:g}")
+        names = {v: labels[int(k)] for v, k in zip(known, place, strict=True)}
+        ordered = labels
+    return _bins([None if v is None else names[v] for v in values], ordered)
+
+
+def _bins(values: Sequence[str | None], ordered: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
+    bins = ["unknown" if v is None else v for v in values]
+    return {name: np.array([v == name for v in bins], np.bool_) for name in (*ordered, "unknown") if name in set(bins)}
+
+
+def list_found(case: Case, first: int, iou: float) -> dict[str, Any]:
+    """Return which objects are among the detections with the highest scores of all images together.
+
+    In the order of their scores, detections take the object of their class with the largest overlap that no earlier one
+    has taken. Detections in regions to ignore do not count, and neither do those of other classes.
+
+    Args:
+        case: Labels and detections.
+        first: Number of detections that count.
+        iou: Least overlap, as intersection over union.
+
+    Returns:
+        Plain JSON: `first`, `iou`, `detections` (number that counted, at most `first`), `found`, and `objects` with
+        `image`, `class`, `box` (xyxy, px) and `rank` (from 1), `score` and `iou` of the detection, None if missed.
+    """
+    candidates: list[tuple[float, int, int]] = []
+    overlap: list[NDArray[np.float64]] = []
+    for k, truth in enumerate(case.labels):
+        detected = case.compared.get(truth.key)
+        if detected is None or not len(detected):
+            overlap.append(np.zeros((0, len(truth.boxes_xyxy))))
+            continue
+        shared = overlaps(detected, truth, case.task)
+        regions = truth.regions_of(case.class_of[detected.classes])
+        ignored = ((shared >= iou) & regions).any(axis=1) & ~(shared[:, ~truth.ignore] >= iou).any(axis=1)
+        overlap.append(shared)
+        candidates += [
+            (-float(detected.scores[d]), k, d)
+            for d in range(len(detected))
+            if case.class_of[detected.classes[d]] >= 0 and not ignored[d]
+        ]
+    candidates.sort()
+    hits: dict[tuple[int, int], dict[str, Any]] = {}
+    for rank, (minus_score, k, d) in enumerate(candidates[:first], 1):
+        truth = case.labels[k]
+        free = (truth.classes == case.class_of[case.found[truth.key].classes[d]]) & ~truth.ignore
+        free[[g for of, g in hits if of == k]] = False
+        shared = np.where(free, overlap[k][d], 0.0)
+        if shared.size and shared.max() >= iou:
+            best = int(shared.argmax())
+            hits[k, best] = {"rank": rank, "score": -minus_score, "iou": round(float(shared[best]), 3)}
+    missed = {"rank": None, "score": None, "iou": None}
+    objects = [
+        {
+            "image": truth.key,
+            "class": case.classes[truth.classes[g]],
+            "box": np.round(truth.boxes_xyxy[g], 1).tolist(),
+            **hits.get((k, g), missed),
+        }
+        for k, truth in enumerate(case.labels)
+        for g in range(len(truth.boxes_xyxy))
+        if not truth.ignore[g]
+    ]
+    counted = min(first, len(candidates))
+    return {"first": first, "iou": iou, "detections": counted, "found": len(hits), "objects": objects}

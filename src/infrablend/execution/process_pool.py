@@ -29,9 +29,16 @@ from typing import IO, Any
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.execution.pool_rules import WorkerLimits, loss_of, start_error, value_of
 from infrablend.execution.scratch import scratch_folder
-from infrablend.execution.worker import ONE_THREAD, ResultMessage, StartMessage
+from infrablend.execution.worker import (
+    ONE_THREAD,
+    ResultMessage,
+    StartMessage,
+    WorkerLimits,
+    loss_of,
+    start_error,
+    value_of,
+)
 
 logger = logging.getLogger(__name__)
 

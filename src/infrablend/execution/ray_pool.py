@@ -28,9 +28,8 @@ from typing import Any
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, MissingDependencyError, OutputError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.execution.pool_rules import WorkerLimits, loss_of, start_error, value_of
 from infrablend.execution.process_pool import module_path
-from infrablend.execution.worker import ONE_THREAD, ResultMessage
+from infrablend.execution.worker import ONE_THREAD, ResultMessage, WorkerLimits, loss_of, start_error, value_of
 
 log = logging.getLogger(__name__)
 

@@ -32,7 +32,6 @@ class Serial:
 
     def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
         """Run tasks and yield their results, see `core.tasks.Executor`."""
-        process = psutil.Process()
         with Interruption() as stop:
             try:
                 with _stdout_to(self._log_path):
@@ -45,15 +44,7 @@ class Serial:
                 for task in tasks:
                     if stop.requested:
                         raise Interrupted(STOPPED)
-                    begun = time.monotonic()
-                    value, failure = None, None
-                    try:
-                        with _stdout_to(self._log_path):
-                            value = work(task)
-                    except (Exception, SystemExit) as e:
-                        failure = failure_of(e)
-                    seconds = time.monotonic() - begun
-                    yield TaskResult(task.key, value, failure, 1, seconds, 0, int(process.memory_info().rss))
+                    yield _performed(work, task, self._log_path)
             finally:
                 close_callable(work)
 
@@ -76,20 +67,25 @@ class WarmSerial:
         self.start()
         assert self._work is not None
         for task in tasks:
-            begun = time.monotonic()
-            value, failure = None, None
-            try:
-                with _stdout_to(None):
-                    value = self._work(task)
-            except Exception as e:
-                failure = failure_of(e)
-            yield TaskResult(task.key, value, failure, 1, time.monotonic() - begun)
+            yield _performed(self._work, task, None)
 
     def close(self) -> None:
         """Close the callable."""
         if self._work is not None:
             close_callable(self._work)
             self._work = None
+
+
+def _performed(work: Callable[[Task], Any], task: Task, log_path: Path | None) -> TaskResult:
+    begun = time.monotonic()
+    value, failure = None, None
+    try:
+        with _stdout_to(log_path):
+            value = work(task)
+    except (Exception, SystemExit) as e:
+        failure = failure_of(e)
+    seconds, rss_bytes = time.monotonic() - begun, int(psutil.Process().memory_info().rss)
+    return TaskResult(task.key, value, failure, seconds=seconds, rss_bytes=rss_bytes)
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
+from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder

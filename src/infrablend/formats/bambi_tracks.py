@@ -18,7 +18,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_tilt
+from infrablend.core.camera import STRAIGHT_DOWN_DEG, pitch_of_tilt
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder

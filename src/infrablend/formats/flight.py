@@ -26,7 +26,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
 from infrablend.formats.values import is_place
-from infrablend.thermal.sun import sun_position, time_of
+from infrablend.thermal.sky import sun_position, time_of
 
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64

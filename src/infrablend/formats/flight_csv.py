@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG, pitch_of_gimbal
+from infrablend.core.camera import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import comma_of, delimiter_of
 from infrablend.formats.flight_log import (

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.camera_angles import is_plausible_roll, roll_of_gimbal
+from infrablend.core.camera import is_plausible_roll, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.values import is_place
 

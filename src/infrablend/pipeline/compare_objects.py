@@ -42,14 +42,14 @@ from infrablend.realism.class_comparison import (
     compare_class,
     compare_control,
     contrast_ratio,
+    pair_by_size,
     validity,
 )
 from infrablend.realism.classify import require_sklearn
 from infrablend.realism.contrasts import compare_contrasts
+from infrablend.realism.controls import SENSOR_STEPS
 from infrablend.realism.features import Measured
 from infrablend.realism.looseness import looseness, looseness_against
-from infrablend.realism.pairing import pair_by_size
-from infrablend.realism.sensor_steps import SENSOR_STEPS
 from infrablend.report.realism import CropSheet, html_report, sheets_of
 
 Time = Literal["night", "day", "all"]

@@ -16,8 +16,6 @@ from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_bytes, write_text
 from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, ModelError, Problem
-from infrablend.evaluation.bootstrap import LEVEL
-from infrablend.evaluation.classes import evaluated_classes
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.comparison import (
     Conditions,
@@ -27,11 +25,10 @@ from infrablend.evaluation.comparison import (
     require_same,
     write_matches,
 )
-from infrablend.evaluation.detections import Predictions, Task, write_predictions
-from infrablend.evaluation.figures import Case, Draws, figures
-from infrablend.evaluation.files import MATCHES, RECORD
-from infrablend.evaluation.first_detections import list_found
-from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, image_key, truths
+from infrablend.evaluation.detections import MATCHES, RECORD, Predictions, Task, write_predictions
+from infrablend.evaluation.figures import Case, Draws, figures, list_found
+from infrablend.evaluation.precision import LEVEL
+from infrablend.evaluation.truth import Truth, class_numbers, evaluated_classes, fingerprint, image_key, truths
 from infrablend.formats.base import shorten
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.groups import GROUPINGS, background_stem, group_images

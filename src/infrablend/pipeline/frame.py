@@ -20,10 +20,10 @@ from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, me
 from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.core.cores import take_core
 from infrablend.core.dataset import Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.machine import take_core
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed

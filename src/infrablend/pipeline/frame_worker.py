@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from infrablend.core.cores import take_core
+from infrablend.core.machine import take_core
 from infrablend.core.tasks import Task
 from infrablend.pipeline.composed import ComposedFrame
 from infrablend.pipeline.frame import FrameComposer

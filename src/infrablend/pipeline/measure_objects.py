@@ -17,9 +17,9 @@ from infrablend.compositing.mapping import GreyImage, GreyMapping
 from infrablend.compositing.picture import overlay
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.core.cores import take_core
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.machine import take_core
 from infrablend.core.render import Renderer
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
@@ -27,7 +27,7 @@ from infrablend.errors import DatasetError
 from infrablend.formats.images import Background, SaveKind, encode_image, load_background
 from infrablend.pipeline.occlusion import recorded_front
 from infrablend.realism.contrasts import ObjectContrast, object_contrast
-from infrablend.realism.controls import paste_controls
+from infrablend.realism.controls import SENSOR_STEPS, paste_controls, sensor_steps
 from infrablend.realism.features import (
     Bool,
     Labels,
@@ -39,7 +39,6 @@ from infrablend.realism.features import (
     reason_not_measured,
 )
 from infrablend.realism.looseness import BoxExtent, box_extent
-from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene import rebuild_scene
 

@@ -21,7 +21,7 @@ from infrablend.formats.write_settings import WriteSettings
 from infrablend.formats.writing import unwritable
 from infrablend.pipeline.backgrounds import is_ground
 from infrablend.pipeline.frame_selection import similar
-from infrablend.thermal.sun import sun_position, time_of
+from infrablend.thermal.sky import sun_position, time_of
 
 LENS_REPLACED = "lens-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""

@@ -13,9 +13,8 @@ from infrablend.annotation.looseness import tighten_image
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats.images import load_background
-from infrablend.realism.contrasts import TIMES, ObjectContrast, object_contrast
+from infrablend.realism.contrasts import TIMES, ObjectContrast, bound_local_share, object_contrast
 from infrablend.realism.features import Picture, eight_bit
-from infrablend.realism.local_share import bound_local_share
 from infrablend.realism.looseness import BoxExtent, box_extent, looseness, looseness_against
 
 MAX_PICTURES = 1000

@@ -11,7 +11,7 @@ from typing import Any
 from infrablend import __version__
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
-from infrablend.core.cores import Device
+from infrablend.core.machine import Device
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, OutputError, Problem
 from infrablend.formats import detection

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from infrablend.core.addresses import require_known
 from infrablend.core.arguments import require_choice, require_whole
-from infrablend.core.cores import Device, available_cores
+from infrablend.core.machine import Device, available_cores
 from infrablend.core.output import Existing, require_existing
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading

@@ -13,10 +13,10 @@ from infrablend.compositing.picture import overlay
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
-from infrablend.core.cores import take_core
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.machine import take_core
 from infrablend.core.output import require_replaceable
 from infrablend.core.picture_place import require_outside_datasets
 from infrablend.core.render import Renderer

@@ -1,17 +1,23 @@
-"""Comparison of one class: how well, how reliably and by which features inserted objects differ from real ones."""
+"""Comparison of one class: how well, how reliably and by which features inserted objects differ from real ones.
+
+Objects are compared in pairs of similar size, so that size cannot separate the two populations. The distance of two
+sets of crops is the squared maximum mean discrepancy (MMD) with the kernel of KID.
+"""
 
 from __future__ import annotations
 
+import bisect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.rng import stream
 from infrablend.realism.classify import FOLDS, Score, auc, group_numbers, score, weights
-from infrablend.realism.distance import SUBSET, dct_features, mmd, standardised
 from infrablend.realism.features import FEATURES, MEASURES, Measured
 from infrablend.realism.nets import inception_features, missing, no_inception, score_crops
 
@@ -20,6 +26,10 @@ HARD_AT_LEAST = 0.99
 FLOOR_RANGE = (0.70, 0.80)
 
 Pairs = Sequence[tuple[Measured, Measured]]
+# Crops of a subset of the MMD, subsets, and side of the block of lowest frequencies.
+SUBSET, SUBSETS, _SIDE = 100, 100, 8
+# Largest difference in size of a pair.
+CALIPER_OCTAVES = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,3 +281,80 @@ def _feature_distance(real: Sequence[Measured], a: NDArray[np.float64], b: NDArr
         floor = mmd(a[half], a[~half])
         facts["real_halves"] = [round(floor.mean, 6), round(floor.sd, 6)]
     return facts
+
+
+@dataclass(frozen=True)
+class Distance:
+    """Mean and standard deviation of the distance over subsets."""
+
+    mean: float
+    sd: float
+
+
+def dct_features(crops: Sequence[Measured]) -> NDArray[np.float64]:
+    """Return the (n, 64) lowest frequencies of the cosine transform of each 48 px crop."""
+    return np.array(
+        [cv2.dct(m.patch.astype(np.float64) / 255.0)[:_SIDE, :_SIDE].ravel() for m in crops], np.float64
+    ).reshape(len(crops), _SIDE * _SIDE)
+
+
+def mmd(a: NDArray[np.float64], b: NDArray[np.float64]) -> Distance:
+    """Return the unbiased MMD^2 with the kernel (x.y / d + 1)^3 over subsets of 100 crops.
+
+    The features are used without scaling.
+
+    Raises:
+        ValueError: One of the sets is smaller than a subset.
+    """
+    if min(len(a), len(b)) < SUBSET:
+        raise ValueError(f"MMD needs {SUBSET} crops on each side, got {len(a)} and {len(b)}")
+    rng = stream(0, "mmd")
+    found = []
+    for _ in range(SUBSETS):
+        x = a[rng.choice(len(a), SUBSET, replace=False)]
+        y = b[rng.choice(len(b), SUBSET, replace=False)]
+        xx, yy, xy = (_kernel(p, q) for p, q in ((x, x), (y, y), (x, y)))
+        n = SUBSET
+        within = (xx.sum() - np.trace(xx) + yy.sum() - np.trace(yy)) / (n * (n - 1))
+        found.append(within - 2 * xy.mean())
+    return Distance(float(np.mean(found)), float(np.std(found)))
+
+
+def standardised(features: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return features minus the mean of `like`, divided by its standard deviation."""
+    deviation = like.std(axis=0)
+    return np.asarray((features - like.mean(axis=0)) / np.where(deviation > 0, deviation, 1), np.float64)
+
+
+def _kernel(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray((x @ y.T / x.shape[1] + 1) ** 3, np.float64)
+
+
+def pair_by_size(real: Sequence[Measured], inserted: Sequence[Measured], most: int) -> list[tuple[Measured, Measured]]:
+    """Return (real, inserted) pairs whose box heights differ by at most a quarter of an octave.
+
+    In random order, each inserted object is paired with the unused real one nearest in height, so both sides have the
+    same distribution of sizes. Objects without a partner are left out, as are those with a flaw.
+
+    Args:
+        real: Real objects; each is used at most once.
+        inserted: Inserted objects; each is used at most once.
+        most: Largest number of pairs.
+    """
+    rest = sorted((math.log2(m.height_px), m.key, m) for m in real if not m.flaw)
+    usable = sorted((m for m in inserted if not m.flaw), key=lambda m: m.key)
+    order = stream(0, "pairs").permutation(len(usable))
+    pairs: list[tuple[Measured, Measured]] = []
+    for k in order:
+        if len(pairs) == most:
+            break
+        m = usable[int(k)]
+        size = math.log2(m.height_px)
+        at = bisect.bisect_left(rest, (size, ""))
+        near = [i for i in (at - 1, at) if 0 <= i < len(rest)]
+        if not near:
+            break
+        best = min(near, key=lambda i: abs(rest[i][0] - size))
+        if abs(rest[best][0] - size) <= CALIPER_OCTAVES:
+            pairs.append((rest.pop(best)[2], m))
+    return pairs

@@ -2,6 +2,8 @@
 
 The first is as good as an insert can be: only its place distinguishes it from an untouched object. The second is as
 bad as one can be: a classifier that misses it is blind.
+
+The sensor chain, switched on step by step, shows what each step does for realism.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.compositing.sensor import Sensor
 from infrablend.core.boxes import pixel_box
 from infrablend.core.dataset import Instance
 from infrablend.core.rng import stream
@@ -24,6 +27,8 @@ _GAP_PX = 4  # between a paste and any label
 _SOFT_PX = 1.0
 _MARGIN_PX = 4  # ground that is pasted along with an object, since its halo is part of it
 _THREE = np.ones((3, 3), np.uint8)
+SENSOR_STEPS = ("chain_off", "psf", "halo", "noise", "codec")
+"""Names of the steps; each includes the ones before it, and `codec` is the whole chain."""
 
 
 def moved(instance: Instance, shift_xy: tuple[int, int]) -> Instance:
@@ -170,3 +175,20 @@ def _paste(
     under = target[top + a : top + c, left + b : left + d]
     weight = alpha[a:c, b:d]
     under[...] = weight * level[a:c, b:d] + (1 - weight) * under
+
+
+def sensor_steps(sensor: Sensor) -> dict[str, Sensor]:
+    """Return the chain of each step. The range limits come with the halo, whose overshoot they cut off."""
+    off = replace(
+        sensor,
+        blur_sigma_px=None,
+        defocus_sigma_px=0.0,
+        halo_gain=0.0,
+        noise_grey=0.0,
+        limits=None,
+        codec_quality=None,
+    )
+    psf = replace(off, blur_sigma_px=sensor.blur_sigma_px, defocus_sigma_px=sensor.defocus_sigma_px)
+    halo = replace(psf, halo_gain=sensor.halo_gain, limits=sensor.limits)
+    noise = replace(halo, noise_grey=sensor.noise_grey)
+    return dict(zip(SENSOR_STEPS, (off, psf, halo, noise, sensor), strict=True))

@@ -24,7 +24,6 @@ from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import Fragments, SampleGrid, fragments_of, nearest_fragments
 from infrablend.core.render import Image32, RenderResult, empty_result
 from infrablend.core.scene import Appearance
-from infrablend.rendering.crop import crop_of
 from infrablend.rendering.surfaces import ZERO_C_K, corner_normals, is_two_sided, surface_values
 
 # Samples along a pixel's side. Large objects have a smaller share of outlines, so they need fewer.
@@ -35,6 +34,8 @@ FRAGMENTS = 100_000
 BAND_FRAGMENTS = 50_000
 # As in the material: parts above are opaque.
 _OPAQUE = 0.9999
+# One pixel more than the projected outline, so that rounding loses nothing.
+CROP_MARGIN_PX = 1
 
 
 def only_emits(scene: PlacedScene) -> bool:
@@ -298,3 +299,23 @@ def _values_at(surfaces: _Surfaces, at: _Places, grid: SampleGrid, channels: sli
     base = value[:, 0] - slope_x * a[:, 0] - slope_y * a[:, 1]
     x, y, inverse_depth = at.x[:, None], at.y[:, None], at.inverse_depth[:, None]
     return np.asarray((base[number] + slope_x[number] * x + slope_y[number] * y) / inverse_depth)
+
+
+def crop_of(scene: PlacedScene) -> tuple[int, int, int, int] | None:
+    """Return the smallest pixel rectangle x0, y0, x1, y1 that contains all objects in the frame; None if none is."""
+    w, h = scene.spec.camera.size_wh
+    lows, highs = [], []
+    for placed in scene.objects:
+        xy, depth = placed.xy, placed.depth_m
+        if (depth <= 0.01).any():
+            if (depth <= 0.01).all():
+                continue
+            return (0, 0, w, h)  # reaches behind the camera, so its outline is unbounded
+        lows.append(xy.min(axis=0))
+        highs.append(xy.max(axis=0))
+    if not lows:
+        return None
+    low, high = np.min(lows, axis=0), np.max(highs, axis=0)
+    x0, y0 = (max(0, math.floor(v) - CROP_MARGIN_PX) for v in low)
+    x1, y1 = min(w, math.ceil(high[0]) + CROP_MARGIN_PX), min(h, math.ceil(high[1]) + CROP_MARGIN_PX)
+    return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None

@@ -1,6 +1,8 @@
 """Values of an object's surfaces at the corners of its faces; every renderer that interpolates them uses these.
 
 Arrays have one value per face corner, (3T,), in the order of `mesh.triangles.ravel()`.
+
+`ground_radiance` is the radiance of ground that objects warm, against which renderers measure its glow.
 """
 
 from __future__ import annotations
@@ -9,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
-from infrablend.core.placed import PlacedObject
+from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import SceneSpec
+from infrablend.thermal.radiometry import band_radiance
 
 ZERO_C_K = 273.15
 _WAVES = np.array([[1.6, 0.7, 0.4], [-0.9, 1.7, 0.6], [0.5, -1.1, 2.0], [2.6, 1.9, -1.3]])
@@ -110,3 +113,16 @@ def _pattern(mesh: Mesh, amplitude_k: float, seed: int) -> NDArray[np.float32]:
     extent = max(float(mesh.size_m.max()), 1e-9)
     waves = np.cos(mesh.vertices_m @ (_WAVES.T * (2 * np.pi / extent)) + phase)
     return np.asarray(amplitude_k * waves.mean(axis=1), np.float32)
+
+
+def ground_radiance(scene: PlacedScene) -> float | None:
+    """Return the radiance of ground at air temperature if all translucent parts of the scene are ground that glows.
+
+    None if there is no such part, or if the scene has other parts without a label: a render does not separate them.
+    """
+    weather = scene.spec.weather
+    unlabelled = [s for o in scene.objects for n in o.mesh.part_names if not (s := o.spec.parts[n]).label]
+    separable = bool(unlabelled) and all(s.glow for s in unlabelled)
+    if weather is None or not separable:
+        return None
+    return float(band_radiance(weather.air_k))

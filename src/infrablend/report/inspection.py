@@ -277,15 +277,8 @@ def write_charts(facts: Inspection, path: Path) -> Path:
     counts, sizes, coverage, times = figure.subplots(2, 2).ravel()
     names = list(facts.classes)
     splits = list(facts.splits)
-    colours: dict[str, str] = dict(zip(SPLITS, ("#30638e", "#edae49", "#b23a48"), strict=True))
 
-    left = np.zeros(len(names))
-    for split in splits:
-        values = np.array([facts.classes[n][split] for n in names], np.float64)
-        counts.barh(range(len(names)), values, left=left, label=split, color=colours[split])
-        left = left + values
-    counts.set_yticks(range(len(names)), _plain(names))
-    counts.invert_yaxis()
+    _stacked_bars(counts, _plain(names), {s: [facts.classes[n][s] for n in names] for s in splits})
     counts.set(title="Objects by class", xlabel="objects")
     if splits and names:
         counts.legend()
@@ -309,18 +302,24 @@ def write_charts(facts: Inspection, path: Path) -> Path:
     coverage.set(title="Images by pitch and altitude", xlabel="altitude", ylabel="pitch below the horizon")
 
     kinds = [k for k in ("day", "night", UNKNOWN) if any(k in of for of in facts.time_of_day.values())]
-    left = np.zeros(len(kinds))
-    for split in splits:
-        values = np.array([facts.time_of_day[split].get(k, 0) for k in kinds], np.float64)
-        times.barh(range(len(kinds)), values, left=left, label=split, color=colours[split])
-        left = left + values
-    times.set_yticks(range(len(kinds)), kinds)
-    times.invert_yaxis()
+    _stacked_bars(times, kinds, {s: [facts.time_of_day[s].get(k, 0) for k in kinds] for s in splits})
     times.set(title="Images by time of day", xlabel="images")
 
     out = io.BytesIO()
     figure.savefig(out, format="png")
     return write_bytes(path, out.getvalue())
+
+
+def _stacked_bars(axis: Any, names: Sequence[str], counts: Mapping[str, Sequence[int]]) -> None:
+    """Draw a bar per name, from the top; `counts` holds the number of each name by split."""
+    colours: dict[str, str] = dict(zip(SPLITS, ("#30638e", "#edae49", "#b23a48"), strict=True))
+    left = np.zeros(len(names))
+    for split, found in counts.items():
+        values = np.array(found, np.float64)
+        axis.barh(range(len(names)), values, left=left, label=split, color=colours[split])
+        left = left + values
+    axis.set_yticks(range(len(names)), names)
+    axis.invert_yaxis()
 
 
 def _plain(names: Sequence[str]) -> list[str]:

@@ -18,7 +18,7 @@ from infrablend.core.files import load_json, write_bytes, write_json, write_text
 from infrablend.core.output import require_replaceable
 from infrablend.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_COMPARED, MIN_LEAST_RATIO
 from infrablend.report.figures import compact, interval, markdown_table, plot_text
-from infrablend.report.realism_tables import (
+from infrablend.report.realism import (
     AS_WRITTEN,
     CHECK_HEAD,
     LOOSENESS_HEAD,

@@ -20,8 +20,7 @@ from infrablend.config.recipe import MetricObject, MetricRecipe, RealGround
 from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.ground_lines import find_ground_lines
-from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
+from infrablend.core.ground_plane import at_height, find_ground_lines, ground_point, ground_z_m, pixel_ray
 from infrablend.core.margin import on_margin
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import SceneSpec, View

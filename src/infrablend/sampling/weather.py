@@ -11,8 +11,7 @@ from infrablend.config.recipe import Environment, SkyEnvironment
 from infrablend.core.rng import stream
 from infrablend.core.scene import Sun, Weather
 from infrablend.sampling.site import FrameKey
-from infrablend.thermal.sky import dew_point
-from infrablend.thermal.sun import irradiance, sun_position, time_of
+from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
 
 ZERO_C_K = 273.15
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError
-from infrablend.evaluation.files import RECORD
+from infrablend.evaluation.detections import RECORD
 from infrablend.report.evaluation import HEAD, STRATA, table_rows
 from infrablend.report.figures import compact, decimals, interval
 

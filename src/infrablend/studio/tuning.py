@@ -1,4 +1,4 @@
-"""A recipe being tuned: settings over a recipe, one frame of it at a time from a warm renderer, saved as YAML."""
+"""A recipe being tuned: what to tune, settings over it, one frame at a time from a warm renderer, saved as YAML."""
 
 from __future__ import annotations
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import cxcywha_of_corners
 from infrablend.evaluation.detections import Detections, Task
 from infrablend.evaluation.figures import Case
-from infrablend.evaluation.matching import IOUS
-from infrablend.evaluation.overlap import overlaps
+from infrablend.evaluation.matching import IOUS, overlaps
 from infrablend.evaluation.truth import Truth
 from infrablend.training.environment import quiet_ultralytics
 

@@ -191,6 +191,76 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
+class _Progress:
+    """Callbacks of Ultralytics' trainer: they check the loaded data, fix the seeds, and report and keep progress."""
+
+    def __init__(self, job: Job, checkpoint: Path, say: Any) -> None:
+        self._job, self._checkpoint, self._say = job, checkpoint, say
+        self._steps, self._next_s = 0, 0.0
+        self._loaded: dict[str, int] = {}
+
+    def gate(self, t: Any) -> None:
+        """Refuse to train on other images and labels than those that were prepared."""
+        job, log = self._job, self._checkpoint.with_name(LOG)
+        images, labels = _loaded(t.train_loader)
+        shown = len(t.train_loader.sampler)
+        val = _loaded(t.test_loader) if job.val_images else (0, 0)
+        self._loaded.update(images=images, labels=labels, images_per_epoch=shown)
+        if job.val_images:
+            self._loaded.update(val_images=val[0], val_labels=val[1])
+        if (images, labels) != (job.images, job.labels) or shown != job.shown or shown * job.epochs < job.images:
+            raise _IncompleteDataError(
+                f"of {job.images} images and {job.labels} labels the trainer would use "
+                f"{min(images, shown * job.epochs)} and {labels}; its log lists those it left out ({log})"
+            )
+        if val != (job.val_images, job.val_labels):
+            raise _IncompleteDataError(
+                f"of {job.val_images} images and {job.val_labels} labels of split val, which decides when to stop, "
+                f"the trainer would use {val[0]} and {val[1]}; its log lists those it left out ({log})"
+            )
+
+    def reseed(self, t: Any) -> None:
+        """Seed all generators by the job and the epoch: a resumed run draws the same as an uninterrupted one."""
+        import numpy as np
+        import torch
+
+        self._steps = 0
+        seed = (self._job.seed * 100_003 + t.epoch) % 2**31
+        random.seed(seed)
+        np.random.seed(seed)  # noqa: NPY002 - Ultralytics draws from it
+        torch.manual_seed(seed)
+        if getattr(t.train_loader, "generator", None) is not None:
+            t.train_loader.generator.manual_seed(seed)
+
+    def step(self, t: Any) -> None:
+        """Report the images shown, once a second."""
+        self._steps += 1
+        if time.monotonic() >= self._next_s:
+            self._next_s = time.monotonic() + 1.0
+            shown = self._job.shown
+            # The batch of the loader, which is smaller if there are fewer images.
+            done = t.epoch * shown + min(self._steps * t.train_loader.batch_size, shown)
+            self._say("step", epoch=t.epoch + 1, epochs=t.epochs, images=min(done, t.epochs * shown),
+                      losses=_rounded(t.tloss, 4))  # fmt: skip
+
+    def saved(self, t: Any) -> None:
+        """Write the checkpoint, with the progress in it, and report the epoch."""
+        import torch
+
+        job, losses, batch = self._job, _rounded(t.tloss, 5), t.train_loader.batch_size
+        reached = Reached(t.epoch + 1, bool(t.stop), dict(self._loaded), losses, batch, t.batch_size != job.batch)
+        beside = self._checkpoint.with_name(NEW_CHECKPOINT)
+        with replace_atomically(self._checkpoint, beside=beside, durable=True) as temporary:
+            state_of_epoch = torch.load(t.last, map_location="cpu", weights_only=False)
+            torch.save({**state_of_epoch, REACHED: asdict(reached)}, temporary)
+        self._say("epoch", epoch=t.epoch + 1, epochs=t.epochs, batch=batch, losses=losses,
+                  metrics=_rounded(t.metrics, 5) if job.patience else {})  # fmt: skip
+
+
+def _rounded(values: Any, digits: int) -> dict[str, float]:
+    return {k: round(float(v), digits) for k, v in (values or {}).items()}
+
+
 def _train(job: Job, say: Any) -> None:
     out = Path(job.out)
     configure_ultralytics(out / ULTRALYTICS)
@@ -232,11 +302,11 @@ def _train(job: Job, say: Any) -> None:
     if begun.epochs:
         overrides["resume"] = str(checkpoint)
     trainer = Trainer(overrides=overrides)
-    callbacks = _Callbacks(job, checkpoint, torch, say)
-    trainer.add_callback("on_pretrain_routine_end", callbacks.require_all_loaded)
-    trainer.add_callback("on_train_epoch_start", callbacks.reseed)
-    trainer.add_callback("on_train_batch_end", callbacks.tell_step)
-    trainer.add_callback("on_model_save", callbacks.keep_checkpoint)
+    progress = _Progress(job, checkpoint, say)
+    trainer.add_callback("on_pretrain_routine_end", progress.gate)
+    trainer.add_callback("on_train_epoch_start", progress.reseed)
+    trainer.add_callback("on_train_batch_end", progress.step)
+    trainer.add_callback("on_model_save", progress.saved)
     precision = "float32"
     with contextlib.ExitStack() as stack:
         if on_cpu and has_fast_bfloat16(torch):
@@ -355,8 +425,7 @@ def _last_checkpoint(checkpoint: Path, torch: Any, say: Any) -> Reached:
 
 def _read_checkpoint(checkpoint: Path, torch: Any) -> Reached:
     content = torch.load(checkpoint, map_location="cpu", weights_only=False)
-    known = content.get(REACHED) or {"epochs": int(content["epoch"]) + 1}  # earlier versions wrote the epoch only
-    return Reached(**known)
+    return Reached(**content[REACHED])
 
 
 @contextlib.contextmanager

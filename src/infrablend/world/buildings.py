@@ -10,9 +10,8 @@ import numpy as np
 from infrablend.assets import shapes
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray
-from infrablend.world.draws import Draws
+from infrablend.world.setting import Draws, Weather
 from infrablend.world.surfaces import GLASS, PAINT, ROOF, WALL, Surface, SurfaceBuilder, quad
-from infrablend.world.weather import Weather
 
 RoofKind = Literal["flat", "gable", "arrays"]
 # All entries equally likely.

@@ -1,10 +1,15 @@
-"""One frame of the virtual world: its image on disk, its labels and its entry in `world.json`."""
+"""One frame of the virtual world: its image on disk, its labels and its entry in `world.json`.
+
+As the radiometric JPEG file of a camera, a frame is part of a made-up flight off the card.
+"""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -18,18 +23,29 @@ from infrablend.core.rng import stream
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.formats import monet
 from infrablend.formats.images import png_bytes
-from infrablend.world.camera_files import camera_file
+from infrablend.formats.rjpeg.writing import PLANCK, Shot, radiometric_jpeg
+from infrablend.thermal.flir import ObjectSettings
 from infrablend.world.frames import FrameFacts, telemetry_of
 from infrablend.world.labels import Label
 from infrablend.world.plan import WorldPlan
 from infrablend.world.sampling import sample_world
-from infrablend.world.thermal_image import jpeg_bytes, radiometric_frame, thermal_frame, tiff_bytes
+from infrablend.world.thermal_image import jpeg_bytes, optics, radiometric_frame, thermal_frame, tiff_bytes
 
 CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
 
+# Scale of the made-up DJI counts. Real cameras do not state theirs.
+DJI_SCALE = TemperatureScale(0.02, -20.0)
+_PLACE = (46.2, 15.1)
+# Local time of the first frame, hours ahead of UTC, and seconds between frames.
+_START, _ZONE_H, _STEP_S = datetime(2026, 1, 12, 5, 0), 1, 20
+# Blur of the lens, and noise of one reading.
+_BLUR_PX, _NOISE_K = 0.6, 0.04
+# Every second frame has the laser's distance.
+_LASER_EVERY = 2
+
 
 class PlanRenderer(Protocol):
-    """Renderer of a plan; Blender's is `infrablend.blender.world.renderer.WorldRenderer`."""
+    """Renderer of a plan; Blender's is `infrablend.blender.world.WorldRenderer`."""
 
     def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
         """Return the (h, w) temperatures of a frame in kelvin, and a label for every thing that has a class."""
@@ -148,3 +164,35 @@ def _facts(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label]) -> dict[
             for label in labels
         ],
     }
+
+
+def camera_file(
+    frame: FrameFacts,
+    plan: WorldPlan,
+    kelvin: NDArray[np.float32],
+    grey: NDArray[np.uint8],
+    rng: np.random.Generator,
+) -> bytes:
+    """Return the radiometric JPEG of a frame: its picture, its temperatures as raw counts, and how it was taken."""
+    if frame.maker is None:
+        raise ValueError(f"{frame.name}: no maker of a camera")
+    camera = plan.camera
+    w, h = camera.size_wh
+    captured = _START + timedelta(seconds=_STEP_S * frame.number)
+    shot = Shot(
+        pitch_deg=frame.pitch_deg,
+        altitude_m=frame.altitude_m,
+        captured=captured,
+        # Of the same diagonal: the focal length in units of the picture's diagonal, times that of the film.
+        focal_length_35mm=camera.focal_px / math.hypot(w, h) * math.hypot(36, 24),
+        place=(_PLACE[0] + 1e-4 * frame.number, _PLACE[1]),
+        laser_m=frame.altitude_m / math.sin(math.radians(frame.pitch_deg)) if frame.number % _LASER_EVERY else None,
+        utc=captured - timedelta(hours=_ZONE_H),
+        settings=ObjectSettings(reflected_k=plan.air_k, air_k=plan.air_k),
+    )
+    seen = optics(kelvin, _BLUR_PX) + _NOISE_K * rng.standard_normal(kelvin.shape).astype(np.float32)
+    if frame.maker == "dji":
+        counts = DJI_SCALE.counts(seen)
+    else:
+        counts = np.clip(np.rint(PLANCK.counts(seen.astype(np.float64))), 0, 65_535).astype(np.uint16)
+    return radiometric_jpeg(frame.maker, grey, counts, shot)

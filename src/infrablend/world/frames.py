@@ -15,7 +15,7 @@ from infrablend.core.rng import stream
 from infrablend.errors import Problem, RecipeError
 from infrablend.formats.rjpeg.writing import Maker
 from infrablend.world.plan import PlaceKind
-from infrablend.world.view import SIZE_WH
+from infrablend.world.setting import SIZE_WH
 
 PITCHES_DEG = (30, 40, 50, 60, 70, 80, 90)
 ALTITUDES_M = (60, 70, 80, 90, 100, 110, 120, 130)

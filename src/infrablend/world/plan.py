@@ -13,12 +13,9 @@ from typing import Literal
 from infrablend.core.camera import CameraSpec
 from infrablend.core.capture import TimeOfDay
 from infrablend.world.buildings import Building
-from infrablend.world.cycles import Cycle
-from infrablend.world.furniture import Furniture
-from infrablend.world.ground_cover import GroundMaterial, Patch
-from infrablend.world.people import Person
-from infrablend.world.roads import Road
-from infrablend.world.trees import Tree
+from infrablend.world.fixtures import Furniture, Tree
+from infrablend.world.ground_cover import GroundMaterial, Patch, Road
+from infrablend.world.people import Cycle, Person
 from infrablend.world.vehicles import Vehicle
 
 PlaceKind = Literal["street", "parking", "court", "park", "runway", "dirtroad"]

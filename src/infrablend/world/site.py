@@ -8,16 +8,11 @@ import numpy as np
 
 from infrablend.core.camera import CameraSpec
 from infrablend.world.buildings import Building, draw_building
-from infrablend.world.cycles import Cycle, draw_cycle
-from infrablend.world.draws import Draws
-from infrablend.world.furniture import Furniture
-from infrablend.world.ground_cover import Patch
-from infrablend.world.people import EVERYDAY_POSES, Person, Pose, draw_person
-from infrablend.world.roads import Road
-from infrablend.world.trees import Tree, TreeKind, draw_tree, draw_tree_size
+from infrablend.world.fixtures import Furniture, Tree, TreeKind, draw_tree, draw_tree_size
+from infrablend.world.ground_cover import Patch, Road
+from infrablend.world.people import EVERYDAY_POSES, Cycle, Person, Pose, draw_cycle, draw_person
+from infrablend.world.setting import Draws, Weather, ground_points
 from infrablend.world.vehicles import Vehicle, VehicleKind, draw_vehicle
-from infrablend.world.view import ground_points
-from infrablend.world.weather import Weather
 
 
 class Site:

@@ -11,9 +11,8 @@ import numpy as np
 from infrablend.assets import shapes
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray
-from infrablend.world.draws import Draws
+from infrablend.world.setting import Draws, Weather
 from infrablend.world.surfaces import GLASS, PAINT, RUBBER, Surface, SurfaceBuilder, triangle_centres
-from infrablend.world.weather import Weather
 
 Position = tuple[float, float, float]  # x, y, heading
 VehicleKind = Literal["sedan", "suv", "van", "bus", "truck"]
@@ -101,9 +100,14 @@ def vehicle(v: Vehicle) -> Surface:
 
 
 def _car(p: SurfaceBuilder, v: Vehicle) -> None:
+    rise = v.height_m / (1.46 if v.kind == "sedan" else 1.66)
+    _car_body(p, v, rise)
+    _car_cabin(p, v, rise)
+
+
+def _car_body(p: SurfaceBuilder, v: Vehicle, rise: float) -> None:
     half, length = v.width_m / 2, v.length_m
     stations = _SEDAN if v.kind == "sedan" else _SUV
-    rise = v.height_m / (1.46 if v.kind == "sedan" else 1.66)
     # Sections of the body from the rear: sill, flank, shoulder, deck; symmetric.
     section = np.array([(0.86, 0.0), (1.0, 0.22), (1.0, 0.62), (0.95, 0.90), (0.80, 1.0), (0.4, 1.03)], np.float64)
     rings = []
@@ -125,7 +129,11 @@ def _car(p: SurfaceBuilder, v: Vehicle) -> None:
     _warm_flanks(kelvin, body, v)
     kelvin[centre[:, 2] < 0.3] = v.under_k
     p.add(body, kelvin, PAINT, v.solar_k)
-    # The cabin: glass between belt line and roof.
+
+
+def _car_cabin(p: SurfaceBuilder, v: Vehicle, rise: float) -> None:
+    """Add the cabin, glass between belt line and roof, and the mirrors."""
+    half, length = v.width_m / 2, v.length_m
     if v.kind == "sedan":
         base, roof = (-0.36, 0.24), (-0.22, 0.07)
         belt = 0.95 * rise

@@ -11,8 +11,8 @@ import pytest
 
 from infrablend.assets import camera_quad, drones, fixed_wing, hexacopter, racer
 from infrablend.assets.catalogue import load_model
-from infrablend.assets.dials import Choice, Number
-from infrablend.assets.rotors import DISC_RINGS
+from infrablend.assets.params import Choice, Number
+from infrablend.assets.rotors import DISC_RINGS, OUTSIDE_ORIGIN_BOX
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
@@ -52,7 +52,7 @@ def test_drawn_mesh_is_sound_and_centred(module: ModuleType, k: int) -> None:
     corners = mesh.vertices_m[mesh.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     assert area.min() > 1e-8 * size**2
-    box = points(mesh, without=tuple(module.OUTSIDE_ORIGIN_BOX))
+    box = points(mesh, without=tuple(OUTSIDE_ORIGIN_BOX))
     assert box.min(axis=0) + box.max(axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
     assert (mesh.size_m < 2.0 * size).all()
 

@@ -6,7 +6,7 @@ from fnmatch import fnmatchcase
 
 import pytest
 
-from infrablend.assets.materials import MATERIALS
+from infrablend.assets.model import MATERIALS
 from infrablend.assets.part_roles import ROLES, guess_roles, patterns
 from infrablend.assets.user_model import GroupFacts, UserPart
 

@@ -6,6 +6,7 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
+from infrablend.realism.surroundings import BANDS_PX, largest_changes
 from PIL import Image
 
 from infrablend import api
@@ -34,7 +35,6 @@ from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.config.recipe import Sensor as SensorFields
 from infrablend.config.sensor_profile import PROFILES
 from infrablend.core.render import RenderResult
-from infrablend.realism.surroundings import BANDS_PX, largest_changes
 from infrablend.rendering.flat import FlatRenderer
 from infrablend.sampling.scene import rebuild_scene
 from tests.run_files import records

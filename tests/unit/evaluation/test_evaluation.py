@@ -16,14 +16,19 @@ from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError
-from infrablend.evaluation.bootstrap import draw_images, drawn_figures, interval, paired
 from infrablend.evaluation.coco import coco_precisions
-from infrablend.evaluation.confusion import confusion_matrix
 from infrablend.evaluation.detections import Predictions, detections, read_predictions, write_predictions
-from infrablend.evaluation.matching import match_all, size_bins
-from infrablend.evaluation.overlap import quad_areas, quad_intersections
-from infrablend.evaluation.precision import average_precisions, operating_point, precision_by_recall
-from infrablend.evaluation.strata import image_strata
+from infrablend.evaluation.figures import confusion_matrix, image_strata
+from infrablend.evaluation.matching import match_all, quad_areas, quad_intersections, size_bins
+from infrablend.evaluation.precision import (
+    average_precisions,
+    draw_images,
+    drawn_figures,
+    interval,
+    operating_point,
+    paired,
+    precision_by_recall,
+)
 from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, match_classes, truths
 from tests.polygons import polygon_iou
 

@@ -35,8 +35,7 @@ from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentR
 from infrablend.pipeline.experiments.results import check_claim
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
 from infrablend.pipeline.request import Execution
-from infrablend.report.results.differences import list_differences
-from infrablend.report.results.page import page_text
+from infrablend.report.results.page import list_differences, page_text
 from infrablend.report.results.write import write_page
 from infrablend.training.request import TrainRequest
 

@@ -16,9 +16,8 @@ from infrablend import api
 from infrablend.errors import Problem
 from infrablend.report.run import page
 from infrablend.report.run.charts import bin_edges
-from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
+from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts, removed_crops
 from infrablend.report.run.page import run_page
-from infrablend.report.run.removed import removed_crops
 from tests.command_line import done
 from tests.flat_renderer import render_flat
 from tests.run_files import frame_ids, without_times

@@ -16,13 +16,13 @@ from infrablend.errors import OutputError
 from infrablend.pipeline.profile_objects import ObjectReadings, annotated_pictures, object_figures, read_objects
 from infrablend.realism.contrasts import (
     ObjectContrast,
+    bound_local_share,
     compare_contrasts,
     contrast_checks,
     contrast_figures,
     object_contrast,
     slope_within_images,
 )
-from infrablend.realism.local_share import bound_local_share
 from infrablend.realism.looseness import BoxExtent, box_extent, looseness, looseness_against
 from infrablend.report.realism_page import add_to_page
 

@@ -21,11 +21,17 @@ from infrablend.errors import DatasetError, MissingDependencyError, OutputError
 from infrablend.pipeline.compare_objects import ComparisonRequest, measure_populations
 from infrablend.pipeline.measure_objects import MeasuringSettings, ObjectMeasurer, PictureJob
 from infrablend.realism import class_comparison, classify, controls, features, nets
-from infrablend.realism.class_comparison import compare_class, validity
-from infrablend.realism.distance import dct_features, mmd, standardised
+from infrablend.realism.class_comparison import (
+    CALIPER_OCTAVES,
+    compare_class,
+    dct_features,
+    mmd,
+    pair_by_size,
+    standardised,
+    validity,
+)
+from infrablend.realism.controls import SENSOR_STEPS, sensor_steps
 from infrablend.realism.features import FEATURES, MEASURES, Labels, measure, reason_not_measured
-from infrablend.realism.pairing import CALIPER_OCTAVES, pair_by_size
-from infrablend.realism.sensor_steps import SENSOR_STEPS, sensor_steps
 
 BOX = np.array([52.0, 52.0, 76.0, 76.0])
 

@@ -15,8 +15,7 @@ from infrablend.config.modes import modes_of
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.pipeline.request import Execution
 from infrablend.pipeline.trial import TrialRequest, gain_words
-from infrablend.studio.by_hand import Move, can_move, moved, origin_px, released
-from infrablend.studio.recipe_form import FormField, fitting, form_of
+from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
 from infrablend.studio.tuning import Tuning
 
 FLAT = Execution(renderer="flat", in_process=True)

@@ -14,18 +14,16 @@ from hypothesis import strategies as st
 from infrablend.core.rng import stream
 from infrablend.errors import RecipeError
 from infrablend.world import TOWN, WorldPlan, plan_frames, plan_sequences, sample_world
-from infrablend.world.cycles import cycle
+from infrablend.world.fixtures import tree_prototype
 from infrablend.world.frames import telemetry_of
 from infrablend.world.ground import ground_kelvin
-from infrablend.world.ground_cover import Patch
+from infrablend.world.ground_cover import Patch, Road
 from infrablend.world.labels import VisibleSamples, label_object, silhouette_area_px
-from infrablend.world.people import Person, person
-from infrablend.world.roads import Road
+from infrablend.world.people import Person, cycle, person
+from infrablend.world.setting import ground_points, world_camera
 from infrablend.world.surfaces import placed
 from infrablend.world.thermal_image import HIGH_GREY, LOW_GREY, gain, noise, thermal_frame
-from infrablend.world.trees import tree_prototype
 from infrablend.world.vehicles import vehicle
-from infrablend.world.view import ground_points, world_camera
 
 
 def plan(

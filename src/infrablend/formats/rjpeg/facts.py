@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
-from infrablend.core.camera_angles import is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
+from infrablend.core.camera import is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg import lens
 from infrablend.formats.rjpeg.dji import has_raw_layer

@@ -14,8 +14,8 @@ from typing import Any
 
 from infrablend.config.experiment import Generate
 from infrablend.config.loading import read_recipe
-from infrablend.core.cores import available_cores
 from infrablend.core.files import read_object
+from infrablend.core.machine import available_cores
 from infrablend.core.workspace import partial_of
 from infrablend.pipeline.experiments import training_setup
 from infrablend.pipeline.experiments.graph import OTHER_SCALES

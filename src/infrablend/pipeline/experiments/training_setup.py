@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from infrablend.config.experiment import Training
-from infrablend.core.cores import available_cores
+from infrablend.core.machine import available_cores
 from infrablend.errors import InfraBlendError
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.core.camera_angles import STRAIGHT_DOWN_DEG
+from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.errors import Problem
 from infrablend.formats.flight import FOR_ALL, time_of_day
 from infrablend.formats.flight_log import FIELDS, Coverage, Sampled

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from infrablend.core.cores import available_cores
 from infrablend.core.dataset import Dataset
+from infrablend.core.machine import available_cores
 from infrablend.core.workspace import Existing, partial_of, workspace
 from infrablend.errors import OutputError, Problem
 from infrablend.pipeline.training.data import most_tiles, select_training_data

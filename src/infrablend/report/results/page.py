@@ -1,6 +1,7 @@
 """The page of an experiment: tables with the paper's figures beside ours, conclusions, differences, charts, times.
 
-Everything comes from the results' JSON, nothing from the clock or the disk: the same JSON gives the same bytes.
+Everything comes from the results' JSON, nothing from the clock or the disk: the same JSON gives the same bytes. Data,
+renderer, trainings, boxes and scale that differ from the paper's are listed in a line each.
 """
 
 from __future__ import annotations
@@ -9,21 +10,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from infrablend.annotation.looseness import looseness_text
+from infrablend.core.dataset import SPLITS
 from infrablend.report.evaluation import FOUND_HEAD, found_rows, found_title
 from infrablend.report.figures import markdown_table
-from infrablend.report.results.differences import list_differences
-from infrablend.report.results.text import (
-    INDEX_FILE,
-    METRICS,
-    PAGE_MARK,
-    class_order,
-    count,
-    duration,
-    figure,
-    page_name,
-    paper_and_ours,
-    run_state,
-)
 
 _STRATA = {"size": "longer side, px", "pitch": "camera pitch, °", "altitude": "altitude, m", "time": "time of day"}
 _EXPECTED = {
@@ -34,6 +24,12 @@ _EXPECTED = {
     "at_least": "ratio of at least {least:g}",
     "report": "reported, no verdict",
 }
+INDEX_FILE = "index.md"
+PAGE_MARK = "This command writes the page:"
+"""Words of every page of an experiment, by which a later call knows that it may replace it."""
+UNFINISHED_END = "-unfinished"
+"""End of the name of an unfinished run's page beside a complete one."""
+METRICS = {"p": "P", "r": "R", "map50": "mAP50", "map50_95": "mAP50-95"}
 
 
 def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), stem: str | None = None) -> str:
@@ -268,3 +264,136 @@ def _provenance(facts: Mapping[str, Any]) -> str:
     lines += [f"* versions: {versions}"] if versions else []
     lines += [f"* seed: {facts['seed']}", f"* commit: {', '.join(facts['commits']) or 'not a checkout'}"]
     return "\n".join(lines)
+
+
+def page_name(experiment: str, scale: str) -> str:
+    """Return the stem of an experiment's files: its name, followed by the scale unless that is `small`."""
+    return experiment if scale == "small" else f"{experiment}-{scale}"
+
+
+def run_state(facts: Mapping[str, Any]) -> str:
+    """Return the state of a run; if some datasets were not given, it is complete only for the others."""
+    some_left_out = facts["status"] == "complete" and facts["left_out"]
+    return "complete for the data at hand" if some_left_out else str(facts["status"])
+
+
+def paper_and_ours(paper: str | None, ours: str | None) -> str:
+    """Return `paper → ours`, or ours alone where the paper has no figure."""
+    return f"{paper or '-'} → {ours or '-'}" if paper else ours or "-"
+
+
+def count(n: int | None) -> str | None:
+    """Return a whole number with separators, or None."""
+    return None if n is None else f"{n:,}"
+
+
+def figure(x: float | None) -> str | None:
+    """Return a figure with three decimals, or None."""
+    return None if x is None else f"{x:.3f}"
+
+
+def duration(seconds: float) -> str:
+    """Return seconds, minutes, or hours and minutes."""
+    if seconds < 60:
+        return f"{seconds:.1f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02} min"
+
+
+def class_order(name: str) -> tuple[bool, str]:
+    """Return the sorting key of a class name: `all` first, then alphabetically."""
+    return name != "all", name.casefold()
+
+
+def list_differences(facts: Mapping[str, Any]) -> list[str]:
+    """Return the differences from the paper, one line each."""
+    return [*_sources(facts), *_trainings(facts), *_boxes(facts), *_scale(facts)]
+
+
+def _sources(facts: Mapping[str, Any]) -> Iterator[str]:
+    for s in facts["sources"].values():
+        paper, ours, whole = s["paper_images"], s["images"], s["whole"]
+        if s["stand_in"]:
+            yield f"**{s['title']} was not given: a rendered virtual world stands in for it** ({_per_split(ours)})."
+            continue
+        line = f"{s['title']}: {_per_split(ours)}"
+        if ours != whole:
+            line += f", a part of the {sum(whole.values()):,} images that were given"
+        if paper and paper != ours:
+            line += f"; paper {_per_split(paper)}"
+        yield line + (", as in the paper." if paper and paper == ours else ".")
+    if facts["renderer"] != "blender":
+        yield f"Objects are drawn by the renderer `{facts['renderer']}` as flat shapes: this is a test run."
+
+
+def _trainings(facts: Mapping[str, Any]) -> Iterator[str]:
+    alike: dict[str, list[str]] = {}
+    for name, t in facts["trainings"].items():
+        alike.setdefault(_training(t), []).append(name)
+    for text, names in alike.items():
+        yield f"Detector {', '.join(names)}: {text}"
+    starts = {n: (t.get("start") or {}).get("kind") for n, t in facts["trainings"].items()}
+    if len(set(starts.values())) > 1:
+        which = ", ".join(f"{n} {kind}" for n, kind in sorted(starts.items()))
+        yield f"**The detectors started from different weights, so their differences mean little**: {which}."
+
+
+def _boxes(facts: Mapping[str, Any]) -> Iterator[str]:
+    loosened: dict[str, int] = {}
+    for s in facts["stages"]:
+        # A later step that only hands the boxes on does not repeat how they were changed.
+        if s.get("boxes_loosened") and (text := looseness_text(s)):
+            loosened[text] = loosened.get(text, 0) + s["boxes_loosened"]
+    for text, n in sorted(loosened.items()):
+        yield (
+            f"The training boxes of {n:,} inserted objects are {text}, to match the boxes drawn by the "
+            "source's annotators; masks and images are unchanged."
+        )
+
+
+def _scale(facts: Mapping[str, Any]) -> Iterator[str]:
+    if not facts["trainings"]:
+        return
+    yield (
+        "Paper: YOLOv8s, learning rate 0.002, batch 64, 640 px, at most 1000 epochs, patience 100; optimizer and "
+        "start weights are not stated."
+    )
+    if facts["scale"] == "smoke":
+        yield "Scale `smoke`: a few training steps, to test that everything runs; the detectors' figures mean nothing."
+    elif facts["scale"] != "paper":
+        yield f"Scale `{facts['scale']}`: compare these figures with each other, not with the paper's."
+
+
+def _training(record: Mapping[str, Any]) -> str:
+    """Return a training in one line: images, network, length, start and time."""
+    settings, prepared, start = record.get("settings") or {}, record.get("prepared") or {}, record["start"]
+    parts = []
+    if pictures := prepared.get("pictures"):
+        of_paper = f" (paper: {record['paper_images']:,} for training)" if record.get("paper_images") else ""
+        parts.append(f"images {_per_split(pictures)}{of_paper}")
+    if settings.get("model"):
+        parts.append(settings["model"])
+    if settings.get("tile"):
+        count = (prepared.get("tiles") or {}).get("tiles")
+        parts.append(f"{'' if count is None else f'{count:,} '}tiles of {settings['tile']} px at native resolution")
+    if settings.get("image_size"):
+        parts.append(f"{settings['image_size']} px")
+    if record.get("batch"):
+        parts.append(f"batch {record['batch']}")
+    if record.get("passes"):
+        parts.append(f"{record['passes']:,} images shown in {record.get('epochs_done', '?')} epochs")
+    if record.get("seed"):
+        parts.append(f"seed {record['seed']}")
+    if start:
+        parts.append("from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}")
+        parts[-1] += f" ({start['why']})" if start.get("why") else ""
+    parts += [str(record[k]) for k in ("precision", "note") if record.get(k)]
+    if record.get("seconds"):
+        parts.append(f"trained in {duration(record['seconds'])}")
+    if record.get("adopted"):
+        parts.append("trained by a separate command and adopted: settings, seed, image and label counts match")
+    return "; ".join(parts) + "."
+
+
+def _per_split(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{s} {counts[s]:,}" for s in SPLITS if s in counts)

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from infrablend.report.figures import plot_text
-from infrablend.report.results.text import METRICS, class_order
+from infrablend.report.results.page import METRICS, class_order
 
 # Distinguishable for colour-blind readers.
 OURS, PAPER, FAINT = "#0072b2", "#d55e00", "#9a9a9a"

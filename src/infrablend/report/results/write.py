@@ -10,13 +10,26 @@ from typing import Any
 
 from infrablend.core.files import load_json, read_regular, write_bytes, write_json, write_text
 from infrablend.core.output import require_no_foreign
-from infrablend.report.results.index import INTRO, index_text
-from infrablend.report.results.page import page_text
+from infrablend.report.figures import markdown_table
+from infrablend.report.results.page import (
+    INDEX_FILE,
+    PAGE_MARK,
+    UNFINISHED_END,
+    figure,
+    page_name,
+    page_text,
+    paper_and_ours,
+    run_state,
+)
 from infrablend.report.results.plots import CHARTS, draw_plots
-from infrablend.report.results.text import INDEX_FILE, PAGE_MARK, UNFINISHED_END, page_name
 
 # Figures of the charts that the JSON does not keep.
 _NOT_KEPT = ("curves", "confusion")
+INTRO = (
+    "Each page is written by `infrablend experiment`, never by hand, and that includes negative and unfinished results."
+)
+_HOW_TO = Path("how_to/experiments.md")
+_REALISM = "realism.md"
 
 
 def require_own_pages(out: Path, experiment: str, scale: str) -> None:
@@ -92,3 +105,40 @@ def _facts_of(path: Path) -> Mapping[str, Any]:
     except (OSError, ValueError):
         return {}
     return facts if isinstance(facts, dict) else {}
+
+
+def index_text(out: Path) -> str:
+    """Return the page that lists all results in a folder, as Markdown."""
+    rows = []
+    for path in sorted(out.glob("*.json")):
+        try:
+            rows.append(_row(load_json(path), path.stem))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # not one of ours
+    intro = INTRO
+    if (out.parent / _HOW_TO).is_file():  # InfraBlend's own documentation
+        intro += f" How to run the experiments: [experiments](../{_HOW_TO.as_posix()})."
+    if (out / _REALISM).is_file():
+        intro += f" `infrablend realism` writes the page on [inserted and real objects side by side]({_REALISM})."
+    head = ["Experiment", "Scale", "Status", "First row, mAP50: paper → ours", "Conclusions that hold"]
+    return "\n\n".join(["# Results", intro, markdown_table(head, rows) if rows else "No results yet."]) + "\n"
+
+
+def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
+    verdicts = [c["holds"] for c in facts["checks"] if c["holds"] is not None]
+    return [
+        f"[{facts['title']}]({stem}.md)",
+        facts["scale"],
+        run_state(facts),
+        _headline(facts),
+        f"{verdicts.count(True)} of {len(verdicts)}" if verdicts else "-",
+    ]
+
+
+def _headline(facts: Mapping[str, Any]) -> str:
+    """Return the mAP50 of the first row of the first table."""
+    for table in facts["tables"]:
+        for r in table["rows"]:
+            ours = figure((r["ours"] or {}).get("map50"))
+            return f"{r['title']}: {paper_and_ours(figure(r['paper']['map50']), ours)}"
+    return "-"

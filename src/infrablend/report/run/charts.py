@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from infrablend.report.figures import compact
-from infrablend.report.run.facts import FrameFacts, InsertFacts
-from infrablend.report.run.filters import Filters
+from infrablend.report.run.facts import Filters, FrameFacts, InsertFacts
 
 BINS = 12
 MAP_WH = (8, 6)

@@ -18,10 +18,8 @@ from infrablend.errors import Problem
 from infrablend.report.figures import compact, human_seconds
 from infrablend.report.page import page_part, render_page
 from infrablend.report.run.charts import Chart, Share, frame_histogram, histogram, position_map, shares
-from infrablend.report.run.facts import Box, FrameFacts, InsertFacts, RunFacts
-from infrablend.report.run.filters import Filters
+from infrablend.report.run.facts import Box, Filters, FrameFacts, InsertFacts, RemovedCrop, RunFacts, removed_crops
 from infrablend.report.run.pictures import Crop, crop, read_levels, thumbnail
-from infrablend.report.run.removed import RemovedCrop, removed_crops
 
 LISTED = 10_000
 EMBEDDED = 1000

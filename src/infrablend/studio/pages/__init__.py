@@ -8,7 +8,7 @@ from starlette.responses import RedirectResponse, Response
 
 from infrablend.errors import InfraBlendError
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages import compare, layout, losses, review, run_routes, tune_pictures
+from infrablend.studio.pages import compare, layout, losses, review, routes
 from infrablend.studio.session import Session
 
 
@@ -35,7 +35,7 @@ def add_pages(session: Session) -> None:
 
 
 def _add_run_pages(session: Session, opened: OpenedRun) -> None:
-    run_routes.add_routes(opened)
+    routes.add_run_routes(opened)
 
     @ui.page("/review")
     def review_page(request: Request) -> None:
@@ -67,7 +67,7 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
 
 
 def _add_tune_page(session: Session) -> None:
-    pictures = tune_pictures.add_routes()
+    pictures = routes.add_tune_routes()
 
     @ui.page("/tune")
     def tune_page(request: Request) -> None:

@@ -17,8 +17,8 @@ from starlette.responses import Response
 from infrablend.errors import InfraBlendError
 from infrablend.studio.comparison import MEASURES, SORTS, Comparison, FramePair, PairView
 from infrablend.studio.frame_index import FrameRow
-from infrablend.studio.pages.layout import error_text, when_read
-from infrablend.studio.pages.run_routes import KEEP, answered
+from infrablend.studio.pages.layout import error_text, key_button, show_table, when_read
+from infrablend.studio.pages.routes import KEEP, answered
 
 _SIDES = ("a", "b")
 
@@ -146,17 +146,11 @@ class ComparePage:
 
     def _build_switches(self) -> None:
         with ui.element("div").classes("studio-row"):
-            self._button("Previous", lambda: self._list.run_method("step", -1), "P")
-            self._button("Next", lambda: self._list.run_method("step", 1), "N")
+            key_button("Previous", lambda: self._list.run_method("step", -1), "P")
+            key_button("Next", lambda: self._list.run_method("step", 1), "N")
             ui.switch("Divider", value=self._wipe, on_change=lambda e: self._set_wipe(e.value)).tooltip("W")
             for name, title in (("boxes", "Boxes"), ("originals", "Original objects")):
                 ui.switch(title, value=self._labels[name], on_change=lambda e, n=name: self._set_label(n, e.value))
-
-    @staticmethod
-    def _button(text: str, on_click: Any, key: str) -> None:
-        with ui.button(on_click=on_click).props("no-caps dense outline").classes("px-2"):
-            ui.label(text)
-            ui.html(f"<kbd>{key}</kbd>", sanitize=False).classes("ml-2")
 
     def _source(self) -> str:
         return "/compare/pairs?" + urlencode(self._view.to_query())
@@ -203,7 +197,7 @@ class ComparePage:
         self._place.clear()
         with self._place:
             self._build_pictures(pair, rows)
-            self._build_facts(rows)
+            show_table(("", "A", "B"), [[title, *values] for title, values in _facts(rows)])
 
     def _build_pictures(self, pair: FramePair, rows: tuple[FrameRow | None, FrameRow | None]) -> None:
         ui.label(pair.id).classes("verdict").props("role=status")
@@ -229,22 +223,6 @@ class ComparePage:
     def _address(self, side: str, number: int, row: FrameRow) -> str:
         words = {"d": row.digest[:12], **{k: int(v) for k, v in self._labels.items()}}
         return f"/compare/{side}/picture/{number}.png?{urlencode(words)}"
-
-    @staticmethod
-    def _build_facts(rows: tuple[FrameRow | None, FrameRow | None]) -> None:
-        with ui.element("div").classes("scroll-x"), ui.element("table").classes("plain"):
-            with ui.element("thead"), ui.element("tr"):
-                for name in ("", "A", "B"):
-                    with ui.element("th" if name else "td").props("scope=col" if name else ""):
-                        ui.label(name)
-            with ui.element("tbody"):
-                for title, values in _facts(rows):
-                    with ui.element("tr"):
-                        with ui.element("th").props("scope=row"):
-                            ui.label(title)
-                        for text in values:
-                            with ui.element("td"):
-                                ui.label(text)
 
     def _key(self, event: KeyEventArguments) -> None:
         held = event.modifiers

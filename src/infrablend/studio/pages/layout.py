@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from nicegui import app, ui
 from starlette.requests import Request
@@ -102,3 +103,45 @@ def error_text(error: InfraBlendError) -> str:
 def tell(error: InfraBlendError) -> None:
     """Show an error as a notification that stays until it is closed."""
     ui.notify(error_text(error), type="negative", multi_line=True, timeout=0, close_button="Close")
+
+
+def show_heading(level: int, text: str) -> None:
+    """Show a heading; the text is escaped."""
+    with ui.element(f"h{level}"):
+        ui.label(text)
+
+
+def show_table(head: Sequence[str], rows: Iterable[Sequence[str | tuple[str, str]]], classes: str = "plain") -> None:
+    """Show a table that scrolls sideways on its own; a cell is a text, or a text and the address that it links to.
+
+    If the first column has no name, its cells name the rows.
+    """
+    with ui.element("div").classes("scroll-x").props("tabindex=0"), ui.element("table").classes(classes):
+        with ui.element("thead"), ui.element("tr"):
+            for name in head:
+                with ui.element("th" if name else "td").props("scope=col" if name else ""):
+                    ui.label(name)
+        with ui.element("tbody"):
+            for row in rows:
+                with ui.element("tr"):
+                    for k, cell in enumerate(row):
+                        names_row = not k and not head[0]
+                        with ui.element("th" if names_row else "td").props("scope=row" if names_row else ""):
+                            ui.label(cell) if isinstance(cell, str) else ui.link(*cell)
+
+
+def key_button(text: str, on_click: Any, key: str) -> None:
+    """Show a button that names the key that does the same."""
+    # Without a focus of its own, so that keys go on to work after a click.
+    with ui.button(on_click=on_click).props("no-caps dense outline").classes("px-2"):
+        ui.label(text)
+        ui.html(f"<kbd>{key}</kbd>", sanitize=False).classes("ml-2")
+
+
+def show_picture(source: str, alt: str, caption: str) -> None:
+    """Show a picture with a caption; it is loaded when it comes into sight."""
+    with ui.element("figure"):
+        shown = ui.element("img").props("loading=lazy")
+        shown.props["alt"], shown.props["src"] = alt, source
+        with ui.element("figcaption").classes("faint"):
+            ui.label(caption)

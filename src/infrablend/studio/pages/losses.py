@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
+from typing import Any
 
 from nicegui import ui
 
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages.layout import when_read
+from infrablend.studio.pages.layout import show_table, when_read
 
 REASONS = {
     "covered": "covered completely by inserted objects",
@@ -31,24 +33,12 @@ def _show(run: OpenedRun) -> None:
     counts = Counter(str(loss.get("reason", "unknown")) for _, _, loss in found)
     for reason, count in counts.most_common():
         ui.label(f"{count} {REASONS.get(reason, reason)}")
-    with ui.element("div").classes("scroll-x"), ui.element("table").classes("plain"):
-        with ui.element("thead"), ui.element("tr"):
-            for name in ("Frame", "Class", "Reason", "Covered"):
-                with ui.element("th").props("scope=col"):
-                    ui.label(name)
-        with ui.element("tbody"):
-            for number, frame_id, loss in found[:_SHOWN]:
-                share = loss.get("covered_share")
-                cells = (
-                    str(loss.get("category", "")),
-                    REASONS.get(str(loss.get("reason")), str(loss.get("reason", ""))),
-                    f"{100 * share:.0f} %" if isinstance(share, int | float) else "",
-                )
-                with ui.element("tr"):
-                    with ui.element("td"):
-                        ui.link(frame_id, f"/review?frame={number}")
-                    for text in cells:
-                        with ui.element("td"):
-                            ui.label(text)
+    show_table(("Frame", "Class", "Reason", "Covered"), [_cells(*one) for one in found[:_SHOWN]])
     if len(found) > _SHOWN:
         ui.label(f"and {len(found) - _SHOWN} more; run.json and the records of the frames have all").classes("faint")
+
+
+def _cells(number: int, frame_id: str, loss: Mapping[str, Any]) -> list[str | tuple[str, str]]:
+    reason, share = str(loss.get("reason", "")), loss.get("covered_share")
+    covered = f"{100 * share:.0f} %" if isinstance(share, int | float) else ""
+    return [(frame_id, f"/review?frame={number}"), str(loss.get("category", "")), REASONS.get(reason, reason), covered]

@@ -9,8 +9,9 @@ from nicegui import ui
 from starlette.responses import PlainTextResponse, Response
 
 from infrablend.errors import DatasetError
-from infrablend.studio.pages.run_routes import KEEP
-from infrablend.studio.results import ResultReport, ResultTable, find_results
+from infrablend.studio.pages.layout import show_heading, show_picture, show_table
+from infrablend.studio.pages.routes import KEEP
+from infrablend.studio.results import ResultReport, find_results
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
@@ -52,33 +53,12 @@ def _build_report(number: int, report: ResultReport) -> None:
     section = ui.element("section").classes("studio-card w-full")
     section.props["aria-label"] = report.title
     with section:
-        with ui.element("h2"):
-            ui.label(report.title)
+        show_heading(2, report.title)
         for line in report.lines:
             ui.label(line)
         for table in report.tables:
-            _build_table(table)
+            show_heading(3, table.title)
+            show_table(table.head, table.rows, "plain figures")
         with ui.element("div").classes("result-plots"):
             for k, path in enumerate(report.pictures):
-                with ui.element("figure"):
-                    shown = ui.element("img")
-                    shown.props["alt"], shown.props["src"] = path.stem.replace("_", " "), f"/results/{number}/{k}"
-                    shown.props["loading"] = "lazy"
-                    with ui.element("figcaption").classes("faint"):
-                        ui.label(path.name)
-
-
-def _build_table(table: ResultTable) -> None:
-    with ui.element("h3"):
-        ui.label(table.title)
-    with ui.element("div").classes("scroll-x").props("tabindex=0"), ui.element("table").classes("plain figures"):
-        with ui.element("thead"), ui.element("tr"):
-            for name in table.head:
-                with ui.element("th").props("scope=col"):
-                    ui.label(name)
-        with ui.element("tbody"):
-            for row in table.rows:
-                with ui.element("tr"):
-                    for text in row:
-                        with ui.element("td"):
-                            ui.label(text)
+                show_picture(f"/results/{number}/{k}", path.stem.replace("_", " "), path.name)

@@ -16,8 +16,8 @@ from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages.layout import error_text, tell, when_read
-from infrablend.studio.pages.run_routes import run_picture
+from infrablend.studio.pages.layout import error_text, key_button, tell, when_read
+from infrablend.studio.pages.routes import run_picture
 from infrablend.studio.verdicts import REASONS
 
 _WORDS = {"accept": "accepted", "reject": "rejected"}
@@ -149,9 +149,9 @@ class ReviewPage:
     def _build_frame(self, number: int, row: FrameRow) -> None:
         at = self._order.index(number) if number in self._order else None
         with ui.element("div").classes("studio-row"):
-            self._button("All frames", self._back, "Esc")
-            self._button("Previous", lambda: self._step(-1), "\u2190")
-            self._button("Next", lambda: self._step(1), "\u2192")
+            key_button("All frames", self._back, "Esc")
+            key_button("Previous", lambda: self._step(-1), "\u2190")
+            key_button("Next", lambda: self._step(1), "\u2192")
             ui.label("" if at is None else f"{at + 1} of {len(self._order)}").classes("faint")
             ui.switch("Boxes", value=self._boxes, on_change=lambda e: self._draw_boxes(e.value)).tooltip("B")
             shown = ui.switch("Original objects", value=self._originals)
@@ -175,7 +175,7 @@ class ReviewPage:
                     ui.element("link").props("rel=prefetch as=image").props["href"] = address
 
     def _build_verdict(self, number: int, row: FrameRow) -> None:
-        ui.html(f"<h2>{'Verdict'}</h2>", sanitize=False)
+        ui.html("<h2>Verdict</h2>", sanitize=False)
         verdict = self._run.review.of(row.id)
         word = "none yet" if verdict is None else _WORDS[verdict.word]
         reason = f": {verdict.reason}" if verdict is not None and verdict.reason else ""
@@ -183,13 +183,13 @@ class ReviewPage:
         shown.props["data-verdict"] = "" if verdict is None else verdict.word
         shown.props["data-frame"] = row.id
         with ui.element("div").classes("studio-row"):
-            self._button("Accept", lambda: self._decide(Verdict("accept")), "A")
-            self._button("Reject", lambda: self._decide(Verdict("reject")), "R")
-            self._button("Undo", self._undo, "U")
+            key_button("Accept", lambda: self._decide(Verdict("accept")), "A")
+            key_button("Reject", lambda: self._decide(Verdict("reject")), "R")
+            key_button("Undo", self._undo, "U")
         ui.html("<h3>Reject because it is</h3>", sanitize=False)
         with ui.element("div").classes("studio-row"):
             for k, text in enumerate(REASONS, 1):
-                self._button(text, lambda t=text: self._decide(Verdict("reject", t)), str(k))
+                key_button(text, lambda t=text: self._decide(Verdict("reject", t)), str(k))
         own = ui.input("Another reason").props("dense outlined").classes("w-full mt-2")
         own.on("keydown.enter", lambda: self._decide(Verdict("reject", (own.value or "").strip())))
 
@@ -224,13 +224,6 @@ class ReviewPage:
                     crop = ui.element("img")
                     crop.props["alt"] = f"Insert {k + 1}, enlarged"
                     crop.props["src"] = f"/run/crop/{self._number}/{k}.png?d={row.digest[:12]}"
-
-    @staticmethod
-    def _button(text: str, on_click: Any, key: str) -> None:
-        # Without a focus of its own, so that keys go on to work after a click.
-        with ui.button(on_click=on_click).props("no-caps dense outline").classes("px-2"):
-            ui.label(text)
-            ui.html(f"<kbd>{key}</kbd>", sanitize=False).classes("ml-2")
 
     def _picture_address(self, number: int, row: FrameRow) -> str:
         return (

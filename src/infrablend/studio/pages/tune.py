@@ -15,11 +15,10 @@ from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
-from infrablend.studio.by_hand import Move, can_move, moved, origin_px, released
-from infrablend.studio.pages.layout import error_text
-from infrablend.studio.pages.tune_pictures import Pictures
+from infrablend.studio.pages.layout import error_text, show_picture
+from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.pictures import Rgb, to_png
-from infrablend.studio.recipe_form import FormField, fitting, form_of
+from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
 from infrablend.studio.tuning import Tuned, Tuning
 
 _KEPT = 48
@@ -225,23 +224,19 @@ class TunePage:
                 with ui.element("div").classes("studio-card"):
                     if number < _MOST_CROPS:
                         with ui.element("div").classes("crops"):
-                            self._crop(tuned.crop(number), f"Insert {number + 1}, enlarged", "inserted")
+                            self._show_crop(tuned.crop(number), f"Insert {number + 1}, enlarged", "inserted")
                             found = real[number]
                             if found is None:
                                 ui.label("This dataset has no real object of the class.").classes("faint")
                             else:
-                                self._crop(found, f"Real object most like insert {number + 1} in size", "real")
+                                self._show_crop(found, f"Real object most like insert {number + 1} in size", "real")
                     for line in lines:
                         ui.label(line)
             for line in tuned.remarks():
                 ui.label(line)
 
-    def _crop(self, rgb: Rgb, alt: str, caption: str) -> None:
-        with ui.element("figure"):
-            shown = ui.element("img")
-            shown.props["alt"], shown.props["src"] = alt, _address(self._pictures, rgb)
-            with ui.element("figcaption").classes("faint"):
-                ui.label(caption)
+    def _show_crop(self, rgb: Rgb, alt: str, caption: str) -> None:
+        show_picture(_address(self._pictures, rgb), alt, caption)
 
     # ---- recipe
 

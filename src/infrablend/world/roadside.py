@@ -6,11 +6,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Literal
 
-from infrablend.world.furniture import Furniture
-from infrablend.world.ground_cover import Patch
-from infrablend.world.roads import Road
+from infrablend.world.fixtures import Furniture, TreeKind
+from infrablend.world.ground_cover import Patch, Road
 from infrablend.world.site import Site
-from infrablend.world.trees import TreeKind
 from infrablend.world.vehicles import CARS, VehicleKind
 
 

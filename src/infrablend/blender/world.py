@@ -11,7 +11,7 @@ import contextlib
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,19 +23,20 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from infrablend.blender import session
-from infrablend.blender.world.shaders import ground_material, thing_material
+from infrablend.blender.nodes import new_material
 from infrablend.core.camera import CameraSpec
+from infrablend.core.machine import take_core
 from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.core.tasks import Task
 from infrablend.errors import RenderError
 from infrablend.world.buildings import building
-from infrablend.world.cycles import cycle
-from infrablend.world.furniture import furniture
+from infrablend.world.fixtures import TREE_KINDS, Tree, furniture, tree_matrix, tree_prototype
+from infrablend.world.frame_files import FinishedFrame, make_frame
 from infrablend.world.ground import ground_kelvin
 from infrablend.world.labels import Label, VisibleSamples, label_object
-from infrablend.world.people import person
+from infrablend.world.people import cycle, person
 from infrablend.world.plan import WorldPlan
 from infrablend.world.surfaces import Surface, placed
-from infrablend.world.trees import TREE_KINDS, Tree, tree_matrix, tree_prototype
 from infrablend.world.vehicles import vehicle
 
 OVERSAMPLE = 2
@@ -280,3 +281,76 @@ def _channel(names: list[str], middle: str, end: str) -> str:
         if middle in name and name.upper().endswith("." + end):
             return name
     raise RenderError(f"Blender's image has no channel like *{middle}{end}, only {', '.join(names)}")
+
+
+def thing_material() -> bpy.types.Material:
+    """Create the material of all things: emission of T + F (T_env - T).
+
+    T is the own temperature, F the share of the sky or the surroundings (T_env) that the surface mirrors. Face
+    attributes: `kelvin`, `mirror` (F at normal incidence), `solar_k`, `grain_k`. Trees share meshes: the object colour
+    adds to their temperature (red) and scales the sun (green).
+    """
+    material, nodes = new_material("thermal thing")
+    maths, link, attribute = nodes.math, nodes.link, nodes.attribute
+    geometry = nodes.new("ShaderNodeNewGeometry")
+    info = nodes.new("ShaderNodeObjectInfo")
+    colour = nodes.new("ShaderNodeSeparateColor")
+    link(info.outputs["Color"], colour.inputs[0])
+    sun = nodes.add("ShaderNodeCombineXYZ", name="sun")
+    normal, incoming = geometry.outputs["Normal"], geometry.outputs["Incoming"]
+
+    pattern = nodes.new("ShaderNodeTexNoise")
+    pattern.inputs["Scale"].default_value = 3.0
+    pattern.inputs["Detail"].default_value = 1.5
+    link(geometry.outputs["Position"], pattern.inputs["Vector"])
+    grain = maths("MULTIPLY", maths("MULTIPLY_ADD", pattern.outputs["Fac"], 4.0, -2.0), attribute("grain_k"))
+    facing_sun = maths("MAXIMUM", nodes.dot(normal, sun.outputs[0]), 0.0)
+    heated = maths("MULTIPLY", facing_sun, maths("MULTIPLY", colour.outputs[1], attribute("solar_k")))
+    kelvin = maths("ADD", maths("ADD", attribute("kelvin"), colour.outputs[0]), maths("ADD", grain, heated))
+
+    cosine = maths("ABSOLUTE", nodes.dot(normal, incoming))
+    grazing = maths("POWER", maths("SUBTRACT", 1.0, cosine), 4.0)
+    mirror = maths("MULTIPLY", attribute("mirror"), maths("MULTIPLY_ADD", grazing, 6.0, 1.0), clamp=True)
+    # Mirrored direction of the ray to the camera: 2 (n.i) n - i; only its height matters.
+    twice = maths("MULTIPLY", maths("MULTIPLY", cosine, 2.0), nodes.upward(normal))
+    height = maths("SUBTRACT", twice, nodes.upward(incoming))
+    # The sky is coldest overhead and takes the air's temperature at the horizon; below it are things near air.
+    depth = maths("POWER", maths("MAXIMUM", height, 0.0), 0.6)
+    environment = maths("SUBTRACT", nodes.value("air"), maths("MULTIPLY", depth, nodes.value("sky drop")))
+    total = maths("ADD", kelvin, maths("MULTIPLY", mirror, maths("SUBTRACT", environment, kelvin)))
+    nodes.surface(nodes.emission(total))
+    return material
+
+
+def ground_material() -> bpy.types.Material:
+    """Create the material of the ground: emission of an image of temperatures, mapped in window coordinates."""
+    material, nodes = new_material("thermal ground")
+    image = nodes.add("ShaderNodeTexImage", name="ground", interpolation="Closest", extension="EXTEND")
+    nodes.link(nodes.new("ShaderNodeTexCoord").outputs["Window"], image.inputs["Vector"])
+    split = nodes.new("ShaderNodeSeparateColor")
+    nodes.link(image.outputs["Color"], split.inputs[0])
+    nodes.surface(nodes.emission(split.outputs[0]))
+    return material
+
+
+class WorldWorker:
+    """Renders frames of one virtual dataset; owns the Blender scene of its process."""
+
+    def __init__(self, seed: int, folder: Path, threads: int) -> None:
+        """Start Blender with `threads` render threads (0: one per core); images go to `folder`/<split>/."""
+        self._seed, self._folder = seed, folder
+        self._renderer = WorldRenderer(threads)
+
+    def __call__(self, task: Task) -> FinishedFrame:
+        """Render the `FrameFacts` in the payload of a task."""
+        return make_frame(task.payload, self._seed, self._renderer, self._folder)
+
+    def close(self) -> None:
+        """Release Blender's scene."""
+        self._renderer.close()
+
+
+def make_world_worker(settings: Mapping[str, Any]) -> WorldWorker:
+    """Create a worker from `seed` and `folder`; it uses one render thread, since workers run in parallel."""
+    take_core()
+    return WorldWorker(settings["seed"], Path(settings["folder"]), 1)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.camera import CameraSpec
-from infrablend.core.ground_lines import find_ground_lines
-from infrablend.core.ground_plane import at_height, ground_point, ground_z_m
+from infrablend.core.ground_plane import at_height, find_ground_lines, ground_point, ground_z_m
 
 WH = (640, 512)
 

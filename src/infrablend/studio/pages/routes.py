@@ -1,8 +1,9 @@
-"""Routes with the frames of the opened run. Frames are named by number, so that no path comes from a request."""
+"""Routes of the pictures and rows. They are named by number, so that no path comes from a request."""
 
 from __future__ import annotations
 
 import json
+from collections import OrderedDict
 from collections.abc import Callable
 
 from nicegui import app
@@ -15,9 +16,11 @@ from infrablend.studio.opened_run import OpenedRun, RunFrames
 from infrablend.studio.pictures import crop_picture, frame_picture
 
 KEEP = {"cache-control": "private, max-age=3600"}
+Pictures = OrderedDict[int, bytes]
+"""The last pictures, by number."""
 
 
-def add_routes(run: OpenedRun) -> None:
+def add_run_routes(run: OpenedRun) -> None:
     """Add the routes below `/run/`."""
 
     @app.get("/run/rows")
@@ -65,3 +68,17 @@ def answered(make: Callable[[], bytes], media_type: str, headers: dict[str, str]
         return Response(make(), media_type=media_type, headers=headers)
     except InfraBlendError as error:
         return PlainTextResponse(error.message, 404 if isinstance(error, DatasetError) else 500)
+
+
+def add_tune_routes() -> Pictures:
+    """Add the route of the pictures; return where to put them."""
+    pictures: Pictures = OrderedDict()
+
+    @app.get("/tune/picture/{number}.png")
+    def picture(number: int) -> Response:
+        data = pictures.get(number)
+        if data is None:
+            return PlainTextResponse("a picture that has been replaced by a newer one", 404)
+        return Response(data, media_type="image/png", headers={"cache-control": "private, max-age=3600"})
+
+    return pictures

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from infrablend.evaluation.detections import Detections, detections
-from infrablend.evaluation.figures import Case
-from infrablend.evaluation.first_detections import list_found
+from infrablend.evaluation.figures import Case, list_found
 from infrablend.evaluation.truth import Truth
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.rng import stream
-from infrablend.training.suppression import kept_indices
+from infrablend.training.environment import kept_indices
 
 
 def one_by_one(boxes: np.ndarray, scores: np.ndarray, threshold: float) -> list[int]:

@@ -12,9 +12,9 @@ from infrablend.formats.rjpeg.facts import read_facts
 from infrablend.formats.rjpeg.temperatures import read_temperatures
 from infrablend.formats.rjpeg.writing import MAKERS, Maker
 from infrablend.world import sample_world
-from infrablend.world.camera_files import DJI_SCALE, camera_file
 from infrablend.world.dataset import WorldRequest
-from infrablend.world.view import FOCAL_PX
+from infrablend.world.frame_files import DJI_SCALE, camera_file
+from infrablend.world.setting import FOCAL_PX
 
 
 @pytest.mark.parametrize("maker", MAKERS)

@@ -5,7 +5,7 @@ from datetime import datetime
 
 import pytest
 
-from infrablend.thermal.sun import irradiance, sun_position, time_of
+from infrablend.thermal.sky import irradiance, sun_position, time_of
 
 
 def test_position_of_the_published_example():

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from infrablend.core.camera_angles import pitch_of_gimbal, pitch_of_tilt
+from infrablend.core.camera import pitch_of_gimbal, pitch_of_tilt
 
 
 @pytest.mark.parametrize(
