@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from predicted import predicted
 
 from infrablend.core.boxes import box_iou
 from infrablend.core.dataset import ImageRecord
+from infrablend.evaluation.detections import Detections, read_predictions
 from infrablend.evaluation.truth import image_key
 from infrablend.formats.detection import read
 
@@ -48,6 +48,13 @@ def main() -> None:
             f"{group}: {seen['objects']} objects, {seen['found']} found, {seen['loose']} loose, "
             f"{seen['false_beside']} false in pictures with {options.category}, {seen['false_elsewhere']} in others"
         )
+
+
+def predicted(evaluation: Path, category: str) -> dict[str, Detections]:
+    """Return the detections of a class, the surest first, by `<split>/<name>` of the picture."""
+    predictions = read_predictions(evaluation / "predictions.json")
+    number = predictions.classes.index(category)
+    return {key: of.take(np.flatnonzero(of.classes == number)) for key, of in predictions.images.items()}
 
 
 def count(image: ImageRecord, category: str, ordered: list[NDArray[np.float64]]) -> Counter[str]:

@@ -10,7 +10,7 @@ on first use.
 
 from infrablend.core.lazy_names import lazy_names
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __getattr__, __dir__, _names = lazy_names(__name__, __file__)
 __all__ = [*_names, "__version__"]

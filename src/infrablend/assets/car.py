@@ -79,8 +79,8 @@ _SHADOW_OPACITY = 0.6
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
 # levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky. Screens
 # and window frames are as dark as the roof: HIT-UAV's cars are one dark shape from bonnet to boot. Upright parts see
-# the ground and have nearly its level (bench/box_profiles.py); stores of heat (tyres, floor, engine bay) are warmer
-# than the air for hours, so that the edge below is some 14 levels brighter (bench/edge_profiles.py).
+# the ground and have nearly its level; stores of heat (tyres, floor, engine bay) are warmer than the air for hours,
+# so that the edge below is some 14 levels brighter (bench/edge_profiles.py).
 _PARKED_COLD: Mapping[str, Range] = {
     "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-7.0, -4.5),
     "wing": (-4.0, -1.0), "side": (-1.5, 2.5), "pillar": (-7.0, -4.5), "front": (-1.5, 3.0),
@@ -90,7 +90,7 @@ _PARKED_COLD: Mapping[str, Range] = {
     "tail_lamp": (-3.5, -1.0),
 }  # fmt: skip
 # The same night, within the hour after a drive. Most of HIT-UAV's warm cars show a bright rim around a bonnet that is
-# near the level of the ground or half as bright (bench/warm_parts.py measures how many cars have parts how bright).
+# near the level of the ground or half as bright.
 _DRIVEN: Mapping[str, Range] = {
     "roof": (-5.5, -3.0), "bonnet": (-3.0, 18.0), "boot": (-5.5, -2.5), "cowl": (-4.0, 9.0),
     "wing": (5.0, 27.0), "side": (-2.0, 2.0), "pillar": (-5.5, -2.0), "front": (5.0, 27.0),
@@ -249,7 +249,7 @@ _ODDS: Mapping[str, tuple[float, ...]] = {
     "spokes": (0.5, 0.2, 0.3),
 }
 # Shares of cars that are parked and that have been driven within the last hour: by night fitted to the share of cars
-# with bright parts in HIT-UAV's train (bench/warm_parts.py), by day estimated.
+# with bright parts in HIT-UAV's train, by day estimated.
 _STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.8, 0.2, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
 DRAWN: Mapping[str, Range] = {
     "length_m": (3.6, 5.4),

@@ -153,7 +153,9 @@ class Camera(Strict):
     roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
     """Rotation about the optical axis, degrees. Paper: phi_min, phi_max = -10, 10."""
     focal_length_mm: float = Field(50.0, gt=0, le=10_000)
-    """Focal length, mm. The paper does not state its field of view; 50 mm on 36 mm is Blender's default camera."""
+    """Focal length, mm; together with `sensor_width_mm` it gives the horizontal field of view. For a printed focal
+    length set the real width of the sensor, too. The default, 50 mm on 36 mm, is Blender's; the paper states no field
+    of view."""
     sensor_width_mm: float = Field(36.0, gt=0, le=1_000)
     """Width of the sensor, mm; the image's width covers it."""
     size_px: tuple[Annotated[int, Field(ge=16, le=16_384)], Annotated[int, Field(ge=16, le=16_384)]] = (
@@ -249,10 +251,10 @@ class MetricCamera(Camera):
     altitude: Literal["metadata"] | FixedAltitude | RandomAltitude = "metadata"
     """Height above the ground: that of each background (`metadata`), `{fixed_m: 60}` or `{random_m: [60, 120]}`."""
     field_of_view: Literal["metadata", "recipe"] = "metadata"
-    """Horizontal field of view: that of each background whose own file or table states it, and that of
-    `focal_length_mm` for others of unknown cameras (`metadata`; other pictures of a video or of a drone's own files are
-    left out); or that of `focal_length_mm` for all (`recipe`). A `focal_length_mm` or `sensor_width_mm` set on the
-    command line or in the studio implies `recipe`; one in the recipe's file does not."""
+    """Where the horizontal field of view comes from. `metadata`: from the picture's own file or table. Without one
+    there, pictures of unknown cameras are seen through the recipe's lens, and frames of videos and pictures of a
+    drone's own files are left out. `recipe`: the recipe's lens for all pictures. A `focal_length_mm` or
+    `sensor_width_mm` set on the command line or in the studio implies `recipe`; one in the recipe's file does not."""
     calibrate: bool = True
     """With `altitude: metadata`: correct the height until the annotated people, cars and two-wheelers of the image have
     their real size. Heights in metadata count from take-off; in an image without such objects the height is multiplied
@@ -363,7 +365,8 @@ class Group(Strict):
     in_row: bool = False
     """Place the object at the other's side with the same or the opposite heading, within 4 degrees, as cars are parked;
     otherwise in any direction with a heading of its own. A row has the heading of its first object, so `align` aligns
-    rows as a whole. Upright boxes around the objects do not intersect, whatever they share in the picture."""
+    rows as a whole. Upright boxes around the objects do not intersect, but the objects may hide each other in the
+    picture."""
     max_overlap: float = Field(0.3, ge=0, le=1)
     """Largest share of the smaller of two boxes that an object placed beside another may share with an insert. Others
     share at most 0.02."""
@@ -376,9 +379,9 @@ class Align(Strict):
     """Share of the objects that stand along the direction of their picture; either end may be in front. The other
     objects have any heading in `yaw_deg`."""
     along: Literal["lines", "view"] = "lines"
-    """Direction of a picture: that of the lines on its ground (edges of roads, kerbs, walls), or at right angles to
-    them, and any where no lines are clear (`lines`); or about that in which the camera looks, for pilots fly along rows
-    of parked cars (`view`)."""
+    """Direction of a picture. `lines`: along the lines on its ground (edges of roads, kerbs, walls) or at right angles
+    to them, and any direction where no lines are clear. `view`: about along the line of sight, because pilots fly along
+    rows of parked cars."""
     spread_deg: float = Field(4.0, ge=0, le=45)
     """Standard deviation of the headings from the direction of the picture, degrees."""
     turn_deg: float = Field(15.0, ge=0, le=90)
@@ -404,10 +407,11 @@ class ObjectKind(Strict):
     """Fields that have no effect on models that stand on the ground."""
 
     model: str = Field(min_length=1)
-    """Name in `infrablend models list`, or the path of your own model's YAML (relative to the recipe, or to the current
-    folder if it is set for a shipped recipe)."""
+    """Name in `infrablend models list`, or the path of your own model's YAML. A path in a recipe file is relative to
+    that file; a path set on the command line for a shipped recipe is relative to the current folder."""
     category: ClassName | None = None
-    """Class of its labels; the model's own by default. The name of a class of the dataset adds no new class."""
+    """Class of its labels; the model's own by default. With the name of a class that the dataset already
+    has, the objects join this class; any other name is a new class."""
     count: Annotated[int, Field(ge=0, le=64)] | Count = 1
     """Objects per frame: a number, or `{values: [0, 1, 2], weights: [...]}`."""
     yaw_deg: range_of(-360, 360) = (0.0, 360.0)  # type: ignore[valid-type]
@@ -478,8 +482,8 @@ class Placement(Strict):
     """Whether the range of grey levels of the whole dataset has to be known."""
 
     attempts: int = Field(200, ge=1, le=100_000)
-    """Largest number of draws per object; after that the object is left out of the frame, and counted. Each object in a
-    row that found no place halves it for the next one of its kind, down to a twentieth."""
+    """Largest number of draws per object; after that the object is left out of the frame, and counted. After an object
+    without a place, the next object of its kind has half as many draws, but at least a twentieth."""
     min_inside: float = Field(0.5, ge=0, le=1)
     """Least share of the object's projected area that must be inside the frame."""
     min_depth_m: float = Field(0.3, ge=0.05, le=1000)
@@ -553,8 +557,8 @@ class MetricPlacement(Placement):
     edges and kerbs have more than level ground. 0 turns the check off."""
     ground: GroundByTime | None = None
     """Models that stand: ground around real objects. Each object draws level and clutter from these distributions, and
-    looks for such a place; three quarters of the attempts later it takes any of a possible level. Without it, places
-    are uniform over the image. Pictures of unknown time of day are not restricted."""
+    looks for such a place; after three quarters of its draws it takes any place whose level is possible. Without it,
+    places are uniform over the image. Pictures of unknown time of day are not restricted."""
     contrast_redraws: int = Field(4, ge=0, le=50)
     """Number of times that the objects of a frame that fail `min_contrast` are drawn again elsewhere."""
     max_noise_grey: float = Field(12.0, gt=0)
@@ -956,9 +960,9 @@ class Labels(Strict):
     """Oriented boxes: of smallest area, or aligned with the object's heading."""
     fit: Literal["shape", "visible"] = "shape"
     """Boxes of inserted objects, in all label formats, enclose the whole `shape`, or only what is `visible` in the
-    finished picture, as people draw them; parts at the level of the ground are left out. Sides behind a structure of
-    the background stay where `occluded_box` has them. Masks stay as they are; COCO and the frame records also have the
-    box of the shape."""
+    finished picture, as people draw them; parts at the level of the ground are left out. Sides of the box that a
+    structure of the background hides follow `occluded_box`. Masks stay as they are; COCO and the frame records also
+    have the box of the shape."""
     loosen: LooseFactor | dict[ClassName, LooseFactor] = 1.0
     """Factor by which to enlarge the boxes of inserted objects in all label formats, within the frame, to match
     hand-drawn boxes: one for all classes, or one per class such as `{Person: 1.15}` (1 for the others). Masks stay as
@@ -1084,8 +1088,8 @@ class _Sections(Strict):
     """Which files are written."""
     frames: dict[str, FrameByHand] = Field(default_factory=dict)
     """Frames whose objects are placed by hand, by id: `{test/a_c0: {objects: [{x_px: 320, y_px: 256, range_m: 30,
-    yaw_deg: 90}]}}`. Their places are not checked, and they stay however faint they are; everything else is drawn as
-    without this field."""
+    yaw_deg: 90}]}}`. Their places are not checked, and they stay however faint they are. Weather, temperatures and all
+    other objects stay as they are without this field."""
 
     @model_validator(mode="after")
     def _flat_without_sensor(self) -> Self:

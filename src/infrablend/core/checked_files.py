@@ -1,4 +1,4 @@
-"""Files whose digests have been verified, so that no picture is read twice for the same question."""
+"""Remembers which files have been compared with their digests, so that no picture is read twice for that."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keeps pictures that show a run out of datasets, whose readers would take them for frames."""
+"""Refuses to write sheets of a run into a dataset: readers would take these pictures for frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line of this call, kept in the records of unfinished folders, so that messages can name it whole."""
+"""Keeps the command line of this call in the records of unfinished folders, so that messages can repeat it."""
 
 from __future__ import annotations
 

@@ -47,12 +47,12 @@ class Archive:
         part: Its name for `--part`.
         file: Name of the file.
         url: Where it can be fetched by a program; empty if it must be fetched by hand.
-        into: Folder below the dataset's that its content goes to; empty for the dataset's own. Folders that only wrap
-            the content (one inside the other) are left out.
+        into: Subfolder of the dataset that receives the content; empty for the dataset's own folder. Folders that
+            contain nothing but one other folder are left out.
         size_bytes: Exact size, None if it is not known or not constant.
         sha256: None if it is not known or not constant.
         unpacked_bytes: Roughly what it needs unpacked, for the check of free space.
-        commit: Of the repository it is a picture of; archives made by git name it.
+        commit: Commit of the repository that the archive was made from; git writes it into its archives.
         counts: Files by glob pattern below `into`.
         lists: Lengths of lists in JSON files: file -> key -> length.
         wanted: False if it is fetched only when its part is named.

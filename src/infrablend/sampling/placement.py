@@ -102,10 +102,10 @@ class DrawStatistics:
 
 
 def attempts_after(missed: int, attempts: int) -> int:
-    """Return how many draws an object gets after `missed` objects of its kind in a row that found no place.
+    """Return the number of draws for an object after `missed` objects of its kind in a row found no place.
 
-    Half as many for each of them, down to a twentieth: a picture too small or too full for the objects asked for does
-    not cost all attempts for each of them. A place found restores them.
+    Each missed object halves the number, down to a twentieth, so that a picture that is too small or too full does not
+    cost all attempts for every object. The next object that finds a place restores the number.
     """
     return max(attempts >> missed, math.ceil(_FEWEST_ATTEMPTS * attempts))
 
