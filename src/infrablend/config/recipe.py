@@ -168,17 +168,17 @@ class Camera(Strict):
     @property
     def stated_pitch_deg(self) -> tuple[float, float] | None:
         """Range of the pitch that is stated for all pictures; None if each picture has its own."""
-        match self.pitch:
-            case FixedPitch(fixed_deg=stated):
-                return stated, stated
-            case RandomPitch(random_deg=(low, high)):
-                return low, high
+        if isinstance(self.pitch, FixedPitch):
+            return self.pitch.fixed_deg, self.pitch.fixed_deg
+        if isinstance(self.pitch, RandomPitch):
+            low, high = self.pitch.random_deg
+            return low, high
         return None
 
     @property
     def horizon(self) -> HorizonPitch | None:
         """How the pitch is found in pictures that state none; None if it is not."""
-        return self.pitch if isinstance(self.pitch, HorizonPitch) else None
+        return self.pitch if isinstance(self.pitch, HorizonPitch) and self.pitch.from_horizon else None
 
     @property
     def needs_height(self) -> bool:

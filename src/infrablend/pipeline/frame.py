@@ -146,6 +146,7 @@ class FrameComposer:
             scene = self._redraw(picture, canvas.site, moves)
             picture = self._draw(scene, canvas, first, picture.matching)
 
+        # Labels, file and record.
         labels = self._labels(picture, canvas)
         merged = merge(frame.background.instances, labels, merge_settings(self._recipe))
         image_bytes = encode_image(picture.pixels, background, self._recipe.output.image)
