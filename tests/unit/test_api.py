@@ -15,7 +15,7 @@ import pytest
 
 import infrablend
 from infrablend import api
-from infrablend.core.output import Existing
+from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, InfraBlendError, OutputError, RecipeError
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.request import RunRequest

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from infrablend.api.datasets import read_dataset
-from infrablend.core.output import Existing, require_apart
+from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.workspace import Existing
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.pipeline.train import TrainReport, train_dataset

@@ -11,9 +11,9 @@ from infrablend.api.datasets import read_dataset
 from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
-from infrablend.core.output import Existing
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
+from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames

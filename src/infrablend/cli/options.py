@@ -21,7 +21,7 @@ import typer
 
 from infrablend.cli.completion import complete_read_format, complete_recipe
 from infrablend.cli.session import Session
-from infrablend.core.output import Existing
+from infrablend.core.workspace import Existing
 from infrablend.formats.reading import Reading
 
 JsonSession = Annotated[Session, "--json"]

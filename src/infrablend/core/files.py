@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
@@ -68,29 +68,6 @@ def free_part(path: Path, wanted: Path | None = None) -> Path:
     return temporary
 
 
-class WriteObserver(Protocol):
-    """Follows the files that this process writes."""
-
-    def before_write(self, path: Path) -> None:
-        """Take note that `path` is about to be written under its temporary name."""
-
-    def before_rename(self, path: Path, temporary: Path) -> None:
-        """Take note of the finished temporary file, just before it is renamed to `path`."""
-
-
-_observers: list[WriteObserver] = []
-
-
-@contextlib.contextmanager
-def observed_by(observer: WriteObserver) -> Iterator[None]:
-    """Have `observer` follow every file that this process writes within the block."""
-    _observers.append(observer)
-    try:
-        yield
-    finally:
-        _observers.remove(observer)
-
-
 def sha256_of(path: Path, folder: Path | None = None) -> str:
     """Return the hexadecimal SHA-256 of a file; the arguments and errors are those of `open_regular`."""
     with open_regular(path, folder) as stream:
@@ -134,15 +111,11 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
     require_folder("out", path.parent)
     temporary = None
     try:
-        for observer in _observers:
-            observer.before_write(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = free_part(path, beside)
         yield temporary
         if durable:
             flush(temporary)
-        for observer in _observers:
-            observer.before_rename(path, temporary)
         temporary.replace(path)
         if durable:
             flush(path.parent)
@@ -340,8 +313,6 @@ def link_or_copy(source: Path, target: Path) -> Path:
         real = Path(os.path.realpath(source))
         # Renaming one hard link over another of the same file does nothing, so handle this case first.
         if target.exists() and not target.is_symlink() and target.samefile(real):
-            for observer in _observers:
-                observer.before_rename(target, real)
             return target
     except OSError as error:
         raise output_error(target, error) from error

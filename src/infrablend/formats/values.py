@@ -22,12 +22,6 @@ def to_floats(value: object, count: int) -> tuple[float, ...] | None:
         return None
 
 
-def to_float_within(value: object, low: float, high: float) -> float | None:
-    """Return the number in [low, high] that a field means, or None."""
-    number = to_floats([value], 1)
-    return number[0] if number and low <= number[0] <= high else None
-
-
 def to_int(value: object) -> int | None:
     """Return the whole number that a JSON or XML field means (4, "4", 4.0), or None."""
     if isinstance(value, bool) or value is None:

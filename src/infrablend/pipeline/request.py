@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args
 from infrablend.core.addresses import require_known
 from infrablend.core.arguments import require_choice, require_whole
 from infrablend.core.machine import Device, available_cores
-from infrablend.core.output import Existing, require_existing
+from infrablend.core.workspace import Existing, require_existing
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
@@ -81,8 +81,8 @@ class Execution:
         return min(self.workers, most)
 
 
-DEFAULT_EXECUTION = Execution()
-ONE_WORKER = Execution(workers=1)
+DEFAULT_EXECUTION: Execution = Execution()
+ONE_WORKER: Execution = Execution(workers=1)
 
 
 @dataclass(frozen=True)
