@@ -95,7 +95,7 @@ from infrablend.pipeline.sharded_run import ShardState as ShardState
 from infrablend.pipeline.split import SplitReport as SplitReport
 from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
 from infrablend.pipeline.train import TrainReport as TrainReport
-from infrablend.pipeline.training.planning import TrainPlan as TrainPlan
+from infrablend.pipeline.training.training_plan import TrainPlan as TrainPlan
 from infrablend.pipeline.trial import Trial as Trial
 from infrablend.training.request import TrainRequest as TrainRequest
 

@@ -13,7 +13,7 @@ from infrablend.core.workspace import Existing
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.pipeline.train import TrainReport, train_dataset
-from infrablend.pipeline.training.planning import TrainPlan, plan_training
+from infrablend.pipeline.training.training_plan import TrainPlan, plan_training
 from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
 
 if TYPE_CHECKING:

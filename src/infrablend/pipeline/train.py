@@ -26,8 +26,8 @@ from infrablend.pipeline.training.data import (
     select_training_data,
     write_training_data,
 )
-from infrablend.pipeline.training.planning import choose_device, plan_of, require_arguments, require_space
 from infrablend.pipeline.training.process import run_trainer
+from infrablend.pipeline.training.training_plan import choose_device, plan_of, require_arguments, require_space
 from infrablend.training import weights
 from infrablend.training.files import RECORD, WEIGHTS, WORKING_FILES
 from infrablend.training.request import TrainRequest

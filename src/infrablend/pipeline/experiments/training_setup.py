@@ -11,7 +11,7 @@ from infrablend.core.machine import available_cores
 from infrablend.errors import InfraBlendError
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage
-from infrablend.pipeline.training.planning import require_settings
+from infrablend.pipeline.training.training_plan import require_settings
 from infrablend.training.predict import pick_device
 from infrablend.training.presets import Preset, estimate_seconds, tiles_expected
 from infrablend.training.request import choose_preset
