@@ -18,7 +18,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import near_edge
@@ -64,8 +63,7 @@ def main() -> None:
     patches, unused = cut(options.data, options.category)
     print(f"{len(patches)} boxes; not used: {dict(unused)}")
     made, scenes = read(options.run), RunFolder(options.run)
-    records = [record for path in scenes.records() if (record := read_record(path)) is not None]
-    by_picture = {scenes.image(record.image).resolve(): record for record in records}
+    by_picture = {scenes.image(record.image).resolve(): record for record in scenes.records()}
     counts: Counter[str] = Counter()
     images = []
     for frame in made.images:

@@ -19,7 +19,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from infrablend.pipeline.record import read_record
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -74,7 +73,7 @@ def settings(emissivity: float) -> dict[str, Any]:
 def errors_k(run: Path, emissivity: float) -> list[float]:
     """Return the mean error of each inserted object, kelvin, over the pixels that it fills with their neighbours."""
     folder, found = RunFolder(run), []
-    for record in filter(None, map(read_record, folder.records())):
+    for record in folder.records():
         with Image.open(folder.image(record.image)) as picture:
             kelvin = np.array(picture).astype(np.float64) / 100
         for number, label in enumerate(record.inserted):

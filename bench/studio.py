@@ -16,11 +16,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.run_folder import RunFolder
 from infrablend.pipeline.trial import TrialRequest
 from infrablend.studio.pictures import to_png
@@ -88,19 +90,18 @@ def repeated(run: Path, folder: Path, frames: int) -> Path:
     The pictures are hard links; every record has a digest of its own, so that no two frames share a thumbnail.
     """
     source, target = RunFolder(run), RunFolder(folder)
-    shutil.copytree(run, folder, ignore=shutil.ignore_patterns("images", "scenes", "report.html"))
-    records = [json.loads(path.read_text("utf-8")) for path in source.records()]
-    for number in range(frames):
-        record = dict(records[number % len(records)])
-        split, _, name = record["frame_id"].rpartition("/")
-        image = Path(record["image"])
-        record["frame_id"] = f"{split}/{number:05}_{name}"
-        record["image"] = f"{split}/{number:05}_{image.name}"
-        record["image_sha256"] = hashlib.sha256(record["frame_id"].encode()).hexdigest()
-        for path in (target.record(record["frame_id"]), target.image(record["image"])):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        target.record(record["frame_id"]).write_text(json.dumps(record), "utf-8")
-        os.link(source.image(image.as_posix()), target.image(record["image"]))
+    shutil.copytree(run, folder, ignore=shutil.ignore_patterns("images", "run.sqlite", "report.html"))
+    records = list(source.records())
+    with Ledger.create(folder, source.read_run()) as ledger:
+        for number in range(frames):
+            record = records[number % len(records)]
+            split, _, name = record.frame_id.rpartition("/")
+            frame_id, image = f"{split}/{number:05}_{name}", f"{split}/{number:05}_{Path(record.image).name}"
+            digest = hashlib.sha256(frame_id.encode()).hexdigest()
+            again = replace(record, frame_id=frame_id, image=image, image_sha256=digest)
+            target.image(image).parent.mkdir(parents=True, exist_ok=True)
+            os.link(source.image(record.image), target.image(image))
+            ledger.add(frame_id, DoneFrame(image, 0, digest, len(record.inserted)), again.to_text())
     return folder
 
 
@@ -142,7 +143,8 @@ def _open(run: Path, cache: Path) -> dict[str, float]:
 
 
 def _count(run: Path) -> int:
-    return len(RunFolder(run).records())
+    with RunFolder(run).ledger() as ledger:
+        return len(ledger.frame_ids())
 
 
 class _Watch:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -12,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 from children import Stopwatch
-from infrablend.pipeline.label_files import read_frames, write_formats
 from numpy.typing import NDArray
 from scenes import Work
 
@@ -25,11 +26,13 @@ from infrablend.compositing.mapping import percentile_mapping
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
+from infrablend.core.ledger import Ledger
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
+from infrablend.pipeline.exports import export_run
 from infrablend.pipeline.frame import FrameMaker
 from infrablend.pipeline.looks import percentile_settings
 from infrablend.pipeline.plan import RunPlan
@@ -119,15 +122,17 @@ def write_labels(out: Path, name: str, source: ImageRecord, mask: NDArray[np.boo
 
 
 def time_program(work: Work) -> list[dict[str, Any]]:
-    """Make every frame with this program's worker, from decoding the background to image and record on disk."""
+    """Make every frame with this program's worker, from decoding the background to the image on disk."""
     maker = FrameMaker(work.settings)
     maker(Task("warm", work.frames[0]))
-    rows = []
+    rows, made = [], {}
     for frame in work.frames:
         watch = Stopwatch()
         with watch:
-            maker(Task(frame.frame_id, frame))
+            made[frame.frame_id] = maker(Task(frame.frame_id, frame))
         rows.append({"frame": frame.frame_id, "cpu_s": watch.cpu_s, "wall_s": watch.wall_s})
+    assert work.settings.out is not None
+    write_bytes(work.settings.out / f"{os.getpid()}.made", pickle.dumps(made))
     return rows
 
 
@@ -145,7 +150,6 @@ STAGES = {
     (pipeline, "merge"): "merge labels",
     (pipeline, "encode_image"): "encode picture",
     (pipeline, "write_bytes"): "write picture",
-    (pipeline, "write_record"): "write record",
 }
 
 
@@ -183,13 +187,22 @@ def split_program(work: Work) -> dict[str, float]:
 
 
 def time_label_files(plan: RunPlan, out: Path) -> float:
-    """Measure the CPU seconds for the label files of all frames of the plan; their records must exist."""
+    """Measure the CPU seconds for ledger and label files of the frames of the plan, which `time_program` made."""
+    made = {}
+    for path in sorted(out.glob("*.made")):
+        made.update(pickle.loads(path.read_bytes()))
+
+    def export(part: RunPlan) -> None:
+        with Ledger.create(out, {}) as ledger:
+            for frame in part.frames:
+                ledger.add(frame.frame_id, made[frame.frame_id].frame, made[frame.frame_id].record)
+            export_run(part, RunFolder(out), ledger, part.frames)
+
     # The first frame loads the modules of the formats; start-up is not counted.
-    first = replace(plan, frames=plan.frames[:1])
-    write_formats(first, RunFolder(out), read_frames(first, RunFolder(out)))
+    export(replace(plan, frames=plan.frames[:1]))
     watch = Stopwatch()
     with watch:
-        write_formats(plan, RunFolder(out), read_frames(plan, RunFolder(out)))
+        export(plan)
     return watch.cpu_s
 
 

@@ -122,7 +122,7 @@ class Workspace:
         Raises:
             OutputError: It cannot be deleted.
         """
-        names = {p.name for p in self.folder.iterdir()} - {*keep, *self.foreign, NOTE}
+        names = {p.name for p in sorted(self.folder.iterdir())} - {*keep, *self.foreign, NOTE}
         with _reported(self.folder):
             for name in sorted(names):
                 path = self.folder / name
@@ -210,7 +210,7 @@ def workspace(
             if space._is_finished():
                 space._publish()
         finally:
-            left = {p.name for p in partial.iterdir()} if partial.is_dir() else set()
+            left = {p.name for p in sorted(partial.iterdir())} if partial.is_dir() else set()
             foreign = left and NOTE not in left
             if not left - {NOTE} or not (foreign or keep or space._is_finished()):
                 space.discard()
@@ -377,7 +377,7 @@ def _reported(path: Path) -> Iterator[None]:
 
 def _move_entries(source: Path, target: Path, *, first: str = "", last: str = "") -> None:
     """Move what is in a folder to another one; the record comes first or last: it marks what is complete."""
-    names = {p.name for p in source.iterdir()} - _OWN
+    names = {p.name for p in sorted(source.iterdir())} - _OWN
     for name in sorted(names, key=lambda name: (name != first, name == last, name)):
         (source / name).rename(target / name)
 
