@@ -10,7 +10,6 @@ import pytest
 from infrablend.pipeline.frame import FrameComposer
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
-from tests.killing import run_until_killed
 from tests.run_files import frame_ids
 from tests.samples import SAMPLES
 
@@ -50,6 +49,14 @@ def test_a_failed_frame_is_shown_with_its_traceback(
     assert failed["error"] == "ZeroDivisionError" and "in fail_once" in failed["traceback"]
 
 
-def test_frames_of_an_unfinished_run_are_shown(words: list[object], tmp_path: Path) -> None:
-    run_until_killed(20, lambda: run(*words))
-    done("show", tmp_path / "run", "test/1_90_90_0_00034_c0")
+def test_frames_of_an_unfinished_run_are_shown(
+    words: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("infrablend.pipeline.run.export_run", interrupt)
+    assert run(*words).exit_code not in (0, 1)
+    assert not (tmp_path / "run").exists()
+    shown = json.loads(done("show", tmp_path / "run", "test/1_90_90_0_00034_c0").stdout)
+    assert shown["scene"]
