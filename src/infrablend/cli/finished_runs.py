@@ -47,9 +47,9 @@ def preview(
     if ground:
         print_result(str(api.preview_ground(run, out or run / "ground.png", count or 6)))
         return
-    kinds: tuple[tuple[Draw, bool], ...] = (("boxes", boxes), ("obb", obb), ("masks", masks))
-    chosen = tuple(name for name, on in kinds if on)
-    print_result(str(api.preview(run, out or run / "preview.png", count or 12, chosen or ("boxes", "obb", "masks"))))
+    kinds: dict[Draw, bool] = {"boxes": boxes, "obb": obb, "masks": masks}
+    chosen = tuple(name for name, on in kinds.items() if on) or tuple(kinds)
+    print_result(str(api.preview(run, out or run / "preview.png", count or 12, chosen)))
 
 
 def report(run: RunArgument) -> None:
