@@ -17,13 +17,11 @@ from infrablend.api.datasets import (
 from infrablend.api.detectors import (
     compare_evaluations as compare_evaluations,
     evaluate as evaluate,
-    plan_train as plan_train,
-    train as train,
-)
-from infrablend.api.experiments import (
     experiment as experiment,
     list_experiments as list_experiments,
     plan_experiment as plan_experiment,
+    plan_train as plan_train,
+    train as train,
 )
 from infrablend.api.in_memory import frames as frames, try_recipe as try_recipe, watch_recipe as watch_recipe
 from infrablend.api.runs import (

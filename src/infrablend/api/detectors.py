@@ -1,4 +1,4 @@
-"""Detectors: train and evaluate them, compare evaluations."""
+"""Detectors: train and evaluate them, compare evaluations; experiments, which do all of it by one file."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import Existing
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
+from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.train import TrainReport, train_dataset
 from infrablend.pipeline.training.training_plan import TrainPlan, plan_training
 from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
@@ -19,6 +20,8 @@ from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
 if TYPE_CHECKING:
     from infrablend.evaluation.comparison import EvaluationComparison
     from infrablend.pipeline.evaluate import EvaluationReport
+    from infrablend.pipeline.experiments.forecast import ExperimentPlan
+    from infrablend.pipeline.experiments.run import ExperimentReport, OnStage
 
 
 def train(
@@ -82,3 +85,32 @@ def compare_evaluations(
     first, second = ([Path(s)] if isinstance(s, str | Path) else [Path(p) for p in s] for s in (ours, theirs))
     facts = comparison.compare_evaluations(first, second, classes=classes, bootstrap=bootstrap, seed=seed)
     return comparison.EvaluationComparison(**facts)
+
+
+def list_experiments() -> dict[str, str]:
+    """Return the names of the shipped experiments and the question each one answers."""
+    from infrablend.config import experiment as experiments
+
+    return {name: experiments.load_experiment(name).description for name in experiments.list_experiments()}
+
+
+def experiment(
+    request: ExperimentRequest, *, on_stage: OnStage | None = None, on_progress: OnProgress | None = None
+) -> ExperimentReport:
+    """Run an experiment: generate, train, evaluate, compare, and write the page, as far as the run gets.
+
+    The same request continues an interrupted run, and experiments share equal stages. `on_stage` is called with a
+    stage's id, what happened (`found`, `started`, `done`, `adopted`), its number, and the number of stages.
+    """
+    from infrablend.pipeline.experiments.prepare import prepare_experiment
+    from infrablend.pipeline.experiments.run import run_experiment
+
+    return run_experiment(prepare_experiment(request), on_stage=on_stage, on_progress=on_progress)
+
+
+def plan_experiment(request: ExperimentRequest) -> ExperimentPlan:
+    """Return stages, images, time and disk space of an experiment, without writing anything."""
+    from infrablend.pipeline.experiments.forecast import plan_experiment as plan_stages
+    from infrablend.pipeline.experiments.prepare import prepare_experiment
+
+    return plan_stages(prepare_experiment(request))

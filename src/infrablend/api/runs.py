@@ -68,10 +68,7 @@ def generate(  # noqa: PLR0913 - as in `realism`
 
 
 def generate_shard(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
-    """Render one shard of a run, `request.shard`, into a folder of its own in `request.out`; see `merge`.
-
-    Such a request is `RunRequest(..., shard=ShardRequest(2, 7))`.
-    """
+    """Render one shard, such as `RunRequest(..., shard=ShardRequest(2, 7))`, into a folder of its own; see `merge`."""
     if request.shard is None:
         raise ArgumentError("generate_shard: found no shard in the request, expected one such as ShardRequest(2, 7)")
     return generate_run(request, on_progress)

@@ -93,6 +93,7 @@ class _Command(TyperCommand):
         return super().make_context(*words, **settings)
 
     def invoke(self, ctx: Any) -> Any:
+        ctx.obj.json = ctx.params.get("as_json", False)
         for param in self.params:
             found = ctx.params.get(param.name)
             for value in found if isinstance(found, list | tuple) else (found,):

@@ -19,6 +19,7 @@ from infrablend.cli.options import (
     ReadingOfSplits,
     SeedOption,
     WorkersOption,
+    reported,
 )
 from infrablend.cli.output import print_problems, print_result, show_result, shown_progress, table
 from infrablend.cli.session import Session
@@ -113,7 +114,9 @@ def temperatures(
             slope_k=typer.Option("--slope"),
             offset_k=typer.Option("--offset"),
             spots=Annotated[
-                list[Any] | None, typer.Option("--spot", metavar="FILE:X,Y=DEGREES", parser=api.Spot.of_text), tuple
+                list[Any] | None,
+                typer.Option("--spot", metavar="FILE:X,Y=DEGREES", parser=reported(api.Spot.of_text)),
+                tuple,
             ],
             converted=typer.Option(metavar="DIR"),
             unit=typer.Option("--converted-unit"),

@@ -17,6 +17,7 @@ from infrablend.cli.options import (
     ReadingOfAllSplits,
     ReadingOfFormat,
     earlier_output,
+    reported,
 )
 from infrablend.cli.output import grid, human_bytes, print_problems, show_result, shown_progress, table
 from infrablend.report.figures import human_seconds
@@ -29,10 +30,7 @@ if TYPE_CHECKING:
 def _agc(text: str) -> Agc:
     from infrablend.config.agc import parse_agc
 
-    try:
-        return parse_agc(text)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
+    return parse_agc(text)
 
 
 def train(
@@ -46,7 +44,7 @@ def train(
             settings=typer.Option("--set"),
             weights=typer.Option(metavar="FILE|NAME|scratch|auto"),
             classes=typer.Option(metavar="A,B"),
-            agc=Annotated[str, typer.Option(metavar="linear|plateau|{...}", parser=_agc)],
+            agc=Annotated[str, typer.Option(metavar="linear|plateau|{...}", parser=reported(_agc))],
         ),
     ],
     reading: ReadingOfFormat,

@@ -18,7 +18,6 @@ import threading
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import TypeGuard
 
 import typer
 
@@ -107,19 +106,12 @@ def problem_lines(problems: Iterable[Problem], log_path: Path | None) -> list[st
     return lines
 
 
-def _is_of_path(error: BaseException) -> TypeGuard[OSError]:
-    """Return whether the system refuses a path, rather than anything that InfraBlend asks for without one."""
-    if not isinstance(error, OSError) or isinstance(error, InfraBlendError):
-        return False
-    return error.errno in _PATH and isinstance(error.filename, str | bytes | Path)
-
-
 def report_error(error: BaseException, log_path: Path | None) -> int:
     """Print an error on stderr, write its details to the log, and return the exit code."""
-    if isinstance(error, OSError) and error.errno in _DISK and not isinstance(error, InfraBlendError):
+    if isinstance(error, OSError) and error.errno in _DISK:
         logger.info("the disk", exc_info=error)
         error = output_error(Path(str(error.filename or "the disk")), error)
-    elif _is_of_path(error):
+    elif isinstance(error, OSError) and error.errno in _PATH and isinstance(error.filename, str | Path):
         logger.info("a path", exc_info=error)
         error = ArgumentError(
             f"{error.filename}: cannot be used ({error.strerror}); expected a path that this user may use. "

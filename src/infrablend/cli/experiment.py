@@ -65,8 +65,7 @@ def experiment(
 
     def show_stage(stage: str, event: str, number: int, total: int) -> None:
         if not session.quiet:
-            text = f"stage {number} of {total}, {stage}: {_EVENTS[event]}"
-            session.console.print(text, markup=False, soft_wrap=True)
+            session.tell(f"stage {number} of {total}, {stage}: {_EVENTS[event]}")
 
     with shown_progress(session, "working") as on_progress:
         report = api.experiment(request, on_stage=show_stage, on_progress=on_progress)

@@ -47,9 +47,9 @@ def preview(
     if ground:
         print_result(str(api.preview_ground(run, out or run / "ground.png", count or 6)))
         return
-    kinds: tuple[tuple[Draw, bool], ...] = (("boxes", boxes), ("obb", obb), ("masks", masks))
-    chosen = tuple(name for name, on in kinds if on)
-    print_result(str(api.preview(run, out or run / "preview.png", count or 12, chosen or ("boxes", "obb", "masks"))))
+    kinds: dict[Draw, bool] = {"boxes": boxes, "obb": obb, "masks": masks}
+    chosen = tuple(name for name, on in kinds.items() if on) or tuple(kinds)
+    print_result(str(api.preview(run, out or run / "preview.png", count or 12, chosen)))
 
 
 def report(run: RunArgument) -> None:
@@ -104,14 +104,9 @@ def exclude(
 
     with shown_progress(session, "excluding") as on_progress:
         changed = api.exclude(
-            run,
-            frames or (),
-            review=run / REVIEW_FILE if review else None,
-            reason=reason or BY_HAND,
-            purge=purge,
-            data=data,
-            on_progress=on_progress,
-        )
+            run, frames or (), review=run / REVIEW_FILE if review else None, reason=reason or BY_HAND,
+            purge=purge, data=data, on_progress=on_progress,
+        )  # fmt: skip
     _show_choice(changed, session)
 
 
@@ -185,18 +180,10 @@ def realism(
         raise typer.BadParameter("needs --real; without it, splits are those of the run", param_hint="--real-split")
     with shown_progress(session, "comparing") as on_progress:
         compared = api.realism(
-            run,
-            against,
-            out,
-            categories=classes,
-            time_of_day=time,
-            pairs=pairs,
+            run, against, out, categories=classes, time_of_day=time, pairs=pairs, steps=steps,
             real=None if real is None else api.read_dataset(real, api.Reading(real_split)),
-            steps=steps,
-            reading=reading,
-            execution=api.Execution(workers),
-            on_progress=on_progress,
-        )
+            reading=reading, execution=api.Execution(workers), on_progress=on_progress,
+        )  # fmt: skip
     written = [] if page is None else [str(api.realism_page(compared, page))]
     show_result(session, compared.to_json(), lambda: "\n".join([*_realism_lines(compared), *written]))
 

@@ -50,13 +50,7 @@ class Fields:
 
 
 class FieldsOf(Fields):
-    """As `Fields`, for a request that also needs other values: the parameter is a dictionary with the fields.
-
-    Args:
-        request: Type of the request.
-        names: As of `Fields`.
-        options: As of `Fields`.
-    """
+    """As `Fields`, for a request that also needs other values: the parameter is a dictionary with the fields."""
 
     def __init__(self, request: type, names: str = "", /, **options: Any) -> None:
         super().__init__(names, **options)
@@ -83,7 +77,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
 
     def command(ctx: typer.Context, **values: Any) -> None:
         if as_json:
-            ctx.obj.json = values.pop("as_json")
+            values.pop("as_json")  # set before
         for name, (make, of_fields) in requests.items():
             found = {o.name: (values.pop(o.name), convert) for o, convert in of_fields}
             values[name] = make(**{n: convert(v) for n, (v, convert) in found.items() if v not in (None, [])})
@@ -153,6 +147,18 @@ def comma_list(text: str) -> tuple[str, ...]:
     if not all(items):
         raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c")
     return items
+
+
+def reported(parse: Callable[[str], Any]) -> Callable[[str], Any]:
+    """Return a parser for Typer that reports the `ValueError` of another one as wrong usage of the option."""
+
+    def parse_or_report(text: str) -> Any:
+        try:
+            return parse(text)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+
+    return parse_or_report
 
 
 def split_at_commas(text: str) -> list[str]:

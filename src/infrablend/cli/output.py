@@ -174,21 +174,26 @@ def progress_line(p: Progress) -> str:
 
 
 class LineProgress:
-    """Writer of progress lines: at the first frame, every few seconds, and at the last."""
+    """Writer of progress lines: at the first call, every few seconds, and when everything is done."""
 
-    def __init__(self, write: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        write: Callable[[str], None],
+        text: Callable[[Any], str] = progress_line,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._write = write
+        self._text = text
         self._clock = clock
         self._next_at = clock()
         self._finished = False
 
-    def __call__(self, p: Progress) -> None:
+    def __call__(self, p: Progress | FetchProgress) -> None:
         """Write a line if one is due."""
-        last = p.done >= p.total and not self._finished
-        if last or (self._clock() >= self._next_at and not self._finished):
-            self._write(progress_line(p))
+        was_finished, self._finished = self._finished, p.total is not None and p.done >= p.total
+        if not was_finished and (self._finished or self._clock() >= self._next_at):
+            self._write(self._text(p))
             self._next_at = self._clock() + LINE_EVERY_S
-        self._finished = p.done >= p.total
 
 
 @contextlib.contextmanager
@@ -197,8 +202,7 @@ def shown_progress(session: Session, what: str) -> Iterator[OnProgress | None]:
     if session.quiet:
         yield None
     elif not session.console.is_terminal:
-        console = session.console
-        yield LineProgress(lambda line: console.print(line, markup=False, soft_wrap=True))
+        yield LineProgress(session.tell)
     else:
         with _live_bar(session, what) as show:
             yield show
@@ -254,12 +258,4 @@ def shown_fetch(session: Session) -> Iterator[OnFetch | None]:
             row = bar.add_task("connecting", total=None)
             yield lambda p: bar.update(row, completed=p.done, total=p.total, description=fetch_line(p))
     else:
-        next_at = 0.0
-
-        def show(p: FetchProgress) -> None:
-            nonlocal next_at
-            if time.monotonic() >= next_at or p.done == p.total:
-                session.console.print(fetch_line(p), markup=False, soft_wrap=True)
-                next_at = time.monotonic() + LINE_EVERY_S
-
-        yield show
+        yield LineProgress(session.tell, fetch_line)

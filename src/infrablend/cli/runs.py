@@ -25,6 +25,7 @@ from infrablend.cli.options import (
     SettingsOption,
     comma_list,
     earlier_output,
+    reported,
 )
 from infrablend.cli.output import facts, print_problems, print_warnings, show_result, shown_progress, table
 from infrablend.cli.session import Session
@@ -232,7 +233,9 @@ def submit(
             minutes=typer.Option(min=3),
             parallel=typer.Option(min=1),
             volumes=Annotated[
-                list[Any] | None, typer.Option("--volume", metavar="CLAIM:/PATH", parser=api.Volume.parse), tuple
+                list[Any] | None,
+                typer.Option("--volume", metavar="CLAIM:/PATH", parser=reported(api.Volume.parse)),
+                tuple,
             ],
         ),
     ],

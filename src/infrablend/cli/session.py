@@ -45,6 +45,10 @@ class Session:
     quiet: bool = False
     json: bool = False
 
+    def tell(self, line: str) -> None:
+        """Print a line on stderr."""
+        self.console.print(line, markup=False, soft_wrap=True)
+
 
 class _ConsoleHandler(logging.Handler):
     """Writes log lines through the console, so that they do not break its live progress bar."""
