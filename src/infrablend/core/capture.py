@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from infrablend.core.camera import roll_of_gimbal
-from infrablend.core.temperature import Radiometry, TemperatureScale
+if TYPE_CHECKING:  # the command line completes names of formats, which have facts, without NumPy
+    from infrablend.core.temperature import Radiometry, TemperatureScale
 
 TimeOfDay = Literal["day", "night"]
 AltitudeOrigin = Literal["take-off", "laser"]
@@ -49,7 +49,13 @@ def _number(low: float, high: float, unit: str) -> Fact:
 
 def _roll() -> Fact:
     turns = _number(-360, 360, "degrees")
-    return replace(turns, read=lambda value: roll_of_gimbal(turns.read(value)))
+
+    def read(value: Any) -> float:
+        from infrablend.core.camera import roll_of_gimbal
+
+        return roll_of_gimbal(float(turns.read(value)))
+
+    return replace(turns, read=read)
 
 
 def _frame_number(value: Any) -> int:
