@@ -1,5 +1,5 @@
 """The operator that detection needs."""
 
-from infrablend.training.suppression import nms
+from infrablend.training.environment import nms
 
 __all__ = ["nms"]

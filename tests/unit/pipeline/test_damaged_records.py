@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 from click.testing import Result
-from infrablend.pipeline.experiments.intact import lost_files
 
 from infrablend.core.ledger import Ledger
 from tests.command_line import done, run
@@ -68,18 +67,3 @@ def test_fields_of_a_run_record_of_another_type_are_named(made: Path, data: Path
     assert run("check", made).exit_code in (0, 1, 2)
     done(*generate(data, made, "--overwrite"))
     done("check", made)
-
-
-# -- stages of experiments
-
-
-def test_lost_files_of_a_finished_stage_are_found_without_reading_them(made: Path) -> None:
-    assert lost_files(made) == []
-    (made / "README.md").write_text("my own notes")
-    assert lost_files(made) == []
-    labels, picture = sorted(made.rglob("labels/**/*.txt")), next((made / "images").rglob("*.jpg"))
-    labels[0].unlink()
-    labels[1].write_text(labels[1].read_text() + " ")
-    picture.unlink()
-    picture.mkdir()
-    assert lost_files(made) == sorted(p.relative_to(made).as_posix() for p in (*labels[:2], picture))
