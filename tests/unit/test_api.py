@@ -73,7 +73,7 @@ def test_realism_reads_the_backgrounds_as_the_run_did(
     monkeypatch.setattr("infrablend.pipeline.compare_objects.compare", lambda _, dataset, *a: seen.append(dataset))
     api.realism(tmp_path / "run", data, time_of_day="night")
     api.realism(tmp_path / "run", data, reading=api.Reading(metadata=tmp_path / "other.csv"))
-    assert [{i.time_of_day for i in dataset.images} for dataset in seen] == [{"night"}, {"day"}]
+    assert [{i.capture.time_of_day for i in dataset.images} for dataset in seen] == [{"night"}, {"day"}]
 
 
 def _generate(tmp_path: Path, **options: Any) -> object:

@@ -440,7 +440,7 @@ def test_world(api, capsys):
     args, kwargs = api.calls["make_world"]
     assert args == (Path("w"), 4, 7)
     assert callable(kwargs.pop("on_progress"))
-    assert kwargs == {"layout": "hit-uav", "workers": None}
+    assert kwargs == {"layout": "hit-uav", "workers": None, "overwrite": False}
     assert main(["world", "--out", "w", "--layout", "monet"]) == 0
     assert api.calls["make_world"][1]["layout"] == "monet"
 
