@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from infrablend.core.files import link_or_copy, part_path, write_bytes, write_chunks
-from infrablend.core.log_file import part_from_links
 from infrablend.errors import OutputError
 
 
@@ -71,13 +70,3 @@ def test_file_made_by_others_meanwhile_is_kept(tmp_path: Path) -> None:
             with pytest.raises(OutputError, match="File exists"):
                 write()
     assert part_path(target).is_symlink() and not (tmp_path / "victim").exists() and not target.exists()
-
-
-def test_log_with_several_names_is_not_copied_over_a_link(tmp_path: Path) -> None:
-    log, victim = tmp_path / "run.log", tmp_path / "victim"
-    log.write_text("lines")
-    os.link(log, tmp_path / "copy.log")
-    victim.write_text("mine")
-    part_path(log).symlink_to(victim)
-    part_from_links(log)
-    assert victim.read_text() == "mine" and log.read_text() == "lines" and log.stat().st_nlink == 1

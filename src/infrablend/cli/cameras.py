@@ -63,7 +63,7 @@ def frames(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier extraction in DIR.")] = False,
 ) -> None:
     """Extract frames of videos as PNG, with pitch, height and time from subtitles or a flight log."""
-    from infrablend.core.finished import FRAMES_FILE
+    from infrablend.core.workspace import FRAMES_FILE
 
     if no_log and flight.log is not None:
         raise typer.BadParameter("--log and --no-log exclude each other; give one of them", param_hint="--no-log")
@@ -126,7 +126,7 @@ def temperatures(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier extraction in DIR.")] = False,
 ) -> None:
     """Extract the radiometric layers of DJI and FLIR pictures as 16-bit PNG with their temperature scale."""
-    from infrablend.core.finished import TEMPERATURES_FILE
+    from infrablend.core.workspace import TEMPERATURES_FILE
 
     with shown_progress(session, "extracting") as on_progress:
         report = api.extract_temperatures(

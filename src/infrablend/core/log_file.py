@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import shutil
 from pathlib import Path
 
 from infrablend.core.addresses import without_user
-from infrablend.core.files import copy_new, free_part
 
 
 class LogFileHandler(logging.FileHandler):
@@ -36,16 +34,3 @@ class LogFileHandler(logging.FileHandler):
         """Close the file; what cannot be written any more is lost."""
         with contextlib.suppress(OSError):
             super().close()
-
-
-def part_from_links(path: Path) -> None:
-    """Replace a file that has several names by a copy: appending to it must not change a copied folder's file.
-
-    Raises:
-        OSError: It cannot be copied.
-    """
-    if path.is_file() and not path.is_symlink() and path.stat().st_nlink > 1:
-        copy = free_part(path)
-        copy_new(path, copy)
-        shutil.copystat(path, copy)
-        copy.replace(path)

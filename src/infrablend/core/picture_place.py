@@ -6,10 +6,10 @@ from pathlib import Path
 
 from infrablend.core.file_names import can_exist, real_path
 from infrablend.core.files import read_object
-from infrablend.core.finished import CONVERT_FILE, SPLIT_FILE
 from infrablend.core.format_table import NATIVE, written_names
 from infrablend.core.output import require_apart
 from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE
+from infrablend.core.workspace import CONVERT_FILE, SPLIT_FILE
 from infrablend.errors import OutputError
 
 _OF_RUN = {IMAGES, EIGHT_BIT, EXCLUDED, NATIVE, *written_names()}

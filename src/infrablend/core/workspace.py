@@ -44,6 +44,13 @@ Existing = Literal["refuse", "resume", "overwrite"]
 CONTENTS = "contents"
 """Field of a record with the names at the top of its folder and the number of files below it."""
 
+# Names of records, by which readers know the folders of other commands.
+CONVERT_FILE = "convert.json"
+SPLIT_FILE = "split.json"
+WORLD_FILE = "world.json"
+FRAMES_FILE = "frames.json"
+TEMPERATURES_FILE = "temperatures.json"
+
 NOTE = ".workspace.json"
 """Note in a workspace: what it is for, and the command that finishes it."""
 _OWN = frozenset({NOTE, ".partial", ".replaced"})

@@ -20,8 +20,8 @@ from typing import Any
 from infrablend.core.capture import Capture, TimeOfDay
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import open_regular
-from infrablend.core.finished import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.core.format_table import FORMATS
+from infrablend.core.workspace import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.time_zones import BREAK_S, with_agreed_zones

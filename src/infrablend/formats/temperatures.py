@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.finished import TEMPERATURES_FILE
 from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_counts
+from infrablend.core.workspace import TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import open_picture

@@ -14,10 +14,9 @@ from infrablend.annotation.classes import drop_classes, ignored_turned_objects, 
 from infrablend.annotation.looseness import Looseness, loosen_inserted, loosened_text
 from infrablend.config.recipe import CLASS_NAME, MAX_LOOSEN, MAX_LOOSEN_PX
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.finished import CONVERT_FILE
 from infrablend.core.format_table import NATIVE, Writer, find_writer, written_names
 from infrablend.core.output import require_apart
-from infrablend.core.workspace import replacing, workspace
+from infrablend.core.workspace import CONVERT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from infrablend.annotation.looseness import LOOSENED, is_loosened
 from infrablend.core.dataset import Dataset
 from infrablend.core.files import load_json
-from infrablend.core.finished import CONVERT_FILE, SPLIT_FILE
 from infrablend.core.run_folder import EIGHT_BIT, RUN_FILE
+from infrablend.core.workspace import CONVERT_FILE, SPLIT_FILE
 
 AT_MOST = f"{LOOSENED}_at_most"
 """Name of the count in records where only the largest possible number is known."""

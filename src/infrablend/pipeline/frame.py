@@ -20,6 +20,7 @@ from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, me
 from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
 from infrablend.config.modes import recipe_from_json
+from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.frame_record import FrameRecord
@@ -44,7 +45,6 @@ from infrablend.pipeline.occlusion import (
     occlusion_facts,
     too_hidden,
 )
-from infrablend.pipeline.original import unchanged_original
 from infrablend.pipeline.plan import PlannedFrame
 from infrablend.rendering import make_renderer
 from infrablend.sampling.site import FrameKey, Site
@@ -129,7 +129,7 @@ class FrameComposer:
             RenderError: The renderer fails.
         """
         if frame.configuration is None:
-            return unchanged_original(frame, self._recipe, self._settings)
+            return _unchanged_original(frame, self._recipe, self._settings)
         background = self._settings.extensions.load(frame.background)
         self._look.check(frame, background)
         canvas = self._canvas(frame, background)
@@ -303,6 +303,33 @@ def nearest_range_m(scene: PlacedScene) -> float | None:
     if scene.spec.view is None or not scene.objects:
         return None
     return min(o.range_m for o in scene.objects)
+
+
+def _unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> ComposedFrame:
+    """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
+    source = frame.background
+    background = settings.extensions.load(source)
+    kind = recipe.output.image
+    relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, kind))
+    if settings.extensions.backgrounds is not None or (kind == "png" and source.path.suffix.lower() != ".png"):
+        image_bytes = encode_image(background.pixels, background, kind)
+    else:
+        image_bytes = source.path.read_bytes()
+    merged = merge(source.instances, (), merge_settings(recipe))
+    record = FrameRecord(
+        frame_id=frame.frame_id,
+        image=relative,
+        image_sha256=hashlib.sha256(image_bytes).hexdigest(),
+        background=background_facts(source, background, settings.data_root),
+        scene=None,
+        mapping=None,
+        kept=merged.kept,
+        inserted=(),
+        removed=tuple(r.to_json() for r in merged.removed),
+        warnings=tuple(p.to_json() for p in background.problems),
+        run=settings.run,
+    )
+    return ComposedFrame(record, image_bytes, {})
 
 
 class FrameMaker:

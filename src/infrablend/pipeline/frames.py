@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from infrablend.core.files import write_bytes, write_text
-from infrablend.core.finished import FRAMES_FILE
 from infrablend.core.tasks import OnProgress, paced
-from infrablend.core.workspace import replacing, workspace
+from infrablend.core.workspace import FRAMES_FILE, replacing, workspace
 from infrablend.errors import ArgumentError
 from infrablend.formats.flight_log import Sampled, sample
 from infrablend.formats.images import png_bytes

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_text
-from infrablend.core.finished import SPLIT_FILE
 from infrablend.core.format_table import NATIVE, find_writer
 from infrablend.core.output import require_apart
 from infrablend.core.rng import stream
-from infrablend.core.workspace import replacing, workspace
+from infrablend.core.workspace import SPLIT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, leaves
 from infrablend.core.files import write_bytes, write_chunks
-from infrablend.core.finished import TEMPERATURES_FILE
 from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_median
-from infrablend.core.workspace import replacing, workspace
+from infrablend.core.workspace import TEMPERATURES_FILE, replacing, workspace
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.coco import coco_chunks
 from infrablend.formats.images import png_bytes

@@ -27,14 +27,16 @@ from infrablend.core.output import require_replaceable
 from infrablend.core.picture_place import require_outside_datasets
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats.pictures import is_decodable
-from infrablend.report.picture_mark import CONTACT_SHEET, software_of
+from infrablend.formats.pictures import is_decodable, open_picture
 
 Draw = Literal["boxes", "obb", "masks"]
 ALL_DRAWN: tuple[Draw, ...] = ("boxes", "obb", "masks")
 
 Rgb = NDArray[np.uint8]
 Colour = tuple[int, int, int]
+
+CONTACT_SHEET = "InfraBlend contact sheet"
+"""The mark in the pictures, by which a later call knows that it may replace them."""
 
 PAPER: Colour = (24, 26, 30)
 INK: Colour = (236, 238, 242)
@@ -118,7 +120,7 @@ def write_sheet(path: Path, sheet: Rgb, compress_level: int = 6) -> Path:
     Raises:
         OutputError: The file exists and is not such a sheet, or cannot be written.
     """
-    require_replaceable(path, "contact sheet", ours=software_of(path) == CONTACT_SHEET)
+    require_replaceable(path, "contact sheet", ours=_software_of(path) == CONTACT_SHEET)
     buffer = io.BytesIO()
     mark = PngInfo()
     mark.add_text("Software", CONTACT_SHEET)
@@ -530,3 +532,13 @@ def decode_picture(path: Path, folder: Path | None = None) -> NDArray[Any] | Non
     if pixels is None:
         return None
     return np.ascontiguousarray(pixels[:, :, 2::-1] if pixels.ndim == 3 else pixels)
+
+
+def _software_of(path: Path) -> str | None:
+    """Return the program that a PNG file names as its author; None if it names none or cannot be read."""
+    try:
+        with open_picture(path, ("PNG",)) as picture:
+            named = picture.info.get("Software")
+    except (OSError, ValueError, SyntaxError, ImportError):  # Ultralytics, once imported, tries a library it may lack
+        return None
+    return named if isinstance(named, str) else None

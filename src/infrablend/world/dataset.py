@@ -12,8 +12,7 @@ from typing import Literal, get_args
 from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import ImageRecord, Split
 from infrablend.core.files import link_or_copy
-from infrablend.core.finished import WORLD_FILE
-from infrablend.core.workspace import replacing, workspace
+from infrablend.core.workspace import WORLD_FILE, replacing, workspace
 from infrablend.formats import coco, hit_uav, monet
 from infrablend.formats.losses import Written
 from infrablend.formats.rjpeg.writing import MAKERS

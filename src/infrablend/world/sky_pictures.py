@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
 from infrablend.core.files import write_bytes
-from infrablend.core.finished import WORLD_FILE
 from infrablend.core.rng import stream
-from infrablend.core.workspace import workspace
+from infrablend.core.workspace import WORLD_FILE, workspace
 from infrablend.formats import coco
 from infrablend.formats.images import png_bytes
 
