@@ -25,7 +25,7 @@ ALLOWED = {
     "execution/scratch.py": "folders, to lock them",
     "execution/serial.py": "the log of a worker, to write it",
     "pipeline/measure_objects.py": "bytes in memory",
-    "pipeline/original.py": "backgrounds, which may be links",
+    "pipeline/frame.py": "backgrounds, which may be links",
     "pipeline/packed_shard.py": "the ledger, by SQLite",
     "pipeline/profile.py": "pictures of a dataset, checked by its reader",
     "pipeline/rerender.py": "a file that the user names",
