@@ -387,4 +387,4 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert (tmp_path / "build" / "quickstart" / "contact_sheet.png").stat().st_size > 1000
-    assert "complete True" in done.stdout
+    assert "\nTrue\n" in done.stdout
