@@ -31,8 +31,8 @@ def sheet(width=1.6, z=1.0, part="disc") -> Mesh:
 
 
 def both(mode, blender, spec, meshes):
-    look = dataclasses.replace(spec.appearance, mode=mode)
-    return blender.render(place(dataclasses.replace(spec, appearance=look, weather=CLEAR), meshes))
+    weather = CLEAR if mode == "physical" else None
+    return blender.render(place(dataclasses.replace(spec, weather=weather), meshes))
 
 
 @pytest.mark.parametrize("opacity", [0.08, 0.3, 0.8])
