@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.core.files import part_path
 from infrablend.core.workspace import NOTE, is_being_written, partial_of, unfinished, workspace
 from infrablend.errors import OutputError
 
@@ -57,7 +56,7 @@ def test_a_failure_leaves_nothing_or_what_can_be_resumed(tmp_path: Path, keep: b
 def test_a_call_that_was_killed_at_its_note_is_no_hindrance(tmp_path: Path) -> None:
     partial = partial_of(tmp_path / "out")
     partial.mkdir()
-    part_path(partial / NOTE).write_text("{")
+    (partial / NOTE).write_text("{")
     write(tmp_path / "out")
     assert names(tmp_path) == ["out/deep/file.txt", f"out/{RECORD}"]
 
