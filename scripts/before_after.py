@@ -71,21 +71,18 @@ def generate(folder: Path, world_options: tuple[str, ...], recipe: str) -> Path:
     return run
 
 
-def call(command: list[str], accepted: tuple[int, ...] = (0,)) -> None:
-    """Run a command; exit with its messages if its exit code is not accepted."""
+def call(command: list[str], accepted: tuple[int, ...] = (0,)) -> str:
+    """Return what a command prints; exit with its messages if its exit code is not accepted."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode not in accepted:
         text = f"{' '.join(command)}\nended with exit code {done.returncode}; no picture was written:\n{done.stderr}"
         raise SystemExit(text)
+    return done.stdout
 
 
 def panels(run: Path, frame_id: str, window: tuple[int, int, int]) -> list[Image.Image]:
     """Background, generated picture, and the picture with its labels, all cropped to the window."""
-    path = run / "scenes" / f"{frame_id}.json"
-    if not path.is_file():
-        there = ", ".join(sorted(p.stem for p in path.parent.glob("*.json"))) or "none"
-        raise SystemExit(f"{path}: no such frame in the run, so no picture was written; its frames: {there}")
-    record = json.loads(path.read_text("utf-8"))
+    record = json.loads(call([COMMAND, "show", str(run), frame_id]))
     root = Path(json.loads((run / "run.json").read_text("utf-8"))["data"]["root"])
     before = Image.open(root / record["background"]["path"]).convert("RGB")
     after = Image.open(run / "images" / record["image"]).convert("RGB")

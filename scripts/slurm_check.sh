@@ -94,7 +94,7 @@ rendering() {
   for _ in $(seq 1200); do
     for task in $(squeue -h -r -j "$array" -t R "$@" -o %K 2> /dev/null); do
       number=$(printf '%05d' "$task")
-      if compgen -G "$folder/shards/shard-$number-of-*/scenes/*/*.json" > /dev/null; then
+      if compgen -G "$folder/shards/.shard-$number-of-*.partial/images/*/*" > /dev/null; then
         echo "$task"
         return
       fi
@@ -134,7 +134,7 @@ victims=$(jobs_of n2)
 parents=$(for process in $victims; do ps -o ppid= -p "$process" || true; done | sort -un)
 steps=$(for process in $parents; do ps -o pid=,comm= -p "$process" || true; done | awk '$2 == "slurmstepd" { print $1 }')
 for process in $(cat slurmd-n2.pid) $steps $victims; do kill -KILL "$process" 2> /dev/null || true; done
-echo "shard $killed of $shards was killed with everything on n2, after $(find "$folder/shards/shard-$(printf '%05d' "$killed")"-of-*/scenes -name '*.json' | wc -l) frames"
+echo "shard $killed of $shards was killed with everything on n2, after $(find "$folder/shards/".shard-"$(printf '%05d' "$killed")"-of-*.partial/images -type f | wc -l) frames"
 slurmd -N n2
 
 step "the time of another shard is over"

@@ -127,7 +127,7 @@ class PackedFrame:
         key: Key of the frame, see `key_of`.
         image: Picture file.
         label: Labels, see `label_text`.
-        scene: Record of the frame, as in `scenes/` of a run.
+        scene: Record of the frame, as `infrablend show` prints it.
     """
 
     key: str

@@ -22,7 +22,7 @@ from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WO
 from infrablend.core.spool import Spool
 from infrablend.core.stored_images import store_images
 from infrablend.core.workspace import Workspace
-from infrablend.errors import Problem
+from infrablend.errors import OutputError, Problem
 from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
 from infrablend.formats.write_settings import WriteSettings
@@ -159,6 +159,21 @@ def unknown_files(folder: RunFolder, ledger: Ledger) -> list[str]:
     known = exports | {f"{IMAGES}/{frame.image}" for frame in ledger.done().values()}
     tops = {name.split("/")[0] for name in exports if "/" in name} | {IMAGES}
     return [name for top in sorted(tops) for name in _files_below(folder.root, top) if name not in known]
+
+
+def require_nothing_added(folder: RunFolder) -> None:
+    """Refuse to write the labels of a finished run again if that would delete files that somebody put beside them.
+
+    Raises:
+        OutputError: There are such files.
+    """
+    with Ledger.open(folder.root) as ledger:
+        added = unknown_files(folder, ledger)
+    if added:
+        raise OutputError(
+            f"{folder.root}: {len(added)} files, such as {added[0]}, are not of this run, and are in folders that are "
+            "written again; nothing was changed. Move them out of these folders (infrablend check names all of them)"
+        )
 
 
 def _has_size(path: Path, size: int) -> bool:

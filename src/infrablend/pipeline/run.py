@@ -22,7 +22,14 @@ from infrablend.errors import Interrupted, MissingDependencyError, OtherSettings
 from infrablend.formats.images import output_suffix
 from infrablend.pipeline.composed import MadeFrame
 from infrablend.pipeline.executors import make_executor
-from infrablend.pipeline.exports import LabelSummary, export_run, list_exports, lost_exports, remove_exports
+from infrablend.pipeline.exports import (
+    LabelSummary,
+    export_run,
+    list_exports,
+    lost_exports,
+    remove_exports,
+    require_nothing_added,
+)
 from infrablend.pipeline.frame_pool import settings_for
 from infrablend.pipeline.levels import dataset_levels
 from infrablend.pipeline.pace import Pace
@@ -171,6 +178,8 @@ def run_in(
         if space.state == "complete" and todo:
             named = ", ".join(f.frame_id for f in todo[:3])
             log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), named)
+        if space.state == "complete":
+            require_nothing_added(folder)
         space.reopen()
         folder = RunFolder(space.folder)
         opened = Ledger.open(folder.root, write=True)

@@ -70,6 +70,23 @@ def test_a_label_that_is_dropped_is_no_failure(words: list[object], data: Path, 
     done("include", run_folder, frame)
 
 
+@pytest.mark.parametrize("place", ["images", "yolo/labels"])
+def test_files_added_to_folders_that_are_written_again_are_not_lost(
+    made: Path, words: list[object], place: str
+) -> None:
+    mine = made / place / "mine.txt"
+    mine.write_text("mine")
+    frame = frame_ids(made)[0]
+    assert f"{place}/mine.txt" in refused("exclude", made, frame)
+    assert mine.read_text() == "mine" and not excluded(made)
+    done(*words, "--resume")  # nothing is written again
+    next((made / "yolo" / "labels").rglob("*_c0.txt")).unlink()
+    assert f"{place}/mine.txt" in refused(*words, "--resume")
+    mine.rename(made.parent / "mine.txt")
+    done("exclude", made, frame)
+    done("check", made)
+
+
 def test_labels_counts_card_and_check_follow(made: Path, tmp_path: Path) -> None:
     every = frame_ids(made)
     left_out = every[0]
