@@ -14,6 +14,7 @@ import os
 import random
 import shutil
 import signal
+import sqlite3
 import sys
 import tempfile
 import time
@@ -27,13 +28,24 @@ os.environ.setdefault("RAY_health_check_failure_threshold", "2")
 
 NODES = 3
 # Differ between runs: times, machine, logs.
-TIMED = {"run.json", "report.html"}
+TIMED = {"run.json", "report.html", "workers.log"}
 
 
 def contents(run: Path) -> dict[str, str]:
-    """Return the digests of the files that do not depend on time and machine."""
-    files = [p for p in sorted(run.rglob("*")) if p.is_file() and p.relative_to(run).parts[0] != "log"]
-    return {str(p.relative_to(run)): hashlib.sha256(p.read_bytes()).hexdigest() for p in files if p.name not in TIMED}
+    """Return the digests of the files that do not depend on time and machine; of the ledger, those of its rows."""
+    files = [p for p in sorted(run.rglob("*")) if p.is_file() and p.name not in TIMED]
+    return {str(p.relative_to(run)): hashlib.sha256(data_of(p)).hexdigest() for p in files}
+
+
+def data_of(path: Path) -> bytes:
+    """Return the bytes of a file, or the rows of frames and records of a ledger."""
+    if path.suffix != ".sqlite":
+        return path.read_bytes()
+    with sqlite3.connect(path) as ledger:
+        rows = [
+            ledger.execute(f"SELECT * FROM {table} ORDER BY frame_id").fetchall() for table in ("frames", "records")
+        ]
+    return repr(rows).encode()
 
 
 def kill_worker(rng: random.Random) -> str:
