@@ -11,7 +11,9 @@ network file systems as far as their locks do. docs/explanation/reliability.md h
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
+import os
 import sqlite3
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import DAMAGED
+from infrablend.core.files import DAMAGED, output_error
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
@@ -287,19 +289,21 @@ class Ledger:
             yield from self._db.execute(query, values)
 
 
+_OF_THE_DISK = {sqlite3.SQLITE_FULL: errno.ENOSPC, sqlite3.SQLITE_IOERR: errno.EIO}
+
+
 @contextlib.contextmanager
 def _reported(file: Path) -> Iterator[None]:
     """Turn errors of SQLite into errors that say what to do."""
     try:
         yield
     except (sqlite3.Error, ValueError, TypeError) as error:
-        full = "full" in str(error)
-        todo = (
-            "Free some space and run again with --resume"
-            if full
-            else "Check the folder's permissions; if the file is damaged, make the run again with --overwrite"
-        )
-        raise OutputError(f"{file}: {error}; expected the ledger of a run. {todo}.") from error
+        if (number := _OF_THE_DISK.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)) is not None:
+            raise output_error(file, OSError(number, os.strerror(number))) from error
+        raise OutputError(
+            f"{file}: {error}; expected the ledger of a run. Check the folder's permissions; if the file is damaged, "
+            "make the run again with --overwrite."
+        ) from error
 
 
 def _text(value: Any) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
 from infrablend.core.tasks import Failure
@@ -97,6 +98,16 @@ def test_a_damaged_ledger_says_what_to_do(folder: Path, content: bytes | None) -
     with pytest.raises(OutputError, match=r"run\.sqlite: .*[Mm]ake the run again"), Ledger.open(folder) as ledger:
         ledger.read_run()
         list(ledger.records())
+
+
+def test_a_full_disk_is_the_fault_of_the_disk(folder: Path) -> None:
+    with Ledger.open(folder, write=True) as ledger:
+        ledger._db.execute("PRAGMA max_page_count = 20")
+        with pytest.raises(OutputError, match=r"run\.sqlite: No space left on device") as caught:
+            for n in range(2000):
+                add(ledger, f"test/{n}")
+    assert exit_code(caught.value) == ENVIRONMENT
+    assert caught.value.problems[0].code == "disk-full"
 
 
 def test_a_damaged_record_is_named(folder: Path) -> None:
