@@ -167,7 +167,7 @@ def require_nothing_added(folder: RunFolder) -> None:
     Raises:
         OutputError: There are such files.
     """
-    with Ledger.open(folder.root) as ledger:
+    with folder.ledger() as ledger:
         added = unknown_files(folder, ledger)
     if added:
         raise OutputError(
