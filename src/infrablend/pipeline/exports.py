@@ -161,14 +161,15 @@ def unknown_files(folder: RunFolder, ledger: Ledger) -> list[str]:
     return [name for top in sorted(tops) for name in _files_below(folder.root, top) if name not in known]
 
 
-def require_nothing_added(folder: RunFolder) -> None:
+def require_nothing_added(folder: RunFolder, plan: RunPlan) -> None:
     """Refuse to write the labels of a finished run again if that would delete files that somebody put beside them.
 
     Raises:
         OutputError: There are such files.
     """
+    names = {frame.name for frame in plan.frames}  # pictures of frames that the ledger has lost are made again
     with folder.ledger() as ledger:
-        added = unknown_files(folder, ledger)
+        added = [n for n in unknown_files(folder, ledger) if not (n.startswith(IMAGES) and Path(n).stem in names)]
     if added:
         raise OutputError(
             f"{folder.root}: {len(added)} files, such as {added[0]}, are not of this run, and are in folders that are "

@@ -179,7 +179,7 @@ def run_in(
             named = ", ".join(f.frame_id for f in todo[:3])
             log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), named)
         if space.state == "complete":
-            require_nothing_added(folder)
+            require_nothing_added(folder, plan)
         space.reopen()
         folder = RunFolder(space.folder)
         opened = Ledger.open(folder.root, write=True)
