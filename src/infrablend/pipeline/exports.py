@@ -21,7 +21,7 @@ from infrablend.core.ledger import LEDGER, Ledger
 from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
 from infrablend.core.spool import Spool
 from infrablend.core.stored_images import store_images
-from infrablend.core.workspace import Workspace
+from infrablend.core.workspace import NOTE, Workspace
 from infrablend.errors import OutputError, Problem
 from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
@@ -39,6 +39,9 @@ from infrablend.pipeline.run_warnings import (
     limit_warnings,
 )
 from infrablend.report.card import CARD_FILE, is_own, write_card
+
+_NO_EXPORTS = frozenset({EXCLUDED, WORKERS_LOG, LEDGER, f"{LEDGER}-journal"})
+"""What stays in the folder, besides the pictures, when labels are written again."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,7 @@ def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
         OutputError: It cannot be deleted.
     """
     edited = () if is_own(folder.root / CARD_FILE) else (CARD_FILE,)
-    space.clear(keep=(IMAGES, EXCLUDED, WORKERS_LOG, LEDGER, f"{LEDGER}-journal", *edited))
+    space.clear(keep=(IMAGES, *_NO_EXPORTS, *edited))
     out = ledger.excluded()
     images = {f"{IMAGES}/{frame.image}" for frame_id, frame in ledger.done().items() if frame_id not in out}
     for name in _files_below(folder.root, IMAGES):
@@ -140,7 +143,7 @@ def list_exports(folder: RunFolder, ledger: Ledger, foreign: Collection[str]) ->
     pictures = {f"{IMAGES}/{frame.image}" for frame in done}
     # Label folders have hard links to the pictures, which need not be read again.
     known = {path.stat().st_ino: f.sha256 for f in done if (path := folder.image(f.image)).is_file()}
-    left_out = {*foreign, EXCLUDED, WORKERS_LOG, RUN_FILE, LEDGER, f"{LEDGER}-journal", ".workspace.json"}
+    left_out = {*foreign, *_NO_EXPORTS, RUN_FILE, NOTE}
     for top in sorted({p.name for p in folder.root.iterdir()} - left_out):
         for name in [top] if (folder.root / top).is_file() else _files_below(folder.root, top):
             if name not in pictures:
