@@ -31,7 +31,7 @@ from scenes import PHYSICAL_RECIPE, RECIPE, SEED, Work, distribution, part_of_pl
 from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, split_program, time_full_frames, time_label_files, time_program
 
 from infrablend.blender.quality import MATCHED
-from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.rendering.emission import FRAGMENTS, SUPERSAMPLE
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -16,7 +16,7 @@ from infrablend.compositing.mapping import GreyMapping, percentile_mapping
 from infrablend.compositing.overlay import blend, make_layer
 from infrablend.core.render import RenderResult
 from infrablend.formats.images import load_background
-from infrablend.pipeline.looks import percentile_settings
+from infrablend.pipeline.compose.looks import percentile_settings
 from infrablend.sampling.scene import sample_scene
 
 REFERENCE_SAMPLES = 2048

@@ -16,10 +16,10 @@ from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.placed import PlacedScene
 from infrablend.formats import hit_uav
-from infrablend.pipeline.frame_settings import FrameSettings
-from infrablend.pipeline.levels import dataset_levels
-from infrablend.pipeline.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.planning import make_plan
+from infrablend.pipeline.compose.settings import FrameSettings
+from infrablend.pipeline.plans.levels import dataset_levels
+from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.plans.planning import make_plan
 from infrablend.sampling.scene import sample_scene
 
 RECIPE = "hit-uav-drone"

@@ -24,7 +24,7 @@ import numpy as np
 
 from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.run_folder import RunFolder
-from infrablend.pipeline.trial import TrialRequest
+from infrablend.pipeline.compose.trial import TrialRequest
 from infrablend.studio.pictures import to_png
 from infrablend.studio.tuning import Tuning
 

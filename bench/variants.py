@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scenes import Work
 
 import infrablend.compositing.picture as over
-import infrablend.pipeline.extensions as extensions
-import infrablend.pipeline.frame as pipeline
-import infrablend.pipeline.looks as looks
+import infrablend.pipeline.compose.extensions as extensions
+import infrablend.pipeline.compose.frame as pipeline
+import infrablend.pipeline.compose.looks as looks
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import percentile_mapping
 from infrablend.compositing.overlay import compose, make_layer
@@ -32,10 +32,10 @@ from infrablend.core.render import RenderResult
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.pipeline.exports import export_run
-from infrablend.pipeline.frame import FrameMaker
-from infrablend.pipeline.looks import percentile_settings
-from infrablend.pipeline.plan import RunPlan
+from infrablend.pipeline.compose.frame import FrameMaker
+from infrablend.pipeline.compose.looks import percentile_settings
+from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.runs.exports import export_run
 from infrablend.sampling.scene import RecipeSampler, sample_scene
 
 PAPER_SAMPLES = 640

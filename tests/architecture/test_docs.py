@@ -102,13 +102,16 @@ def table_rows(page: Path, heading: str) -> list[list[str]]:
     return [[c.strip() for c in line.strip("|").split("|")] for line in lines.group().splitlines()[2:]]
 
 
-def test_the_table_of_layers_is_the_import_contract() -> None:
-    (contract,) = [c for c in PYPROJECT["tool"]["importlinter"]["contracts"] if c["type"] == "layers"]
+@pytest.mark.parametrize(
+    ("container", "heading"),
+    [("infrablend", "## Layers"), ("infrablend.pipeline", "### Packages of the pipeline")],
+)
+def test_the_table_of_layers_is_the_import_contract(container: str, heading: str) -> None:
+    contracts = PYPROJECT["tool"]["importlinter"]["contracts"]
+    (contract,) = [c for c in contracts if c.get("containers") == [container]]
     layers = [set(re.findall(r"\w+", layer)) for layer in contract["layers"]]
-    documented = [
-        set(re.findall(r"`(\w+)`", row[0]))
-        for row in table_rows(ROOT / "docs" / "explanation" / "architecture.md", "## Layers")
-    ]
+    rows = table_rows(ROOT / "docs" / "explanation" / "architecture.md", heading)
+    documented = [set(re.findall(r"`(\w+)`", row[0])) for row in rows]
     assert documented == [layer for layer in layers if layer != {"__main__"}]
 
 
@@ -193,7 +196,7 @@ def test_every_fact_of_a_scene_is_read() -> None:
 
 def test_the_reasons_of_removal_are_those_that_occur() -> None:
     from infrablend.annotation import merge
-    from infrablend.pipeline.card import REMOVAL_TEXTS
+    from infrablend.pipeline.runs.card import REMOVAL_TEXTS
 
     tree = ast.parse(Path(merge.__file__).read_text("utf-8"))
     reasons = set(typing.get_args(merge.RemovalReason))

@@ -13,13 +13,15 @@ import infrablend
 from infrablend import errors
 from infrablend.errors import InfraBlendError, Problem
 
+# Blender's part, and pages that need the extra NiceGUI; neither defines an error.
+NOT_IMPORTED = ("infrablend.blender", "infrablend.studio.pages")
 PROBLEMS = (Problem("a.json:3", "box-outside", "a box at -4", "boxes inside the frame", "mend the file"),)
 
 
 def all_error_classes() -> list[type[InfraBlendError]]:
     """Return all subclasses after importing the package, except its Blender part."""
     for found in pkgutil.walk_packages(infrablend.__path__, "infrablend."):
-        if not found.name.startswith("infrablend.blender") and not found.name.endswith("__main__"):
+        if not found.name.startswith(NOT_IMPORTED) and not found.name.endswith("__main__"):
             importlib.import_module(found.name)
     classes, queue = [], [InfraBlendError]
     while queue:

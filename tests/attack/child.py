@@ -24,7 +24,7 @@ import typer.main
 
 from infrablend.cli import app, main
 from infrablend.pipeline.experiments.request import ExperimentRequest
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.plans.request import Execution
 from tests.flat_renderer import flat_defaults
 
 KILLED = -signal.SIGKILL

@@ -13,8 +13,8 @@ from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.user_model import description_digest, geometry_file, read_geometry
 from infrablend.errors import ModelError
-from infrablend.pipeline import models
-from infrablend.pipeline.models import import_geometry, ready_model
+from infrablend.pipeline.plans import models
+from infrablend.pipeline.plans.models import import_geometry, ready_model
 from tests.models_3d import write_gltf
 
 MAKE = """

@@ -20,8 +20,8 @@ from tests.studio_runs import frame_record, write_run
 from tests.unit.studio.test_results import REALISM
 
 from infrablend import api
-from infrablend.pipeline.request import Execution
-from infrablend.pipeline.review import Verdict, read_verdicts
+from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.runs.review import Verdict, read_verdicts
 
 pytestmark = pytest.mark.slow
 WAIT_MS = 60_000

@@ -25,9 +25,9 @@ from infrablend import api
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
-from infrablend.pipeline import train as pipeline_train
-from infrablend.pipeline.training import process
-from infrablend.pipeline.training.training_plan import choose_device, require_arguments
+from infrablend.pipeline.detectors import train as pipeline_train
+from infrablend.pipeline.detectors import training_process as process
+from infrablend.pipeline.detectors.training_plan import choose_device, require_arguments
 from infrablend.realism import nets
 from infrablend.training import environment, trainer, weights
 from infrablend.training.environment import quiet_ultralytics

@@ -10,7 +10,7 @@ from infrablend.core.addresses import address_of, require_folder, require_known,
 from infrablend.core.files import write_bytes
 from infrablend.core.log_file import LogFileHandler
 from infrablend.errors import ArgumentError, DatasetError
-from infrablend.pipeline.request import RunRequest
+from infrablend.pipeline.plans.request import RunRequest
 from tests.command_line import run
 
 ADDRESS = "s3://key:secret@bucket/run"

@@ -20,9 +20,10 @@ from infrablend.core.workspace import partial_of
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
 from infrablend.execution import scratch
-from infrablend.pipeline import request, run
-from infrablend.pipeline.generate import prepare_run
-from infrablend.pipeline.request import Execution, RunRequest
+from infrablend.pipeline.plans import request
+from infrablend.pipeline.plans.request import Execution, RunRequest
+from infrablend.pipeline.runs import run
+from infrablend.pipeline.runs.generate import prepare_run
 from tests.run_files import hashes
 
 

@@ -62,19 +62,19 @@ from infrablend.fetching.fetch import (
 from infrablend.formats.log_alignment import Clock as Clock
 from infrablend.formats.reading import Reading as Reading
 from infrablend.formats.write_settings import WriteSettings as WriteSettings
-from infrablend.pipeline.add_model import ModelAnswers as ModelAnswers, ModelSurvey as ModelSurvey
-from infrablend.pipeline.choose import ChoiceReport as ChoiceReport
-from infrablend.pipeline.compare_objects import RealismReport as RealismReport
-from infrablend.pipeline.convert import ConvertReport as ConvertReport
-from infrablend.pipeline.count_scale import CountScale as CountScale, Spot as Spot
-from infrablend.pipeline.dataset_requests import (
+from infrablend.pipeline.plans.add_model import ModelAnswers as ModelAnswers, ModelSurvey as ModelSurvey
+from infrablend.pipeline.runs.choose import ChoiceReport as ChoiceReport
+from infrablend.pipeline.studies.compare_objects import RealismReport as RealismReport
+from infrablend.pipeline.datasets.convert import ConvertReport as ConvertReport
+from infrablend.pipeline.capture.count_scale import CountScale as CountScale, Spot as Spot
+from infrablend.pipeline.datasets.requests import (
     ClassChanges as ClassChanges,
     Selection as Selection,
     SplitRule as SplitRule,
 )
-from infrablend.pipeline.evaluation_settings import EvaluationSettings as EvaluationSettings
+from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings as EvaluationSettings
 from infrablend.pipeline.experiments.request import ExperimentRequest as ExperimentRequest
-from infrablend.pipeline.extensions import (
+from infrablend.pipeline.compose.extensions import (
     BackgroundSource as BackgroundSource,
     Extensions as Extensions,
     Look as Look,
@@ -82,19 +82,19 @@ from infrablend.pipeline.extensions import (
     SceneRequest as SceneRequest,
     SceneSampler as SceneSampler,
 )
-from infrablend.pipeline.extraction.clips import FrameChoice as FrameChoice
-from infrablend.pipeline.extraction.clips import FlightFacts as FlightFacts
-from infrablend.pipeline.frame_selection import FrameSelection as FrameSelection
-from infrablend.pipeline.in_memory import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
-from infrablend.pipeline.request import Execution as Execution, RunRequest as RunRequest
-from infrablend.pipeline.run import RunReport as RunReport
-from infrablend.pipeline.shard import ShardRequest as ShardRequest
-from infrablend.pipeline.sharded_run import ShardState as ShardState
-from infrablend.pipeline.split import SplitReport as SplitReport
+from infrablend.pipeline.capture.clips import FrameChoice as FrameChoice
+from infrablend.pipeline.capture.clips import FlightFacts as FlightFacts
+from infrablend.pipeline.plans.selection import FrameSelection as FrameSelection
+from infrablend.pipeline.compose.in_memory import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
+from infrablend.pipeline.plans.request import Execution as Execution, RunRequest as RunRequest
+from infrablend.pipeline.runs.run import RunReport as RunReport
+from infrablend.pipeline.plans.shard import ShardRequest as ShardRequest
+from infrablend.pipeline.runs.sharded import ShardState as ShardState
+from infrablend.pipeline.datasets.split import SplitReport as SplitReport
 from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
-from infrablend.pipeline.train import TrainReport as TrainReport
-from infrablend.pipeline.training.training_plan import TrainPlan as TrainPlan
-from infrablend.pipeline.trial import Trial as Trial
+from infrablend.pipeline.detectors.train import TrainReport as TrainReport
+from infrablend.pipeline.detectors.training_plan import TrainPlan as TrainPlan
+from infrablend.pipeline.compose.trial import Trial as Trial
 from infrablend.training.request import TrainRequest as TrainRequest
 
 __all__: list[str]

@@ -13,19 +13,19 @@ from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFe
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.write_settings import WriteSettings
-from infrablend.pipeline import world
-from infrablend.pipeline.convert import ConvertReport, convert_dataset
-from infrablend.pipeline.dataset_requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
-from infrablend.pipeline.request import Execution
-from infrablend.pipeline.split import SplitReport, split_dataset
+from infrablend.pipeline.capture import world
+from infrablend.pipeline.datasets.convert import ConvertReport, convert_dataset
+from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
+from infrablend.pipeline.datasets.split import SplitReport, split_dataset
+from infrablend.pipeline.plans.request import Execution
 from infrablend.world.dataset import Layout, WorldRequest
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.count_scale import CountScale
-    from infrablend.pipeline.extraction.clips import FlightFacts, FrameChoice
-    from infrablend.pipeline.extraction.report import FramesReport
-    from infrablend.pipeline.profile import ProfileReport
-    from infrablend.pipeline.temperatures import TemperaturesReport
+    from infrablend.pipeline.capture.clips import FlightFacts, FrameChoice
+    from infrablend.pipeline.capture.count_scale import CountScale
+    from infrablend.pipeline.capture.report import FramesReport
+    from infrablend.pipeline.capture.temperatures import TemperaturesReport
+    from infrablend.pipeline.studies.profile import ProfileReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
 
@@ -79,7 +79,7 @@ def inspect(
     `out` is the folder for `inspect.png` and `inspect.json`; None writes nothing. `decode` also decodes every picture
     for bit depth, channels, grey levels and broken files.
     """
-    from infrablend.pipeline.examine import inspect_folder
+    from infrablend.pipeline.studies.examine import inspect_folder
 
     return inspect_folder(Path(data), None if out is None else Path(out), reading=reading, decode=decode)
 
@@ -92,7 +92,7 @@ def check(
     >>> check("hit-uav").ok(strict=False)
     True
     """
-    from infrablend.pipeline.examine import check_folder
+    from infrablend.pipeline.studies.examine import check_folder
 
     return check_folder(Path(data), reading=reading, decode=decode, on_progress=on_progress)
 
@@ -139,7 +139,7 @@ def extract_frames(
     `choice` is, for example, `FrameChoice("2s")`. Pitch, height and time come from the DJI subtitles beside each video,
     or from the log that `flight` names.
     """
-    from infrablend.pipeline import frames
+    from infrablend.pipeline.capture import frames
 
     paths = [Path(v) for v in videos]
     return frames.extract_frames(paths, Path(out), choice, flight, overwrite=overwrite, on_progress=on_progress)
@@ -153,7 +153,7 @@ def extract_temperatures(
 
     FLIR's become apparent temperatures in centikelvin. DJI's stay counts; `scale` says what these mean, if known.
     """
-    from infrablend.pipeline import count_scale, temperatures
+    from infrablend.pipeline.capture import count_scale, temperatures
 
     dataset = read_dataset(data, reading)
     return temperatures.extract_temperatures(
@@ -172,7 +172,7 @@ def profile(
     count for local share and looseness of boxes; their boxes are compared with the exact ones of the run `rendered`.
     `against` is a shipped profile to compare with.
     """
-    from infrablend.pipeline.profile import pictures_taken_by, profile_dataset
+    from infrablend.pipeline.studies.profile import pictures_taken_by, profile_dataset
 
     dataset = read_dataset(data, reading)
     dataset = dataset if time is None else pictures_taken_by(dataset, time)

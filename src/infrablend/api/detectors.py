@@ -11,15 +11,15 @@ from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import Existing
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
+from infrablend.pipeline.detectors.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
+from infrablend.pipeline.detectors.train import TrainReport, train_dataset
+from infrablend.pipeline.detectors.training_plan import TrainPlan, plan_training
 from infrablend.pipeline.experiments.request import ExperimentRequest
-from infrablend.pipeline.train import TrainReport, train_dataset
-from infrablend.pipeline.training.training_plan import TrainPlan, plan_training
 from infrablend.training.request import DEFAULT_TRAINING, TrainRequest
 
 if TYPE_CHECKING:
     from infrablend.evaluation.comparison import EvaluationComparison
-    from infrablend.pipeline.evaluate import EvaluationReport
+    from infrablend.pipeline.detectors.evaluate import EvaluationReport
     from infrablend.pipeline.experiments.forecast import ExperimentPlan
     from infrablend.pipeline.experiments.run import ExperimentReport, OnStage
 
@@ -62,7 +62,7 @@ def evaluate(
     `predictions.json` or the folder of an earlier evaluation, which need neither torch nor Ultralytics. `against` is
     the folder of another evaluation on the same images and labels.
     """
-    from infrablend.pipeline.evaluate import evaluate_detector
+    from infrablend.pipeline.detectors.evaluate import evaluate_detector
 
     require_apart(Path(dataset), Path(out))
     return evaluate_detector(

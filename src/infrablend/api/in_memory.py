@@ -7,11 +7,11 @@ from pathlib import Path
 
 from infrablend.errors import InfraBlendError
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
-from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
-from infrablend.pipeline.in_memory import Frames, FramesRequest
-from infrablend.pipeline.request import DEFAULT_EXECUTION, ONE_WORKER, Execution, Settings
-from infrablend.pipeline.trial import Trial, TrialRequest, Trials
+from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
+from infrablend.pipeline.compose.in_memory import Frames, FramesRequest
+from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials
+from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, ONE_WORKER, Execution, Settings
+from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 
 
 def frames(

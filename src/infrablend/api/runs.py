@@ -16,23 +16,23 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
-from infrablend.pipeline.frame_selection import ALL_FRAMES, FrameSelection
-from infrablend.pipeline.generate import describe_run, generate_run
-from infrablend.pipeline.merge import merge_shards
-from infrablend.pipeline.recorded_run import RecordedRun
-from infrablend.pipeline.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
-from infrablend.pipeline.rerender import rerender_frame, show_frame
-from infrablend.pipeline.run import RunReport
-from infrablend.pipeline.shard import ShardRequest
-from infrablend.pipeline.sharded_run import Layout, ShardState
-from infrablend.pipeline.stored_run import opened_run
+from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
+from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.pipeline.plans.shard import ShardRequest
+from infrablend.pipeline.runs.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
+from infrablend.pipeline.runs.generate import describe_run, generate_run
+from infrablend.pipeline.runs.merge import merge_shards
+from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.pipeline.runs.rerender import rerender_frame, show_frame
+from infrablend.pipeline.runs.run import RunReport
+from infrablend.pipeline.runs.sharded import Layout, ShardState
+from infrablend.pipeline.runs.stored import opened_run
 from infrablend.pipeline.submission.request import Scheduler, Submission
 from infrablend.pipeline.submission.submit import submission_text as make_submission_text
 from infrablend.pipeline.submission.submit import submit_jobs
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.compare_objects import RealismReport, Time
+    from infrablend.pipeline.studies.compare_objects import RealismReport, Time
     from infrablend.report.preview import Draw
 
 
@@ -176,7 +176,7 @@ def include(
 
 def report(run: str | Path) -> Path:
     """Write the report of a finished run again, `run/report.html`, and return its path; `generate` writes it, too."""
-    from infrablend.pipeline.run_report import report_run
+    from infrablend.pipeline.runs.report import report_run
 
     return report_run(Path(run))
 
@@ -208,7 +208,7 @@ def realism(  # noqa: PLR0913 - callers name these; a value object for some of t
     `reading` says otherwise. `out` is `RUN-realism`, beside the run, by default, and `real` another dataset of the real
     objects, as from `read_dataset`. `ComparisonRequest` explains the other arguments.
     """
-    from infrablend.pipeline.compare_objects import ComparisonRequest, compare
+    from infrablend.pipeline.studies.compare_objects import ComparisonRequest, compare
 
     beside = real_path(Path(run))
     folder = beside.with_name(f"{beside.name}-realism") if out is None else Path(out)

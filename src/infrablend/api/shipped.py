@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
 from infrablend.config import loading
-from infrablend.pipeline import add_model as adding
-from infrablend.pipeline.add_model import ModelAnswers, ModelSurvey
-from infrablend.pipeline.models import ready_model, run_once
+from infrablend.pipeline.plans import add_model as adding
+from infrablend.pipeline.plans.add_model import ModelAnswers, ModelSurvey
+from infrablend.pipeline.plans.models import ready_model, run_once
 
 if TYPE_CHECKING:
     from infrablend.report.doctor import Diagnosis

@@ -13,7 +13,7 @@
       base: {match: ["Plinth"], delta_t_k: 0, emissivity: 0.95, label: false}
 
 `match` patterns are compared with the names of the file's objects and materials. Reading the file needs Blender and
-happens once, in a process of its own (`infrablend.pipeline.models`); the geometry is cached by the content of the
+happens once, in a process of its own (`infrablend.pipeline.plans.models`); the geometry is cached by the content of the
 file and of those it refers to.
 """
 

@@ -26,9 +26,9 @@ from infrablend.cli.session import Session
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.extraction.report import Clip
-    from infrablend.pipeline.profile import ProfileReport
-    from infrablend.pipeline.temperatures import TemperaturesReport
+    from infrablend.pipeline.capture.report import Clip
+    from infrablend.pipeline.capture.temperatures import TemperaturesReport
+    from infrablend.pipeline.studies.profile import ProfileReport
 
 
 def frames(

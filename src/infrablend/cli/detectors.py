@@ -24,7 +24,7 @@ from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
     from infrablend.config.agc import Agc
-    from infrablend.pipeline.evaluate import EvaluationReport
+    from infrablend.pipeline.detectors.evaluate import EvaluationReport
 
 
 def _agc(text: str) -> Agc:

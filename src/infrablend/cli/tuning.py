@@ -78,7 +78,7 @@ def _show(trial: api.Trial, out: Path, session: Session) -> None:
 
 def _lines(trial: api.Trial) -> list[str]:
     """Return what is in the frame, a line per inserted object."""
-    from infrablend.pipeline.trial import gain_words, how_visible
+    from infrablend.pipeline.compose.trial import gain_words, how_visible
 
     lines = [f"{trial.frame.id}, {trial.seconds:.2f} s"]
     scene = trial.frame.scene

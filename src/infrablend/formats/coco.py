@@ -65,7 +65,7 @@ _SAMPLE = 50
 _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
 # Far finer than a pixel, but short: sums such as 0.1 + 0.2 would otherwise be written with 17 digits.
 _DIGITS = 9
-# Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.inserts`.
+# Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.compose.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"

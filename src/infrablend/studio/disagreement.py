@@ -15,7 +15,7 @@ from infrablend.core.class_names import known_class
 from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError
 from infrablend.evaluation.detections import RECORD, read_predictions
-from infrablend.pipeline.detection_source import PREDICTIONS
+from infrablend.pipeline.detectors.detection_source import PREDICTIONS
 from infrablend.studio.run_labels import Box, RunLabel, RunLabels
 
 MIN_OVERLAP = 0.5

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from infrablend.core.run_folder import IMAGES, RunFolder
 from infrablend.errors import DatasetError, InfraBlendError, OutputError
 from infrablend.evaluation.detections import RECORD
-from infrablend.pipeline.review import REVIEW_FILE
+from infrablend.pipeline.runs.review import REVIEW_FILE
 from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.pictures import Thumbnails
 from infrablend.studio.row_reading import RowReading

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.request import ONE_WORKER, Execution
+from infrablend.pipeline.plans.request import ONE_WORKER, Execution
 from infrablend.studio.guard import LOOPBACK, is_loopback
 
 

@@ -23,9 +23,9 @@ from infrablend.core.typed_command import reading_words
 from infrablend.errors import ArgumentError, DatasetError, OutputError
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL
-from infrablend.pipeline.recorded_run import RecordedRun
-from infrablend.pipeline.temperature_scale import with_scale
-from infrablend.pipeline.trial import Trial, TrialRequest, Trials, gain_words, how_visible
+from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_words, how_visible
+from infrablend.pipeline.plans.planning import with_scale
+from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import draw_labels, to_rgb
 from infrablend.studio.opened_run import OpenedRun

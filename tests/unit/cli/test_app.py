@@ -27,9 +27,9 @@ from infrablend.cli.session import LOG_SIZE_BYTES, Session
 from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.add_model import ModelAnswers
-from infrablend.pipeline.frame_selection import FrameSelection
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.plans.add_model import ModelAnswers
+from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.selection import FrameSelection
 from infrablend.report.figures import human_seconds
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.pipeline.frame import FrameComposer
+from infrablend.pipeline.compose.frame import FrameComposer
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.run_files import frame_ids
@@ -55,7 +55,7 @@ def test_frames_of_an_unfinished_run_are_shown(
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("infrablend.pipeline.run.export_run", interrupt)
+    monkeypatch.setattr("infrablend.pipeline.runs.run.export_run", interrupt)
     assert run(*words).exit_code not in (0, 1)
     assert not (tmp_path / "run").exists()
     shown = json.loads(done("show", tmp_path / "run", "test/1_90_90_0_00034_c0").stdout)

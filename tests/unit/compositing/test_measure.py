@@ -24,7 +24,7 @@ from infrablend.core.render import RenderResult
 from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
 from infrablend.formats.images import encode_image, load_background
-from infrablend.pipeline.frame import nearest_range_m
+from infrablend.pipeline.compose.frame import nearest_range_m
 from tests.run_files import records
 
 LEVELS = (16.0, 235.0)

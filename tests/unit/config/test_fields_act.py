@@ -9,7 +9,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.formats import detection
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.plans.request import Execution
 from infrablend.sampling.scene import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from tests.run_files import records

@@ -11,7 +11,7 @@ import pytest
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.user_model import geometry_file
 from infrablend.errors import ModelError
-from infrablend.pipeline.add_model import ModelAnswers, add_model, survey_model
+from infrablend.pipeline.plans.add_model import ModelAnswers, add_model, survey_model
 
 PIECES = [("Body", "Grey"), ("Motor_1", "Grey"), ("Motor_2", "Grey"), ("Thing", "Grey"), ("Other", "Warm")]
 
@@ -78,7 +78,7 @@ def test_a_description_that_does_not_load_is_removed(
 
     answers = ModelAnswers("drone", 0.5, {"Thing": "antenna"})
     with monkeypatch.context() as patch:
-        patch.setattr("infrablend.pipeline.add_model.ready_model", fail)
+        patch.setattr("infrablend.pipeline.plans.add_model.ready_model", fail)
         with pytest.raises(ModelError, match="no volume"):
             add_model(file, tmp_path / "out", answers)
     assert list((tmp_path / "out").iterdir()) == []

@@ -11,8 +11,8 @@ import pytest
 
 from infrablend.formats import derived, detection, shards
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.examine import check_folder
-from infrablend.pipeline.written import changes_since_written
+from infrablend.pipeline.runs.written import changes_since_written
+from infrablend.pipeline.studies.examine import check_folder
 from infrablend.report.checking import check_dataset
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat

@@ -20,9 +20,9 @@ from infrablend.core.rng import stream
 from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, InfraBlendError, MissingDependencyError, ModelError, OutputError, Problem
 from infrablend.evaluation.detections import Predictions, detections, write_predictions
-from infrablend.pipeline import evaluate as pipeline
-from infrablend.pipeline.evaluate import evaluate_detector, image_groups, rejected_in
-from infrablend.pipeline.evaluation_settings import EvaluationSettings
+from infrablend.pipeline.detectors import evaluate as pipeline
+from infrablend.pipeline.detectors.evaluate import evaluate_detector, image_groups, rejected_in
+from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
 from tests.samples import with_facts
 
 CLASSES = ("Person", "Car", "OtherVehicle")

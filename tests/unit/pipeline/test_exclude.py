@@ -10,7 +10,7 @@ import pytest
 
 from infrablend import api
 from infrablend.core.workspace import partial_of
-from infrablend.pipeline import review
+from infrablend.pipeline.runs import review
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed

@@ -28,13 +28,13 @@ from infrablend.errors import (
     OutputError,
     RecipeError,
 )
-from infrablend.pipeline.evaluation_settings import EvaluationSettings
+from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments import makers, training_setup
 from infrablend.pipeline.experiments.dataset_facts import spread_images
 from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentRequest
 from infrablend.pipeline.experiments.results import check_claim
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.plans.request import Execution
 from infrablend.report.results.page import list_differences, page_text
 from infrablend.report.results.write import write_page
 from infrablend.training.request import TrainRequest

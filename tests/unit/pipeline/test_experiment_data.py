@@ -13,7 +13,7 @@ from infrablend.config.experiment import load_experiment
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats.images import load_background
-from infrablend.pipeline.convert import convert_dataset
+from infrablend.pipeline.datasets.convert import convert_dataset
 from infrablend.pipeline.experiments.dataset_facts import read_dataset
 from infrablend.pipeline.experiments.makers import draw_images, merge_datasets
 from infrablend.pipeline.experiments.pasting import Paster, cut_objects

@@ -13,7 +13,7 @@ from infrablend.compositing.gain import SharePrior
 from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import LocalMatching
 from infrablend.errors import DatasetError
-from infrablend.pipeline.looks import local_settings
+from infrablend.pipeline.compose.looks import local_settings
 from tests.run_files import records
 
 RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")

@@ -14,7 +14,7 @@ from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import ArgumentError, OtherSettingsError
-from infrablend.pipeline.frame_selection import FrameSelection
+from infrablend.pipeline.plans.selection import FrameSelection
 from tests.run_files import ledger_rows
 
 FLAT = api.Execution(renderer="flat", in_process=True)

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
-from infrablend.pipeline.generate import prepare_run
-from infrablend.pipeline.request import RunRequest
+from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.runs.generate import prepare_run
 from tests.videos import FRAMES, RATE, SIZE_WH, av, bracketed, level, write_srt, write_video
 
 APP = build_app()

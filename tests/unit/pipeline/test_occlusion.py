@@ -15,7 +15,7 @@ from infrablend import api
 from infrablend.compositing.occlusion import Occluder, Scenery
 from infrablend.config.recipe import Occlusion
 from infrablend.core.frame_record import FrameRecord
-from infrablend.pipeline.occlusion import Cover
+from infrablend.pipeline.compose.occlusion import Cover
 from tests.run_files import records
 
 SHARE = "occlusion={share: 1, visible: [0.4, 0.75]}"
@@ -188,7 +188,7 @@ def test_coco_has_both_boxes_and_other_formats_count_the_loss(tmp_path: Path) ->
 def test_what_would_be_less_visible_than_stated_is_left_out_and_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from infrablend.pipeline import frame
+    from infrablend.pipeline.compose import frame
 
     monkeypatch.setattr(frame, "too_hidden", lambda labels, report, occluded, *limits: sorted(occluded))
     report = generate(folder(tmp_path / "data", wood(0)), tmp_path / "run", SHARE, "placement.contrast_redraws=1")

@@ -14,8 +14,8 @@ from infrablend.core.frame_record import FrameRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.rjpeg.lens import fov_of_35mm
 from infrablend.formats.rjpeg.writing import Maker
-from infrablend.pipeline.generate import prepare_run
-from infrablend.pipeline.request import RunRequest
+from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.runs.generate import prepare_run
 from tests.flights import SIZE_WH, flight, shot
 from tests.run_files import records
 

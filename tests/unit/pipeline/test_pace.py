@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from infrablend.core.tasks import TaskResult
-from infrablend.pipeline.pace import Pace
+from infrablend.pipeline.runs.executors import Pace
 
 
 def test_the_first_frame_of_a_worker_counts_only_until_another_is_done() -> None:

@@ -22,7 +22,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, RecipeError
 from infrablend.formats.images import load_background
 from infrablend.formats.writing import write
-from infrablend.pipeline.profile import jpeg_quality
+from infrablend.pipeline.studies.profile import jpeg_quality
 from tests.run_files import records
 
 

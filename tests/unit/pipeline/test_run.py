@@ -17,8 +17,8 @@ from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
-from infrablend.pipeline.planning import make_plan
-from infrablend.pipeline.run_warnings import absent_warnings, limit_warnings
+from infrablend.pipeline.plans.planning import make_plan
+from infrablend.pipeline.runs.warnings import absent_warnings, limit_warnings
 from tests.run_files import edit_ledger, hashes, records
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -210,7 +210,7 @@ def test_resume_refuses_another_run_and_lists_differences(dataset, tmp_path):
 
 
 def test_resume_names_options_and_not_digests(dataset, tmp_path):
-    from infrablend.pipeline.run_key import differences
+    from infrablend.pipeline.runs.key import differences
 
     key = {"backgrounds": "01ab", "seed": 0, "frames": [f"test/{k}_c0" for k in range(6)]}
     asked = {"reading": {"splits": ("test",)}, "selection": {"limit": 6}}
@@ -270,7 +270,7 @@ def test_unreadable_background_is_skipped_named_and_counted(dataset, tmp_path):
 
 
 def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path, monkeypatch):
-    from infrablend.pipeline import frame
+    from infrablend.pipeline.compose import frame
 
     real, calls = frame.write_bytes, []
 

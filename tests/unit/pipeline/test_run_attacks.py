@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.pipeline import choose
+from infrablend.pipeline.runs import choose
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.run_files import excluded, frame_ids, records

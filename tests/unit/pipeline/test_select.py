@@ -20,10 +20,10 @@ from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
-from infrablend.pipeline.content import content_digest
-from infrablend.pipeline.dataset_requests import MOST_COPIES, ClassChanges, Selection, SplitRule
-from infrablend.pipeline.enlarged import count_enlarged
-from infrablend.pipeline.select import Conditions, conditions, copies_to_match, draw_with_sum, select
+from infrablend.pipeline.datasets.content import content_digest
+from infrablend.pipeline.datasets.enlarged import count_enlarged
+from infrablend.pipeline.datasets.requests import MOST_COPIES, ClassChanges, Selection, SplitRule
+from infrablend.pipeline.datasets.select import Conditions, conditions, copies_to_match, draw_with_sum, select
 
 CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))
 

@@ -13,8 +13,8 @@ from infrablend.core import spool
 from infrablend.core.ledger import Ledger
 from infrablend.core.workspace import workspace
 from infrablend.errors import ArgumentError
-from infrablend.pipeline.request import Execution
-from infrablend.pipeline.shard import Shard, ShardRequest
+from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.shard import Shard, ShardRequest
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.unit.pipeline.test_run import dataset, hashes
@@ -215,7 +215,7 @@ def test_failures_and_skipped_backgrounds_are_merged(dataset, tmp_path):
 
 def test_interrupted_merge_is_finished(dataset, tmp_path, monkeypatch):
     from infrablend.errors import OutputError
-    from infrablend.pipeline import shard_source
+    from infrablend.pipeline.runs import shard_source
 
     out, links = tmp_path / "out", []
     make_shards(dataset, out, 2)

@@ -17,7 +17,7 @@ from typer.testing import CliRunner, Result
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError, OutputError
-from infrablend.pipeline.split import assign_groups, check_shares, split_warnings
+from infrablend.pipeline.datasets.split import assign_groups, check_shares, split_warnings
 from tests.samples import SAMPLES, picture
 
 

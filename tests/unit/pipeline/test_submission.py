@@ -16,7 +16,7 @@ import yaml
 
 from infrablend import api
 from infrablend.errors import ArgumentError, MissingDependencyError, OutputError
-from infrablend.pipeline import sharded_run
+from infrablend.pipeline.runs import sharded as sharded_run
 from infrablend.pipeline.submission.slurm import quoted
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from infrablend.errors import OtherSettingsError
-from infrablend.pipeline.train import require_same
+from infrablend.pipeline.detectors.train import require_same
 from infrablend.training.request import TrainRequest
 
 

@@ -15,11 +15,11 @@ from typer.testing import CliRunner
 from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.errors import ArgumentError, InfraBlendError, OutputError, RecipeError
-from infrablend.pipeline import trial
-from infrablend.pipeline.composed import ComposedFrame
-from infrablend.pipeline.frame import FrameComposer
-from infrablend.pipeline.plan import PlannedFrame
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.compose import trial
+from infrablend.pipeline.compose.composed import ComposedFrame
+from infrablend.pipeline.compose.frame import FrameComposer
+from infrablend.pipeline.plans.plan import PlannedFrame
+from infrablend.pipeline.plans.request import Execution
 
 FLAT = Execution(renderer="flat", in_process=True)
 RECIPE = "hit-uav-drone"

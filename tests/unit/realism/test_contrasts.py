@@ -13,7 +13,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.errors import OutputError
-from infrablend.pipeline.profile_objects import ObjectReadings, annotated_pictures, object_figures, read_objects
+from infrablend.pipeline.studies.profile_objects import ObjectReadings, annotated_pictures, object_figures, read_objects
 from infrablend.realism.contrasts import (
     ObjectContrast,
     bound_local_share,

@@ -18,8 +18,8 @@ from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.errors import DatasetError, MissingDependencyError, OutputError
-from infrablend.pipeline.compare_objects import ComparisonRequest, measure_populations
-from infrablend.pipeline.measure_objects import MeasuringSettings, ObjectMeasurer, PictureJob
+from infrablend.pipeline.studies.compare_objects import ComparisonRequest, measure_populations
+from infrablend.pipeline.studies.measure_objects import MeasuringSettings, ObjectMeasurer, PictureJob
 from infrablend.realism import class_comparison, classify, controls, features, nets
 from infrablend.realism.class_comparison import (
     CALIPER_OCTAVES,

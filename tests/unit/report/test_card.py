@@ -131,8 +131,8 @@ def test_the_card_says_nothing_of_machine_or_time_and_repeats(data, tmp_path):
 
 def test_user_models_folder_is_not_recorded(data, tmp_path):
     from infrablend.config.loading import load_recipe
-    from infrablend.pipeline.origin import recipe_yaml
-    from infrablend.pipeline.planning import make_plan
+    from infrablend.pipeline.datasets.origin import recipe_yaml
+    from infrablend.pipeline.plans.planning import make_plan
 
     plan = make_plan(load_recipe("hit-uav-drone"), api.read_dataset(data), 0)
     own = plan.recipe.objects[0].model_copy(update={"model": str(tmp_path / "secret" / "kite.yaml")})
@@ -146,7 +146,7 @@ def test_user_models_folder_is_not_recorded(data, tmp_path):
 def test_the_recipe_of_a_card_has_one_order_however_it_was_read():
     from infrablend.config.loading import load_recipe
     from infrablend.config.modes import recipe_from_json
-    from infrablend.pipeline.origin import recipe_yaml
+    from infrablend.pipeline.datasets.origin import recipe_yaml
 
     recipe = load_recipe("hit-uav-people", ["labels.loosen_px={Person: 3.5, Adult: 2}"])
     recorded = recipe_from_json(json.dumps(json.loads(recipe.model_dump_json()), sort_keys=True))

@@ -15,8 +15,8 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RecipeError
-from infrablend.pipeline.frame_selection import FrameSelection
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.selection import FrameSelection
 from infrablend.sampling.scene import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from tests.command_line import done

@@ -13,7 +13,7 @@ import pytest
 
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError, OutputError
-from infrablend.pipeline.review import Verdict, read_verdicts
+from infrablend.pipeline.runs.review import Verdict, read_verdicts
 from infrablend.studio.frame_index import FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.row_reading import RowReading
@@ -95,7 +95,7 @@ def test_verdicts_of_others_are_kept(tmp_path: Path) -> None:
 KILLED = """
 import sys
 from pathlib import Path
-from infrablend.pipeline.review import Verdict
+from infrablend.pipeline.runs.review import Verdict
 from infrablend.studio.verdicts import Review
 review = Review(Path(sys.argv[1]))
 for n in range(100000):

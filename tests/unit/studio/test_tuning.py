@@ -13,8 +13,8 @@ from infrablend import api
 from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.config.modes import modes_of
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
-from infrablend.pipeline.request import Execution
-from infrablend.pipeline.trial import TrialRequest, gain_words
+from infrablend.pipeline.compose.trial import TrialRequest, gain_words
+from infrablend.pipeline.plans.request import Execution
 from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
 from infrablend.studio.tuning import Tuning
 

@@ -11,7 +11,7 @@ from infrablend import api
 from infrablend.config.loading import load_recipe
 from infrablend.errors import DatasetError
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.request import Execution
+from infrablend.pipeline.plans.request import Execution
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.request import StudioRequest
 from infrablend.studio.tuning import FIRST_RECIPE, Tuning, tuning_request

@@ -12,7 +12,7 @@ from PIL import Image
 from infrablend.config.agc import DEFAULT_AGC, PlateauAgc, parse_agc
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
-from infrablend.pipeline.training.data import has_deep_pictures, select_training_data, write_training_data
+from infrablend.pipeline.detectors.training_data import has_deep_pictures, select_training_data, write_training_data
 from infrablend.training.request import TrainRequest
 from infrablend.training.scale import training_agc
 

@@ -20,8 +20,8 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.graph import deciding_fields
 from infrablend.pipeline.experiments.stage import StageJob
-from infrablend.pipeline.planning import make_plan
-from infrablend.pipeline.recorded_run import RecordedRun
+from infrablend.pipeline.plans.planning import make_plan
+from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.training.presets import Preset
 
 ADOPTABLE = ("train", "generate", "convert")

@@ -30,7 +30,7 @@ from infrablend.core.shipped import Scale
 from infrablend.core.validation_messages import did_you_mean
 from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.fetching.fetch import require_source
-from infrablend.pipeline.content import content_digest
+from infrablend.pipeline.datasets.content import content_digest
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage, stage_keys

@@ -13,20 +13,20 @@ from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
 from infrablend.formats.base import sort_images
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.convert import convert_dataset
-from infrablend.pipeline.dataset_requests import ClassChanges, Selection, SplitRule
-from infrablend.pipeline.evaluate import evaluate_detector
-from infrablend.pipeline.evaluation_settings import EvaluationSettings
+from infrablend.pipeline.capture.world import make_world
+from infrablend.pipeline.datasets.convert import convert_dataset
+from infrablend.pipeline.datasets.requests import ClassChanges, Selection, SplitRule
+from infrablend.pipeline.datasets.select import select
+from infrablend.pipeline.datasets.split import split_dataset
+from infrablend.pipeline.detectors.evaluate import evaluate_detector
+from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
+from infrablend.pipeline.detectors.train import train_dataset
 from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
 from infrablend.pipeline.experiments.pasting import make_paste
 from infrablend.pipeline.experiments.stage import StageJob
 from infrablend.pipeline.experiments.training_setup import preset_settings
-from infrablend.pipeline.generate import generate_run
-from infrablend.pipeline.request import Execution, RunRequest
-from infrablend.pipeline.select import select
-from infrablend.pipeline.split import split_dataset
-from infrablend.pipeline.train import train_dataset
-from infrablend.pipeline.world import make_world
+from infrablend.pipeline.plans.request import Execution, RunRequest
+from infrablend.pipeline.runs.generate import generate_run
 from infrablend.training.request import TrainRequest
 from infrablend.world.dataset import WorldRequest
 from infrablend.world.sky_pictures import write_sky_pictures

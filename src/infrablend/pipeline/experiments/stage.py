@@ -18,7 +18,7 @@ from infrablend.core.files import read_object
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import OtherSettingsError
-from infrablend.pipeline.content import json_digest
+from infrablend.pipeline.datasets.content import json_digest
 from infrablend.pipeline.experiments.request import ExperimentRequest
 
 RECORD = "stage.json"

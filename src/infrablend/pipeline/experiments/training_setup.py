@@ -9,9 +9,9 @@ from typing import Any
 from infrablend.config.experiment import Training
 from infrablend.core.machine import available_cores
 from infrablend.errors import InfraBlendError
+from infrablend.pipeline.detectors.training_plan import require_settings
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage
-from infrablend.pipeline.training.training_plan import require_settings
 from infrablend.training.predict import pick_device
 from infrablend.training.presets import Preset, estimate_seconds, tiles_expected
 from infrablend.training.request import choose_preset

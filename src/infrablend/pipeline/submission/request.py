@@ -11,7 +11,7 @@ from typing import Literal
 from infrablend.core.addresses import require_folder, require_known, shown
 from infrablend.core.arguments import require_whole
 from infrablend.errors import ArgumentError
-from infrablend.pipeline.shard import Shard
+from infrablend.pipeline.plans.shard import Shard
 
 Scheduler = Literal["slurm", "kubernetes"]
 SCHEDULERS: tuple[Scheduler, ...] = ("slurm", "kubernetes")

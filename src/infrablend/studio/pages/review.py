@@ -13,7 +13,7 @@ from nicegui.element import Element
 from nicegui.events import GenericEventArguments, KeyEventArguments
 
 from infrablend.errors import DatasetError, InfraBlendError
-from infrablend.pipeline.review import Verdict
+from infrablend.pipeline.runs.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.pages.layout import error_text, key_button, tell, when_read

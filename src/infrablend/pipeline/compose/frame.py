@@ -1,0 +1,361 @@
+"""One frame, from its background to its image and labels. This is the whole method; read it from top to bottom.
+
+background --> scene --> render --> overlay --> image
+                 |         |          ^
+                 |         |          +-- grey levels (matching), sensor
+                 +---------+--> new labels --> merged with the original ones --> record
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from infrablend.annotation.labels import LabelReport, annotate
+from infrablend.annotation.merge import MergedLabels, merge
+from infrablend.assets.catalogue import load_model
+from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
+from infrablend.compositing.occlusion import Scenery
+from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
+from infrablend.config.modes import recipe_from_json
+from infrablend.config.recipe import Recipe
+from infrablend.core.dataset import Instance
+from infrablend.core.files import write_bytes
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.machine import take_core
+from infrablend.core.placed import PlacedScene
+from infrablend.core.render import Renderer, RenderResult
+from infrablend.core.rng import integer_seed
+from infrablend.core.run_folder import RunFolder
+from infrablend.core.tasks import Task
+from infrablend.core.temperature import TemperatureScale
+from infrablend.formats.images import Background, encode_image, output_suffix
+from infrablend.pipeline.compose.composed import ComposedFrame, MadeFrame, covered_facts
+from infrablend.pipeline.compose.inserts import FirstContrasts, Insert, faint_inserts, measure_inserts, with_seen_box
+from infrablend.pipeline.compose.looks import make_look
+from infrablend.pipeline.compose.occlusion import (
+    Cover,
+    behind_front,
+    front_of,
+    label_objects,
+    occlusion_facts,
+    too_hidden,
+)
+from infrablend.pipeline.compose.settings import FrameSettings, merge_settings
+from infrablend.pipeline.plans.backgrounds import background_facts
+from infrablend.pipeline.plans.plan import PlannedFrame
+from infrablend.rendering import make_renderer
+from infrablend.sampling.site import FrameKey, Site
+
+
+@dataclass(frozen=True, eq=False)
+class Canvas:
+    """A background, and what is known of it.
+
+    Attributes:
+        frame: The frame that it is for.
+        background: The picture.
+        key: Key of the frame's random streams.
+        site: The background as placement sees it.
+        cover: What can hide objects in part; None if the recipe hides none.
+    """
+
+    frame: PlannedFrame
+    background: Background
+    key: FrameKey
+    site: Site
+    cover: Cover | None
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A finished picture, with all that is known of its objects.
+
+    Attributes:
+        scene: The scene.
+        mapping: From radiance to grey levels.
+        rendered: The rendered scene.
+        pixels: (h, w) grey levels.
+        inserts: Objects with a label.
+        report: What became of the others.
+        facts: Facts for the frame's record.
+    """
+
+    scene: PlacedScene
+    mapping: GreyMapping
+    rendered: RenderResult
+    pixels: GreyImage
+    inserts: Sequence[Insert]
+    report: LabelReport
+    facts: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """A scene with objects that nobody can see in its picture.
+
+    Attributes:
+        scene: The scene.
+        numbers: Numbers of these objects.
+        hidden: Numbers of those of them that structures of the background hide too much.
+        matching: Facts that matching estimated.
+    """
+
+    scene: PlacedScene
+    numbers: Sequence[int]
+    hidden: Sequence[int]
+    matching: Mapping[str, Any]
+
+
+class FrameComposer:
+    """Composes frames in memory: the one way from a background to its picture and labels, for all commands."""
+
+    def __init__(self, settings: FrameSettings, renderer: Renderer) -> None:
+        """Load the recipe's models; `renderer` stays open and may be shared by several composers."""
+        self._settings = settings
+        self._recipe = recipe_from_json(settings.recipe_json)
+        self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
+        self._sampler = settings.extensions.make_sampler(self._recipe, self._models, settings.seed)
+        self._look = make_look(self._recipe, settings)
+        self._renderer = renderer
+
+    def compose(self, frame: PlannedFrame) -> ComposedFrame:
+        """Return the picture and the record of a frame.
+
+        Raises:
+            DatasetError: The background cannot be used.
+            RenderError: The renderer fails.
+        """
+        if frame.configuration is None:
+            return _unchanged_original(frame, self._recipe, self._settings)
+        background = self._settings.extensions.load(frame.background)
+        self._look.check(frame, background)
+        canvas = self._canvas(frame, background)
+
+        # The objects, their places and temperatures.
+        scene = self._sampler.sample(canvas.key, canvas.site)
+        scene = drop_barely_visible(scene, self._recipe.placement.min_visibility)
+
+        # Objects that nobody can see in the finished picture are moved, or left out in the end.
+        first, moves = FirstContrasts(scene), 0
+        picture = self._draw(scene, canvas, first, {})
+        while isinstance(picture, Unseen):
+            moves += 1
+            scene = self._redraw(picture, canvas.site, moves)
+            picture = self._draw(scene, canvas, first, picture.matching)
+
+        # Labels, file and record.
+        labels = self._labels(picture, canvas)
+        merged = merge(frame.background.instances, labels, merge_settings(self._recipe))
+        image_bytes = encode_image(picture.pixels, background, self._recipe.output.image)
+        found_first = {"contrast_first": first.found} if moves and first.found else {}
+        record = self._record(picture, canvas, merged, image_bytes, found_first)
+        return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
+
+    def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
+        """Return the background with what placement may know of it."""
+        recipe, source, pixels, unit = self._recipe, frame.as_read, background.pixels, self._grey_unit(background)
+        rules = recipe.occlusion
+        cover = None if rules.share == 0 else Cover(rules, Scenery(pixels, unit), self._models)
+        site = Site(
+            pixels=pixels,
+            labels=source.instances,
+            ignored=frozenset(self._settings.ignored),
+            altitude_m=source.capture.altitude_m,
+            grey_unit=unit,
+            black_hot=recipe.matching.is_black_hot(source.capture.scale),
+            max_noise_grey=recipe.placement.max_noise_grey,
+            hiding=cover,
+            height_prior=self._sampler.placer.height_prior(source),
+            time_of_day=source.capture.time_of_day,
+        )
+        return Canvas(frame, background, frame.key(background.size_wh), site, cover)
+
+    def _grey_unit(self, background: Background) -> float:
+        """Return the picture's levels per 8-bit level: by its own range if it has 16 bits and the run measured none."""
+        pixels, levels = background.pixels, self._settings.levels
+        if levels is None:
+            return 1.0 if background.bit_depth == 8 else grey_unit(pixels, measure_levels([pixels]))
+        return grey_unit(pixels, levels)
+
+    def _draw(
+        self, scene: PlacedScene, canvas: Canvas, first: FirstContrasts, known: Mapping[str, Any]
+    ) -> Picture | Unseen:
+        """Draw a scene over its background, unless some of its objects cannot be seen.
+
+        `first` collects contrasts. `known` are facts of matching, also of objects that have been left out since.
+        """
+        recipe, before = self._recipe, canvas.background.pixels
+        match = self._look.match(scene, canvas.frame, canvas.background)
+        scene, matching = match.scene, match.facts or known
+        if faint := movable(scene, match.faint):
+            first.add(scene, {k: {"object": k, "changed": round(match.faint[k], 2), "expected": True} for k in faint})
+            return Unseen(scene, faint, (), matching)
+        sensor = self._sensor(scene, canvas.background, match.mapping.scale)
+        rendered = self._renderer.render(scene)
+        occluders = {} if canvas.cover is None else canvas.cover.find(scene)
+        front = front_of(occluders, None if canvas.cover is None else canvas.cover.scenery, rendered)
+        pixels = self._look.paint(match, rendered, before, sensor, front)
+
+        seen = behind_front(rendered, front, occluders)
+        labels, report = label_objects(scene, rendered, seen, occluders, recipe.labels)
+        inserts = measure_inserts(report.kept, labels, seen, before, pixels, canvas.site)
+        first.add(scene, {i.number: i.to_json() for i in inserts})
+        least = recipe.placement.min_visibility
+        hidden = movable(scene, too_hidden(labels, report, occluders, recipe.occlusion, least))
+        faint = movable(scene, {*faint_inserts(inserts, recipe, canvas.frame.background.capture.time_of_day), *hidden})
+        if faint:
+            return Unseen(scene, faint, hidden, matching)
+        facts = {
+            **report.to_json(),
+            **matching,
+            **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
+            **({} if sensor is None else {"sensor": sensor.to_json()}),
+            **({} if canvas.cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
+        }
+        return Picture(scene, match.mapping, rendered, pixels, inserts, report, facts)
+
+    def _redraw(self, unseen: Unseen, site: Site, attempt: int) -> PlacedScene:
+        """Return a scene whose unseen objects are at other places, or left out if the recipe moves them no more."""
+        moved = self._sampler.move(unseen.scene, unseen.numbers, site, attempt)
+        if moved is not None:
+            return drop_barely_visible(moved, self._recipe.placement.min_visibility)
+        if unseen.hidden:
+            return unseen.scene.without(unseen.hidden, "too_hidden")
+        return unseen.scene.without(unseen.numbers, "low_contrast")
+
+    def _sensor(self, scene: PlacedScene, background: Background, scale: TemperatureScale | None) -> Sensor | None:
+        """Return the sensor chain fitted to this background; None if there is none or no object."""
+        sensor, levels = self._recipe.sensor, self._settings.levels
+        if sensor.profile == "off" or not scene.objects:
+            return None
+        assert levels is not None
+        unit_k = None if scale is None else abs(scale.slope_k) * grey_unit(background.pixels, levels)
+        return fit_sensor(
+            background.pixels,
+            sensor.profile_at(unit_k),
+            SensorStrength(sensor.optics, sensor.halo, sensor.noise, sensor.codec, sensor.clip, sensor.defocus),
+            levels,
+            integer_seed(self._settings.seed, scene.spec.frame_id, "sensor"),
+            range_m=nearest_range_m(scene),
+            motion_px=scene.spec.motion_px,
+        )
+
+    def _labels(self, picture: Picture, canvas: Canvas) -> tuple[Instance, ...]:
+        """Return the labels of the inserted objects, with the boxes that the recipe asks for."""
+        if self._recipe.labels.fit == "visible":
+            before, after = canvas.background.pixels, picture.pixels
+            return tuple(with_seen_box(i, before, after, canvas.site.grey_unit) for i in picture.inserts)
+        return tuple(i.labelled() for i in picture.inserts)
+
+    def _record(
+        self, picture: Picture, canvas: Canvas, merged: MergedLabels, image_bytes: bytes, facts: Mapping[str, Any]
+    ) -> FrameRecord:
+        """Return the record of a frame; `facts` are added to those of its picture."""
+        frame, output, source = canvas.frame, self._recipe.output, canvas.frame.background
+        return FrameRecord(
+            frame_id=frame.frame_id,
+            image=frame.image_path(output.group_by, output_suffix(source.path, output.image)),
+            image_sha256=hashlib.sha256(image_bytes).hexdigest(),
+            background=background_facts(source, canvas.background, self._settings.data_root),
+            scene=picture.scene.spec,
+            mapping=picture.mapping.to_json(),
+            kept=merged.kept,
+            inserted=merged.inserted,
+            removed=tuple(r.to_json() for r in merged.removed),
+            facts={**picture.facts, **facts},
+            warnings=tuple(p.to_json() for p in canvas.background.problems),
+            covered=covered_facts(merged),
+            run=self._settings.run,
+        )
+
+
+def movable(scene: PlacedScene, numbers: Iterable[int]) -> list[int]:
+    """Return the numbers of those objects that are not placed by hand, sorted."""
+    return sorted(k for k in numbers if not scene.objects[k].spec.by_hand)
+
+
+def drop_barely_visible(scene: PlacedScene, min_visibility: float) -> PlacedScene:
+    """Return the scene without the objects whose visible share is below `min_visibility`.
+
+    They are removed from the scene and not only from the labels, because an unlabelled object in the picture would
+    teach a detector to overlook it. Objects are removed one at a time, since each removal may uncover others.
+    """
+    while min_visibility > 0 and scene.objects:
+        labels, report = annotate(scene)
+        seen = {k: i.visibility or 0.0 for k, i in zip(report.kept, labels, strict=True)}
+        low = movable(scene, [k for k in range(len(scene.objects)) if seen.get(k, 0.0) < min_visibility])
+        if not low:
+            break
+        # The least visible first: removing it may bring another above the limit.
+        scene = scene.without([min(low, key=lambda k: seen.get(k, 0.0))], "min_visibility")
+    return scene
+
+
+def nearest_range_m(scene: PlacedScene) -> float | None:
+    """Return the distance from the camera to the nearest object's origin.
+
+    Returns None if the scene has no objects, or with the paper's placement, whose camera is virtual. All objects of a
+    frame get the defocus of the nearest one, because the renderer's layer does not separate them.
+    """
+    if scene.spec.view is None or not scene.objects:
+        return None
+    return min(o.range_m for o in scene.objects)
+
+
+def _unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> ComposedFrame:
+    """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
+    source = frame.background
+    background = settings.extensions.load(source)
+    kind = recipe.output.image
+    relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, kind))
+    if settings.extensions.backgrounds is not None or (kind == "png" and source.path.suffix.lower() != ".png"):
+        image_bytes = encode_image(background.pixels, background, kind)
+    else:
+        image_bytes = source.path.read_bytes()
+    merged = merge(source.instances, (), merge_settings(recipe))
+    record = FrameRecord(
+        frame_id=frame.frame_id,
+        image=relative,
+        image_sha256=hashlib.sha256(image_bytes).hexdigest(),
+        background=background_facts(source, background, settings.data_root),
+        scene=None,
+        mapping=None,
+        kept=merged.kept,
+        inserted=(),
+        removed=tuple(r.to_json() for r in merged.removed),
+        warnings=tuple(p.to_json() for p in background.problems),
+        run=settings.run,
+    )
+    return ComposedFrame(record, image_bytes, {})
+
+
+class FrameMaker:
+    """Composes frames and writes them to the folder of a run; each worker process has one instance."""
+
+    def __init__(self, settings: FrameSettings) -> None:
+        """Start the renderer and load the recipe's models."""
+        if settings.pin_cores:
+            take_core()
+        if settings.out is None:
+            raise ValueError("frames in memory are made by FrameWorker")
+        self._folder = RunFolder(settings.out)
+        self._renderer = make_renderer(settings.renderer, settings.device)
+        self._composer = FrameComposer(settings, self._renderer)
+
+    def __call__(self, task: Task) -> MadeFrame:
+        """Write the image of the `PlannedFrame` in the task's payload, and return its record."""
+        composed = self._composer.compose(task.payload)
+        write_bytes(self._folder.image(composed.record.image), composed.image_bytes)
+        return MadeFrame.of(composed.record, len(composed.image_bytes), composed.seconds)
+
+    def close(self) -> None:
+        """Release the renderer."""
+        self._renderer.close()
+
+
+def make_frame_maker(settings: FrameSettings) -> FrameMaker:
+    """Return a frame maker; the worker factory that `execution` calls by its dotted name."""
+    return FrameMaker(settings)

@@ -1,0 +1,1 @@
+"""Work on labels and pictures of datasets: convert, select, split, digest."""

@@ -1,0 +1,317 @@
+"""Assigns new splits to a dataset, keeping related images (a flight, a day, a run of frames) in the same split."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
+from infrablend.core.files import write_text
+from infrablend.core.format_table import NATIVE, find_writer
+from infrablend.core.output import require_apart
+from infrablend.core.rng import stream
+from infrablend.core.workspace import SPLIT_FILE, replacing, workspace
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats import writing
+from infrablend.formats.base import shorten, sort_images
+from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
+from infrablend.formats.pictures import assign_ids, with_sizes
+from infrablend.pipeline.datasets.enlarged import count_enlarged, enlarged_counts
+from infrablend.pipeline.datasets.origin import origin_of
+from infrablend.pipeline.datasets.requests import SplitRule
+from infrablend.report.card import dataset_card, write_card, written_layout
+
+# Number of orders in which groups are assigned; the best result is used.
+_TRIES = 8
+# A class is scarce in a split that has less than this part of its share of the class's objects.
+_SCARCE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class SplitReport:
+    """Result of a new split and its quality.
+
+    Attributes:
+        out: Folder that was written.
+        by: Grouping: images of one group stay in the same split.
+        gap: Largest distance of frame numbers within a group; only for `by="gap"`.
+        seed: Seed of the order in which groups were assigned.
+        wanted: Requested shares of train, val and test.
+        images: Number of images per split.
+        objects: Number of objects per class and split.
+        groups: Split of each group.
+        before: Neighbouring images in different splits, in the source's splits.
+        after: Neighbouring images in different splits, in the new splits.
+        format: Format that was written; `list` if only lists were written.
+        losses: Counts of what the format cannot hold.
+        files: Number of files written.
+        problems: Warnings, e.g. about splits without images or without objects of a class.
+    """
+
+    out: Path
+    by: Grouping
+    gap: int
+    seed: int
+    wanted: tuple[float, float, float]
+    images: Mapping[str, int]
+    objects: Mapping[str, Mapping[str, int]]
+    groups: Mapping[str, str]
+    before: tuple[Leakage, ...]
+    after: tuple[Leakage, ...]
+    format: str
+    losses: Mapping[str, int] = field(default_factory=dict)
+    files: int = 0
+    problems: tuple[Problem, ...] = ()
+
+    def shares(self, counts: Mapping[str, int]) -> dict[str, float]:
+        """Return the share of each split, from counts per split."""
+        total = sum(counts.values())
+        return {s: round(n / total, 4) if total else 0.0 for s, n in counts.items()}
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values, without the output folder."""
+        return {
+            "by": self.by,
+            "gap": self.gap if self.by == "gap" else None,
+            "seed": self.seed,
+            "wanted": dict(zip(SPLITS, self.wanted, strict=True)),
+            "images": dict(self.images),
+            "image_shares": self.shares(self.images),
+            "objects": {name: dict(of) for name, of in self.objects.items()},
+            "object_shares": {name: self.shares(of) for name, of in self.objects.items()},
+            "leakage_before": [one.to_json() for one in self.before],
+            "leakage_after": [one.to_json() for one in self.after],
+            "format": self.format,
+            "losses": dict(self.losses),
+            "files": self.files,
+            "problems": [p.to_json() for p in self.problems],
+            "groups": dict(self.groups),
+        }
+
+
+def split_dataset(
+    dataset: Dataset, out: Path, rule: SplitRule, *, to: str = NATIVE, lists: bool = False, overwrite: bool = False
+) -> SplitReport:
+    """Assign whole groups of images to train, val and test, and write the dataset with these splits.
+
+    The number of images and of objects of each class come as close to the shares as whole groups allow: groups are
+    assigned greedily, single groups are then moved while that helps, and the best of several orders is used. The same
+    dataset and arguments give the same bytes.
+
+    Args:
+        dataset: Dataset as read; its own splits only serve to report the leakage before.
+        out: Folder to write: new or empty, or with `overwrite` one that an earlier call wrote.
+        rule: Grouping and shares.
+        to: Format to write; `native` is the dataset's own.
+        lists: Write only the record and the lists `train.txt`, `val.txt` and `test.txt`, with one path relative to the
+            dataset per line.
+        overwrite: Replace the folder that an earlier call wrote.
+
+    Raises:
+        DatasetError: The dataset lacks the facts that the grouping needs, its format has no writer, or the shares are
+            invalid.
+        OutputError: `out` is not empty, cannot be written, or another process is writing to it.
+    """
+    require_apart(dataset.root, out)
+    if rule.by not in GROUPINGS:
+        raise DatasetError(f"by: found {rule.by!r}, expected one of {', '.join(GROUPINGS)}")
+    by, gap, seed = rule.by, NEAR if rule.gap is None else rule.gap, rule.seed
+    wanted = check_shares(rule.shares)
+    if gap < 1:
+        raise DatasetError(f"gap: found {gap}, expected a positive number of frames")
+    native = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
+    if native is None and not lists:
+        found = f"{dataset.format} without labels has no writer"
+        problem = Problem(str(dataset.root), "format-unwritable", found, "a format to write", "give --to, or --list")
+        raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
+    groups = group_images(dataset.images, by, gap)
+    names = [c.name for c in dataset.categories if not c.ignore]
+    counts = np.array([_weights(group, names) for group in groups.values()], np.float64)
+    chosen = assign_groups(counts, wanted, seed)
+    of_group: dict[str, Split] = dict(zip(groups, (SPLITS[k] for k in chosen), strict=True))
+    images = [replace(i, split=of_group[name]) for name, group in groups.items() for i in group]
+    report = SplitReport(
+        out,
+        by,
+        gap,
+        seed,
+        wanted,
+        {s: sum(i.split == s for i in images) for s in SPLITS},
+        {
+            n: {s: sum(o.category == n for i in images if i.split == s for o in i.instances) for s in SPLITS}
+            for n in names
+        },
+        of_group,
+        leakage(dataset.images),
+        leakage(images),
+        "list" if lists or native is None else native.name,
+        problems=split_warnings(images, names, wanted, by, len(groups)),
+    )
+    with workspace(out, "split dataset", SPLIT_FILE, replacing(overwrite)) as space:
+        if lists:
+            report = _write_lists(space.folder, report, images, dataset.root)
+        else:
+            report = _write_dataset(space.folder, report, images, dataset, to)
+        content = report.to_json()  # without the source: the same bytes wherever the dataset is
+        if enlarged := enlarged_counts(*count_enlarged(dataset, replace(dataset, images=tuple(images)))):
+            labels = Counter(o.category for i in images for o in i.instances)
+            content["counts"] = {**enlarged, "labels": dict(sorted(labels.items()))}
+        space.finish(content)
+    return report
+
+
+def check_shares(shares: Sequence[float]) -> tuple[float, float, float]:
+    """Return the three shares, scaled to a sum of 1.
+
+    Raises:
+        DatasetError: The shares are not three finite, non-negative numbers, at least two of them positive.
+    """
+    good = len(shares) == 3 and all(math.isfinite(s) and s >= 0 for s in shares)
+    if not good or sum(s > 0 for s in shares) < 2:
+        raise DatasetError(
+            f"shares: found {list(shares)}, expected three numbers for train, val and test, two of them positive"
+        )
+    total = sum(shares)
+    train, val, test = (s / total for s in shares)
+    return train, val, test
+
+
+def _weights(group: Sequence[ImageRecord], names: Sequence[str]) -> list[int]:
+    """Return the counts to balance over the splits: the group's images, then its objects of each class."""
+    counts = Counter(o.category for i in group for o in i.instances)
+    return [len(group), *(counts[n] for n in names)]
+
+
+def assign_groups(counts: NDArray[np.float64], shares: Sequence[float], seed: int) -> list[int]:
+    """Return the index of the split of each of n groups so that every column of the (n, k) counts follows the shares.
+
+    All columns weigh the same, whatever their sums; columns of zeros are ignored.
+    """
+    totals = counts.sum(axis=0)
+    parts = counts[:, totals > 0] / totals[totals > 0]
+    target = np.array(shares, np.float64)
+    allowed = [k for k, share in enumerate(shares) if share > 0]
+    best: tuple[float, list[int]] | None = None
+    for attempt in range(_TRIES):
+        # Large groups go first and small ones fill the gaps; later attempts vary the order slightly.
+        shake = stream(seed, "split", attempt).uniform(0.5, 1.5, len(parts)) if attempt else np.ones(len(parts))
+        order = np.argsort(-parts.sum(axis=1) * shake, kind="stable")
+        chosen = np.full(len(parts), -1)
+        held = np.zeros((len(target), parts.shape[1]))
+        for g in order:
+            chosen[g] = min((_cost_of(held, parts[g], s, target), s) for s in allowed)[1]
+            held[chosen[g]] += parts[g]
+        _improve(chosen, held, parts, target, allowed)
+        cost = float(((held - target[:, None]) ** 2).sum())
+        if best is None or cost < best[0] - 1e-12:
+            best = cost, [int(s) for s in chosen]
+    return best[1] if best is not None else []
+
+
+def _cost_of(held: NDArray[np.float64], part: NDArray[np.float64], split: int, target: NDArray[np.float64]) -> float:
+    """Return by how much adding a part increases the squared deviation of a split from its target."""
+    before = held[split] - target[split]
+    return float(((before + part) ** 2 - before**2).sum())
+
+
+def _improve(
+    chosen: NDArray[np.int_],
+    held: NDArray[np.float64],
+    parts: NDArray[np.float64],
+    target: NDArray[np.float64],
+    allowed: Sequence[int],
+) -> None:
+    """Move single groups to other splits, in place, until no move helps."""
+    for _ in range(100):
+        moved = False
+        for g in range(len(parts)):
+            here = int(chosen[g])
+            held[here] -= parts[g]
+            costs = ((round(_cost_of(held, parts[g], s, target), 12), s != here, s) for s in allowed)
+            there = min(costs)[2]
+            held[there] += parts[g]
+            moved |= there != here
+            chosen[g] = there
+        if not moved:
+            return
+
+
+def split_warnings(
+    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping, groups: int
+) -> tuple[Problem, ...]:
+    """Return warnings for splits without images, and for classes of which a split has no or hardly any objects."""
+    problems = []
+    smaller = "try another --seed" + (", or --by gap, whose groups are smaller" if by != "gap" else "")
+    total = Counter(o.category for i in images for o in i.instances)
+    shares = dict(zip(SPLITS, wanted, strict=True))
+    empty = [s for s in SPLITS if shares[s] > 0 and all(i.split != s for i in images)]
+    if empty:
+        names_of = f"{' and '.join(empty)} {'is' if len(empty) == 1 else 'are'} empty"
+        holds = "one group holds all pictures" if groups == 1 else f"none of the {groups} groups was left"
+        todo = "use a smaller --gap, or another --by" if by == "gap" else "use another --by, such as --by gap"
+        problems.append(Problem(f"split by {by}", "split-empty", f"{names_of}: {holds}", "", todo, "warning"))
+    for split, share in shares.items():
+        if share == 0 or split in empty:
+            continue
+        here = [i for i in images if i.split == split]
+        held = Counter(o.category for i in here for o in i.instances)
+        if lacking := [n for n in names if total[n] and not held[n]]:
+            found = f"no object of {', '.join(lacking)}"
+            problems.append(Problem(split, "class-absent", found, "objects of every class", smaller, "warning"))
+        if scarce := [n for n in names if held[n] and held[n] < _SCARCE * share * total[n]]:
+            found = "only " + ", ".join(f"{held[n]} of {total[n]} objects of {n}" for n in scarce)
+            expected = f"about {100 * share:.0f} % of the objects of every class"
+            problems.append(Problem(split, "class-scarce", found, expected, smaller, "warning"))
+    return tuple(problems)
+
+
+def _write_lists(out: Path, report: SplitReport, images: Sequence[ImageRecord], root: Path) -> SplitReport:
+    for split in SPLITS:
+        here = [i.path for i in sort_images(images) if i.split == split]
+        lines = [p.relative_to(root).as_posix() if p.is_relative_to(root) else str(p) for p in here]
+        write_text(out / f"{split}.txt", "".join(f"{line}\n" for line in lines))
+    return replace(report, files=len(SPLITS) + 1)
+
+
+def _write_dataset(
+    out: Path, report: SplitReport, images: Sequence[ImageRecord], source: Dataset, to: str
+) -> SplitReport:
+    unreadable: list[Problem] = []
+    sized = with_sizes(images, lambda image: image.name, unreadable)
+    if unreadable:
+        raise DatasetError(f"{source.root}: the size of {len(unreadable)} picture(s) is unknown", shorten(unreadable))
+    records = sort_images(_renamed(sized))
+    written = writing.write(to, out, records, source.categories, source=source)
+    done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{SPLIT_FILE}`."
+    card = dataset_card(
+        origin_of(source, records, {}),
+        records,
+        source.categories,
+        changes=[done],
+        to=report.format,
+        losses=written.losses,
+        layout=written_layout(out, written.files, SPLIT_FILE),
+    )
+    write_card(out, card)
+    return replace(
+        report,
+        losses=written.losses,
+        files=len(written.files) + 1,
+        problems=(*report.problems, *written.problems),
+    )
+
+
+def _renamed(images: Sequence[ImageRecord]) -> list[ImageRecord]:
+    """Give unique names to pictures that would have the same name within a split."""
+    count = Counter((i.split, i.name) for i in images)
+    if max(count.values(), default=0) < 2:
+        return list(images)
+    ids = assign_ids([i.id for i in images])
+    return [replace(i, file_name=ids[i.id] + i.path.suffix) if count[i.split, i.name] > 1 else i for i in images]

@@ -1,0 +1,322 @@
+"""Evaluate a detector on a split of a dataset: detections, metrics, plots, and the report that shows them."""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from infrablend import __version__
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
+from infrablend.core.files import write_bytes, write_text
+from infrablend.core.workspace import replacing, workspace
+from infrablend.errors import DatasetError, ModelError, Problem
+from infrablend.evaluation.coco import MAX_DETECTIONS
+from infrablend.evaluation.comparison import (
+    Conditions,
+    StoredMatches,
+    paired_facts,
+    read_evaluation,
+    require_same,
+    write_matches,
+)
+from infrablend.evaluation.detections import MATCHES, RECORD, Predictions, Task, write_predictions
+from infrablend.evaluation.figures import Case, Draws, figures, list_found
+from infrablend.evaluation.precision import LEVEL
+from infrablend.evaluation.truth import Truth, class_numbers, evaluated_classes, fingerprint, image_key, truths
+from infrablend.formats.base import shorten
+from infrablend.formats.capture import facts_from_name
+from infrablend.formats.groups import GROUPINGS, background_stem, group_images
+from infrablend.formats.pictures import with_sizes
+from infrablend.pipeline.detectors.detection_source import PREDICTIONS, DetectionSource, choose_task
+from infrablend.pipeline.detectors.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
+from infrablend.report.evaluation import draw_plots, evaluation_page
+from infrablend.training.weights import missing_packages
+
+log = logging.getLogger(__name__)
+
+PAGE, PLOTS = "evaluation.html", "plots"
+_SHOWN = 5
+_LEAST_AP = 0.001
+_SPLIT_WORDS: Mapping[str, Split] = {
+    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
+    "testing": "test",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationReport:
+    """The result of an evaluation.
+
+    Attributes:
+        out: Folder of the evaluation.
+        metrics: Content of `evaluation.json`.
+        problems: Warnings, and, as errors, the labels and pictures of the split that could not be read.
+        seconds: Wall-clock time.
+    """
+
+    out: Path
+    metrics: Mapping[str, Any]
+    problems: tuple[Problem, ...] = ()
+    seconds: float = 0.0
+
+    @property
+    def predictions(self) -> Path:
+        """Path of the detections."""
+        return self.out / PREDICTIONS
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return dict(self.metrics)
+
+
+def evaluate_detector(
+    weights: Path,
+    dataset: Dataset,
+    out: Path,
+    settings: EvaluationSettings = DEFAULT_SETTINGS,
+    *,
+    device: str = "auto",
+    against: Path | None = None,
+    overwrite: bool = False,
+    on_image: Callable[[int, int], None] | None = None,
+) -> EvaluationReport:
+    """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
+    started = time.monotonic()
+    other = None if against is None else read_evaluation(against)
+    problems: list[Problem] = []
+    with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
+        source = DetectionSource(weights, device, problems)
+        prepared = _prepare(dataset, source, settings, problems)
+        conditions = Conditions(
+            settings.split, len(prepared.labels), prepared.key, prepared.task, settings.ignore_regions, settings.group
+        )
+        if other is not None:
+            require_same(other[0], conditions, against or out)
+        predictions = source.on(prepared.images, settings.image_size, on_image, problems)
+        write_predictions(space.folder / PREDICTIONS, predictions)
+        case = prepared.case(predictions)
+        problems += _count_detections(predictions, case, prepared.counts)
+        if settings.list_first:
+            listed = {"first_detections": list_found(case, settings.list_first, settings.list_iou)}
+        else:
+            listed = {}
+        metrics, matches = figures(case, Draws(settings.bootstrap, prepared.groups, settings.seed))
+        stored = StoredMatches(case.classes, matches, prepared.groups)
+        problems += _no_match_warning(metrics["classes"], prepared.counts)
+        facts = {
+            "infrablend": __version__,
+            "dataset": {
+                "name": dataset.root.name,
+                "format": dataset.format,
+                "split": settings.split,
+                "images": len(prepared.images),
+                "labels_sha256": prepared.key,
+            },
+            "detector": {**predictions.facts, "task": predictions.task, "classes": list(predictions.classes)},
+            "task": prepared.task,
+            "settings": {
+                "ignore_regions": settings.ignore_regions,
+                "max_detections": MAX_DETECTIONS,
+                "bootstrap": settings.bootstrap,
+                "group": settings.group,
+                "groups": len(set(prepared.groups)),
+                "seed": settings.seed,
+                "level": LEVEL,
+            },
+            "counts": prepared.counts,
+            **metrics,
+            **listed,
+            "ultralytics": _by_ultralytics(case),
+            "paired": None
+            if other is None
+            else paired_facts(
+                [stored], [other[1]], other[0], Draws(settings.bootstrap, (), settings.seed), (against or out).name
+            ),
+            "problems": [p.to_json() for p in problems],
+        }
+        write_matches(space.folder / MATCHES, stored)
+        plots = draw_plots(facts)
+        for name, data in plots.items():
+            write_bytes(space.folder / PLOTS / name, data)
+        write_text(space.folder / PAGE, evaluation_page(facts, plots))
+        space.finish(facts)
+    return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
+
+
+# -- inputs ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """Inputs of an evaluation, apart from the detections."""
+
+    images: Sequence[ImageRecord]
+    labels: Sequence[Truth]
+    numbers: Mapping[str, tuple[int, ...]]
+    task: Task
+    groups: tuple[str, ...]
+    key: str
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def case(self, predictions: Predictions) -> Case:
+        """Return the labels together with the detections."""
+        class_of = class_numbers(self.numbers, len(predictions.classes))
+        return Case(self.images, self.labels, predictions.images, class_of, tuple(self.numbers), self.task)
+
+
+def _prepare(
+    dataset: Dataset, source: DetectionSource, settings: EvaluationSettings, problems: list[Problem]
+) -> _Prepared:
+    """Return the images, labels and classes to evaluate.
+
+    Raises:
+        ModelError, DatasetError: They cannot be evaluated; the message lists all problems.
+    """
+    split = settings.split
+    rejected = rejected_in(dataset, split)
+    listed = [i for i in dataset.images if i.split == split]
+    images = with_sizes(listed, image_key, problems)
+    if not listed:
+        problems += shorten(rejected)
+        problems.append(_empty_split(dataset, split))
+    task = choose_task(settings.task, source, problems)
+    numbers = evaluated_classes(dataset, images, settings.classes, source.classes, problems)
+    source.check(images, problems)
+    groups = image_groups(images, settings.group, problems)
+    errors = [p for p in problems if p.severity == "error"]
+    if errors:
+        kind = ModelError if all(p.code == "weights" for p in errors) else DatasetError
+        raise kind(f"{source.name} cannot be evaluated on {dataset.root}", errors)
+    names = tuple(numbers)
+    labels, counts = truths(images, dataset.categories, names, task, ignore_regions=settings.ignore_regions)
+    problems += _label_warnings(names, labels, counts)
+    if rejected:
+        counts["rejected"] = len(rejected)
+        shown = "; ".join(f"{p.where}: {p.found}" for p in rejected[:_SHOWN])
+        more = f" and {len(rejected) - _SHOWN} more" if len(rejected) > _SHOWN else ""
+        found = f"{len(rejected)} labels or images could not be read and are excluded: {shown}{more}"
+        problems += [Problem("labels", "labels-rejected", found, severity="warning"), *rejected]
+    if not any((~t.ignore).any() for t in labels):
+        todo = "the labels have no masks: use --task detect" if task == "segment" else "name another --split"
+        raise DatasetError(
+            f"{dataset.root.name}, split {split}: no object of {', '.join(names)}",
+            [Problem(f"split {split}", "no-instances", "no object of the evaluated classes", "some", todo)],
+        )
+    return _Prepared(images, labels, numbers, task, groups, fingerprint(images), counts)
+
+
+def _empty_split(dataset: Dataset, split: str) -> Problem:
+    counts = {s: sum(i.split == s for i in dataset.images) for s in SPLITS}
+    elsewhere = ", ".join(f"{s} {k}" for s, k in counts.items() if k) or "no images in any split"
+    todo = "name another --split" if any(counts.values()) else "check the dataset with `infrablend inspect`"
+    return Problem(f"{dataset.root.name}, split {split}", "split-empty", f"no images ({elsewhere})", "some", todo)
+
+
+def _label_warnings(names: Sequence[str], labels: Sequence[Truth], counts: Mapping[str, int]) -> list[Problem]:
+    there = {int(c) for t in labels for c in t.classes[~t.ignore]}
+    problems = []
+    absent = [n for k, n in enumerate(names) if k not in there]
+    if absent:
+        found = f"no object of {', '.join(absent)} in the split: no figures for {'it' if len(absent) == 1 else 'them'}"
+        problems.append(Problem("labels", "class-empty", found, severity="warning"))
+    messages = {
+        "objects_without_mask": "objects without a mask count neither as found nor as missed; their boxes are ignored",
+        "objects_without_oriented_box": "objects without an oriented box: their axis-aligned boxes are used",
+        "ignore_regions": "ignore regions: unmatched detections inside them are not counted",
+        "crowds": "crowds (iscrowd) are not objects; unmatched detections of their class inside them are not counted",
+        "crowds_left_out": "crowds (iscrowd) are left out; detections inside them count as false positives",
+    }
+    for key, text in messages.items():
+        if counts.get(key):
+            problems.append(Problem("labels", key.replace("_", "-"), f"{counts[key]} {text}", severity="warning"))
+    return problems
+
+
+def rejected_in(dataset: Dataset, split: str) -> list[Problem]:
+    """Return the errors of the reader in a split, without those that surely belong to another one.
+
+    An error names a file only. Its split is that of its folder, that of the picture with its name, or, for JSON of
+    many pictures, the one in the file name, as in `instances_val2017.json`.
+    """
+    of_stem: dict[str, set[str]] = {}
+    for image in dataset.images:
+        of_stem.setdefault(PurePosixPath(image.name).stem, set()).add(image.split)
+
+    def splits(p: Problem) -> set[str]:
+        path = PurePosixPath(p.where.partition(": ")[0])
+        folders: set[str] = {_SPLIT_WORDS[f.lower()] for f in path.parts[:-1] if f.lower() in _SPLIT_WORDS}
+        words = re.split(r"[^a-z]+", path.stem.lower()) if path.suffix == ".json" else []
+        return folders or of_stem.get(path.stem) or {_SPLIT_WORDS[w] for w in words if w in _SPLIT_WORDS} or {split}
+
+    return [p for p in dataset.problems if p.severity == "error" and split in splits(p)]
+
+
+def image_groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> tuple[str, ...]:
+    """Return the group of each image. Configurations of one background and the background itself share one."""
+    if by == "image":
+        return _frames(images)
+    kind = next(b for b in GROUPINGS if b == by)
+    try:
+        groups = group_images(images, kind)
+    except DatasetError as error:
+        todo = "take --group image, gap or date, whichever the dataset says"
+        problems += [replace(p, where="--group", todo=todo) for p in error.problems]
+        return ()
+    of = {image_key(i): name for name, group in groups.items() for i in group}
+    return tuple(of[image_key(i)] for i in images)
+
+
+def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
+    """Return the frame that each image shows: its own key, or one name for an original and all images made of it."""
+    backgrounds, made = [], []
+    for image in images:
+        key = PurePosixPath(image_key(image))
+        background = background_stem(key.stem)
+        backgrounds.append(str(key.with_name(background)))
+        made.append(background != key.stem)
+    sizes = Counter(backgrounds)
+    names = {b: f"frame {b}" for b, m in zip(backgrounds, made, strict=True) if m and sizes[b] > 1}
+    for image, background in zip(images, backgrounds, strict=True):
+        facts = facts_from_name(image.name)
+        if facts is not None and facts.configuration is not None:  # its number is the frame's in the whole dataset
+            names[background] = f"frame {facts.frame}"
+    return tuple(names.get(b, image_key(i)) for i, b in zip(images, backgrounds, strict=True))
+
+
+# -- figures ---------------------------------------------------------------------------------------------------
+
+
+def _count_detections(predictions: Predictions, case: Case, counts: dict[str, int]) -> list[Problem]:
+    """Count all detections and those of classes not evaluated; return a warning if there are none."""
+    counts["detections"] = sum(len(d) for d in predictions.images.values())
+    foreign = sum(int((case.class_of[d.classes] < 0).sum()) for d in predictions.images.values())
+    if foreign:
+        counts["detections_of_other_classes"] = foreign
+    if counts["detections"]:
+        return []
+    found = f"no detection of {', '.join(case.classes)}"
+    return [Problem("detector", "no-detections", found, "a trained detector", severity="warning")]
+
+
+def _no_match_warning(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
+    """Return a warning if there are detections, but the AP of every class rounds to 0.000."""
+    best = max(row["map50"] for row in table.values() if row["map50"] is not None)
+    if not counts["detections"] or best >= _LEAST_AP:
+        return []
+    found = f"{counts['detections']} detections, hardly any on an object: mAP50 is below {_LEAST_AP} in every class"
+    todo = "check that the training is finished, and that its images and classes resemble these"
+    return [Problem("detector", "no-hits", found, "a trained detector", todo, severity="warning")]
+
+
+def _by_ultralytics(case: Case) -> dict[str, Any] | None:
+    if missing_packages():
+        return None
+    from infrablend.training.metrics import ultralytics_table
+
+    return ultralytics_table(case)

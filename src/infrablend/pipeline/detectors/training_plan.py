@@ -1,0 +1,142 @@
+"""Plan of a training: images, epochs, time and disk space; and what it requires of device, settings and disk."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from infrablend.core.dataset import Dataset
+from infrablend.core.machine import available_cores
+from infrablend.core.workspace import Existing, partial_of, workspace
+from infrablend.errors import OutputError, Problem
+from infrablend.pipeline.detectors.training_data import most_tiles, select_training_data
+from infrablend.training import environment, presets, tiles, weights
+from infrablend.training.files import RECORD
+from infrablend.training.presets import PRESETS, Preset
+from infrablend.training.request import PRESET_FIELDS, TrainRequest
+
+
+@dataclass(frozen=True)
+class TrainPlan:
+    """Plan of a training.
+
+    Attributes:
+        images: Number of pictures, or of tiles cut from them, in the train split.
+        labels: Number of labels in the train split.
+        epochs: Maximum number of epochs.
+        shown: Images shown per epoch.
+        tiled: Whether `images` are tiles.
+        device: Ultralytics' name of the device.
+        seconds: Estimated duration, s.
+        disk_bytes: Estimated peak disk space, bytes.
+    """
+
+    images: int
+    labels: int
+    epochs: int
+    shown: int
+    tiled: bool
+    device: str
+    seconds: float
+    disk_bytes: int
+
+
+def plan_training(
+    dataset: Dataset, request: TrainRequest, *, out: Path | None = None, existing: Existing = "refuse"
+) -> TrainPlan:
+    """Return what `train_dataset` would do, without doing it; whatever it would refuse is refused here too.
+
+    Two checks are left to the training: arguments of Ultralytics where that is not installed, and whether published
+    weights can be downloaded.
+    """
+    preset = request.chosen_preset()
+    device = choose_device(request.device, planning=True)
+    require_settings(preset)
+    weights.require_known(request.weights)
+    if out is not None and (out.exists() or partial_of(out).exists()):
+        # Nothing is deleted: what may be replaced may also be resumed.
+        with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
+            pass
+    wanted, _ = select_training_data(dataset, preset, request.task, request.classes, request.agc)
+    return plan_of(wanted, preset, device, request.seed)
+
+
+def plan_of(wanted: Dataset, preset: Preset, device: str, seed: int) -> TrainPlan:
+    """Return the plan of a training on selected data; see `select_training_data`."""
+    parts = {s: [i for i in wanted.images if i.split == s] for s in ("train", "val")}
+    if preset.tile:
+        cut = {s: tiles.plan_tiles(p, preset.tile, seed=seed, most=most_tiles(preset, s)) for s, p in parts.items()}
+        images, size = len(cut["train"]), sum(len(c) for c in cut.values()) * preset.tile**2
+    else:
+        images, size = len(parts["train"]), sum(i.path.stat().st_size for i in wanted.images if i.path.is_file())
+    labels = sum(len(i.instances) for i in parts["train"])
+    epochs, shown = preset.epochs_for(images)
+    return TrainPlan(
+        images=images, labels=labels, epochs=epochs, shown=shown, tiled=preset.tile > 0, device=device,
+        seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", cores=available_cores()),
+        disk_bytes=round(size + presets.weights_bytes(preset)),
+    )  # fmt: skip
+
+
+def choose_device(wanted: str, *, planning: bool = False) -> str:
+    """Return Ultralytics' name of a device: `cpu`, `mps` or the number of a GPU.
+
+    For a plan where torch is not installed, `auto` is the processor.
+    """
+    number = wanted.removeprefix("cuda:")
+    if "," in wanted:
+        raise OutputError(f"--device {wanted}: several GPUs; expected one, such as {number.partition(',')[0]}")
+    if wanted not in ("auto", "cpu", "cuda", "mps") and not (number.isascii() and number.isdigit()):
+        raise OutputError(f"--device {wanted}: no such device; expected auto, cpu, mps, cuda, or a GPU such as cuda:1")
+    if wanted == "cpu" or (planning and wanted == "auto" and find_spec("torch") is None):
+        return "cpu"
+    if planning:
+        weights.require_ultralytics()
+    import torch
+
+    if wanted == "mps":
+        if torch.backends.mps.is_available():
+            return "mps"
+        raise OutputError(f"--device mps: not available in torch {torch.__version__}; expected --device cpu")
+    there = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if wanted == "auto":
+        return "0" if there else "cpu"
+    index = 0 if wanted == "cuda" else int(number)
+    if index < there:
+        return str(index)
+    found = f"finds {there} GPU{'s' * (there > 1)}, numbered from 0" if there else "finds no GPU"
+    raise OutputError(
+        f"--device {wanted}: torch {torch.__version__} {found}; expected one of them, or --device cpu. "
+        "infrablend doctor lists the devices"
+    )
+
+
+def require_settings(preset: Preset) -> None:
+    """Raise OutputError for settings that the trainer would refuse; without Ultralytics nothing is checked."""
+    if not weights.missing_packages():
+        require_arguments(preset)
+
+
+def require_arguments(preset: Preset) -> None:
+    """Raise OutputError if Ultralytics refuses arguments set by the user; the check is slow, so presets skip it."""
+    own = PRESETS[preset.name].arguments if preset.name in PRESETS else {}
+    given = {k: v for k, v in preset.arguments.items() if k not in own or own[k] != v}
+    wrong = environment.wrong_arguments(given) if given else ""
+    if wrong:
+        where = " ".join(f"--set {k}" for k in given)
+        raise OutputError(
+            "settings of the training",
+            [Problem(where, "setting-malformed", wrong, f"fields ({', '.join(PRESET_FIELDS)}) or Ultralytics' own")],
+        )
+
+
+def require_space(out: Path, disk_bytes: int) -> None:
+    """Raise OutputError if the disk has less free space than a training needs."""
+    need = disk_bytes * 1.2
+    free = shutil.disk_usage(out).free
+    if free < need:
+        found = f"{free / 1e6:.0f} MB free"
+        problem = Problem(str(out), "disk-full", found, f"{need / 1e6:.0f} MB", "free some, or give a folder elsewhere")
+        raise OutputError(f"{out}: not enough disk space for the training", [problem])

@@ -1,1 +1,0 @@
-"""Frames of videos: which to take, what the logs say of them, and the report."""

@@ -1,0 +1,1 @@
+"""What is to be made: request, models and checks, and the plan of the frames."""

@@ -1,0 +1,215 @@
+"""Checks of a recipe against its models and a dataset: what cannot be made, and settings without the wanted effect."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from infrablend.annotation.classes import unknown_classes
+from infrablend.assets.model import ObjectModel
+from infrablend.config.recipe import Recipe
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.format_table import NATIVE
+from infrablend.core.rng import stream
+from infrablend.core.strict_model import Strict
+from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
+from infrablend.formats.detection import DATASET_INSIDE
+from infrablend.formats.temperatures import IMPLAUSIBLE, implausible_scales
+from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.writing import unwritable
+from infrablend.pipeline.plans.backgrounds import is_ground
+from infrablend.pipeline.plans.selection import similar
+from infrablend.thermal.sky import sun_position, time_of
+
+LENS_REPLACED = "lens-replaced"
+"""Code of the warning about a lens of the recipe that replaces others in the files."""
+PITCH_REPLACED = "pitch-replaced"
+"""Code of the warning about a pitch of the recipe that replaces others in the files."""
+# A stated field of view that differs by a larger share from the files' is reported.
+_LENS_TOLERANCE = 0.15
+# Clear of the horizon, where day and night are a matter of opinion.
+_SUN_IS_UP_RAD = math.radians(6)
+# A stated pitch that differs by more from the files' is reported.
+_PITCH_TOLERANCE_DEG = 15.0
+
+
+def require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
+    """Try each object's options once: an invalid one would otherwise fail every frame."""
+    problems = []
+    for i, o in enumerate(recipe.objects):
+        try:
+            models[o.model].sample(stream(0, "options"), o.options)
+        except (InfraBlendError, ValueError, TypeError) as error:
+            message = error.message if isinstance(error, InfraBlendError) else str(error)
+            problems.append(Problem(f"objects.{i}.options", "recipe-value", message))
+    if problems:
+        raise RecipeError(f"recipe {recipe.name}: options that its models do not accept", problems)
+
+
+def without_effect(recipe: Recipe, models: Mapping[str, ObjectModel]) -> list[Problem]:
+    """Return a warning for each setting that differs from its default and has no effect with these models and modes."""
+    found = []
+    for i, o in enumerate(recipe.objects):
+        stands = models[o.model].stands
+        why = f"{o.model} {'stands on the ground' if stands else 'flies'}"
+        expected = "a model that flies" if stands else "a model that stands on the ground"
+        unused = o.only_flying if stands else o.only_standing
+        found += [(f"objects.{i}.{name}", why, expected) for name in unused if _is_set(o, name)]
+    if recipe.sensor.headroom and not recipe.matching.uses_headroom:
+        found.append(("sensor.headroom", "appearance.mode is artistic", "appearance.mode physical"))
+    return [
+        Problem(
+            where,
+            "no-effect",
+            f"a setting without effect: {why}",
+            expected,
+            f"remove {where.rpartition('.')[2]}",
+            "warning",
+        )
+        for where, why, expected in found
+    ]
+
+
+def _is_set(section: Strict, name: str) -> bool:
+    """Return whether a field has another value than its default; recipes of the studio state every field."""
+    return bool(getattr(section, name) != type(section).model_fields[name].default)
+
+
+def dataset_remarks(recipe: Recipe, dataset: Dataset) -> tuple[Problem, ...]:
+    """Return the problems of reading a dataset, for a run of this recipe.
+
+    Raises:
+        DatasetError: It is a folder of datasets, or its temperatures are needed and no scene has them.
+    """
+    remarks = dataset.problems
+    if whole := [p for p in remarks if p.code == DATASET_INSIDE]:
+        # Their labels would be lost, and their objects become unlabelled background.
+        raise DatasetError(f"{dataset.root}: a folder of datasets, not of one dataset", whole)
+    if not recipe.matching.needs_temperatures or not any(p.code == IMPLAUSIBLE for p in remarks):
+        return remarks
+    # The recipe may know better than the files that the pictures show the sky.
+    if implausible := implausible_scales(dataset, lambda image: is_ground(image, recipe)):
+        refused = [replace(p, severity="error") for p in implausible]
+        raise DatasetError(f"{dataset.root}: temperatures that no scene has", refused)
+    return tuple(p for p in remarks if p.code != IMPLAUSIBLE)
+
+
+def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> list[Problem]:
+    """Return warnings about pictures of a dataset (at `root`) that a recipe uses in another way than they suggest."""
+    found = []
+    if recipe.labels.merges and not any(image.instances for image in images):
+        what = "no labels in any image, so objects in the backgrounds stay unlabelled"
+        todo = "check --data, or set labels.mode to new if the data has no labels"
+        found.append(Problem(root.name, "no-labels", what, "labels to merge with", todo, "warning"))
+    return [*found, *_other_lens(recipe, images), *_other_pitch(recipe, images), *_sun_unused(recipe, images)]
+
+
+def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning if the recipe's lens replaces fields of view in the files that differ from it."""
+    c = recipe.camera
+    if not c.is_real or c.needs_lens:
+        return []
+    stated = 2 * math.degrees(math.atan(c.sensor_width_mm / 2 / c.focal_length_mm))
+    other = [
+        i.capture.hfov_deg
+        for i in images
+        if i.capture.hfov_deg is not None and abs(stated / i.capture.hfov_deg - 1) > _LENS_TOLERANCE
+    ]
+    if not other:
+        return []
+    span = f"{min(other):.1f}" if max(other) - min(other) < 0.1 else f"{min(other):.1f} to {max(other):.1f}"
+    found = f"{stated:.1f} degrees across for all pictures, but the files of {len(other)} picture(s) state {span}"
+    todo = (
+        "set camera.field_of_view to metadata, or state no lens, unless another lens is wanted or the files are wrong"
+    )
+    return [Problem("camera.focal_length_mm", LENS_REPLACED, found, "the lens of the camera", todo, "warning")]
+
+
+def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning if the recipe's pitch replaces pitches in the files that differ from it."""
+    stated = recipe.camera.stated_pitch_deg
+    if stated is None or not recipe.camera.is_real:  # paper's ablations replace it on purpose
+        return []
+    low, high = stated[0] - _PITCH_TOLERANCE_DEG, stated[1] + _PITCH_TOLERANCE_DEG
+    other = [
+        i.capture.pitch_deg
+        for i in images
+        if i.capture.pitch_deg is not None and not low <= i.capture.pitch_deg <= high
+    ]
+    if not other:
+        return []
+    found = (
+        f"a stated pitch, but the files of {len(other)} picture(s) state {min(other):.0f} to {max(other):.0f} degrees"
+    )
+    todo = "set camera.pitch to metadata, unless another view of the objects is wanted or the files are wrong"
+    return [Problem("camera.pitch", PITCH_REPLACED, found, "the pitch of each picture", todo, "warning")]
+
+
+def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning if pictures that are not stated to be by day were taken with the sun in the sky."""
+    sky = recipe.environment.sky
+    if sky is None or sky.place is None:
+        return []
+    place, count = sky.place, 0
+    for image in images:
+        when = None if image.capture.time_of_day == "day" else time_of(image.capture.captured)
+        if when is not None:
+            _, elevation = sun_position(when, place.latitude_deg, place.longitude_deg)
+            count += elevation > _SUN_IS_UP_RAD
+    if not count:
+        return []
+    found = f"the sun is above the horizon in {count} picture(s) not stated to be by day, and is not used there"
+    todo = "state time_of_day as day in the pictures' metadata, or check capture times, time zone and place"
+    return [Problem("environment.place", "sun-above-horizon", found, "pictures by night", todo, "warning")]
+
+
+def require_classes(recipe: Recipe, field: str, names: Collection[str], dataset: Dataset) -> None:
+    """Check that a field of the recipe names classes of the dataset."""
+    unknown = unknown_classes(dataset, names)
+    if unknown:
+        known = ", ".join(c.name for c in dataset.categories) or "it has none"
+        found, expected = f"found {', '.join(unknown)}", f"categories of the dataset ({known})"
+        problem = Problem(field, "recipe-value", found, expected)
+        raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
+
+
+def unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning per frame that the recipe places objects in and that these backgrounds do not have."""
+    if not recipe.frames:
+        return []
+    known = [f"{i.split}/{i.id}_c{k}" for i in images for k in range(recipe.configurations)]
+    found = "no frame of this dataset has this id"
+    return [
+        Problem(f"frames.{name}", "frame-unknown", found, f"an id such as {similar(name, known)}", severity="warning")
+        for name in sorted(recipe.frames.keys() - set(known))
+    ]
+
+
+def require_loosened(recipe: Recipe, inserted: Collection[str]) -> None:
+    """Check that `labels.loosen` and `labels.loosen_px` list classes of inserted objects; no other boxes change."""
+    expected = f"classes of the inserted objects ({', '.join(sorted(inserted))})"
+    faults = []
+    for name, given in (("labels.loosen", recipe.labels.loosen), ("labels.loosen_px", recipe.labels.loosen_px)):
+        unknown = [] if isinstance(given, float) else sorted(set(given) - set(inserted))
+        if unknown:
+            faults.append(Problem(name, "recipe-value", f"found {', '.join(unknown)}", expected))
+    if faults:
+        raise RecipeError(f"recipe {recipe.name}: no such inserted class", faults)
+
+
+def require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
+    """Check that the source's ids can be kept, before the first frame rather than after the last."""
+    settings = WriteSettings(ids=recipe.output.ids)
+    problems = []
+    if settings.ids == "source" and (recipe.configurations > 1 or recipe.output.originals):
+        found = f"source with {recipe.configurations} configuration(s){' and originals' * recipe.output.originals}"
+        todo = "set output.ids to new, or configurations to 1 and output.originals to false"
+        problems.append(Problem("output.ids", "recipe-value", found, "one frame per background", todo))
+    for name in recipe.output.formats:
+        problem = None if name == NATIVE else unwritable(name, images, settings)
+        if problem is not None:
+            problems.append(replace(problem, where=f"output.ids ({name})"))
+    if problems:
+        raise RecipeError(f"recipe {recipe.name}: the source's ids cannot be kept", problems)

@@ -1,0 +1,173 @@
+"""Makes the plan of a run from a recipe and a dataset."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from infrablend import __version__
+from infrablend.annotation.classes import ignored_turned_objects, rename_classes
+from infrablend.assets.user_model import description_digest, is_description
+from infrablend.config.recipe import NOT_IN_KEY, Recipe
+from infrablend.core.dataset import Category, Dataset, ImageRecord
+from infrablend.core.file_names import distinct_names, fit_name
+from infrablend.core.files import sha256_of_json
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.reading import Reading
+from infrablend.formats.temperatures import OPTIONS
+from infrablend.pipeline.datasets.content import fingerprint
+from infrablend.pipeline.plans.checks import (
+    data_warnings,
+    dataset_remarks,
+    require_classes,
+    require_ids,
+    require_loosened,
+    require_options,
+    unknown_by_hand,
+    without_effect,
+)
+from infrablend.pipeline.plans.left_out import usable_images
+from infrablend.pipeline.plans.models import ready_model
+from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
+from infrablend.sampling.scene import require_parts
+
+LEVELS_SAMPLE = 64
+
+
+def make_plan(
+    recipe: Recipe,
+    dataset: Dataset,
+    seed: int,
+    *,
+    splits: Sequence[str] | None = None,
+    selection: FrameSelection = ALL_FRAMES,
+    recipe_warnings: Sequence[Problem] = (),
+) -> RunPlan:
+    """Return the plan of a run.
+
+    Args:
+        recipe: Recipe of the run.
+        dataset: Backgrounds of the requested splits.
+        seed: Seed of the run.
+        splits: Requested splits, for error messages only.
+        selection: Frames to produce.
+        recipe_warnings: Warnings from reading the recipe.
+
+    Raises:
+        ArgumentError: The selection names a frame that does not exist.
+        DatasetError: No background is left.
+        RecipeError: A model does not have an option of the recipe, or the dataset lacks a category that it names.
+        ModelError: A model does not exist, or lacks a part that the recipe names.
+    """
+    models = {o.model: ready_model(o.model) for o in recipe.objects}
+    require_parts(recipe, models)
+    require_options(recipe, models)
+    classes = [o.category or models[o.model].category for o in recipe.objects]
+    require_loosened(recipe, {*classes})
+    require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
+    renamed = rename_classes(dataset, recipe.labels.rename)
+    require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
+
+    names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
+    images, chosen = selection.backgrounds(renamed.images, seed), None
+    if selection.frames is not None:
+        chosen = find_frames(selection.frames, renamed.images, names)
+        of_chosen = {image for image, _ in chosen}
+        images = [image for image in images if id(image) in of_chosen]
+    problems = [*recipe_warnings, *without_effect(recipe, models), *dataset_remarks(recipe, renamed)]
+    problems += ignored_turned_objects(dataset, recipe.labels.rename)
+    usable, left_out = usable_images(recipe, renamed, images, stands=all(m.stands for m in models.values()))
+    problems += left_out
+    if not usable:
+        of_splits = f" of split {', '.join(splits)}" if splits else ""
+        raise DatasetError(f"{dataset.root}: no usable background in {len(images)} image(s){of_splits}", problems)
+    problems += data_warnings(recipe, usable, dataset.root) + unknown_by_hand(recipe, renamed.images)
+    require_ids(recipe, usable)
+
+    as_read = {id(new): old for old, new in zip(dataset.images, renamed.images, strict=True)}
+    frames = [
+        PlannedFrame(image, k, as_read[id(image)], names[id(image), k])
+        for image in usable
+        for k in _configurations(recipe.output.originals, recipe.configurations)
+        if chosen is None or (id(image), k) in chosen
+    ]
+    used = replace(renamed, images=tuple(usable))
+    categories = _with_new(renamed.categories, classes)
+    key = _key(recipe, seed, used, None if chosen is None else frames)
+    return RunPlan(
+        recipe=recipe,
+        seed=seed,
+        dataset=used,
+        models=models,
+        categories=categories,
+        new_categories=tuple(c.name for c in categories[len(renamed.categories) :]),
+        frames=tuple(frames),
+        problems=tuple(problems),
+        key=key,
+        ignored=tuple(c.name for c in dataset.categories if c.ignore),
+        sample=renamed.images[:: max(1, len(renamed.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
+        run=_identity(key),
+    )
+
+
+def _with_new(known: Sequence[Category], classes: Iterable[str]) -> tuple[Category, ...]:
+    """Return the categories of a dataset, and after them those of inserted objects that it does not have."""
+    categories = list(known)
+    for name in classes:
+        if name not in {c.name for c in categories}:
+            categories.append(Category(max((c.id for c in categories), default=-1) + 1, name))
+    return tuple(categories)
+
+
+def _key(recipe: Recipe, seed: int, used: Dataset, chosen: Sequence[PlannedFrame] | None) -> dict[str, Any]:
+    """Return what must match for a run to be resumed; `chosen` has the frames if they were named one by one."""
+    key: dict[str, Any] = {
+        "version": __version__,
+        "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY})),
+        "seed": seed,
+        "backgrounds": fingerprint(used),
+    }
+    if chosen is not None:
+        key["frames"] = sorted(frame.frame_id for frame in chosen)
+    if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
+        key["models"] = own
+    return key
+
+
+def _identity(key: Mapping[str, Any]) -> str:
+    deciding = {**key["recipe"], "description": None}
+    return sha256_of_json([deciding, key["seed"]])[:16]
+
+
+def _configurations(originals: bool, count: int) -> list[int | None]:
+    """Return the configurations of a background in the order of its frames; None is the unchanged background."""
+    return [*([None] if originals else []), *range(count)]
+
+
+def frame_names(images: Sequence[ImageRecord], originals: bool, count: int) -> dict[tuple[int, int | None], str]:
+    """Return the name of every frame by `id(image)` and configuration; names are unique in each split.
+
+    Backgrounds whose ids look like names of frames (`a` and `a_c0`, when earlier output is used as input), or differ in
+    case alone, would otherwise share files. Unchanged backgrounds keep their name, and of other equal names the first
+    frame keeps it. The names depend on all backgrounds of the split, so that `--limit` does not change them.
+    """
+    names: dict[tuple[int, int | None], str] = {}
+    for split in dict.fromkeys(i.split for i in images):
+        of_split = [i for i in images if i.split == split]
+        frames = [(i, k) for k in _configurations(originals, 0) for i in of_split]
+        frames += [(i, k) for i in of_split for k in range(count)]
+        found = distinct_names([fit_name(i.id) if k is None else f"{fit_name(i.id)}_c{k}" for i, k in frames])
+        names |= {(id(i), k): name for (i, k), name in zip(frames, found, strict=True)}
+    return names
+
+
+def with_scale(reading: Reading, recipe: Recipe) -> Reading:
+    """Return the reading with the recipe's temperature scale, unless its options state one."""
+    stated = {k: str(v) for k, v in recipe.data.model_dump().items() if v is not None}
+    if not stated or any(name in reading.options for name in OPTIONS):
+        return reading
+    return replace(reading, options={**reading.options, **stated})

@@ -1,0 +1,377 @@
+"""Exports a run from its ledger once all frames are finished: labels in each format, and the card."""
+
+from __future__ import annotations
+
+import math
+import os
+import statistics
+from array import array
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.annotation.looseness import Looseness
+from infrablend.config.agc import Agc
+from infrablend.core.dataset import ImageRecord
+from infrablend.core.files import sha256_of
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.ledger import LEDGER, Ledger
+from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
+from infrablend.core.spool import Spool
+from infrablend.core.stored_images import store_images
+from infrablend.core.workspace import NOTE, Workspace
+from infrablend.errors import OutputError, Problem
+from infrablend.formats import huggingface, writing
+from infrablend.formats.losses import Written
+from infrablend.formats.write_settings import WriteSettings
+from infrablend.pipeline.compose.labelled import labelled_image
+from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
+from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.runs.card import run_card
+from infrablend.pipeline.runs.warnings import (
+    absent_warnings,
+    air_warnings,
+    doubt_codes,
+    frame_warnings,
+    hiding_warnings,
+    limit_warnings,
+)
+from infrablend.report.card import CARD_FILE, is_own, write_card
+
+_NO_EXPORTS = frozenset({EXCLUDED, WORKERS_LOG, LEDGER, f"{LEDGER}-journal"})
+"""What stays in the folder, besides the pictures, when labels are written again."""
+
+
+@dataclass(frozen=True)
+class LabelSummary:
+    """Summary of the labels of a run.
+
+    Attributes:
+        counts: Images, labels per category, removals and empty frames by reason.
+        draws: Placement statistics: attempts, rejections by reason, shift of the camera distance.
+        removed: Original labels that inserted objects cover.
+        losses: Counts of what formats cannot express, by `<format>.<kind>`.
+        problems: Warnings.
+    """
+
+    counts: Mapping[str, Any] = field(default_factory=dict)
+    draws: Mapping[str, Any] = field(default_factory=dict)
+    removed: tuple[Mapping[str, Any], ...] = ()
+    losses: Mapping[str, int] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+
+
+def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequence[PlannedFrame]) -> LabelSummary:
+    """Write the card and all formats of the recipe; the same ledger gives the same bytes.
+
+    One record is in memory at a time beyond the first `spool.IN_MEMORY`, whatever the number of frames.
+
+    Args:
+        plan: Plan of the run.
+        folder: Its folder.
+        ledger: Its ledger.
+        frames: Its finished frames, in the order of the plan.
+    """
+    records: Spool[FrameRecord] = Spool(folder.root)  # on disk, see `Spool`
+    for record in ledger.records(f.frame_id for f in frames):
+        records.append(record)
+    loosened, looseness = 0, Looseness.of_labels(plan.recipe.labels)
+
+    def labelled() -> Iterator[ImageRecord]:
+        nonlocal loosened
+        for frame, record in zip(frames, records, strict=True):
+            # The records keep the exact boxes.
+            image, count = labelled_image(frame, record, folder.image(record.image), looseness)
+            loosened += count
+            yield image
+
+    images = store_images(labelled(), folder.root)
+    losses: Counter[str] = Counter()
+    problems: list[Problem] = []
+    for name in plan.recipe.output.formats if images else ():
+        written = _write_format(name, plan, folder.root, images)
+        losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
+        problems += written.problems
+    # The pictures load with `datasets` from where they are.
+    beside = huggingface.write(folder.root / IMAGES, images, plan.categories, pictures=False)
+    losses.update({f"{IMAGES}.{k}": n for k, n in beside.losses.items()})
+    problems += beside.problems
+    if plan.recipe.output.agc is not None and images:
+        problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
+    problems += frame_warnings(records)
+    finished = summarize(plan, records, images)
+    finished = replace(finished, counts={**finished.counts, **looseness.counted(loosened)})
+    problems += absent_warnings(finished.draws)
+    problems += limit_warnings(records)
+    problems += air_warnings(records)
+    problems += hiding_warnings(finished.counts)
+    if images:
+        problems += write_card(
+            folder.root, run_card(plan, finished.counts, losses, images, tuple(dict.fromkeys(problems)))
+        )
+    # The three YOLO formats warn alike of a missing split.
+    unique = tuple(dict.fromkeys(problems))
+    return replace(finished, losses=dict(sorted(losses.items())), problems=unique)
+
+
+def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
+    """Delete what an earlier call exported but an edited card, and pictures without a finished frame.
+
+    Raises:
+        OutputError: It cannot be deleted.
+    """
+    edited = () if is_own(folder.root / CARD_FILE) else (CARD_FILE,)
+    space.clear(keep=(IMAGES, *_NO_EXPORTS, *edited))
+    out = ledger.excluded()
+    images = {f"{IMAGES}/{frame.image}" for frame_id, frame in ledger.done().items() if frame_id not in out}
+    for name in _files_below(folder.root, IMAGES):
+        if name not in images:
+            (folder.root / name).unlink()
+
+
+def list_exports(folder: RunFolder, ledger: Ledger, foreign: Collection[str]) -> Iterator[tuple[str, int, str]]:
+    """Yield path, size and digest of all files of a run but its pictures, for the ledger.
+
+    Args:
+        folder: The run.
+        ledger: Its ledger.
+        foreign: Names at the top of the folder that are not part of the run.
+    """
+    done = ledger.done().values()
+    pictures = {f"{IMAGES}/{frame.image}" for frame in done}
+    # Label folders have hard links to the pictures, which need not be read again.
+    known = {path.stat().st_ino: f.sha256 for f in done if (path := folder.image(f.image)).is_file()}
+    left_out = {*foreign, *_NO_EXPORTS, RUN_FILE, NOTE}
+    for top in sorted({p.name for p in folder.root.iterdir()} - left_out):
+        for name in [top] if (folder.root / top).is_file() else _files_below(folder.root, top):
+            if name not in pictures:
+                status = (folder.root / name).stat()
+                yield name, status.st_size, known.get(status.st_ino) or sha256_of(folder.root / name, folder.root)
+
+
+def lost_exports(folder: RunFolder, ledger: Ledger) -> list[str]:
+    """Return the files of a finished run, other than pictures, that are gone or have another size."""
+    return [name for name, size, _ in ledger.exports() if not _has_size(folder.root / name, size)]
+
+
+def unknown_files(folder: RunFolder, ledger: Ledger) -> list[str]:
+    """Return the files in the folders of a run that are neither its pictures nor its exports, sorted."""
+    exports = {name for name, _, _ in ledger.exports()}
+    known = exports | {f"{IMAGES}/{frame.image}" for frame in ledger.done().values()}
+    tops = {name.split("/")[0] for name in exports if "/" in name} | {IMAGES}
+    return [name for top in sorted(tops) for name in _files_below(folder.root, top) if name not in known]
+
+
+def require_nothing_added(folder: RunFolder, plan: RunPlan) -> None:
+    """Refuse to write the labels of a finished run again if that would delete files that somebody put beside them.
+
+    Raises:
+        OutputError: There are such files.
+    """
+    names = {frame.name for frame in plan.frames}  # pictures of frames that the ledger has lost are made again
+    with folder.ledger() as ledger:
+        added = [n for n in unknown_files(folder, ledger) if not (n.startswith(IMAGES) and Path(n).stem in names)]
+    if added:
+        raise OutputError(
+            f"{folder.root}: {len(added)} files, such as {added[0]}, are not of this run, and are in folders that are "
+            "written again; nothing was changed. Move them out of these folders (infrablend check names all of them)"
+        )
+
+
+def _has_size(path: Path, size: int) -> bool:
+    try:
+        return path.lstat().st_size == size
+    except OSError:
+        return False
+
+
+def _files_below(root: Path, top: str) -> list[str]:
+    """Return the files below a folder, relative to `root`, sorted."""
+    found = []
+    for folder, _, names in os.walk(root / top):
+        inside = Path(folder).relative_to(root).as_posix()
+        found += [f"{inside}/{name}" for name in names]
+    return sorted(found)
+
+
+def _write_eight_bit(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord], agc: Agc) -> list[Problem]:
+    """Write the dataset again with 8-bit pictures by an automatic gain control; return its problems."""
+    shown, as_they_are = eight_bit_copies(images, folder.eight_bit / IMAGES, agc)
+    problems: list[Problem] = []
+    for name in plan.recipe.output.formats:
+        problems += _write_format(name, plan, folder.eight_bit, shown).problems
+    huggingface.write(folder.eight_bit / IMAGES, shown, plan.categories, pictures=False)
+    if as_they_are:
+        found = f"{as_they_are} pictures have 8 bits already, and are in {EIGHT_BIT}/ as they are"
+        problems.append(Problem("output.agc", "agc-unused", found, "16-bit pictures", "leave it out", "warning"))
+    return problems
+
+
+def _write_format(name: str, plan: RunPlan, out: Path, images: Sequence[ImageRecord]) -> Written:
+    labels = plan.recipe.labels
+    settings = WriteSettings(
+        ids=plan.recipe.output.ids,
+        category_ids=plan.recipe.output.category_ids,
+        dont_care=labels.dont_care,
+        without_mask=labels.seg_originals,
+        pictures=name != "coco",  # they are in `images/` already
+    )
+    return writing.write(name, out / name, images, plan.categories, settings=settings, source=plan.dataset)
+
+
+def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[ImageRecord]) -> LabelSummary:
+    """Return counts and placement statistics of the finished frames."""
+    pictures: Counter[str] = Counter()
+    per_split: dict[str, Counter[str]] = {}
+    for image in images:
+        pictures[image.split] += 1
+        per_split.setdefault(image.split, Counter()).update(i.category for i in image.instances)
+    labels: Counter[str] = Counter()
+    for of_split in per_split.values():
+        labels.update(of_split)
+    removed: list[Mapping[str, Any]] = []
+    reasons: Counter[str] = Counter()
+    drops: Counter[str] = Counter()
+    doubts: Counter[str] = Counter()
+    pitches: Counter[str] = Counter()
+    behind: Counter[str] = Counter()
+    inserted: Counter[str] = Counter()
+    covered = fallbacks = without = other_size = 0
+    for r in records:
+        removed += [{"frame_id": r.frame_id, **item} for item in r.removed if item["reason"] == "covered"]
+        reasons.update(item["reason"] for item in r.removed)
+        drops.update(d["reason"] for d in r.facts.get("drops", ()))
+        inserted.update(i.category for i in r.inserted)
+        doubts.update(doubt_codes(r))
+        behind.update(r.facts.get("matching", {}).get("behind", ()))
+        if r.scene is not None and "pitch_from" in r.scene.draws:
+            pitches[r.scene.draws["pitch_from"]] += 1
+        covered += len(r.covered)
+        fallbacks += len(r.facts.get("mask_fallbacks", ()))
+        without += not r.inserted
+        other_size += r.scene is not None and tuple(r.scene.camera.size_wh) != tuple(plan.recipe.camera.size_px)
+    counts = {
+        "images": len(images),
+        "images_per_split": dict(sorted(pictures.items())),
+        "labels": dict(sorted(labels.items())),
+        "labels_per_split": {s: dict(sorted(c.items())) for s, c in sorted(per_split.items())},
+        "labels_inserted": dict(sorted(inserted.items())),
+        "labels_removed": dict(sorted(reasons.items())),
+        "labels_partly_covered": covered,
+        "objects_without_label": dict(sorted(drops.items())),
+        "masks_of_one_pixel": fallbacks,
+        "frames_without_object": without,
+        "frames_without_object_because": empty_frames(records),
+        "frames_of_other_size": other_size,
+    }
+    if doubts:
+        counts["frames_in_doubt"] = dict(sorted(doubts.items()))
+    if pitches:
+        counts["pitch_from"] = dict(sorted(pitches.items()))
+    if behind.keys() - {"ground"}:
+        counts["in_front_of"] = dict(sorted(behind.items()))
+    if hiding := hiding_statistics(records):
+        counts["partly_hidden"] = hiding
+    if contrast := contrast_statistics(records):
+        counts["contrast_grey"] = contrast
+    draws = draw_statistics(records)
+    if left_out := draws.get("absent"):
+        counts["objects_left_out"] = left_out
+    return LabelSummary(counts, draws, tuple(removed))
+
+
+def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
+    """Count the frames without a labelled inserted object by reason; a frame counts once per reason.
+
+    Unchanged originals do not count.
+    """
+    reasons: Counter[str] = Counter()
+    for r in records:
+        if r.scene is None or r.inserted:
+            continue
+        found = {*r.scene.draws.get("absent", {}), *(d["reason"] for d in r.facts.get("drops", ()))}
+        if r.scene.draws.get("empty_by_recipe") or not r.scene.draws.get("wanted", 1):
+            found = {"recipe"}
+        reasons.update(found or {"unknown"})
+    return dict(sorted(reasons.items()))
+
+
+def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:
+    """Count the objects that were to be partly hidden, and those that are; empty if the recipe hides nothing."""
+    wanted = hidden = 0
+    for r in records:
+        asked = r.facts.get("occlusion", ())
+        wanted += len(asked)
+        hidden += sum("window" in o for o in asked)
+    return {"wanted": wanted, "hidden": hidden} if wanted else {}
+
+
+def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
+    """Return quantiles of the contrast of inserts, 8-bit levels: of the labelled ones, and before any was moved.
+
+    The contrast is the smaller of the change of the object's pixels and the change of its box against the ring.
+    """
+    before = "before placement.min_contrast"
+    measured: dict[str, array[float]] = {"labelled": array("d"), before: array("d")}
+    for r in records:
+        kept = r.facts.get("contrast", ())
+        for name, values in (("labelled", kept), (before, r.facts.get("contrast_first", kept))):
+            measured[name].extend(float(min(c["changed"], c.get("change", c["changed"]))) for c in values)
+    found = {}
+    for name, levels in measured.items():
+        if levels:
+            one, five, half = _quantiles(levels, 0.01, 0.05, 0.5)
+            found[name] = f"1 % {one:.0f}; 5 % {five:.0f}; median {half:.0f}"
+    return found
+
+
+def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
+    """Return how often scenes were redrawn, by reason, and how redrawing shifted the camera distances."""
+    first, last, pitches, sizes = array("d"), array("d"), array("d"), array("d")
+    rejected: Counter[str] = Counter()
+    absent: Counter[str] = Counter()
+    scenes = wanted = attempts = most = 0
+    for r in records:
+        for i in r.inserted:
+            sizes.append(max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1])))
+        if r.scene is None or not r.scene.draws.get("wanted"):
+            continue
+        draws = r.scene.draws
+        scenes += 1
+        wanted += int(draws["wanted"])
+        attempts += int(draws["attempts"])
+        most = max(most, int(draws["attempts"]))
+        first.append(float(draws["first_distance_m"]))
+        last.append(r.scene.camera.distance_m)
+        pitches.append(math.degrees(r.scene.camera.pitch_rad))
+        rejected.update(draws["rejected"])
+        absent.update(draws["absent"])
+    if not scenes:
+        return {}
+    return {
+        "scenes": scenes,
+        "wanted": wanted,
+        "attempts_total": attempts,
+        "attempts_max": most,
+        "rejected": dict(sorted(rejected.items())),
+        "absent": dict(sorted(absent.items())),
+        "distance_m": {"first_draw": _spread(first), "kept": _spread(last)},
+        "pitch_deg": _spread(pitches),
+        "size_px": _spread(sizes),
+    }
+
+
+def _spread(values: Sequence[float]) -> dict[str, float]:
+    if not values:
+        return {}
+    low, half, high = _quantiles(values, 0.05, 0.5, 0.95)
+    spread = {"mean": statistics.fmean(values), "min": min(values), "p5": low, "median": half, "p95": high}
+    return {name: round(value, 4) for name, value in {**spread, "max": max(values)}.items()}
+
+
+def _quantiles(values: Sequence[float], *shares: float) -> list[float]:
+    """Return for each share the value that so large a share of the values is below."""
+    ordered = sorted(values)
+    return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in shares]

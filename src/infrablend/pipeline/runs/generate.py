@@ -1,0 +1,139 @@
+"""Carries out a run request: loads the recipe, reads the backgrounds, plans and renders the frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.config.loading import read_recipe
+from infrablend.config.modes import DROPPED, KEPT
+from infrablend.core.addresses import address_of
+from infrablend.core.file_names import as_text, is_text, real_path
+from infrablend.core.ledger import LEDGER
+from infrablend.core.output import require_apart
+from infrablend.core.tasks import OnProgress
+from infrablend.core.workspace import Existing, unfinished
+from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
+from infrablend.formats import detection
+from infrablend.pipeline.plans.checks import LENS_REPLACED, PITCH_REPLACED
+from infrablend.pipeline.plans.estimate import estimate_run
+from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.plans.planning import make_plan, with_scale
+from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.plans.shard import ShardRequest
+from infrablend.pipeline.runs.run import RunReport, run_plan
+from infrablend.pipeline.runs.sharded import run_shards
+from infrablend.pipeline.runs.stored import require_packed, run_stored_shards
+from infrablend.storage.mirror import local_folder
+
+
+def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
+    """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
+
+    Raises:
+        RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
+    """
+    if request.out is None:
+        raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
+    plan = prepare_run(request)
+    wanted = _wanted(request, plan)
+    if address_of(request.out) is not None:
+        shards = (wanted or ShardRequest(count=1)).of(len(plan.frames))
+        return run_stored_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
+    if wanted is not None:
+        shards = wanted.of(len(plan.frames))
+        return run_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
+    return run_plan(plan, request.out, request.execution, request.existing, on_progress)
+
+
+def _wanted(request: RunRequest, plan: RunPlan) -> ShardRequest | None:
+    """Return the shards to make; None for a run with a file per frame.
+
+    Raises:
+        ArgumentError: All shards of a run with a file per frame are requested.
+    """
+    packed = plan.recipe.output.layout == "shards"
+    if request.shard is not None and request.shard.number is None and not packed:
+        raise ArgumentError(
+            "--shard-size needs --shard I, the number of the shard, unless the recipe has output.layout: shards"
+        )
+    return request.shard or (ShardRequest(count=1) if packed else None)
+
+
+def describe_run(request: RunRequest, price_per_core_hour: float | None = None) -> dict[str, Any]:
+    """Return the estimated frames, disk space, time, cost and categories of a run without writing anything.
+
+    With a shard in the request, times are those of one shard and of merging.
+    """
+    plan = prepare_run(request)
+    wanted = _wanted(request, plan)
+    shown = (KEPT, LENS_REPLACED, PITCH_REPLACED)
+    others = [p for p in plan.problems if p.severity == "warning" and p.code not in (DROPPED, *shown)]
+    shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
+    return {
+        **estimate_run(plan, request.execution.worker_count(), shards, price_per_core_hour),
+        "device": request.execution.device,
+        "out": None if request.out is None or wanted else outlook(request.out, request.existing),
+        "categories": [c.name for c in plan.categories],
+        "new_categories": list(plan.new_categories),
+        "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
+        "kept_fields": [str(p) for p in plan.problems if p.code in shown],
+        "warnings": format_problems(dict.fromkeys(others)),
+    }
+
+
+def outlook(out: Path, existing: Existing) -> str | None:
+    """Return what a run would do with what is in its output folder; None if there is nothing. Nothing is touched."""
+    left = unfinished(out)
+    if left is None and not (out.is_dir() and any(out.iterdir())):
+        return None
+    if left is None and not (out / LEDGER).is_file():
+        return "has something else than a run of InfraBlend: would be refused"
+    state = "has an unfinished run" if left else "has a run"
+    then = {
+        "refuse": "would be refused without --resume (finish it) or --overwrite (replace it)",
+        "resume": "--resume would keep its finished frames and make the missing ones",
+        "overwrite": "--overwrite would replace it once the new run is complete",
+    }[existing]
+    return f"{state}: {then}"
+
+
+def prepare_run(request: RunRequest) -> RunPlan:
+    """Load the recipe, read the backgrounds, and plan the frames.
+
+    Raises:
+        RecipeError, DatasetError, ModelError, OutputError: See `infrablend.errors`.
+    """
+    loaded = read_recipe(request.recipe, request.settings)
+    for option, path in (("--data", request.data), ("--out", request.out or Path())):
+        if not is_text(str(path)) or "\0" in str(path):
+            raise OutputError(
+                f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected a path that the run record "
+                "(JSON) can hold. Rename the folder, or use a link to it"
+            )
+    if request.out is not None:
+        require_packed(loaded.recipe, request.out)
+    if request.out is not None and address_of(request.out) is None and address_of(request.data) is None:
+        require_apart(request.data, request.out)
+    dataset = detection.read(local_folder(request.data), with_scale(request.reading, loaded.recipe))
+    plan = make_plan(
+        loaded.recipe,
+        dataset,
+        request.seed,
+        splits=request.reading.splits,
+        selection=request.selection,
+        recipe_warnings=loaded.warnings,
+    )
+    return replace(plan, request=_recorded(request, loaded.warnings))
+
+
+def _recorded(request: RunRequest, warnings: Sequence[Problem]) -> dict[str, Any]:
+    """Return how a request reads and chooses, where it is not the default, and the recipe's warnings; JSON values."""
+    reading = {k: v for k, v in asdict(request.reading).items() if v}
+    if request.reading.metadata is not None:
+        reading["metadata"] = str(real_path(Path(request.reading.metadata)))
+    selection = {k: v for k, v in asdict(request.selection).items() if v is not None}
+    found = {"reading": reading, "selection": selection, "warnings": [p.to_json() for p in warnings]}
+    return {name: value for name, value in found.items() if value}

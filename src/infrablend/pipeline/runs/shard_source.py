@@ -1,0 +1,174 @@
+"""Finished shards as sources of frames, in either layout."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Protocol
+
+from infrablend.core.files import link_or_copy, read_object, read_regular, sha256_of, write_bytes
+from infrablend.core.frame_record import FrameRecord
+from infrablend.core.ledger import DoneFrame, Ledger
+from infrablend.core.run_folder import RunFolder, ShardFiles
+from infrablend.core.tasks import Failure
+from infrablend.errors import OutputError
+from infrablend.formats.shard_tar import PackedFrame, key_of, packed_frames
+from infrablend.pipeline.compose.composed import MadeFrame
+from infrablend.pipeline.runs.packed_shard import UNFINISHED, damage_of
+
+
+class ShardSource(Protocol):
+    """A finished shard.
+
+    Attributes:
+        place: Folder or tar with its frames, for messages.
+    """
+
+    place: Path
+
+    def record(self) -> Mapping[str, Any]:
+        """Return the record of the shard.
+
+        Raises:
+            OutputError: It is damaged.
+        """
+        ...
+
+    def failures(self) -> Mapping[str, Failure]:
+        """Return why frames of the shard have no picture, by id."""
+        ...
+
+    def damage(self, frames: Sequence[str]) -> str | None:
+        """Return what is wrong with these frames; None if all are whole."""
+        ...
+
+    def read(self, frame_id: str) -> tuple[str, bytes]:
+        """Return record and picture of a frame; frames are asked for in the order of the plan.
+
+        Raises:
+            OutputError: The frame is not there, or damaged.
+        """
+        ...
+
+    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
+        """Put the picture of a frame into the folder of a run; see `read`."""
+        ...
+
+    def close(self) -> None:
+        """Close what is open; the shard can be read again from its start."""
+        ...
+
+
+class ShardFolder:
+    """Shard with a ledger and a file per picture."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        """Name the folder of the shard."""
+        self._folder = folder
+        self.place = folder.root
+        self._stack = ExitStack()
+        self._opened: tuple[Ledger, dict[str, DoneFrame]] | None = None
+
+    def _open(self) -> tuple[Ledger, dict[str, DoneFrame]]:
+        if self._opened is None:
+            ledger = self._stack.enter_context(self._folder.ledger())
+            self._opened = ledger, ledger.done()
+        return self._opened
+
+    def record(self) -> Mapping[str, Any]:
+        """Return the record of the shard."""
+        return self._folder.read_run()
+
+    def failures(self) -> Mapping[str, Failure]:
+        """Return why frames of the shard have no picture, by id."""
+        return self._open()[0].failures()
+
+    def damage(self, frames: Sequence[str]) -> str | None:
+        """Return how many frames are missing or changed."""
+        _, done = self._open()
+        broken = [f for f in frames if f not in done or not self._is_intact(done[f])]
+        return f"{len(broken)} frames are missing or damaged, such as {broken[0]}" if broken else None
+
+    def _is_intact(self, frame: DoneFrame) -> bool:
+        try:
+            return sha256_of(self._folder.image(frame.image), self._folder.root) == frame.sha256
+        except (OSError, ValueError):
+            return False
+
+    def read(self, frame_id: str) -> tuple[str, bytes]:
+        """Return record and picture of a frame."""
+        ledger, done = self._open()
+        return ledger.record_text(frame_id), read_regular(self._folder.image(done[frame_id].image), self._folder.root)
+
+    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
+        """Link the picture of a frame, or copy it."""
+        ledger, done = self._open()
+        frame, text = done[frame_id], ledger.record_text(frame_id)
+        link_or_copy(self._folder.image(frame.image), folder.image(frame.image))
+        return MadeFrame(frame, text, str(json.loads(text)["background"].get("sha256")), {})
+
+    def close(self) -> None:
+        """Close the ledger."""
+        self._stack.close()
+        self._opened = None
+
+
+class ShardArchive:
+    """Shard in a tar, which is read once from start to end."""
+
+    def __init__(self, files: ShardFiles) -> None:
+        """Name the files of the shard."""
+        self._files = files
+        self.place = files.tar
+        self._frames: Iterator[PackedFrame] | None = None
+
+    def record(self) -> Mapping[str, Any]:
+        """Return the record of the shard."""
+        found = read_object(self._files.marker)
+        if found is None:
+            raise OutputError(f"{self._files.marker}: damaged; expected the record of a shard. Repeat with --resume")
+        return found
+
+    def failures(self) -> Mapping[str, Failure]:
+        """Return why frames of the shard have no picture, by id."""
+        try:
+            return {frame: Failure.from_json(f) for frame, f in self.record()[UNFINISHED].items()}
+        except (LookupError, TypeError, AttributeError) as error:
+            raise OutputError(f"{self._files.marker}: damaged ({error}); repeat the shard with --resume") from error
+
+    def damage(self, frames: Sequence[str]) -> str | None:
+        """Return what is wrong with the tar or the table."""
+        return damage_of(self._files, self.record())
+
+    def read(self, frame_id: str) -> tuple[str, bytes]:
+        """Return record and picture of a frame that follows the last one that was asked for."""
+        if self._frames is None:
+            self._frames = packed_frames(self._files.tar)
+        key = key_of(frame_id)
+        frame = next((f for f in self._frames if f.key == key), None)
+        if frame is None:
+            raise self._changed(f"frame {frame_id} is missing")
+        try:
+            record = FrameRecord.from_text(frame.scene)
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise self._changed(f"frame {frame_id}: {error}") from error
+        if record.frame_id != frame_id or hashlib.sha256(frame.image).hexdigest() != record.image_sha256:
+            raise self._changed(f"frame {frame_id} has another record or picture")
+        return record.to_text(), frame.image
+
+    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
+        """Unpack the picture of a frame that follows the last one that was asked for."""
+        text, picture = self.read(frame_id)
+        record = FrameRecord.from_text(text)
+        write_bytes(folder.image(record.image), picture)
+        return MadeFrame.of(record, len(picture), {})
+
+    def close(self) -> None:
+        """Close the tar."""
+        self._frames = None
+
+    def _changed(self, found: str) -> OutputError:
+        return OutputError(f"{self._files.tar}: {found}; expected the tar as it was written. Repeat with --resume")

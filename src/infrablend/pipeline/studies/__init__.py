@@ -1,0 +1,1 @@
+"""Readings of datasets and runs that change nothing: inspect, check, profile, realism."""

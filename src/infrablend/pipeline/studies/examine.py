@@ -1,0 +1,98 @@
+"""Inspects and checks a dataset folder without changing it."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from infrablend.core.output import require_apart
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.workspace import workspace
+from infrablend.errors import DatasetError, UnknownFormatError
+from infrablend.formats import detection, folder, shards
+from infrablend.formats.annotation_files import noting_understood
+from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.unread import unread_label_files
+from infrablend.pipeline.runs.written import changes_since_written
+from infrablend.report.checking import Checking, CheckReport, check_dataset, unreadable
+from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
+
+# Codes of problems caused by the command, not by the data.
+_USAGE = {"shards-unmerged", "folder-missing", "option-unknown", "option-value", "table-unused"}
+INSPECT_FILE = "inspect.json"
+
+
+def inspect_folder(
+    root: Path, out: Path | None = None, *, reading: Reading = READ_ALL, decode: bool = False
+) -> Inspection:
+    """Return the contents of a dataset; with `out`, also write `inspect.json` and the charts `inspect.png`.
+
+    An earlier inspection in `out` is replaced.
+
+    Raises:
+        DatasetError: The dataset cannot be read.
+        OutputError: `out` cannot be written, or has anything else in it.
+    """
+    if out is None:
+        return _inspected(root, reading, decode)
+    require_apart(root, out)
+    with workspace(out, "report", INSPECT_FILE, "overwrite") as space:
+        facts = _inspected(root, reading, decode)
+        write_charts(facts, space.folder / "inspect.png")
+        space.finish(facts.to_json())
+    return facts
+
+
+def _inspected(root: Path, reading: Reading, decode: bool) -> Inspection:
+    dataset = detection.read(root, reading)
+    reason = "as asked for" if reading.format else detection.detect(dataset.root).reasons[dataset.format]
+    return inspect_dataset(dataset, reason, decode=decode)
+
+
+def check_folder(
+    root: Path, *, reading: Reading = READ_ALL, decode: bool = True, on_progress: OnProgress | None = None
+) -> CheckReport:
+    """Return every problem of labels and pictures; a dataset that cannot be read at all gives a report with errors.
+
+    Files of finished output that were changed or removed since InfraBlend wrote them are problems, too.
+
+    Raises:
+        UnknownFormatError: No known format matches the folder.
+        DatasetError: The folder does not exist, or the format does not support one of the options.
+    """
+    if _is_packed(root, reading):
+        return _check_packed(root, reading, decode, on_progress)
+    try:
+        with noting_understood() as understood:
+            dataset = detection.read(root, reading)
+    except UnknownFormatError:
+        raise
+    except DatasetError as error:
+        if not error.problems or any(p.code in _USAGE for p in error.problems):
+            raise
+        return unreadable(root, error)
+    if dataset.format != folder.NAME:  # that reader reports them itself
+        dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset, understood)))
+    changed = changes_since_written(root, digests=decode)
+    if changed:
+        dataset = replace(dataset, problems=(*dataset.problems, *changed))
+    return check_dataset(dataset, decode=decode, on_image=paced(on_progress))
+
+
+def _is_packed(root: Path, reading: Reading) -> bool:
+    return reading.format in (None, shards.NAME) and shards.detect(root).ok
+
+
+def _check_packed(root: Path, reading: Reading, decode: bool, on_progress: OnProgress | None) -> CheckReport:
+    """Check a run in packed shards with the labels and pictures of one part in memory and on disk."""
+    checking, total, on_image = Checking(decode, in_parts=True), shards.frame_count(root), paced(on_progress)
+    with tempfile.TemporaryDirectory(prefix="infrablend-") as pictures:
+        try:
+            for part in detection.read_parts(root, Path(pictures), reading):
+                checking.add(part, on_image=on_image, total=total)
+        except DatasetError as error:
+            if not error.problems or any(p.code in _USAGE for p in error.problems):
+                raise
+            return unreadable(root, error)
+    return checking.report(changes_since_written(root, digests=decode))

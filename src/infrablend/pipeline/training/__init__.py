@@ -1,1 +1,0 @@
-"""Steps of `infrablend train`: plan, requirements, data, folder, process."""
