@@ -2,7 +2,8 @@
 
 `bench/scale.py [--frames N,...] [--shard-frames M] [--jobs J] [--packed] [--json FILE [--plot PNG]]` makes backgrounds
 of 64 x 64 px, plans N frames of them, makes packed shards of M frames with the flat renderer and a model of twelve
-faces, joins them to one packed shard and checks it, and merges them into files and checks these (not with `--packed`).
+faces, joins them to one packed shard and checks it, and merges them into files, resumes the finished run and checks it (not
+with `--packed`).
 Shards are removed once they have been merged. For each step it prints the CPU milliseconds per frame and the largest
 memory of any process.
 """
@@ -50,6 +51,11 @@ _REQUEST = """
 request = api.RunRequest("hit-uav-drone", Path(data), Path(out), settings=settings, execution=flat, existing="resume",
                          shard=api.ShardRequest(int(number), size=int(size)))
 """
+_RESUME = """
+settings = [s for s in settings if not s.startswith("output.layout=")]
+report = api.generate("hit-uav-drone", data, merged, settings=settings, execution=flat, existing="resume")
+assert report.ok
+"""
 STEPS = {
     "plan": _START + 'api.plan("hit-uav-drone", data, out, settings=settings, execution=flat)',
     "shard": _START + _REQUEST + "api.generate_shard(request)",
@@ -57,6 +63,7 @@ STEPS = {
     "join": _START + 'api.merge([out], merged, layout="shards")',
     "check joined": _START + "assert api.check(merged).ok",
     "merge": _START + "api.merge([out], merged)",
+    "resume": _START + _RESUME,
     "check merged": _START + "assert api.check(merged).ok",
 }
 
@@ -111,7 +118,7 @@ def measure(folder: Path, frames: int, shard_frames: int, jobs: int, packed: boo
 
     def step(name: str, target: Path = merged, number: int = 1) -> None:
         words = [str(w) for w in (data, out, target, number, shard_frames)]
-        settings = (*SETTINGS, f"objects=[{model}]") if name in ("plan", "shard") else ()
+        settings = (*SETTINGS, f"objects=[{model}]") if name in ("plan", "shard", "resume") else ()
         run(STEPS[name], [*words, *settings], used[name])
 
     step("plan")
@@ -127,6 +134,7 @@ def measure(folder: Path, frames: int, shard_frames: int, jobs: int, packed: boo
     step("check joined", joined)
     shutil.rmtree(joined)
     if not packed:
+        step("resume")
         step("check merged")
         found = sum(1 for _ in (merged / "images").rglob("*.png"))
         assert found == frames, f"{found} pictures; expected {frames}"
