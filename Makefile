@@ -16,7 +16,8 @@ TEST_WORKERS ?= auto
 COVERAGE_FLOOR := 91
 
 pytest = .venv/bin/python -m pytest
-parallel = -n $(TEST_WORKERS) --dist loadgroup --no-loadscope-reorder
+# The tests of a file run in one process, which makes the file's fixtures once.
+parallel = -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 coverage = --cov=infrablend --cov-report= --cov-fail-under=$(COVERAGE_FLOOR)
 
 .PHONY: help setup train studio ray s3 tools demo test check bench lock reference clean
