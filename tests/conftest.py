@@ -100,6 +100,11 @@ def chromium(nicegui: None) -> str:
     return found
 
 
+@pytest.fixture
+def charts() -> None:
+    """Have charts drawn in a file that leaves them out otherwise: they take most of the time of a page."""
+
+
 def _skip_or_fail(message: str) -> NoReturn:
     if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
         pytest.fail(message)

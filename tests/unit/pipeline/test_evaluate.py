@@ -35,11 +35,6 @@ def _without_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline, "missing_packages", lambda: ["ultralytics", "torch"])
 
 
-@pytest.fixture
-def charts() -> None:
-    """Draw the charts, which take most of the time of an evaluation and are left out otherwise."""
-
-
 @pytest.fixture(autouse=True)
 def _no_charts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if "charts" not in request.fixturenames:

@@ -145,11 +145,6 @@ def bench(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Be
 
 
 @pytest.fixture
-def charts() -> None:
-    """Draw the charts, which take most of the time of a page and are left out otherwise."""
-
-
-@pytest.fixture
 def data(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> Path:
     return write_tiny_hit_uav(tmp_path / "hit-uav")
 
