@@ -12,11 +12,14 @@ TOOLS ?= 1
 ARGS ?=
 # Test processes side by side: auto takes one per core, as far as the memory allows; 0 runs the tests one by one.
 TEST_WORKERS ?= auto
-# The share of lines that the tests of units, properties and storage must execute, in percent; only checked when all tests run.
+# COVERAGE=1 checks the share of lines that the tests of units, properties and storage execute, as continuous integration
+# does; these tests then take half as long again.
+COVERAGE ?= 0
 COVERAGE_FLOOR := 91
 
 pytest = .venv/bin/python -m pytest
-parallel = -n $(TEST_WORKERS) --dist loadgroup --no-loadscope-reorder
+# The tests of a file run in one process, which makes the file's fixtures once.
+parallel = -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
 coverage = --cov=infrablend --cov-report= --cov-fail-under=$(COVERAGE_FLOOR)
 
 .PHONY: help setup train studio ray s3 tools demo test check bench lock reference clean
@@ -49,7 +52,7 @@ demo: setup ## Render drones into a small virtual thermal world; the last line i
 	@scripts/demo.sh
 
 test: setup $(if $(filter-out 0,$(TOOLS)),tools) ## Run all tests
-	@$(if $(filter-out 0,$(TOOLS)),INFRABLEND_REQUIRE_TOOLS=1) $(pytest) $(parallel) $(if $(ARGS),,$(coverage)) $(ARGS)
+	@$(if $(filter-out 0,$(TOOLS)),INFRABLEND_REQUIRE_TOOLS=1) $(pytest) $(parallel) $(if $(ARGS)$(filter 0,$(COVERAGE)),,$(coverage)) $(ARGS)
 
 check: setup ## Lint, format, types, import layers, rules of the tree
 	.venv/bin/ruff check src tests scripts $(wildcard bench examples)

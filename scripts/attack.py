@@ -15,9 +15,7 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import argparse
-import contextlib
 import gc
-import importlib
 import json
 import pickle
 import shutil
@@ -32,7 +30,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "src")]
 
 from tests.attack import broken_inputs, kills, surroundings  # noqa: E402
-from tests.attack.child import fork_command, imported_modules, keep_commands  # noqa: E402
+from tests.attack.child import fork_command, import_what_it_imported, keep_commands  # noqa: E402
 from tests.attack.findings import Finding, Tally  # noqa: E402
 from tests.attack.scenarios import PLACE, SCENARIOS, new_lab  # noqa: E402
 
@@ -81,9 +79,7 @@ def _warm_up(folder: Path) -> None:
     for scenario in SCENARIOS.values():
         lab = new_lab(folder / "warm", scenario.prepare)
         fork_command(scenario.words(lab), lab, lab / PLACE, flat=scenario.flat)
-        for name in imported_modules(lab):
-            with contextlib.suppress(Exception), contextlib.redirect_stdout(sys.stderr):
-                importlib.import_module(name)
+        import_what_it_imported(lab)
     shutil.rmtree(folder / "warm")
     gc.freeze()  # forked processes share the memory
 

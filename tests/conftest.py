@@ -100,6 +100,11 @@ def chromium(nicegui: None) -> str:
     return found
 
 
+@pytest.fixture
+def charts() -> None:
+    """Have charts drawn in a file that leaves them out otherwise: they take most of the time of a page."""
+
+
 def _skip_or_fail(message: str) -> NoReturn:
     if os.environ.get("INFRABLEND_REQUIRE_TOOLS") == "1":
         pytest.fail(message)
@@ -177,10 +182,9 @@ def _tiny_annotation(form: str, box: list[float]) -> dict[str, object]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests by their fixtures and folders, and prepare parallel runs.
+    """Mark tests by their fixtures and folders.
 
-    With `-n`, tests that share a fixture of their module stay in one worker, so that the fixture is made once. Modules
-    with slow tests begin first, so that no worker is left with one at the end.
+    With `-n`, files with slow tests begin first, so that no worker is left with one at the end.
     """
     for item in items:
         if {"real_data", "real_data_or_none"} & set(getattr(item, "fixturenames", ())):
@@ -194,9 +198,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker("no_cover")
     if not (hasattr(config, "workerinput") or getattr(config.option, "numprocesses", None)):
         return
-    for item in items:
-        if _has_module_fixture(item):
-            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
     slow = {item.path for item in items if item.get_closest_marker("slow") or item.get_closest_marker("blender")}
     items.sort(key=lambda item: item.path not in slow)  # stable: the order is kept otherwise
 
@@ -207,13 +208,6 @@ def pytest_runtest_makereport() -> Iterator[None]:
     outcome = yield
     report = outcome.get_result()  # type: ignore[attr-defined]
     report.sections = [(title, text.encode("utf-8", "backslashreplace").decode()) for title, text in report.sections]
-
-
-def _has_module_fixture(item: pytest.Item) -> bool:
-    """Return True if the test uses a fixture of module scope that its own module defines."""
-    info = getattr(item, "_fixtureinfo", None)
-    definitions = info.name2fixturedefs.values() if info is not None else ()
-    return any(one.scope == "module" for found in definitions for one in found)
 
 
 def pytest_configure(config: pytest.Config) -> None:

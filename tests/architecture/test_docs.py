@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import json
 import pkgutil
@@ -145,14 +146,16 @@ def test_the_page_on_dependencies_lists_those_of_the_project() -> None:
     assert named == required(PYPROJECT["dependency-groups"]["dev"])
 
 
-def attributes_read() -> set[str]:
-    """Names of all attributes that the package reads somewhere."""
-    trees = (ast.parse(path.read_text("utf-8")) for path in SOURCES)
+@functools.cache
+def attributes_read() -> dict[str, set[str]]:
+    """Names of the attributes that each module of the package reads, by the module's path in it."""
     return {
-        node.attr
-        for tree in trees
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+        path.relative_to(ROOT / "src" / "infrablend").as_posix(): {
+            node.attr
+            for node in ast.walk(ast.parse(path.read_text("utf-8")))
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
+        }
+        for path in SOURCES
     }
 
 
@@ -174,7 +177,7 @@ def test_every_field_of_a_recipe_is_read() -> None:
 
     collect(Recipe, "")
     assert len(found) > 100
-    read = attributes_read()
+    read = set().union(*attributes_read().values())
     assert sorted(field for field in found if field.rpartition(".")[2] not in read) == []
 
 
@@ -182,14 +185,9 @@ def test_every_fact_of_a_scene_is_read() -> None:
     """What a scene stores of weather, look, camera and objects has an effect on its picture."""
     from infrablend.core import camera, scene
 
-    elsewhere = [p for p in SOURCES if p.relative_to(ROOT / "src" / "infrablend").parts[:2] != ("core", "scene.py")]
-    read = {
-        node.attr
-        for path in elsewhere
-        if path.relative_to(ROOT / "src" / "infrablend").parts[0] != "sampling"  # which draws them
-        for node in ast.walk(ast.parse(path.read_text("utf-8")))
-        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load)
-    }
+    # `sampling` draws them.
+    elsewhere = (n for m, n in attributes_read().items() if m != "core/scene.py" and not m.startswith("sampling/"))
+    read = set().union(*elsewhere)
     for kind in (scene.Weather, scene.Appearance, scene.PartState, scene.ObjectSpec, camera.CameraSpec):
         assert [f.name for f in fields(kind) if f.name not in read] == [], kind.__name__
 
@@ -219,8 +217,8 @@ def test_every_setting_of_merging_is_set_by_the_pipeline() -> None:
     from infrablend.annotation.merge import MergeSettings
 
     given: set[str] = set()
-    for path in SOURCES:
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+    for text in (path.read_text("utf-8") for path in SOURCES):
+        for node in ast.walk(ast.parse(text)) if "MergeSettings(" in text else ():
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "MergeSettings":
                 given |= {f.name for f, _ in zip(fields(MergeSettings), node.args, strict=False)}
                 given |= {k.arg for k in node.keywords if k.arg}

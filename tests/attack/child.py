@@ -8,6 +8,7 @@ the n-th of them, and notes those outside the folders that the command may write
 from __future__ import annotations
 
 import contextlib
+import importlib
 import os
 import resource
 import select
@@ -259,11 +260,13 @@ def _rank(code: int) -> int:
     return (0, 1, 2, 3, 130).index(code) if code in (0, 1, 2, 3, 130) else 1000
 
 
-def imported_modules(lab: Path) -> list[str]:
-    """Return the modules that the last undisturbed command in a lab imported and this process has not."""
+def import_what_it_imported(lab: Path) -> None:
+    """Import what the last undisturbed command in a lab imported, so that processes forked from now on need not."""
     path = lab / "own" / _MODULES
-    found = path.read_text().split("\n") if path.is_file() else []
-    return [name for name in found if name not in sys.modules and name != "__main__"]
+    for name in path.read_text().split("\n") if path.is_file() else ():
+        if name not in sys.modules and name != "__main__":
+            with contextlib.suppress(Exception), contextlib.redirect_stdout(sys.stderr):
+                importlib.import_module(name)
 
 
 def _be_child(

@@ -9,7 +9,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.attack.child import TIMED_OUT, UNDISTURBED, Disturbance, Outcome, fork_command, kill, kill_torn
+from tests.attack.child import (
+    TIMED_OUT,
+    UNDISTURBED,
+    Disturbance,
+    Outcome,
+    fork_command,
+    import_what_it_imported,
+    kill,
+    kill_torn,
+)
 from tests.attack.findings import Finding
 from tests.attack.scenarios import PLACE, SCENARIOS, Scenario, new_lab, output
 from tests.attack.trees import contents, differences, snapshot
@@ -52,6 +61,7 @@ def make_reference(scenario: Scenario, root: Path) -> Reference:
         raise RuntimeError(f"{scenario.name}: exit {ended.code} without any disturbance\n{ended.output}\n{ended.log}")
     if ended.outside:
         raise RuntimeError(f"{scenario.name}: writes outside: {ended.outside}")
+    import_what_it_imported(lab)
     for reader in scenario.readers:
         words = reader(output(lab), lab / "own" / "other")
         shutil.rmtree(lab / "own" / "other", ignore_errors=True)

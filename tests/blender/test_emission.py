@@ -107,7 +107,7 @@ def test_translucent_layers_in_any_order(blender, pitch_rad):
     placed = place(
         scene([spec, other], pitch_rad=pitch_rad, distance_m=16.0, samples=0), [layered(), box_mesh((0.6, 0.5, 0.9))]
     )
-    drawn, reference = blender.render(placed), traced(blender, placed, 1024)
+    drawn, reference = blender.render(placed), traced(blender, placed)
     inside = reference.alpha > 0
     assert (np.abs(drawn.alpha - reference.alpha)[inside] < 0.002).mean() > 0.8  # all but the outlines
     np.testing.assert_allclose(drawn.coverage.sum(axis=(1, 2)), reference.coverage.sum(axis=(1, 2)), rtol=0.01)
@@ -126,7 +126,7 @@ def test_surfaces_seen_from_behind_and_at_all_angles(blender):
     tube = make_mesh([("body", v, faces, True)])
     for pitch_rad in (0.1, 0.6, 1.4):
         placed = place(scene([thing(ior=1.5)], pitch_rad=pitch_rad, distance_m=12.0, samples=0, texture_k=2.0), [tube])
-        drawn, reference = blender.render(placed), traced(blender, placed, 1024)
+        drawn, reference = blender.render(placed), traced(blender, placed)
         both = (drawn.alpha > 0.999) & (reference.alpha > 0.999)
         assert both.sum() > 150
         assert np.percentile(np.abs(drawn.radiance - reference.radiance)[both], 90) < 3e-3

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 from infrablend import api
+from tests.coarse_world import coarse_worlds
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
@@ -20,7 +21,8 @@ SETTINGS = {"render.samples": 16, "placement.size_px": [40, 300]}
 @pytest.fixture(scope="module")
 def world(tmp_path_factory) -> Path:
     """Seven frames, two of them of sequences without telemetry, one that has lost it."""
-    return api.make_world(tmp_path_factory.mktemp("monet") / "world", FRAMES, 3, layout="monet", workers=2)
+    with coarse_worlds():
+        return api.make_world(tmp_path_factory.mktemp("monet") / "world", FRAMES, 3, layout="monet", workers=2)
 
 
 @pytest.fixture(scope="module")

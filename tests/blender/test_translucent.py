@@ -21,7 +21,8 @@ from .conftest import box_mesh, paste, scene, thing
 
 AIR_K = 283.15
 CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, AIR_K + 2)
-LEVEL = {"pitch_rad": np.pi / 2, "roll_rad": 0.0}
+SMALL = {"size_wh": (160, 128)}
+LEVEL = {"pitch_rad": np.pi / 2, "roll_rad": 0.0, **SMALL}
 
 
 def sheet(width=1.6, z=1.0, part="disc") -> Mesh:
@@ -70,7 +71,7 @@ def test_ground_that_an_object_warms_adds_its_light_without_texture(blender):
 def test_a_thin_smooth_sheet_mirrors_the_sky_above_it(blender):
     for pitch, beyond in ((np.pi / 2, sky_radiance(AIR_K, CLEAR.dew_point_k, 0.07)), (-np.pi / 2, None)):
         surface = thing(kelvin=AIR_K, label=False, parts=("disc",), opacity=0.5, emissivity=0.6, ior=1.5)
-        spec = scene([surface], pitch_rad=pitch, roll_rad=0.0)
+        spec = scene([surface], pitch_rad=pitch, roll_rad=0.0, **SMALL)
         seen = both("physical", blender, spec, [sheet(z=0.0)])
         mirrored = band_radiance(CLEAR.ground_k) if beyond is None else beyond
         expected = 0.5 * leaving_radiance(0.6, band_radiance(AIR_K), mirrored)
@@ -90,11 +91,11 @@ def test_labels_look_through(blender, mode, opacity):
     bare = dataclasses.replace(covered, parts={"body": states["body"]})
     above = thing(z=1.0, label=True, parts=("disc", "body"), opacity=1.0)
     above = dataclasses.replace(above, parts=states, position_m=(0.2, 0.1, 1.0))
-    with_sheets = scene([covered, above])
+    with_sheets = scene([covered, above], **SMALL)
     # The other object: its sheet covers the body, its own body is off to the side.
     aside = make_mesh([("body", body.vertices_m + (3.0, 0, 0), body.triangles, False)])
     other = make_mesh([(m.part_names[0], m.vertices_m, m.triangles, False) for m in (aside, sheet(2.0, z=0.3))])
-    without = scene([bare, dataclasses.replace(above, parts={"body": states["body"]})])
+    without = scene([bare, dataclasses.replace(above, parts={"body": states["body"]})], **SMALL)
     a = both(mode, blender, with_sheets, [own, other])
     b = both(mode, blender, without, [body, aside])
     (la, ra), (lb, rb) = annotate(place(with_sheets, [own, other]), a), annotate(place(without, [body, aside]), b)
@@ -134,7 +135,7 @@ def drone(propellers, pitch_rad, size_px=200):
     }
     spec = ObjectSpec("drone", "drone", params, states, (0.0, 0.0, 0.0), 0.5)
     distance = 0.6 * 50 / 36 * 320 / size_px
-    return scene([spec], pitch_rad=pitch_rad, distance_m=distance), mesh
+    return scene([spec], pitch_rad=pitch_rad, distance_m=distance, samples=16), mesh
 
 
 @pytest.mark.parametrize("pitch_deg", [20, 75, -40])

@@ -22,6 +22,7 @@ from infrablend.world.dataset import FrameSource, WorldReport, WorldRequest, wri
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.ground import ground_kelvin
 from infrablend.world.people import Person
+from tests.coarse_world import coarse_worlds
 
 pytestmark = pytest.mark.blender
 
@@ -43,7 +44,8 @@ def in_this_process(seed: int, threads: int) -> FrameSource:
 def render(
     out: Path, request: WorldRequest, threads: int = 0, progress: Callable[[int, int], None] | None = None
 ) -> WorldReport:
-    return write_world(out, request, in_this_process(request.seed, threads), progress)
+    with coarse_worlds():
+        return write_world(out, request, in_this_process(request.seed, threads), progress)
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.coarse_world import coarse_worlds
 
 from infrablend import api
 from infrablend.config.experiment import list_experiments, load_experiment
@@ -15,6 +17,12 @@ from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage
 
 pytestmark = [pytest.mark.slow, pytest.mark.blender]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse() -> Iterator[None]:
+    with coarse_worlds():
+        yield
 
 
 @pytest.fixture(scope="module")

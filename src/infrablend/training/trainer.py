@@ -272,6 +272,7 @@ def _train(job: Job, say: Any) -> None:
 
     torch.use_deterministic_algorithms = functools.partial(_use_deterministic_algorithms, torch)
     data_utils.check_font = lambda font: None  # would download one for plots, of which there are none
+    ultralytics.settings["raytune"] = False  # would import Ray, for a second
     base = {"detect": yolo.detect.DetectionTrainer, "obb": yolo.obb.OBBTrainer,
             "segment": yolo.segment.SegmentationTrainer}[job.task]  # fmt: skip
     on_cpu = job.device == "cpu"

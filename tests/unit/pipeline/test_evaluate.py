@@ -35,6 +35,12 @@ def _without_torch(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline, "missing_packages", lambda: ["ultralytics", "torch"])
 
 
+@pytest.fixture(autouse=True)
+def _no_charts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "charts" not in request.fixturenames:
+        monkeypatch.setattr(pipeline, "draw_plots", lambda facts: {"pr.png": b"", "confusion.png": b""})
+
+
 def made_up_dataset(number: int = 40, split: str = "test") -> Dataset:
     """Images that exist as records alone, with sizes."""
     rng = stream(0, "dataset")
@@ -91,7 +97,7 @@ def run(saved: Path, out: Path, dataset: Dataset | None = None, **settings: Any)
     return evaluate_detector(saved, dataset or made_up_dataset(), out, chosen, **more)
 
 
-def test_written_files(saved: Path, tmp_path: Path) -> None:
+def test_written_files(charts: None, saved: Path, tmp_path: Path) -> None:
     report = run(saved, tmp_path / "out")
     files = sorted(p.name for p in (tmp_path / "out").iterdir())
     assert files == ["evaluation.html", "evaluation.json", "matches.npz", "plots", "predictions.json"]
@@ -145,7 +151,9 @@ def test_objects_found_and_missed_are_listed_on_request(saved: Path, tmp_path: P
         EvaluationSettings(list_iou=0)
 
 
-def test_repeated_evaluations_and_saved_detections_give_the_same_bytes(saved: Path, tmp_path: Path) -> None:
+def test_repeated_evaluations_and_saved_detections_give_the_same_bytes(
+    charts: None, saved: Path, tmp_path: Path
+) -> None:
     run(saved, tmp_path / "a")
     run(tmp_path / "a" / "predictions.json", tmp_path / "b")
     run(tmp_path / "a", tmp_path / "b", overwrite=True)  # the folder means its predictions

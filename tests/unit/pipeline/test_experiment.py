@@ -35,6 +35,7 @@ from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentR
 from infrablend.pipeline.experiments.results import check_claim
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
 from infrablend.pipeline.plans.request import Execution
+from infrablend.report.results import write
 from infrablend.report.results.page import list_differences, page_text
 from infrablend.report.results.write import write_page
 from infrablend.training.request import TrainRequest
@@ -132,12 +133,14 @@ class Bench:
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
+def bench(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Bench:
     found = Bench()
     monkeypatch.setattr(makers, "train_dataset", found.train)
     monkeypatch.setattr(makers, "evaluate_detector", found.evaluate)
     monkeypatch.setattr(makers, "compare_evaluations", found.compare)
     monkeypatch.setattr(training_setup, "require_trainer", lambda device: None)
+    if "charts" not in request.fixturenames:
+        monkeypatch.setattr(write, "draw_plots", lambda facts: [])
     return found
 
 
@@ -339,6 +342,7 @@ from pathlib import Path
 sys.path.insert(0, {tests!r})
 from infrablend import api
 from infrablend.pipeline.experiments import makers, training_setup
+from infrablend.report.results import write
 from tests.unit.pipeline.test_experiment import Bench, run
 bench = Bench()
 calls = []
@@ -355,17 +359,18 @@ makers.evaluate_detector = killing("evaluate", bench.evaluate)
 makers.generate_run = killing("generate", makers.generate_run)
 makers.compare_evaluations = killing("compare", bench.compare)
 training_setup.require_trainer = lambda device: None
+write.draw_plots = lambda facts: []
 run("pitch-alignment", Path({data!r}), Path({work!r}))
 """
 
 
-@pytest.mark.parametrize("at", ["generate", "train", "evaluate", "compare"])
-def test_killed_run_resumes(bench: Bench, data: Path, tmp_path: Path, at: str) -> None:
+def test_a_run_killed_in_one_stage_after_the_other_resumes(bench: Bench, data: Path, tmp_path: Path) -> None:
     work = tmp_path / "work"
     root = Path(__file__).resolve().parents[3]
-    code = KILLED.format(tests=str(root), at=at, data=str(data), work=str(work))
-    done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
-    assert done.returncode == -9, done.stderr
+    for at in ("generate", "train", "evaluate", "compare"):
+        code = KILLED.format(tests=str(root), at=at, data=str(data), work=str(work))
+        done = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True, check=False)
+        assert done.returncode == -9, done.stderr
     report = run("pitch-alignment", data, work)
     assert report.status == "complete" and report.reused and report.made
     whole = run("pitch-alignment", data, tmp_path / "other")
@@ -909,7 +914,7 @@ def test_pages_of_scales_stand_side_by_side(bench: Bench, data: Path, tmp_path: 
     assert files_of(out) == before
 
 
-def test_page_is_made_from_the_json_only(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_page_is_made_from_the_json_only(charts: None, bench: Bench, data: Path, tmp_path: Path) -> None:
     """All of it but the curves, which are left out of the JSON."""
     report = run("hit-uav", data, tmp_path / "work")
     facts = json.loads(report.page.with_suffix(".json").read_text("utf-8"))

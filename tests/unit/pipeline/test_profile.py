@@ -22,6 +22,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, RecipeError
 from infrablend.formats.images import load_background
 from infrablend.formats.writing import write
+from infrablend.pipeline.studies import profile
 from infrablend.pipeline.studies.profile import jpeg_quality
 from tests.run_files import records
 
@@ -45,6 +46,12 @@ def save(folder, pictures, **options):
     for n, picture in enumerate(pictures):
         Image.fromarray(picture).save(folder / f"{n:03}.{'jpg' if options else 'png'}", **options)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def _no_charts(request, monkeypatch):
+    if "charts" not in request.fixturenames:
+        monkeypatch.setattr(profile, "draw_profile", lambda fit, histogram, out, *others: None)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +120,7 @@ def test_blockiness_of_a_picture_without_a_codec_is_one():
     assert block_steps(np.zeros((20, 90), np.uint8)) is None
 
 
-def test_one_picture_is_enough_and_recipes_take_the_file(tmp_path):
+def test_one_picture_is_enough_and_recipes_take_the_file(charts, tmp_path):
     folder = save(tmp_path / "one", [scene(3)])
     report = api.profile(folder, tmp_path / "out", name="mine")
     assert report.profile.name == "mine"
@@ -136,7 +143,7 @@ def test_one_picture_is_enough_and_recipes_take_the_file(tmp_path):
     api.rerender(tmp_path / "run", record["frame_id"], tmp_path / "again.png")
 
 
-def test_the_same_pictures_give_the_same_bytes(pictures, tmp_path):
+def test_the_same_pictures_give_the_same_bytes(charts, pictures, tmp_path):
     a, b = (api.profile(pictures, tmp_path / k, count=3, against="hit-uav") for k in "ab")
     assert a.path.read_bytes() == b.path.read_bytes()
     assert a.plot.read_bytes() == b.plot.read_bytes()
