@@ -21,7 +21,7 @@ from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
 from infrablend.pipeline.datasets.content import content_digest
-from infrablend.pipeline.datasets.enlarged import count_enlarged
+from infrablend.pipeline.datasets.origin import loosened_before
 from infrablend.pipeline.datasets.requests import MOST_COPIES, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.select import Conditions, conditions, copies_to_match, draw_with_sum, select
 
@@ -254,10 +254,11 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     # Without marks, any box of a part may be enlarged.
     voc = api.read_dataset(tmp_path / "voc")
     one = replace(voc.images[0], instances=voc.images[0].instances[:1])
-    assert count_enlarged(voc) == (2, False)
-    assert count_enlarged(voc, replace(voc, images=(one,))) == (1, True)
+    assert loosened_before(voc, voc) == {"boxes_loosened": 2}
+    assert loosened_before(voc, replace(voc, images=(one,))) == {"boxes_loosened_at_most": 1}
     two = replace(voc.images[0], instances=voc.images[0].instances[:2])
-    assert count_enlarged(voc, replace(voc, images=(two, replace(two, id="again"), two))) == (6, True)
+    thrice = replace(voc, images=(two, replace(two, id="again"), two))
+    assert loosened_before(voc, thrice) == {"boxes_loosened_at_most": 6}
     half = api.convert(tmp_path / "voc", tmp_path / "train", "yolo", selection=api.Selection(images=1))
     assert half.counts["boxes_loosened"] == 2
     # Formats without boxes have none, and exact ones are read from their masks.

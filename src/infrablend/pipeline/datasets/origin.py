@@ -1,4 +1,4 @@
-"""Origin of a dataset's pictures, with the objects that earlier runs inserted and the labels of them that are left."""
+"""Origin of a dataset's pictures: the objects that earlier runs inserted, what is left of their labels and boxes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,18 @@ from pathlib import Path
 
 import yaml
 
+from infrablend.annotation.looseness import LOOSENED, is_loosened
 from infrablend.assets.user_model import is_description
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.files import load_json
+from infrablend.core.run_folder import EIGHT_BIT, RUN_FILE
+from infrablend.core.workspace import CONVERT_FILE, SPLIT_FILE
 from infrablend.report.card import INSERT_LIMITS, Inserts, Provenance, find_provenance
+
+AT_MOST = f"{LOOSENED}_at_most"
+"""Name of the count of changed boxes in records where only the largest possible number is known."""
 
 _PLACED = {
     "paper": "Inserted objects were placed by a virtual camera, not in a measured scene: they may appear in front of, "
@@ -106,3 +113,43 @@ def _count_written(
             for k in owners:
                 written[k][name] = recorded[k][name]
     return tuple(replace(one, labels=labels) for one, labels in zip(inserts, written, strict=True))
+
+
+def loosened_before(dataset: Dataset, part: Dataset) -> dict[str, int]:
+    """Return how many boxes of a part were enlarged or fitted by earlier steps, by its name in records; {} for none.
+
+    COCO and shards mark such boxes. In other formats the record of the dataset's command has their number, but does
+    not say which ones they are: any box of a part may be one, and the count is `AT_MOST`.
+    """
+    if count_loosened(dataset):
+        name, count = LOOSENED, count_loosened(part)
+    else:
+        recorded, labels = _recorded(dataset)
+        whole, boxes = (sum(len(i.instances) for i in d.images) for d in (dataset, part))
+        name, count = LOOSENED, recorded
+        if not boxes == labels == whole:
+            # Pictures may have been drawn several times.
+            copies = max(Counter(i.path for i in part.images).values(), default=1)
+            name, count = AT_MOST, min(copies * recorded, boxes)
+    return {name: count} if count else {}
+
+
+def count_loosened(dataset: Dataset) -> int:
+    """Return how many boxes are marked as changed, and so have their exact box beside them."""
+    return sum(is_loosened(i) for image in dataset.images for i in image.instances)
+
+
+def _recorded(dataset: Dataset) -> tuple[int, int | None]:
+    """Return the number of changed boxes in the record of the dataset's command, and that of labels if it is exact."""
+    root = dataset.root
+    run = root.parent.parent if root.parent.name == EIGHT_BIT else root.parent
+    for record in (root / CONVERT_FILE, root / SPLIT_FILE, root / RUN_FILE, run / RUN_FILE):
+        try:
+            counts = load_json(record)["counts"]
+            if AT_MOST in counts:
+                return int(counts[AT_MOST]), None
+            loosened, labels = int(counts[LOOSENED]), counts.get("labels")
+            return loosened, sum(map(int, labels.values())) if isinstance(labels, Mapping) else None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+    return 0, None
