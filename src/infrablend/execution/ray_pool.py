@@ -62,7 +62,6 @@ class RayPool:
     """Executor that runs tasks in Ray actors."""
 
     def __init__(self, worker: WorkerSpec, settings: RaySettings | None = None) -> None:
-        """Keep the settings; Ray and the workers start with `run`."""
         self._worker = worker
         self._settings = settings or RaySettings()
 
@@ -138,7 +137,6 @@ def _connected(settings: RaySettings) -> Iterator[tuple[Any, bool]]:
 
 @contextlib.contextmanager
 def _variables(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables in this context, for the processes that are started in it."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -207,8 +205,6 @@ class _Worker:
 
 
 class _Run:
-    """State of a pool: its actors and the waiting tasks."""
-
     def __init__(self, ray: Any, settings: RaySettings, spec: WorkerSpec, own: bool) -> None:
         self._ray = ray
         self._settings = settings
@@ -270,7 +266,6 @@ class _Run:
             self._started += 1
 
     def _feed(self) -> None:
-        """Hand waiting tasks to idle workers."""
         for w in self._workers:
             if self._pending and w.starting is None and w.current is None:
                 attempts = self._next(w)
@@ -289,7 +284,6 @@ class _Run:
     # ---- collecting
 
     def _collect(self, winding_down: bool) -> None:
-        """Wait for a result or a start, and take all that are there."""
         waiting = [w.starting for w in self._workers if w.starting is not None]
         waiting += [w.current[0] for w in self._workers if w.current is not None]
         if not waiting:
@@ -363,7 +357,6 @@ class _Run:
         winding_down: bool,
         output: str = "",
     ) -> None:
-        """Retry or fail the tasks that a worker was running when it, or its machine, was lost."""
         self._workers.remove(w)
         self._ray.kill(w.actor)
         if winding_down:
@@ -383,7 +376,6 @@ class _Run:
     # ---- endings
 
     def _end(self, w: _Worker) -> None:
-        """Let a worker close its callable; it ends when its last reference is gone."""
         with contextlib.suppress(self._ray.exceptions.RayError):
             self._ray.get(w.actor.finish.remote(), timeout=self._settings.grace_s)
         self._ray.kill(w.actor)

@@ -233,7 +233,6 @@ def _known(source: Source, out: Path) -> dict[str, Any]:
 
 
 def _missing(source: Source, out: Path, wanted: Sequence[Archive]) -> list[Archive]:
-    """Return the parts that were not fetched to `out`, or of which something has been removed since."""
     known = _known(source, out)
     return [
         a
@@ -243,8 +242,6 @@ def _missing(source: Source, out: Path, wanted: Sequence[Archive]) -> list[Archi
 
 
 def _link_tree(source: Path, target: Path) -> None:
-    """Copy a dataset without its record into the workspace, by hard links where the file system has them."""
-
     def link(file: str, copy: str) -> None:
         try:
             os.link(file, copy)
@@ -266,8 +263,6 @@ def _link_tree(source: Path, target: Path) -> None:
 
 @dataclass(frozen=True)
 class _Part:
-    """A fetched part: its facts for the record, and warnings."""
-
     facts: dict[str, Any]
     problems: list[Problem]
 
@@ -275,8 +270,6 @@ class _Part:
 def _fetch_part(
     source: Source, a: Archive, request: FetchRequest, root: Path, work: Path, on_progress: OnFetch | None
 ) -> _Part:
-    """Fetch, check and unpack one archive, and move its content to its place below `root`."""
-
     def show(step: Literal["download", "unpack"]) -> Callable[[int, int | None], None]:
         return lambda done, total: on_progress and on_progress(FetchProgress(step, file.name, done, total))
 
@@ -369,7 +362,6 @@ def _check_content(
 
 
 def _not_read_as(source: Source, root: Path) -> Problem | None:
-    """Return the problem of a folder that is not read as the dataset; None if it is."""
     found = detect(root)
     match = next((m for m in found.matches if m.format == source.name), None)
     if match is None or match.ok:

@@ -176,7 +176,6 @@ def _open_all(paths: Sequence[Path]) -> list[Video]:
 
 
 def _renamed(video: Path, wanted: str, name: str) -> tuple[Problem, ...]:
-    """Return a warning if another video has the name that a sequence should get."""
     if name == wanted:
         return ()
     found = f"another video is also named {wanted!r}, so the sequence of this one is {name!r}"

@@ -79,7 +79,6 @@ def extract_frames(
 
 
 def _wanted(plan: ClipPlan) -> Iterator[Frame]:
-    """Yield the chosen frames; decoding stops after the last one."""
     wanted = {*plan.numbers.tolist()}
     last = int(plan.numbers[-1])
     with plan.video as video:
@@ -91,7 +90,6 @@ def _wanted(plan: ClipPlan) -> Iterator[Frame]:
 
 
 def _write_picture(out: Path, sequence: str, frame: Frame) -> WrittenFrame:
-    """Write one frame, and return what is known about it without its pixels."""
     name = f"{sequence}/{sequence}_{frame.number:06d}.png"
     write_bytes(out / name, png_bytes(frame.pixels))
     return WrittenFrame(frame.number, frame.time_s, name, frame.pixels.ndim == 3)

@@ -80,8 +80,6 @@ class _Layer:
 
 @dataclass(frozen=True, eq=False)
 class _Read:
-    """A picture, the name of its output, and its layer; the faults where there is none."""
-
     image: ImageRecord
     name: str
     raw: RawTemperatures | None = None
@@ -197,7 +195,6 @@ def extract_temperatures(
 
 
 def _layers(dataset: Dataset, given: CountScale, stated: TemperatureScale | None) -> Iterator[_Read]:
-    """Yield the layer of each picture, or what is wrong with it, one at a time."""
     stems = Counter(i.path.stem for i in dataset.images)
     names = distinct_names([file_name(str(PurePosixPath(i.name).with_suffix(""))) for i in dataset.images])
     for image, name in zip(dataset.images, names, strict=True):
@@ -211,7 +208,6 @@ def _layers(dataset: Dataset, given: CountScale, stated: TemperatureScale | None
 
 
 def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, out: Path) -> _Written:
-    """Write one layer; return what is known of it."""
     path = write_bytes(out / "images" / image.split / name, png_bytes(layer.levels))
     h, w = layer.levels.shape
     facts = read_facts(image.path)
@@ -332,7 +328,6 @@ def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
 
 
 def _span(kelvin: Iterable[float]) -> str:
-    """Return a range of temperatures in degrees Celsius as a text."""
     celsius = sorted(k - ZERO_C_K for k in kelvin)
     low, high = f"{celsius[0]:,.1f}", f"{celsius[-1]:,.1f}"
     return low if low == high else f"{low} to {high}"

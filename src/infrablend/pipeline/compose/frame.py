@@ -155,7 +155,6 @@ class FrameComposer:
         return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
 
     def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
-        """Return the background with what placement may know of it."""
         recipe, source, pixels, unit = self._recipe, frame.as_read, background.pixels, self._grey_unit(background)
         rules = recipe.occlusion
         cover = None if rules.share == 0 else Cover(rules, Scenery(pixels, unit), self._models)
@@ -244,7 +243,6 @@ class FrameComposer:
         )
 
     def _labels(self, picture: Picture, canvas: Canvas) -> tuple[Instance, ...]:
-        """Return the labels of the inserted objects, with the boxes that the recipe asks for."""
         if self._recipe.labels.fit == "visible":
             before, after = canvas.background.pixels, picture.pixels
             return tuple(with_seen_box(i, before, after, canvas.site.grey_unit) for i in picture.inserts)
@@ -253,7 +251,6 @@ class FrameComposer:
     def _record(
         self, picture: Picture, canvas: Canvas, merged: MergedLabels, image_bytes: bytes, facts: Mapping[str, Any]
     ) -> FrameRecord:
-        """Return the record of a frame; `facts` are added to those of its picture."""
         frame, output, source = canvas.frame, self._recipe.output, canvas.frame.background
         return FrameRecord(
             frame_id=frame.frame_id,

@@ -59,7 +59,6 @@ class RecipeLook:
     """The look of a recipe."""
 
     def __init__(self, recipe: Recipe, settings: FrameSettings) -> None:
-        """Keep what matching and overlay need."""
         self._recipe, self._settings = recipe, settings
 
     def check(self, frame: PlannedFrame, background: Background) -> None:
@@ -109,7 +108,6 @@ class PhysicalLook(RecipeLook):
     """Radiance in the thermal band, with a gain that is estimated for each background."""
 
     def __init__(self, recipe: PaperPhysicalRecipe | MetricPhysicalRecipe, settings: FrameSettings) -> None:
-        """Keep the matching as well."""
         super().__init__(recipe, settings)
         self._matching, self._headroom = recipe.matching, recipe.sensor.headroom
 

@@ -88,7 +88,6 @@ class FrameWorkers:
     """
 
     def __init__(self, execution: Execution) -> None:
-        """Prepare the pool."""
         self._owner = os.getpid()
         worker = WorkerSpec(FACTORY, WorkerStart(execution.renderer, execution.device, pins_cores(execution)))
         self._contexts = itertools.count()

@@ -226,7 +226,6 @@ class Trials:
             time.sleep(POLL_S)
 
     def _files(self) -> set[Path]:
-        """Return the files of recipe, sensor profile, models and metadata, and the frame's background."""
         found = {Path(self._request.recipe), *self._profile()}
         if self._request.reading.metadata is not None:
             found.add(Path(self._request.reading.metadata))
@@ -248,7 +247,6 @@ class Trials:
         return []
 
     def _data_state(self) -> Sequence[_State]:
-        """Return the states of the folders and annotation files of the data."""
         states: list[_State] = []
         for folder, subfolders, files in os.walk(self._request.data):
             subfolders.sort()
@@ -259,7 +257,6 @@ class Trials:
 
 
 def _frame_of(plan: RunPlan) -> PlannedFrame:
-    """Return the first frame of a plan with inserted objects."""
     for frame in plan.frames:
         if frame.configuration is not None:
             return frame

@@ -14,7 +14,6 @@ class FrameWorker:
     """Composes the frame of each task; each worker process has one instance."""
 
     def __init__(self, start: WorkerStart) -> None:
-        """Start the renderer."""
         if start.pin_cores:
             take_core()
         self._renderer = make_renderer(start.renderer, start.device)

@@ -258,12 +258,10 @@ def _has_only_masks(to: Writer) -> bool:
 
 
 def _loosen_option(by: Looseness) -> str:
-    """Return the option that asked for larger boxes."""
     return _LOOSEN if "loosened_by" in by.to_counts() else _LOOSEN_PX
 
 
 def _changes(to: str, rename: Mapping[str, str], chosen: _Chosen, problems: Sequence[Problem]) -> list[str]:
-    """Return the changes to list on the dataset card."""
     texts = [f"The labels were converted to the format `{to}`; the picture files are unchanged."]
     if rename:
         texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in rename.items()) + ".")
@@ -281,7 +279,6 @@ def _changes(to: str, rename: Mapping[str, str], chosen: _Chosen, problems: Sequ
 
 
 def _background_class(name: str, dataset: Dataset, settings: WriteSettings) -> list[Problem]:
-    """Return a warning for a COCO file with a category 0."""
     zero = next((c.name for c in dataset.categories if c.id == 0), None)
     if name != "coco" or zero is None or settings.category_ids == "from_one":
         return []

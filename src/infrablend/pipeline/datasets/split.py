@@ -215,7 +215,6 @@ def assign_groups(counts: NDArray[np.float64], shares: Sequence[float], seed: in
 
 
 def _cost_of(held: NDArray[np.float64], part: NDArray[np.float64], split: int, target: NDArray[np.float64]) -> float:
-    """Return by how much adding a part increases the squared deviation of a split from its target."""
     before = held[split] - target[split]
     return float(((before + part) ** 2 - before**2).sum())
 

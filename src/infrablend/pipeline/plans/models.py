@@ -60,7 +60,6 @@ def import_geometry(file: Path) -> None:
 
 
 def _import_error(file: Path, failure: Failure) -> InfraBlendError:
-    """Return the error of an import that did not succeed."""
     if failure.kind == "error":
         return failure.to_exception()
     if failure.kind == "timeout" or "SIGXCPU" in failure.message:

@@ -115,7 +115,6 @@ def make_plan(
 
 
 def _with_new(known: Sequence[Category], classes: Iterable[str]) -> tuple[Category, ...]:
-    """Return the categories of a dataset, and after them those of inserted objects that it does not have."""
     categories = list(known)
     for name in classes:
         if name not in {c.name for c in categories}:

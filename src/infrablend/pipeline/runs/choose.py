@@ -130,7 +130,6 @@ def choose_frames(
 
 
 def _count_aside(folder: RunFolder) -> int:
-    """Return the number of pictures of excluded frames."""
     return sum(path.is_file() for path in folder.excluded("").rglob("*"))
 
 
@@ -178,7 +177,6 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
 
 
 def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan, run: Path) -> dict[str, str]:
-    """Return the excluded frames after a change."""
     rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review, run)
     of_background: dict[str, list[str]] = {}
     for frame in plan.frames:

@@ -188,7 +188,6 @@ def _has_size(path: Path, size: int) -> bool:
 
 
 def _files_below(root: Path, top: str) -> list[str]:
-    """Return the files below a folder, relative to `root`, sorted."""
     found = []
     for folder, _, names in os.walk(root / top):
         inside = Path(folder).relative_to(root).as_posix()
@@ -197,7 +196,6 @@ def _files_below(root: Path, top: str) -> list[str]:
 
 
 def _write_eight_bit(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord], agc: Agc) -> list[Problem]:
-    """Write the dataset again with 8-bit pictures by an automatic gain control; return its problems."""
     shown, as_they_are = eight_bit_copies(images, folder.eight_bit / IMAGES, agc)
     problems: list[Problem] = []
     for name in plan.recipe.output.formats:
@@ -372,6 +370,5 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 
 
 def _quantiles(values: Sequence[float], *shares: float) -> list[float]:
-    """Return for each share the value that so large a share of the values is below."""
     ordered = sorted(values)
     return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in shares]

@@ -119,7 +119,6 @@ def _pack(
     execution: Execution,
     existing: Existing,
 ) -> RunReport:
-    """Write one packed shard from the shards of a run."""
     started = time.monotonic()
     output = plan.recipe.output.model_copy(update={"layout": "shards"})
     recipe = plan.recipe.model_copy(update={"output": output})
@@ -156,7 +155,6 @@ def _pack(
 
 
 def _finished_shards(runs: Sequence[ShardedRun], partial: bool) -> tuple[SharedPlan, list[_Finished]]:
-    """Return the shared plan and the finished shards, in the order of their numbers."""
     shared = runs[0].read_plan()
     for run in runs[1:]:
         other = run.read_plan()

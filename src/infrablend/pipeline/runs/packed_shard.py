@@ -109,7 +109,6 @@ def _number_damage(record: Mapping[str, Any], plan: RunPlan) -> str | None:
 
 
 def _frames_of(plan: RunPlan, folder: RunFolder, ledger: Ledger) -> Iterator[tuple[PlannedFrame, str, bytes]]:
-    """Yield the finished frames of a shard in its folder."""
     done = ledger.done()
     for frame in plan.frames:
         if (row := done.get(frame.frame_id)) is None:
@@ -200,7 +199,6 @@ def damage_of(files: ShardFiles, record: Mapping[str, Any], *, digests: bool = T
 
 
 def _scene(text: str) -> bytes:
-    """Return the record of a frame as people read it in a tar."""
     return (json.dumps(json.loads(text), sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
 
 

@@ -132,7 +132,6 @@ def render_record(
 
 
 def _holds(path: Path, data: bytes) -> bool:
-    """Return whether a file has exactly these bytes."""
     return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
 
 

@@ -231,7 +231,6 @@ def _export(
     started: float,
     made: float,
 ) -> tuple[dict[str, Any], list[Problem]]:
-    """Write everything that follows from the ledger; return the record of the run and its problems."""
     remove_exports(space, folder, ledger)
     frames = [f for f in plan.frames if f.frame_id not in state.unfinished]
     labels = LabelSummary() if plan.shard is not None else export_run(plan, folder, ledger, frames)
@@ -256,7 +255,6 @@ def _export(
 
 
 def _header(plan: RunPlan, execution: Execution, source: FrameSource | None) -> dict[str, Any]:
-    """Return the part of the record that is known before the first frame."""
     header = record_header(plan, execution)
     if source is not None:
         header |= {"machine": dict(source.machine), "packages": dict(source.packages)}
@@ -272,7 +270,6 @@ def _command(previous: Mapping[str, Any], choosing: bool) -> dict[str, Any]:
 
 
 def _recorded_levels(previous: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Return the levels with which a run was started."""
     if previous.get("levels") is None:
         return None
     low, high = previous["levels"]
@@ -289,7 +286,6 @@ def _make_frames(
     on_progress: OnProgress | None,
     source: FrameSource | None,
 ) -> None:
-    """Make the frames of `todo`; a failed frame is counted and does not stop the others."""
     if source is None:
         worker = WorkerSpec(FACTORY, settings_for(plan, plan.levels, execution, folder.root))
         executor = make_executor(worker, execution, folder.root / WORKERS_LOG)
@@ -329,7 +325,6 @@ def _background(frame: PlannedFrame) -> str:
 
 
 def _count_done(state: RunState, plan: RunPlan, done: Mapping[str, DoneFrame], todo: Sequence[PlannedFrame]) -> None:
-    """Count the frames that an earlier call finished."""
     again = {f.frame_id for f in todo}
     kept = [done[f.frame_id] for f in plan.frames if f.frame_id not in again]
     state.resumed, state.inserted = len(kept), sum(frame.inserted for frame in kept)

@@ -66,7 +66,6 @@ class ShardFolder:
     """Shard with a ledger and a file per picture."""
 
     def __init__(self, folder: RunFolder) -> None:
-        """Name the folder of the shard."""
         self._folder = folder
         self.place = folder.root
         self._stack = ExitStack()
@@ -120,7 +119,6 @@ class ShardArchive:
     """Shard in a tar, which is read once from start to end."""
 
     def __init__(self, files: ShardFiles) -> None:
-        """Name the files of the shard."""
         self._files = files
         self.place = files.tar
         self._frames: Iterator[PackedFrame] | None = None

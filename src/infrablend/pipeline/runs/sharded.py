@@ -390,7 +390,6 @@ def joined_reports(reports: Sequence[RunReport], out: Path) -> RunReport:
 
 
 def _added(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the sums of counts, also of those in mappings."""
     found = dict(a)
     for name, value in b.items():
         found[name] = _added(a.get(name, {}), value) if isinstance(value, Mapping) else a.get(name, 0) + value
