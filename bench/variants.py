@@ -32,8 +32,8 @@ from infrablend.core.render import RenderResult
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.pipeline.compose.frame import FrameMaker
 from infrablend.pipeline.compose.looks import percentile_settings
+from infrablend.pipeline.compose.worker import FrameMaker
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.runs.exports import export_run
 from infrablend.sampling.scene import RecipeSampler, sample_scene

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from infrablend.annotation.labels import LabelReport, annotate
-from infrablend.annotation.merge import MergedLabels, merge
+from infrablend.annotation.merge import MergedLabels, MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
 from infrablend.compositing.occlusion import Scenery
@@ -22,17 +22,13 @@ from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Instance
-from infrablend.core.files import write_bytes
 from infrablend.core.frame_record import FrameRecord
-from infrablend.core.machine import take_core
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed
-from infrablend.core.run_folder import RunFolder
-from infrablend.core.tasks import Task
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, output_suffix
-from infrablend.pipeline.compose.composed import ComposedFrame, MadeFrame, covered_facts
+from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import FirstContrasts, Insert, faint_inserts, measure_inserts, with_seen_box
 from infrablend.pipeline.compose.looks import make_look
 from infrablend.pipeline.compose.occlusion import (
@@ -43,10 +39,9 @@ from infrablend.pipeline.compose.occlusion import (
     occlusion_facts,
     too_hidden,
 )
-from infrablend.pipeline.compose.settings import FrameSettings, merge_settings
+from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.backgrounds import background_facts
 from infrablend.pipeline.plans.plan import PlannedFrame
-from infrablend.rendering import make_renderer
 from infrablend.sampling.site import FrameKey, Site
 
 
@@ -148,7 +143,7 @@ class FrameComposer:
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
-        merged = merge(frame.background.instances, labels, merge_settings(self._recipe))
+        merged = _merge(frame.background.instances, labels, self._recipe)
         image_bytes = encode_image(picture.pixels, background, self._recipe.output.image)
         found_first = {"contrast_first": first.found} if moves and first.found else {}
         record = self._record(picture, canvas, merged, image_bytes, found_first)
@@ -264,7 +259,10 @@ class FrameComposer:
             removed=tuple(r.to_json() for r in merged.removed),
             facts={**picture.facts, **facts},
             warnings=tuple(p.to_json() for p in canvas.background.problems),
-            covered=covered_facts(merged),
+            covered={
+                n: {"visibility": i.visibility, **({} if i.mask is None else {"mask": i.mask.to_coco()})}
+                for n, i in merged.partly_covered.items()
+            },
             run=self._settings.run,
         )
 
@@ -312,7 +310,7 @@ def _unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSett
         image_bytes = encode_image(background.pixels, background, kind)
     else:
         image_bytes = source.path.read_bytes()
-    merged = merge(source.instances, (), merge_settings(recipe))
+    merged = _merge(source.instances, (), recipe)
     record = FrameRecord(
         frame_id=frame.frame_id,
         image=relative,
@@ -329,30 +327,7 @@ def _unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSett
     return ComposedFrame(record, image_bytes, {})
 
 
-class FrameMaker:
-    """Composes frames and writes them to the folder of a run; each worker process has one instance."""
-
-    def __init__(self, settings: FrameSettings) -> None:
-        """Start the renderer and load the recipe's models."""
-        if settings.pin_cores:
-            take_core()
-        if settings.out is None:
-            raise ValueError("frames in memory are made by FrameWorker")
-        self._folder = RunFolder(settings.out)
-        self._renderer = make_renderer(settings.renderer, settings.device)
-        self._composer = FrameComposer(settings, self._renderer)
-
-    def __call__(self, task: Task) -> MadeFrame:
-        """Write the image of the `PlannedFrame` in the task's payload, and return its record."""
-        composed = self._composer.compose(task.payload)
-        write_bytes(self._folder.image(composed.record.image), composed.image_bytes)
-        return MadeFrame.of(composed.record, len(composed.image_bytes), composed.seconds)
-
-    def close(self) -> None:
-        """Release the renderer."""
-        self._renderer.close()
-
-
-def make_frame_maker(settings: FrameSettings) -> FrameMaker:
-    """Return a frame maker; the worker factory that `execution` calls by its dotted name."""
-    return FrameMaker(settings)
+def _merge(original: Sequence[Instance], new: Sequence[Instance], recipe: Recipe) -> MergedLabels:
+    # Ignore regions stay in the record: each format leaves them out, or not, when it is written.
+    labels = recipe.labels
+    return merge(original, new, MergeSettings(labels.mode, labels.keep_categories, labels.remove_covered))

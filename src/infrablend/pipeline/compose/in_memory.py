@@ -23,11 +23,10 @@ from infrablend.errors import ArgumentError, Problem
 from infrablend.formats import detection
 from infrablend.formats.images import decode_image
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.compose.composed import ComposedFrame
+from infrablend.pipeline.compose.composed import ComposedFrame, labelled_image
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
-from infrablend.pipeline.compose.labelled import labelled_image
-from infrablend.pipeline.compose.pool import FrameWorkers, settings_for
-from infrablend.pipeline.compose.settings import FrameSettings
+from infrablend.pipeline.compose.pool import FrameWorkers
+from infrablend.pipeline.compose.settings import FrameSettings, settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.planning import make_plan, with_scale

@@ -24,7 +24,8 @@ from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.compose.in_memory import Frame, as_frame
-from infrablend.pipeline.compose.pool import FrameWorkers, settings_for
+from infrablend.pipeline.compose.pool import FrameWorkers
+from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan, with_scale

@@ -26,7 +26,7 @@ from infrablend.errors import OutputError, Problem
 from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
 from infrablend.formats.write_settings import WriteSettings
-from infrablend.pipeline.compose.labelled import labelled_image
+from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.runs.card import run_card

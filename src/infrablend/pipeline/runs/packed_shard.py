@@ -24,7 +24,7 @@ from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import OutputError
 from infrablend.formats.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text
 from infrablend.formats.shards import SOURCE
-from infrablend.pipeline.compose.labelled import labelled_image
+from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.origin import run_inserts
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import Execution

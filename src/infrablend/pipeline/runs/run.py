@@ -21,7 +21,7 @@ from infrablend.core.workspace import Existing, Workspace, workspace
 from infrablend.errors import Interrupted, MissingDependencyError, OtherSettingsError, Problem, RenderError
 from infrablend.formats.images import output_suffix
 from infrablend.pipeline.compose.composed import MadeFrame
-from infrablend.pipeline.compose.pool import settings_for
+from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
@@ -39,7 +39,7 @@ from infrablend.pipeline.runs.record import RECORDED_PACKAGES, RUN, RunState, re
 
 log = logging.getLogger(__name__)
 
-FACTORY = "infrablend.pipeline.compose.frame:make_frame_maker"
+FACTORY = "infrablend.pipeline.compose.worker:FrameMaker"
 
 Choose = Callable[[Mapping[str, str]], Mapping[str, str]]
 """Returns the frames to leave out from now on, each with its reason, from those that are left out now."""

@@ -24,11 +24,10 @@ from typing import Any
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
 from infrablend.core.files import read_object, read_regular, sha256_of_json, write_bytes
-from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
+from infrablend.core.run_folder import SHARDS_FILE, ShardFiles
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, OutputError, StorageError
-from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.shard import Shard
@@ -107,10 +106,6 @@ class _StoredShard(ShardArchive):
         if not self._files.tar.is_file():
             self._run.store.download(self._files.tar.name, self._files.tar, self.record()[ARCHIVE]["tar"]["sha256"])
         return super().read(frame_id)
-
-    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
-        """Unpack the picture of a frame that follows the last one that was asked for."""
-        return super().put(frame_id, folder)
 
     def close(self) -> None:
         """Delete the copy of the tar."""
