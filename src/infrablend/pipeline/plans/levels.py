@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.dataset import ImageRecord
@@ -34,6 +35,14 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
     if not plan.recipe.matching.needs_temperatures:  # these leave frames of 8 bits out one by one
         require_one_depth(plan.dataset.root, {p.bit_depth for p in pictures})
     return measure_levels([p.pixels for p in pictures])
+
+
+def recorded_levels(record: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the levels in the record of a run, or in the plan that its shards share; None if it has none."""
+    if record.get("levels") is None:
+        return None
+    low, high = record["levels"]
+    return float(low), float(high)
 
 
 def require_one_depth(root: Path, depths: Collection[int]) -> None:

@@ -159,11 +159,9 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
     digests: dict[Path, str | None] = {}
     changed = []
     for frame in plan.frames:
-        background = frame.background
-        made_of = known.get(f"{background.split}/{background.id}")
+        made_of, path = known.get(frame.background_id), frame.background.path
         if frame.frame_id in excluded or frame.frame_id not in done or made_of is None:
             continue
-        path = background.path
         if path not in digests:
             digests[path] = sha256_of(real_path(path)) if path.is_file() else None
         if digests[path] != made_of[2]:
@@ -180,8 +178,7 @@ def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan,
     rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review, run)
     of_background: dict[str, list[str]] = {}
     for frame in plan.frames:
-        background = frame.background
-        for name in (f"{background.split}/{background.id}", background.id):
+        for name in (frame.background_id, frame.background.id):
             of_background.setdefault(name, []).append(frame.frame_id)
     # A frame may have the name of a background: `train/a_c0`, made of `train/a`, beside a background `a_c0`.
     frames = {frame.frame_id: [frame.frame_id] for frame in plan.frames}

@@ -101,11 +101,9 @@ class RunState:
         if failure.error == "DatasetError":
             image = Problem(str(frame.background.path), "image", failure.message)
             problem = failure.problems[0] if failure.problems else image
-            background = f"{frame.background.split}/{frame.background.id}"
-            known = background in self.skipped  # another configuration failed for the same reason
-            self.skipped[background] = problem
-            if not known:
-                log.warning("skipped background %s: %s", background, problem)
+            if frame.background_id not in self.skipped:  # or another configuration failed for the same reason
+                log.warning("skipped background %s: %s", frame.background_id, problem)
+            self.skipped[frame.background_id] = problem
             return
         self.failures[result.key] = Problem(
             result.key,

@@ -22,13 +22,14 @@ from infrablend.errors import Interrupted, MissingDependencyError, OtherSettings
 from infrablend.formats.images import output_suffix
 from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.compose.settings import settings_for
-from infrablend.pipeline.plans.levels import dataset_levels
+from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
 from infrablend.pipeline.runs.executors import Pace, make_executor
 from infrablend.pipeline.runs.exports import (
     LabelSummary,
     export_run,
+    has_size,
     list_exports,
     lost_exports,
     remove_exports,
@@ -167,7 +168,7 @@ def run_in(
         with Ledger.open(folder.root) as ledger:
             previous, done, excluded = ledger.read_run(), ledger.done(), ledger.excluded()
             _require_same_run(previous, plan, space.out, execution)
-            plan = replace(plan, run=str(previous[RUN]), levels=_recorded_levels(previous))
+            plan = replace(plan, run=str(previous[RUN]), levels=recorded_levels(previous))
             kept_out = dict(excluded if choice is None else choice.choose(excluded))
             todo = _remaining(plan, folder, ledger, done, kept_out)
             written = list(plan.recipe.output.formats) == previous["formats"] and not lost_exports(folder, ledger)
@@ -194,7 +195,9 @@ def run_in(
         _place_excluded(folder, done, kept_out, purge=choice is not None and choice.purge)
         state = RunState(excluded=sum(f.frame_id in kept_out for f in plan.frames))
         plan = replace(plan, frames=tuple(f for f in plan.frames if f.frame_id not in kept_out))
-        _count_done(state, plan, done, todo)
+        again = {f.frame_id for f in todo}
+        earlier = [done[f.frame_id] for f in plan.frames if f.frame_id not in again]
+        state.resumed, state.inserted = len(earlier), sum(frame.inserted for frame in earlier)
         log.info("%d frames, %d already there, seed %d", len(plan.frames), state.resumed, plan.seed)
         try:
             _make_frames(plan, todo, folder, ledger, state, execution, on_progress, source)
@@ -269,13 +272,6 @@ def _command(previous: Mapping[str, Any], choosing: bool) -> dict[str, Any]:
     return {k: v for k, v in previous.items() if k == COMMAND}
 
 
-def _recorded_levels(previous: Mapping[str, Any]) -> tuple[float, float] | None:
-    if previous.get("levels") is None:
-        return None
-    low, high = previous["levels"]
-    return float(low), float(high)
-
-
 def _make_frames(
     plan: RunPlan,
     todo: Sequence[PlannedFrame],
@@ -317,17 +313,7 @@ def _note_background(ledger: Ledger, frame: PlannedFrame, sha256: str) -> None:
         status = frame.background.path.stat()
     except OSError:  # removed meanwhile: its frames are made again by the next call that finds it
         return
-    ledger.add_background(_background(frame), status.st_size, status.st_mtime_ns, sha256)
-
-
-def _background(frame: PlannedFrame) -> str:
-    return f"{frame.background.split}/{frame.background.id}"
-
-
-def _count_done(state: RunState, plan: RunPlan, done: Mapping[str, DoneFrame], todo: Sequence[PlannedFrame]) -> None:
-    again = {f.frame_id for f in todo}
-    kept = [done[f.frame_id] for f in plan.frames if f.frame_id not in again]
-    state.resumed, state.inserted = len(kept), sum(frame.inserted for frame in kept)
+    ledger.add_background(frame.background_id, status.st_size, status.st_mtime_ns, sha256)
 
 
 def _remaining(
@@ -339,9 +325,9 @@ def _remaining(
     for frame in plan.frames:
         if frame.frame_id in kept_out:
             continue
-        row, name = done.get(frame.frame_id), _background(frame)
+        row, name = done.get(frame.frame_id), frame.background_id
         image = frame.image_path(output.group_by, output_suffix(frame.background.path, output.image))
-        if row is None or row.image != image or not _has_size(folder, row):
+        if row is None or row.image != image or not _is_there(folder, row):
             todo.append(frame)
             continue
         if name not in unchanged:
@@ -352,14 +338,9 @@ def _remaining(
     return todo
 
 
-def _has_size(folder: RunFolder, frame: DoneFrame) -> bool:
+def _is_there(folder: RunFolder, frame: DoneFrame) -> bool:
     """Return whether a picture is there, in its place or left out, with the size in the ledger."""
-    for path in (folder.image(frame.image), folder.excluded(frame.image)):
-        try:
-            return path.lstat().st_size == frame.bytes
-        except OSError:
-            continue
-    return False
+    return any(has_size(path, frame.bytes) for path in (folder.image(frame.image), folder.excluded(frame.image)))
 
 
 def _is_unchanged(path: Path, known: tuple[int, int, str] | None) -> bool:

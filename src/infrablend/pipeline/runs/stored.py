@@ -18,13 +18,14 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
 from infrablend.core.files import read_object, read_regular, sha256_of_json, write_bytes
-from infrablend.core.run_folder import SHARDS_FILE, ShardFiles
+from infrablend.core.run_folder import SHARDS_FILE
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, OutputError, StorageError
@@ -34,7 +35,7 @@ from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.packed_shard import ARCHIVE
 from infrablend.pipeline.runs.run import RunReport, require_same_key
 from infrablend.pipeline.runs.shard_source import ShardArchive, ShardSource
-from infrablend.pipeline.runs.sharded import ShardedRun, joined_reports, run_shard, shifted
+from infrablend.pipeline.runs.sharded import ShardedRun, run_shard, run_shards
 from infrablend.storage.store import Store
 
 log = logging.getLogger(__name__)
@@ -171,16 +172,14 @@ def run_stored_shards(
     assert address is not None
     require_packed(plan.recipe, out)
     store = store or Store(address)
-    reports: list[RunReport] = []
     # What a killed job left is found by the next job of the same run on this machine.
     key = hashlib.sha256(f"{address} {sha256_of_json(plan.key)}".encode()).hexdigest()[:16]
     local = ShardedRun(Path(tempfile.gettempdir()) / f"infrablend-{os.getuid()}-{key}")
     _share_plan(local, plan, shards[0].count, execution, store)
-    for shard, progress in zip(shards, shifted(plan, shards, on_progress), strict=True):
-        reports.append(_run_stored_shard(local, plan, shard, execution, existing, progress, store))
-        plan = replace(plan, problems=())
+    make = partial(_run_stored_shard, local=local, store=store)
+    report = run_shards(plan, shards, out, execution, existing, on_progress, make)
     shutil.rmtree(local.root, ignore_errors=True)
-    return replace(joined_reports(reports, out), out=Path(address))
+    return replace(report, out=Path(address))
 
 
 def _share_plan(local: ShardedRun, plan: RunPlan, count: int, execution: Execution, store: Store) -> None:
@@ -199,12 +198,13 @@ def _share_plan(local: ShardedRun, plan: RunPlan, count: int, execution: Executi
 
 
 def _run_stored_shard(
-    local: ShardedRun,
     plan: RunPlan,
     shard: Shard,
+    out: Path,
     execution: Execution,
     existing: Existing,
     on_progress: OnProgress | None,
+    local: ShardedRun,
     store: Store,
 ) -> RunReport:
     """Make one shard here, and copy its files: the record is removed first and comes last."""
@@ -222,13 +222,17 @@ def _run_stored_shard(
         whole = record.get("shard") == str(shard) and stored.damage(shard, record) is None
         if whole and record["counts"]["frames"] == len(shard.part_of(plan.frames)):
             require_same_key(record, plan, store.place(files.marker.name))
-            return RunReport.of_record(record, Path(store.address), marker)
+            return RunReport.of_record(record, out, marker)
     for path in (files.marker, files.tar, files.table):
         path.unlink(missing_ok=True)
     here: Existing = "overwrite" if existing == "overwrite" else "resume"
     report = run_shard(plan, shard, local.root, execution, here, on_progress)
-    _upload(files, store)
-    return replace(report, out=Path(store.address), record_file=marker)
+    store.remove(files.marker.name)
+    for path in (files.tar, files.table, files.marker):
+        store.upload(path, path.name)
+    for path in (files.tar, files.table, files.marker):
+        path.unlink()
+    return replace(report, out=out, record_file=marker)
 
 
 def _read_marker(store: Store, name: str) -> bytes | None:
@@ -240,11 +244,3 @@ def _read_marker(store: Store, name: str) -> bytes | None:
             raise
         log.warning("%s", error)
         return None
-
-
-def _upload(files: ShardFiles, store: Store) -> None:
-    store.remove(files.marker.name)
-    for path in (files.tar, files.table, files.marker):
-        store.upload(path, path.name)
-    for path in (files.tar, files.table, files.marker):
-        path.unlink()
