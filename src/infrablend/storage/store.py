@@ -73,17 +73,8 @@ class Store:
             except FileNotFoundError:
                 return None
 
-    def write(self, name: str, data: bytes) -> None:
-        """Write a small file.
-
-        Raises:
-            StorageError: It cannot be written.
-        """
-        with self._reported("be written", name):
-            self._files.pipe_file(self._path(name), data)
-
     def upload(self, source: Path, name: str) -> None:
-        """Write a file of any size.
+        """Write a file.
 
         Raises:
             StorageError: It cannot be written, or has another size in the storage.

@@ -93,19 +93,15 @@ def find_whole(plan: RunPlan, files: ShardFiles, existing: Existing) -> RunRepor
             "or --overwrite to replace it."
         )
     record = read_object(files.marker) or {}
-    if (found := _number_damage(record, plan) or damage_of(files, record)) is None:
+    if plan.shard is not None and record.get("shard") != str(plan.shard):
+        found: str | None = f"it is the record of shard {record.get('shard')}, expected {plan.shard}"
+    elif (found := damage_of(files, record)) is None:
         require_same_key(record, plan, files.marker)
         if record["counts"]["frames"] == len(plan.frames):
             return RunReport.of_record(record, files.folder, files.marker)
         found = "some of its frames failed"
     log.warning("%s: %s; the shard is made again", files.marker, found)
     return None
-
-
-def _number_damage(record: Mapping[str, Any], plan: RunPlan) -> str | None:
-    if plan.shard is None or record.get("shard") == str(plan.shard):
-        return None
-    return f"it is the record of shard {record.get('shard')}, expected {plan.shard}"
 
 
 def _frames_of(plan: RunPlan, folder: RunFolder, ledger: Ledger) -> Iterator[tuple[PlannedFrame, str, bytes]]:

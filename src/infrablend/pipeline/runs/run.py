@@ -297,7 +297,13 @@ def _make_frames(
         if result.failure is None:
             made: MadeFrame = result.value
             ledger.add(frame.frame_id, made.frame, made.record)
-            _note_background(ledger, frame, made.background_sha256)
+            try:
+                status = frame.background.path.stat()
+            except OSError:  # removed meanwhile: its frames are made again by the next call that finds it
+                pass
+            else:
+                facts = status.st_size, status.st_mtime_ns, made.background_sha256
+                ledger.add_background(frame.background_id, *facts)
         else:
             ledger.add_failure(frame.frame_id, result.failure)
         state.add(result, frame)
@@ -306,14 +312,6 @@ def _make_frames(
             rate = pace.frames_per_s()
             done, eta_s = state.resumed + finished, (len(todo) - finished) / rate
             on_progress(Progress(done, len(plan.frames), rate, eta_s, state.outcomes))
-
-
-def _note_background(ledger: Ledger, frame: PlannedFrame, sha256: str) -> None:
-    try:
-        status = frame.background.path.stat()
-    except OSError:  # removed meanwhile: its frames are made again by the next call that finds it
-        return
-    ledger.add_background(frame.background_id, status.st_size, status.st_mtime_ns, sha256)
 
 
 def _remaining(

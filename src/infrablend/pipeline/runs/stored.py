@@ -24,7 +24,7 @@ from typing import Any
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
-from infrablend.core.files import read_object, read_regular, sha256_of_json, write_bytes
+from infrablend.core.files import read_object, sha256_of_json, write_bytes
 from infrablend.core.run_folder import SHARDS_FILE
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
@@ -194,7 +194,7 @@ def _share_plan(local: ShardedRun, plan: RunPlan, count: int, execution: Executi
     except OutputError as error:
         raise type(error)(error.message.replace(str(local.root), store.address), error.problems) from error
     if known is None:
-        store.write(SHARDS_FILE, read_regular(local.file))
+        store.upload(local.file, SHARDS_FILE)
 
 
 def _run_stored_shard(
