@@ -372,7 +372,6 @@ def _not_read_as(source: Source, root: Path) -> Problem | None:
 
 
 def _source_facts(source: Source, archives: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the record of the folder: the origin of the data, for readers and for the cards of derived datasets."""
     names = ("name", "title", "page", "licence_note", "attribution", "citation")
     return {
         **{name: getattr(source, name) for name in names},

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 from infrablend.core.tasks import Task, TaskResult, WorkerSpec
 from infrablend.execution.process_pool import PoolSettings, WarmPool
@@ -44,7 +43,7 @@ class FrameWorkers:
         self._owner = os.getpid()
         worker = WorkerSpec(FACTORY, execution)
         self._contexts = itertools.count()
-        self._last: tuple[FrameSettings, Mapping[str, Any]] | None = None
+        self._last: FrameSettings | None = None
         self._context = 0
         self._count = 1 if execution.in_process else execution.worker_count()
         self._pool: WarmPool | WarmSerial = (
@@ -55,28 +54,20 @@ class FrameWorkers:
         """Start all workers, which load Blender while the caller prepares."""
         self._pool.start(self._count)
 
-    def compose(
-        self, frames: Iterable[PlannedFrame], settings: FrameSettings, models: Mapping[str, Any]
-    ) -> Iterator[TaskResult]:
-        """Yield a result per frame in the order of completion; its value is a `ComposedFrame`.
-
-        Args:
-            frames: Frames, read as workers become free.
-            settings: Recipe, seed and levels.
-            models: Digests of the recipe's own models: changed models are loaded again.
-        """
-        if (settings, models) != self._last:
-            self._last, self._context = (settings, models), next(self._contexts)
+    def compose(self, frames: Iterable[PlannedFrame], settings: FrameSettings) -> Iterator[TaskResult]:
+        """Yield a result per frame in the order of completion, with a `ComposedFrame`; `frames` is read as needed."""
+        if settings != self._last:
+            self._last, self._context = settings, next(self._contexts)
         context = self._context
         yield from self._pool.run(Task(f.frame_id, FrameJob(context, settings, f)) for f in frames)
 
-    def compose_one(self, frame: PlannedFrame, settings: FrameSettings, models: Mapping[str, Any]) -> ComposedFrame:
+    def compose_one(self, frame: PlannedFrame, settings: FrameSettings) -> ComposedFrame:
         """Return one frame.
 
         Raises:
             InfraBlendError: It cannot be composed.
         """
-        (result,) = self.compose([frame], settings, models)
+        (result,) = self.compose([frame], settings)
         if result.failure is not None:
             raise result.failure.to_exception()
         composed: ComposedFrame = result.value

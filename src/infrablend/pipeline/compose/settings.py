@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, Extensions
 from infrablend.pipeline.plans.plan import RunPlan
@@ -24,6 +26,7 @@ class FrameSettings:
         ignored: The source's own names of the categories that mark ignore regions.
         extensions: The caller's own sampler, backgrounds and look.
         run: Identity of the run, for the records of its frames.
+        models: Digests of the recipe's own models: changed models are loaded again.
     """
 
     out: Path | None
@@ -35,6 +38,7 @@ class FrameSettings:
     ignored: tuple[str, ...] = ()
     extensions: Extensions = NO_EXTENSIONS
     run: str = ""
+    models: Mapping[str, Any] = field(default_factory=dict)
 
 
 def settings_for(
@@ -44,15 +48,7 @@ def settings_for(
     out: Path | None = None,
     extensions: Extensions = NO_EXTENSIONS,
 ) -> FrameSettings:
-    """Return what workers need to compose the frames of a plan.
-
-    Args:
-        plan: Plan of the frames.
-        levels: Darkest and brightest level of the dataset, if the recipe needs them.
-        execution: How to compute the frames.
-        out: Folder of the run; None for frames in memory.
-        extensions: The caller's own sampler, backgrounds and look; only for frames in memory.
-    """
+    """Return what workers need to compose the frames of a plan; extensions are only for frames in memory."""
     return FrameSettings(
         out=out,
         data_root=plan.dataset.root,
@@ -63,4 +59,5 @@ def settings_for(
         ignored=plan.ignored,
         extensions=extensions,
         run=plan.run,
+        models=plan.key.get("models", {}),
     )

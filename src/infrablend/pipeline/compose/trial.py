@@ -174,7 +174,7 @@ class Trials:
         planned = _frame_of(plan)
         self._picture = planned.background.path
         settings = settings_for(plan, self._levels_of(plan, dataset), request.execution)
-        composed = self._workers.compose_one(planned, settings, plan.key.get("models", {}))
+        composed = self._workers.compose_one(planned, settings)
         frame = as_frame(planned, composed, plan.recipe)
         warnings = tuple(Problem(**{"severity": "warning", **w}) for w in composed.record.warnings)
         return Trial(frame, (*loaded.warnings, *warnings), time.perf_counter() - started)

@@ -107,7 +107,6 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
 
 
 def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning if the recipe's lens replaces fields of view in the files that differ from it."""
     c = recipe.camera
     if not c.is_real or c.needs_lens:
         return []
@@ -128,7 +127,6 @@ def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
 
 
 def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning if the recipe's pitch replaces pitches in the files that differ from it."""
     stated = recipe.camera.stated_pitch_deg
     if stated is None or not recipe.camera.is_real:  # paper's ablations replace it on purpose
         return []
@@ -148,7 +146,6 @@ def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]
 
 
 def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning if pictures that are not stated to be by day were taken with the sun in the sky."""
     sky = recipe.environment.sky
     if sky is None or sky.place is None:
         return []

@@ -48,12 +48,8 @@ def recorded_levels(record: Mapping[str, Any]) -> tuple[float, float] | None:
 def require_one_depth(root: Path, depths: Collection[int]) -> None:
     """Refuse pictures of several bit depths, whose levels have no common range.
 
-    Args:
-        root: Folder of the dataset, for the message.
-        depths: Different bit depths of its pictures, 8 or 16.
-
     Raises:
-        DatasetError: There are two.
+        DatasetError: There are several.
     """
     if len(depths) > 1:
         raise DatasetError(

@@ -47,15 +47,7 @@ def make_plan(
     selection: FrameSelection = ALL_FRAMES,
     recipe_warnings: Sequence[Problem] = (),
 ) -> RunPlan:
-    """Return the plan of a run.
-
-    Args:
-        recipe: Recipe of the run.
-        dataset: Backgrounds of the requested splits.
-        seed: Seed of the run.
-        splits: Requested splits, for error messages only.
-        selection: Frames to produce.
-        recipe_warnings: Warnings from reading the recipe.
+    """Return the plan of a run on the backgrounds of the requested splits, which `splits` names in messages only.
 
     Raises:
         ArgumentError: The selection names a frame that does not exist.

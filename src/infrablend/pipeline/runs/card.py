@@ -31,15 +31,7 @@ def run_card(
     images: Sequence[ImageRecord],
     warnings: Sequence[Problem] = (),
 ) -> Card:
-    """Return the card of a finished run.
-
-    Args:
-        plan: Plan of the run.
-        counts: Counts as in the run's record.
-        losses: Losses by format and kind, as in the record.
-        images: Images that were written.
-        warnings: Warnings about frames and labels, to be listed as known failures.
-    """
+    """Return the card of a finished run, with counts and losses as in its record, and warnings as known failures."""
     recipe = plan.recipe
     classes = ", ".join(dict.fromkeys(o.category or plan.models[o.model].category for o in recipe.objects))
     source = origin_of(plan.dataset, images, recipe.labels.rename, counts["labels_inserted"])

@@ -66,13 +66,8 @@ class LabelSummary:
 def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequence[PlannedFrame]) -> LabelSummary:
     """Write the card and all formats of the recipe; the same ledger gives the same bytes.
 
-    One record is in memory at a time beyond the first `spool.IN_MEMORY`, whatever the number of frames.
-
-    Args:
-        plan: Plan of the run.
-        folder: Its folder.
-        ledger: Its ledger.
-        frames: Its finished frames, in the order of the plan.
+    `frames` are its finished frames, in the order of the plan. One record is in memory at a time beyond the first
+    `spool.IN_MEMORY`, whatever their number.
     """
     records: Spool[FrameRecord] = Spool(folder.root)  # on disk, see `Spool`
     for record in ledger.records(f.frame_id for f in frames):
@@ -129,13 +124,7 @@ def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
 
 
 def list_exports(folder: RunFolder, ledger: Ledger, foreign: Collection[str]) -> Iterator[tuple[str, int, str]]:
-    """Yield path, size and digest of all files of a run but its pictures, for the ledger.
-
-    Args:
-        folder: The run.
-        ledger: Its ledger.
-        foreign: Names at the top of the folder that are not part of the run.
-    """
+    """Yield path, size and digest of all files of a run but its pictures and names at its top that are `foreign`."""
     done = ledger.done().values()
     pictures = {f"{IMAGES}/{frame.image}" for frame in done}
     # Label folders have hard links to the pictures, which need not be read again.

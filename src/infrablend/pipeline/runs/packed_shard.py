@@ -50,14 +50,7 @@ def run_packed(
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> RunReport:
-    """Render the frames of a shard, and pack them.
-
-    Args:
-        plan: Plan of the shard.
-        files: Files to write.
-        execution: Workers, device and renderer.
-        existing: What to do if the shard has been started; `resume` leaves a shard that is whole as it is.
-        on_progress: Called after each frame.
+    """Render the frames of a shard, and pack them; `resume` leaves a shard that is whole as it is.
 
     Raises:
         MissingDependencyError: pyarrow is not installed.

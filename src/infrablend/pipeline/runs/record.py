@@ -183,15 +183,7 @@ def run_record(
     labels: LabelSummary,
     timing: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return the record of a run whose frames have been made.
-
-    Args:
-        header: See `record_header`.
-        plan: Its plan.
-        state: Counts of its frames.
-        labels: Summary of its label files.
-        timing: Seconds, in a section of their own because they differ between equal runs.
-    """
+    """Return the record of a run whose frames have been made; times are apart, as they differ between equal runs."""
     return {
         **header,
         "counts": state.counts(plan, labels),

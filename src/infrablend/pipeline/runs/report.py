@@ -39,14 +39,7 @@ def report_run(run: Path) -> Path:
 def write_report(
     layout: RunFolder, record: Mapping[str, Any], frames: Iterable[FrameRecord], excluded: Mapping[str, str]
 ) -> Path:
-    """Write the report of a run and return its path.
-
-    Args:
-        layout: Folder of the run.
-        record: Record of the run.
-        frames: Records of its frames; one is in memory at a time.
-        excluded: Frames left out of the finished run, each with its reason.
-    """
+    """Write the report of a run and return its path; one of the records of `frames` is in memory at a time."""
     facts = sorted((_frame_facts(r) for r in frames), key=lambda f: f.frame_id)
     page = run_page(_run_facts(layout.root, record, facts, excluded))
     # Names from the data may hold what UTF-8 cannot.

@@ -20,7 +20,7 @@ import shlex
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -149,16 +149,9 @@ class ShardState:
         return f"{self.state}: {self.damage or f'{self.finished} of {self.frames} frames'}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            "shard": str(self.shard),
-            "state": self.state,
-            "frames": self.frames,
-            "finished": self.finished,
-            "failed": self.failed,
-            **({"command": self.command} if self.command else {}),
-            **({"damage": self.damage} if self.damage else {}),
-        }
+        """Return plain JSON values, without an empty command and an empty damage."""
+        found = asdict(self) | {"shard": str(self.shard)}
+        return {name: value for name, value in found.items() if value != ""}
 
 
 @dataclass(frozen=True)
@@ -323,13 +316,7 @@ def run_shard(
 ) -> RunReport:
     """Render the frames of one shard into its folder or files in `out`; merging shards writes the label files.
 
-    Args:
-        plan: Plan of the whole run.
-        shard: Shard to produce.
-        out: Folder of the run in shards.
-        execution: Workers, device and renderer.
-        existing: What to do if the shard has been started.
-        on_progress: Called after each frame.
+    `plan` is that of the whole run.
 
     Raises:
         OtherSettingsError: `out` has shards of another run.

@@ -152,16 +152,9 @@ def run_stored_shards(
     on_progress: OnProgress | None = None,
     store: Store | None = None,
 ) -> RunReport:
-    """Make packed shards one after the other, and copy each to object storage.
+    """Make packed shards one after the other, and copy each to object storage; `resume` leaves whole ones there.
 
-    Args:
-        plan: Plan of the whole run.
-        shards: Shards to make.
-        out: Address of the run.
-        execution: Workers, device and renderer.
-        existing: What to do with shards that the storage has: `resume` leaves whole ones as they are.
-        on_progress: Called after each frame.
-        store: The storage; None connects to that of the address.
+    `out` is the address of the run. A `store` of None connects to that of the address.
 
     Raises:
         ArgumentError: The layout has a file per frame.
