@@ -18,19 +18,15 @@ log = logging.getLogger(__name__)
 class Store:
     """A folder in object storage."""
 
-    def __init__(self, address: str, files: Any = None) -> None:
-        """Connect to a folder.
-
-        Args:
-            address: Address of the folder, such as `s3://bucket/run`.
-            files: File system of fsspec to use; None for that of the address.
+    def __init__(self, address: str) -> None:
+        """Connect to a folder by its address, such as `s3://bucket/run`.
 
         Raises:
             MissingDependencyError: The library for this storage is not installed.
         """
         self.address = address
-        self._root = address.partition("://")[2]
-        self._files = files if files is not None else _file_system(address.partition("://")[0])
+        scheme, _, self._root = address.partition("://")
+        self._files = _file_system(scheme)
 
     def place(self, name: str) -> str:
         """Return the address of a file, for messages."""

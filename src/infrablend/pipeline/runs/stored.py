@@ -50,7 +50,7 @@ class StoredRun(ShardedRun):
         sizes: Bytes of its files, by name.
     """
 
-    store: Store = field(default_factory=lambda: Store(""))
+    store: Store
     sizes: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -115,7 +115,7 @@ class _StoredShard(ShardArchive):
 
 
 @contextlib.contextmanager
-def opened_run(out: str | Path, store: Store | None = None) -> Iterator[ShardedRun]:
+def opened_run(out: str | Path) -> Iterator[ShardedRun]:
     """Yield the run in shards in a folder, or at an address.
 
     Raises:
@@ -125,7 +125,7 @@ def opened_run(out: str | Path, store: Store | None = None) -> Iterator[ShardedR
         yield ShardedRun(Path(out))
         return
     with tempfile.TemporaryDirectory(prefix="infrablend-") as folder:
-        run = StoredRun(Path(folder), store or Store(address))
+        run = StoredRun(Path(folder), Store(address))
         run.refresh()
         yield run
 
@@ -150,11 +150,10 @@ def run_stored_shards(
     execution: Execution,
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
-    store: Store | None = None,
 ) -> RunReport:
     """Make packed shards one after the other, and copy each to object storage; `resume` leaves whole ones there.
 
-    `out` is the address of the run. A `store` of None connects to that of the address.
+    `out` is the address of the run.
 
     Raises:
         ArgumentError: The layout has a file per frame.
@@ -164,7 +163,7 @@ def run_stored_shards(
     address = address_of(out)
     assert address is not None
     require_packed(plan.recipe, out)
-    store = store or Store(address)
+    store = Store(address)
     # What a killed job left is found by the next job of the same run on this machine.
     key = hashlib.sha256(f"{address} {sha256_of_json(plan.key)}".encode()).hexdigest()[:16]
     local = ShardedRun(Path(tempfile.gettempdir()) / f"infrablend-{os.getuid()}-{key}")
