@@ -9,7 +9,7 @@ from infrablend.core.files import write_bytes, write_text
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import FRAMES_FILE, replacing, workspace
 from infrablend.errors import ArgumentError
-from infrablend.formats.flight_log import Sampled, sample
+from infrablend.formats.flight_log import sample
 from infrablend.formats.images import png_bytes
 from infrablend.formats.video import Frame
 from infrablend.pipeline.capture.clips import ClipPlan, FlightFacts, FrameChoice, plan_clips
@@ -67,7 +67,7 @@ def extract_frames(
                 done += 1
                 if report_done is not None:
                     report_done(done, total)
-            sampled = _sampled(plan, written)
+            sampled = None if plan.aligned is None else sample(plan.aligned.log, [f.time_s for f in written])
             rows += telemetry_rows(plan, written, sampled, flight)
             clips.append(clip_result(plan, written, sampled, flight.hfov_deg))
             problems += clip_problems(plan, written, sampled)
@@ -93,7 +93,3 @@ def _write_picture(out: Path, sequence: str, frame: Frame) -> WrittenFrame:
     name = f"{sequence}/{sequence}_{frame.number:06d}.png"
     write_bytes(out / name, png_bytes(frame.pixels))
     return WrittenFrame(frame.number, frame.time_s, name, frame.pixels.ndim == 3)
-
-
-def _sampled(plan: ClipPlan, written: Sequence[WrittenFrame]) -> Sampled | None:
-    return None if plan.aligned is None else sample(plan.aligned.log, [f.time_s for f in written])

@@ -21,7 +21,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.write_settings import WriteSettings
-from infrablend.pipeline.datasets.origin import AT_MOST, loosened_before, origin_of
+from infrablend.pipeline.datasets.origin import AT_MOST, invalid_texts, loosened_before, origin_of, renamed_texts
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection
 from infrablend.pipeline.datasets.select import select
 from infrablend.report.card import dataset_card, write_card, written_layout
@@ -263,19 +263,14 @@ def _loosen_option(by: Looseness) -> str:
 
 def _changes(to: str, rename: Mapping[str, str], chosen: _Chosen, problems: Sequence[Problem]) -> list[str]:
     texts = [f"The labels were converted to the format `{to}`; the picture files are unchanged."]
-    if rename:
-        texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in rename.items()) + ".")
+    texts += renamed_texts(rename)
     if chosen.dropped:
         which = ", ".join(f"{name} {n}" for name, n in chosen.dropped.items())
         texts.append(f"{sum(chosen.dropped.values())} labels of dropped classes ({which}) were left out.")
     if chosen.selection is not None:
         what = ", ".join(f"{n} {why}" for why, n in chosen.selection["left_out"].items()) or "none"
         texts.append(f"Only a selection of the source's pictures is included; left out: {what}; see `{CONVERT_FILE}`.")
-    left_out = Counter(p.code for p in problems if p.severity == "error")
-    if left_out:
-        found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
-        texts.append(f"Invalid parts of the source were left out: {found}; `{CONVERT_FILE}` lists them.")
-    return texts
+    return texts + invalid_texts(problems, CONVERT_FILE)
 
 
 def _background_class(name: str, dataset: Dataset, settings: WriteSettings) -> list[Problem]:

@@ -18,6 +18,7 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import load_json
 from infrablend.core.run_folder import EIGHT_BIT, RUN_FILE
 from infrablend.core.workspace import CONVERT_FILE, SPLIT_FILE
+from infrablend.errors import Problem
 from infrablend.report.card import INSERT_LIMITS, Inserts, Provenance, find_provenance
 
 AT_MOST = f"{LOOSENED}_at_most"
@@ -64,6 +65,19 @@ def run_inserts(recipe: Recipe, seed: int, labels: Mapping[str, int]) -> Inserts
     if recipe.camera.pitch != "metadata":
         limits.append("Inserted objects are not seen from each picture's own camera pitch: the recipe sets another.")
     return Inserts(recipe.name, seed, recipe_yaml(recipe), dict(labels), tuple(limits))
+
+
+def renamed_texts(rename: Mapping[str, str]) -> list[str]:
+    """Return what a card says about renamed classes, if there are any."""
+    found = ", ".join(f"{a} to {b}" for a, b in rename.items())
+    return [f"Classes were renamed: {found}."] if rename else []
+
+
+def invalid_texts(problems: Iterable[Problem], record: str) -> list[str]:
+    """Return what a card says about invalid parts of the source, if there are any; `record` lists them."""
+    left_out = Counter(p.code for p in problems if p.severity == "error")
+    found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
+    return [f"Invalid parts of the source were left out: {found}; `{record}` lists them."] if left_out else []
 
 
 def recipe_yaml(recipe: Recipe) -> str:

@@ -187,11 +187,11 @@ def unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Probl
 def require_loosened(recipe: Recipe, inserted: Collection[str]) -> None:
     """Check that `labels.loosen` and `labels.loosen_px` list classes of inserted objects; no other boxes change."""
     expected = f"classes of the inserted objects ({', '.join(sorted(inserted))})"
-    faults = []
-    for name, given in (("labels.loosen", recipe.labels.loosen), ("labels.loosen_px", recipe.labels.loosen_px)):
-        unknown = [] if isinstance(given, float) else sorted(set(given) - set(inserted))
-        if unknown:
-            faults.append(Problem(name, "recipe-value", f"found {', '.join(unknown)}", expected))
+    faults = [
+        Problem(name, "recipe-value", f"found {', '.join(unknown)}", expected)
+        for name, given in (("labels.loosen", recipe.labels.loosen), ("labels.loosen_px", recipe.labels.loosen_px))
+        if not isinstance(given, float) and (unknown := sorted(set(given) - set(inserted)))
+    ]
     if faults:
         raise RecipeError(f"recipe {recipe.name}: no such inserted class", faults)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from infrablend.core.ledger import LEDGER
 from infrablend.core.run_folder import EIGHT_BIT, IMAGES, RUN_FILE
 from infrablend.errors import Problem
 from infrablend.formats.temperatures import describe_scales
-from infrablend.pipeline.datasets.origin import origin_of, run_inserts
+from infrablend.pipeline.datasets.origin import invalid_texts, origin_of, renamed_texts, run_inserts
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.report.card import Card
 
@@ -102,12 +101,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
         texts.append(f"{unlabelled} inserted objects have no label because they are too small or hidden: `run.json`.")
     if loosened := counts.get("boxes_loosened"):
         texts.append(loosened_text(loosened, Looseness.of_labels(labels)))
-    if labels.rename:
-        texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in labels.rename.items()) + ".")
-    left_out = Counter(p.code for p in plan.problems if p.severity == "error")
-    if left_out:
-        found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
-        texts.append(f"Invalid parts of the source were left out: {found}; `run.json` lists them.")
+    texts += renamed_texts(labels.rename) + invalid_texts(plan.problems, RUN_FILE)
     if excluded := plan.dataset.notes.get("excluded"):
         found = ", ".join(f"{name} ({e['images']} pictures, {e['why']})" for name, e in excluded.items())
         texts.append(f"Sequences of the source that were left out: {found}.")
