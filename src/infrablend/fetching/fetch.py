@@ -179,7 +179,9 @@ def fetch(
                 done[wanted[0].part].problems.append(replace(remark, severity="warning"))
             facts = {**known, **{part: one.facts for part, one in done.items()}}
             require_still_there([space.folder / place for one in done.values() for place in one.facts["places"]])
-            space.finish(_source_facts(source, facts))
+            names = ("name", "title", "page", "licence_note", "attribution", "citation")
+            origin = {name: getattr(source, name) for name in names}
+            space.finish({**origin, "licence": asdict(source.licence), "archives": facts})
         require_still_there([out / SOURCE_FILE])
     return FetchReport(
         out,
@@ -369,15 +371,6 @@ def _not_read_as(source: Source, root: Path) -> Problem | None:
     text = match.reason + (f"; it is read as {found.format}" if found.format else "")
     todo = "give the archive of this dataset, or use the files without `fetch`: their licence is another"
     return Problem(source.name, "not-this-format", text, f"the files of {source.name}", todo)
-
-
-def _source_facts(source: Source, archives: Mapping[str, Any]) -> dict[str, Any]:
-    names = ("name", "title", "page", "licence_note", "attribution", "citation")
-    return {
-        **{name: getattr(source, name) for name in names},
-        "licence": asdict(source.licence),
-        "archives": dict(archives),
-    }
 
 
 @dataclass(frozen=True)

@@ -63,7 +63,9 @@ def extract_frames(
         for plan in plans:
             written = []
             for frame in _wanted(plan):
-                written.append(_write_picture(space.folder, plan.sequence, frame))
+                name = f"{plan.sequence}/{plan.sequence}_{frame.number:06d}.png"
+                write_bytes(space.folder / name, png_bytes(frame.pixels))
+                written.append(WrittenFrame(frame.number, frame.time_s, name, frame.pixels.ndim == 3))
                 done += 1
                 if report_done is not None:
                     report_done(done, total)
@@ -87,9 +89,3 @@ def _wanted(plan: ClipPlan) -> Iterator[Frame]:
                 yield frame
             if frame.number >= last:
                 return
-
-
-def _write_picture(out: Path, sequence: str, frame: Frame) -> WrittenFrame:
-    name = f"{sequence}/{sequence}_{frame.number:06d}.png"
-    write_bytes(out / name, png_bytes(frame.pixels))
-    return WrittenFrame(frame.number, frame.time_s, name, frame.pixels.ndim == 3)

@@ -183,7 +183,12 @@ def extract_temperatures(
             write_chunks(space.folder / "annotations" / f"instances_{split}", chunks)
         scales = Counter(_scale_text(i) for i in images)
         problems += _of_reading(dataset, problems) + _remarks(dataset, layers) + spot_warnings(spots, stated)
-        problems += _unused_scale(dataset, scale, layers) + _loss_warnings(dataset, losses)
+        problems += _unused_scale(dataset, scale, layers)
+        problems += [
+            Problem(dataset.root.name, "labels-changed", f"{n} {LOSSES[kind]}", severity="warning")
+            for kind, n in sorted(losses.items())
+            if n
+        ]
         ranges = [w.range_k for w in layers if w.range_k is not None]
         span = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
         report = TemperaturesReport(out, len(images), dict(sorted(scales.items())), span, spots, tuple(problems))
@@ -275,13 +280,6 @@ def _unused_scale(dataset: Dataset, given: CountScale, layers: Sequence[_Written
     )
     todo = "leave it out" if flir == len(layers) else ""
     return [Problem(dataset.root.name, "scale-unused", found, "a scale for DJI's counts", todo, "warning")]
-
-
-def _loss_warnings(dataset: Dataset, losses: Mapping[str, int]) -> list[Problem]:
-    return [
-        Problem(dataset.root.name, "labels-changed", f"{n} {LOSSES[kind]}", severity="warning")
-        for kind, n in sorted(losses.items()) if n
-    ]  # fmt: skip
 
 
 def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -102,7 +102,7 @@ def make_plan(
         key=key,
         ignored=tuple(c.name for c in dataset.categories if c.ignore),
         sample=renamed.images[:: max(1, len(renamed.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
-        run=_identity(key),
+        run=sha256_of_json([{**key["recipe"], "description": None}, seed])[:16],
     )
 
 
@@ -127,11 +127,6 @@ def _key(recipe: Recipe, seed: int, used: Dataset, chosen: Sequence[PlannedFrame
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return key
-
-
-def _identity(key: Mapping[str, Any]) -> str:
-    deciding = {**key["recipe"], "description": None}
-    return sha256_of_json([deciding, key["seed"]])[:16]
 
 
 def _configurations(originals: bool, count: int) -> list[int | None]:

@@ -131,7 +131,9 @@ def pack(
                 known = FrameRecord.from_text(text)
                 image, count = labelled_image(frame, known, Path(known.image), looseness)
                 loosened += count
-                key, label, scene = key_of(frame.frame_id), label_text(frame.frame_id, image, ids), _scene(text)
+                key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
+                # As people read it in a tar.
+                scene = (json.dumps(json.loads(text), sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
                 offset = tar.add(key, Path(known.image).suffix[1:], picture)
                 tar.add(key, LABEL, label)
                 tar.add(key, SCENE, scene)
@@ -185,10 +187,6 @@ def damage_of(files: ShardFiles, record: Mapping[str, Any], *, digests: bool = T
         except (LookupError, TypeError):
             return f"{files.marker.name} is damaged: no facts about the {name}"
     return None
-
-
-def _scene(text: str) -> bytes:
-    return (json.dumps(json.loads(text), sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def _facts(path: Path) -> dict[str, Any]:

@@ -109,10 +109,6 @@ def show_frame(run: Path, frame_id: str) -> dict[str, Any]:
     return folder.record(frame_id).to_json()
 
 
-def _holds(path: Path, data: bytes) -> bool:
-    return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
-
-
 def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
     """Return the worker: a function of a task whose payload is a `Rerender`."""
     take_core()
@@ -137,7 +133,7 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
         )
         lossless = job.out.suffix.lower() == ".png"
         data = encode_image(pixels, background, "png" if lossless else "same")
-        if job.overwrite or not _holds(job.out, data):
+        if job.overwrite or not (job.out.is_file() and job.out.read_bytes() == data):
             require_replaceable(job.out, "rendering of this frame", ours=job.overwrite)
             write_bytes(job.out, data)
         return str(job.out)

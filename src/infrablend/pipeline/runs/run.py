@@ -173,12 +173,12 @@ def run_in(
             todo = _remaining(plan, folder, ledger, done, kept_out)
             written = list(plan.recipe.output.formats) == previous["formats"] and not lost_exports(folder, ledger)
         kept = kept_out == excluded and not (choice and choice.purge)
-        if space.state == "complete" and not todo and kept and (written or plan.shard is not None):
-            return RunReport.of_record(previous, space.out), None
-        if space.state == "complete" and todo:
-            named = ", ".join(f.frame_id for f in todo[:3])
-            log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), named)
         if space.state == "complete":
+            if not todo and kept and (written or plan.shard is not None):
+                return RunReport.of_record(previous, space.out), None
+            if todo:
+                named = ", ".join(f.frame_id for f in todo[:3])
+                log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), named)
             require_nothing_added(folder, plan)
         space.reopen()
         folder = RunFolder(space.folder)
@@ -193,11 +193,7 @@ def run_in(
         ledger.write_run({**previous, **header})
         ledger.exclude(kept_out)
         _place_excluded(folder, done, kept_out, purge=choice is not None and choice.purge)
-        state = RunState(excluded=sum(f.frame_id in kept_out for f in plan.frames))
-        plan = replace(plan, frames=tuple(f for f in plan.frames if f.frame_id not in kept_out))
-        again = {f.frame_id for f in todo}
-        earlier = [done[f.frame_id] for f in plan.frames if f.frame_id not in again]
-        state.resumed, state.inserted = len(earlier), sum(frame.inserted for frame in earlier)
+        plan, state = _without(plan, kept_out, done, todo)
         log.info("%d frames, %d already there, seed %d", len(plan.frames), state.resumed, plan.seed)
         try:
             _make_frames(plan, todo, folder, ledger, state, execution, on_progress, source)
@@ -212,8 +208,6 @@ def run_in(
                 space.discard()
             raise
         made = time.monotonic()
-        if not state.failures:
-            (folder.root / WORKERS_LOG).unlink(missing_ok=True)
         try:
             record, problems = _export(space, folder, plan, ledger, state, header, started, made)
         except KeyboardInterrupt as error:
@@ -222,6 +216,18 @@ def run_in(
                 f"{folder.root}. Repeat the command with --resume to write the labels."
             ) from error
     return RunReport(space.out, record["counts"], tuple(problems), time.monotonic() - started), record
+
+
+def _without(
+    plan: RunPlan, kept_out: Mapping[str, str], done: Mapping[str, DoneFrame], todo: Sequence[PlannedFrame]
+) -> tuple[RunPlan, RunState]:
+    """Return the plan without some frames, and the counts of those of the others that an earlier call finished."""
+    frames = tuple(f for f in plan.frames if f.frame_id not in kept_out)
+    again = {f.frame_id for f in todo}
+    earlier = [done[f.frame_id] for f in frames if f.frame_id not in again]
+    inserted = sum(frame.inserted for frame in earlier)
+    state = RunState(excluded=len(plan.frames) - len(frames), resumed=len(earlier), inserted=inserted)
+    return replace(plan, frames=frames), state
 
 
 def _export(
@@ -234,6 +240,8 @@ def _export(
     started: float,
     made: float,
 ) -> tuple[dict[str, Any], list[Problem]]:
+    if not state.failures:
+        (folder.root / WORKERS_LOG).unlink(missing_ok=True)
     remove_exports(space, folder, ledger)
     frames = [f for f in plan.frames if f.frame_id not in state.unfinished]
     labels = LabelSummary() if plan.shard is not None else export_run(plan, folder, ledger, frames)
