@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from infrablend.annotation.labels import LabelReport, annotate
-from infrablend.annotation.merge import MergedLabels, MergeSettings, merge
+from infrablend.annotation.merge import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
 from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.placed import PlacedScene
@@ -124,7 +123,7 @@ class FrameComposer:
             RenderError: The renderer fails.
         """
         if frame.configuration is None:
-            return _unchanged_original(frame, self._recipe, self._settings)
+            return self._unchanged(frame)
         background = self._settings.extensions.load(frame.background)
         self._look.check(frame, background)
         canvas = self._canvas(frame, background)
@@ -143,11 +142,22 @@ class FrameComposer:
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
-        merged = _merge(frame.background.instances, labels, self._recipe)
         image_bytes = encode_image(picture.pixels, background, self._recipe.output.image)
-        found_first = {"contrast_first": first.found} if moves and first.found else {}
-        record = self._record(picture, canvas, merged, image_bytes, found_first)
+        facts = {**picture.facts, **({"contrast_first": first.found} if moves and first.found else {})}
+        made = {"scene": picture.scene.spec, "mapping": picture.mapping.to_json(), "facts": facts}
+        record = self._record(frame, background, labels, image_bytes, made)
         return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
+
+    def _unchanged(self, frame: PlannedFrame) -> ComposedFrame:
+        """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
+        path, kind, extensions = frame.background.path, self._recipe.output.image, self._settings.extensions
+        background = extensions.load(frame.background)
+        if extensions.backgrounds is not None or (kind == "png" and path.suffix.lower() != ".png"):
+            image_bytes = encode_image(background.pixels, background, kind)
+        else:
+            image_bytes = path.read_bytes()
+        record = self._record(frame, background, (), image_bytes, {"scene": None, "mapping": None})
+        return ComposedFrame(record, image_bytes, {})
 
     def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
         recipe, source, pixels, unit = self._recipe, frame.as_read, background.pixels, self._grey_unit(background)
@@ -244,26 +254,33 @@ class FrameComposer:
         return tuple(i.labelled() for i in picture.inserts)
 
     def _record(
-        self, picture: Picture, canvas: Canvas, merged: MergedLabels, image_bytes: bytes, facts: Mapping[str, Any]
+        self,
+        frame: PlannedFrame,
+        background: Background,
+        labels: Sequence[Instance],
+        image_bytes: bytes,
+        made: Mapping[str, Any],
     ) -> FrameRecord:
-        frame, output, source = canvas.frame, self._recipe.output, canvas.frame.background
+        """Return the record of a frame with the labels of its inserts, and the fields of what was `made`."""
+        source, output, wanted = frame.background, self._recipe.output, self._recipe.labels
+        # Ignore regions stay in the record: each format leaves them out, or not, when it is written.
+        rules = MergeSettings(wanted.mode, wanted.keep_categories, wanted.remove_covered)
+        merged = merge(source.instances, labels, rules)
         return FrameRecord(
             frame_id=frame.frame_id,
             image=frame.image_path(output.group_by, output_suffix(source.path, output.image)),
             image_sha256=hashlib.sha256(image_bytes).hexdigest(),
-            background=background_facts(source, canvas.background, self._settings.data_root),
-            scene=picture.scene.spec,
-            mapping=picture.mapping.to_json(),
+            background=background_facts(source, background, self._settings.data_root),
             kept=merged.kept,
             inserted=merged.inserted,
             removed=tuple(r.to_json() for r in merged.removed),
-            facts={**picture.facts, **facts},
-            warnings=tuple(p.to_json() for p in canvas.background.problems),
+            warnings=tuple(p.to_json() for p in background.problems),
             covered={
                 n: {"visibility": i.visibility, **({} if i.mask is None else {"mask": i.mask.to_coco()})}
                 for n, i in merged.partly_covered.items()
             },
             run=self._settings.run,
+            **made,
         )
 
 
@@ -298,36 +315,3 @@ def nearest_range_m(scene: PlacedScene) -> float | None:
     if scene.spec.view is None or not scene.objects:
         return None
     return min(o.range_m for o in scene.objects)
-
-
-def _unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> ComposedFrame:
-    """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
-    source = frame.background
-    background = settings.extensions.load(source)
-    kind = recipe.output.image
-    relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, kind))
-    if settings.extensions.backgrounds is not None or (kind == "png" and source.path.suffix.lower() != ".png"):
-        image_bytes = encode_image(background.pixels, background, kind)
-    else:
-        image_bytes = source.path.read_bytes()
-    merged = _merge(source.instances, (), recipe)
-    record = FrameRecord(
-        frame_id=frame.frame_id,
-        image=relative,
-        image_sha256=hashlib.sha256(image_bytes).hexdigest(),
-        background=background_facts(source, background, settings.data_root),
-        scene=None,
-        mapping=None,
-        kept=merged.kept,
-        inserted=(),
-        removed=tuple(r.to_json() for r in merged.removed),
-        warnings=tuple(p.to_json() for p in background.problems),
-        run=settings.run,
-    )
-    return ComposedFrame(record, image_bytes, {})
-
-
-def _merge(original: Sequence[Instance], new: Sequence[Instance], recipe: Recipe) -> MergedLabels:
-    # Ignore regions stay in the record: each format leaves them out, or not, when it is written.
-    labels = recipe.labels
-    return merge(original, new, MergeSettings(labels.mode, labels.keep_categories, labels.remove_covered))

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import sha256_of
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import partial_of
@@ -18,7 +17,7 @@ from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.selection import similar
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.pipeline.runs.review import read_verdicts
-from infrablend.pipeline.runs.run import Choice, run_plan
+from infrablend.pipeline.runs.run import Choice, is_unchanged, run_plan
 
 BY_HAND = "by hand"
 
@@ -156,16 +155,14 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
     """
     with folder.ledger() as ledger:
         known, done = ledger.backgrounds(), ledger.done()
-    digests: dict[Path, str | None] = {}
-    changed = []
-    for frame in plan.frames:
-        made_of, path = known.get(frame.background_id), frame.background.path
-        if frame.frame_id in excluded or frame.frame_id not in done or made_of is None:
-            continue
-        if path not in digests:
-            digests[path] = sha256_of(real_path(path)) if path.is_file() else None
-        if digests[path] != made_of[2]:
-            changed.append(Problem(str(path), "background-changed", f"not the one that {frame.frame_id} was made of"))
+    changed = [
+        Problem(str(frame.background.path), "background-changed", f"not the one that {frame.frame_id} was made of")
+        for frame in plan.frames
+        if frame.frame_id in done
+        and frame.frame_id not in excluded
+        and (made_of := known.get(frame.background_id)) is not None
+        and not is_unchanged(frame.background.path, made_of)
+    ]
     if changed:
         raise OtherSettingsError(
             f"{len(changed)} frames would have to be rendered again on other backgrounds; nothing was changed. Restore "

@@ -23,9 +23,9 @@ from infrablend.storage.mirror import origin_of
 
 log = logging.getLogger(__name__)
 
-# Packages that affect pixels or labels.
 RUN = "run"
 """Field of a run record with the identity that the records of its frames name."""
+# Packages that affect pixels or labels.
 RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
 
 # Reader problems that leave out a whole image, or an annotation file with many.

@@ -337,7 +337,7 @@ def _remaining(
             todo.append(frame)
             continue
         if name not in unchanged:
-            unchanged[name] = _is_unchanged(frame.background.path, known.get(name))
+            unchanged[name] = is_unchanged(frame.background.path, known.get(name))
         if not unchanged[name]:
             log.warning("%s: the background has changed since the frame was made; making it again", frame.frame_id)
             todo.append(frame)
@@ -349,7 +349,7 @@ def _is_there(folder: RunFolder, frame: DoneFrame) -> bool:
     return any(has_size(path, frame.bytes) for path in (folder.image(frame.image), folder.excluded(frame.image)))
 
 
-def _is_unchanged(path: Path, known: tuple[int, int, str] | None) -> bool:
+def is_unchanged(path: Path, known: tuple[int, int, str] | None) -> bool:
     """Return whether a background is the one that a frame was made of; it is read only if its size or time differs."""
     try:
         status = path.stat()
