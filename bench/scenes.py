@@ -20,6 +20,7 @@ from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan
+from infrablend.pipeline.plans.request import Execution
 from infrablend.sampling.scene import sample_scene
 
 RECIPE = "hit-uav-drone"
@@ -67,7 +68,7 @@ def spread(plan: RunPlan, count: int, out: Path) -> Work:
         data_root=plan.dataset.root,
         recipe_json=plan.recipe.model_dump_json(),
         seed=plan.seed,
-        pin_cores=False,
+        execution=Execution(device="cpu", in_process=True),  # without a core of its own
         levels=dataset_levels(plan) if plan.needs_levels else None,
     )
     return Work(tuple(plan.frames[i] for i in picked), settings)

@@ -21,6 +21,7 @@ import infrablend.compositing.picture as over
 import infrablend.pipeline.compose.extensions as extensions
 import infrablend.pipeline.compose.frame as pipeline
 import infrablend.pipeline.compose.looks as looks
+import infrablend.pipeline.compose.worker as worker
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import percentile_mapping
 from infrablend.compositing.overlay import compose, make_layer
@@ -32,8 +33,8 @@ from infrablend.core.render import RenderResult
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.pipeline.compose.frame import FrameMaker
 from infrablend.pipeline.compose.looks import percentile_settings
+from infrablend.pipeline.compose.worker import FrameMaker
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.runs.exports import export_run
 from infrablend.sampling.scene import RecipeSampler, sample_scene
@@ -149,7 +150,7 @@ STAGES = {
     (pipeline, "measure_inserts"): "contrast of inserts",
     (pipeline, "merge"): "merge labels",
     (pipeline, "encode_image"): "encode picture",
-    (pipeline, "write_bytes"): "write picture",
+    (worker, "write_bytes"): "write picture",
 }
 
 

@@ -18,3 +18,10 @@ def done(*words: object) -> Result:
     ended = run(*words)
     assert ended.exit_code == 0, ended.output
     return ended
+
+
+def said(*words: object, code: int = 0) -> str:
+    """Run a command that must end with this exit code; return all that it printed, on one line."""
+    ended = run(*words)
+    assert ended.exit_code == code, ended.output
+    return " ".join(ended.output.split())

@@ -53,6 +53,15 @@ def make(request):
     return lambda worker: pool(worker, workers=int(request.param[-1]))
 
 
+@pytest.fixture(params=["pool", pytest.param("ray", marks=pytest.mark.slow)])
+def lossy(request):
+    """A function of worker and settings -> executor with workers that may be lost."""
+    if request.param == "pool":
+        return pool
+    request.getfixturevalue("started_ray")
+    return lambda worker=OBEY, **settings: RayPool(worker, RaySettings(**{"workers": 1, **settings}))
+
+
 def orders(*orders):
     return [Task(f"t{i}", order) for i, order in enumerate(orders)]
 
@@ -177,22 +186,15 @@ def test_output_of_c_code_does_not_reach_stdout(make, capfd):
     assert capfd.readouterr().out == ""
 
 
-# ---- the process pool
+# ---- pools of workers
 
 
-def test_works_on_both_workers_at_once():
-    results = list(pool(workers=2).run(orders(*[("sleep", 0.15)] * 6)))
-    assert {r.worker for r in results} == {0, 1}
-
-
-def test_crashed_worker_is_replaced_and_its_task_retried(tmp_path):
+def test_crashed_worker_is_replaced_and_its_task_retried(lossy, tmp_path, capfd):
     flag = str(tmp_path / "flag")
-    results = list(pool(retries=1).run(orders(("die_once", flag), ("give", 1), ("give", 2))))
-    assert {r.key: (r.value, r.attempts) for r in results} == {
-        "t0": ("second try", 2),
-        "t1": (1, 1),
-        "t2": (2, 1),
-    }
+    results = lossy(retries=1).run(orders(("die_once", flag), ("give", 1), ("give", 2)))
+    found = {r.key: (r.value, r.attempts) for r in results}
+    assert found == {"t0": ("second try", 2), "t1": (1, 1), "t2": (2, 1)}
+    assert capfd.readouterr().out == ""
 
 
 def test_many_short_tasks_with_crashes_are_each_done_once(make, request, tmp_path):
@@ -216,14 +218,15 @@ def test_many_short_tasks_with_crashes_are_each_done_once(make, request, tmp_pat
         (("killed", None), r"ended by signal 9 SIGKILL \(often: out of memory\)"),
     ],
 )
-def test_always_crashing_task_fails_after_its_retries(order, words):
-    results = {r.key: r for r in pool(workers=2, retries=1).run(orders(("give", 0), order, ("give", 2)))}
+def test_always_crashing_task_fails_after_its_retries(lossy, order, words):
+    results = {r.key: r for r in lossy(workers=2, retries=1).run(orders(("give", 0), order, ("give", 2)))}
     assert results["t0"].value == 0
     assert results["t2"].value == 2
     failure = results["t1"].failure
     assert failure.kind == "crash"
     assert results["t1"].attempts == 2
-    with pytest.raises(WorkerDiedError, match=f"t1: its worker (was )?{words}"):
+    said = words if lossy is pool else "lost on attempt 2 of 2"
+    with pytest.raises(WorkerDiedError, match=f"t1: its worker (was )?{said}"):
         raise failure.to_exception()
 
 
@@ -240,19 +243,12 @@ def test_failure_quotes_the_last_output_which_is_also_logged(tmp_path):
     ]
 
 
-def test_hung_worker_is_killed_and_its_task_retried(tmp_path):
+def test_hung_worker_is_killed_and_its_task_retried(lossy, tmp_path):
     tasks = orders(("hang_once", str(tmp_path / "flag")), ("give", 1))
-    results = {r.key: r for r in pool(task_timeout_s=0.5).run(tasks)}
-    assert results["t0"].value == "second try"
-    assert results["t0"].attempts == 2
-    assert results["t1"].value == 1
-
-
-def test_task_that_always_hangs_fails():
-    results = list(pool(task_timeout_s=0.3, retries=0).run(orders(("sleep", FOREVER_S), ("give", 1))))
-    failure = next(r.failure for r in results if r.key == "t0")
-    assert failure.kind == "timeout"
-    assert "took longer than 0.3 s" in failure.message
+    results = {r.key: r for r in lossy(task_timeout_s=1.0).run(tasks)}
+    assert (results["t0"].value, results["t0"].attempts, results["t1"].value) == ("second try", 2, 1)
+    results = {r.key: r for r in lossy(task_timeout_s=0.5, retries=0).run(orders(("sleep", FOREVER_S), ("give", 1)))}
+    assert results["t0"].failure.kind == "timeout" and "took longer than 0.5 s" in results["t0"].failure.message
 
 
 def test_slow_consumer_is_no_hang():
@@ -265,28 +261,36 @@ def test_slow_consumer_is_no_hang():
     assert [r.failure for r in results] == [None] * 8
 
 
-def test_workers_are_recycled_by_count():
-    tasks = orders(*[("pid", None)] * 7)
-    results = list(pool(tasks_per_worker=3).run(tasks))
-    pids = [r.value for r in results]
+def test_workers_are_recycled_by_count_and_memory(lossy):
+    pids = [r.value for r in lossy(tasks_per_worker=3).run(orders(*[("pid", None)] * 7))]
     assert len(pids) == 7
-    # A worker finishes what already waited in its inbox, so it may serve one more.
+    # A worker of the process pool finishes what already waited in its inbox, so it may serve one more.
     assert 2 <= len(set(pids)) <= 3
     assert max(pids.count(p) for p in pids) <= 4
+    pids = [r.value for r in lossy(rss_ceiling_bytes=1).run(orders(*[("pid", None)] * 30))]
+    assert len(pids) == 30
+    assert len(set(pids)) == 2
 
 
-def test_workers_are_recycled_by_memory():
-    results = list(pool(rss_ceiling_bytes=1).run(orders(*[("pid", None)] * 30)))
-    assert len(results) == 30
-    assert len({r.value for r in results}) == 2
-
-
-def test_crash_at_the_start_is_one_clear_error(tmp_path):
+def test_crash_at_the_start_is_one_clear_error(lossy, tmp_path):
     counter = tmp_path / "starts"
-    with pytest.raises(WorkerDiedError, match=r"3 in a row .* exit code 11"):
-        list(pool(WorkerSpec("executor_work:dies", str(counter)), retries=2).run(orders(("give", 1))))
+    said = "exit code 11" if lossy is pool else ""
+    with pytest.raises(WorkerDiedError, match=f"3 in a row ended before their first task.*{said}"):
+        list(lossy(WorkerSpec("executor_work:dies", str(counter)), retries=2).run(orders(("give", 1))))
     assert len(counter.read_text()) == 3
     assert_no_children()
+
+
+def test_libraries_in_workers_have_one_thread(lossy):
+    assert next(iter(lossy().run(orders(("environment", None))))).value == ("1", 1)
+
+
+# ---- the process pool
+
+
+def test_works_on_both_workers_at_once():
+    results = list(pool(workers=2).run(orders(*[("sleep", 0.15)] * 6)))
+    assert {r.worker for r in results} == {0, 1}
 
 
 def test_result_that_does_not_pickle_is_a_failure():
@@ -299,10 +303,6 @@ def test_large_tasks_and_results_do_not_block_each_other():
     big = bytes(3_000_000)
     results = list(pool(workers=2).run(orders(*[("give", big)] * 6)))
     assert all(r.value == big for r in results)
-
-
-def test_libraries_in_workers_have_one_thread():
-    assert next(iter(pool().run(orders(("environment", None))))).value == ("1", 1)
 
 
 def test_temporary_files_of_dead_workers_are_removed():

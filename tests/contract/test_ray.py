@@ -1,4 +1,4 @@
-"""What the executor for Ray adds to the contract: a Ray of its own, lost workers and machines, and refused clusters."""
+"""What the executor for Ray adds to the contract: a Ray of its own, lost machines, and refused clusters."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from infrablend.core.tasks import Task, WorkerSpec
-from infrablend.errors import OutputError, WorkerDiedError
+from infrablend.errors import OutputError
 from infrablend.execution import RayPool, RaySettings
 
 pytest.importorskip("ray", reason="NEEDS RAY: `make ray` installs it; the executor for Ray is not tested without it")
@@ -39,63 +39,6 @@ def no_ray(monkeypatch):
 
     ray.shutdown()
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
-
-
-@pytest.fixture(scope="module")
-def ray_here():
-    import ray
-
-    ray.init(
-        "local",
-        num_cpus=2,
-        include_dashboard=False,
-        log_to_driver=False,
-        configure_logging=False,
-        object_store_memory=10**8,
-    )
-    yield ray
-    ray.shutdown()
-
-
-def test_a_lost_worker_is_replaced_and_its_task_retried(ray_here, tmp_path, capfd):
-    tasks = orders(("die_once", str(tmp_path / "flag")), ("give", 1), ("give", 2))
-    results = {r.key: (r.value, r.attempts) for r in pool(retries=1).run(tasks)}
-    assert results == {"t0": ("second try", 2), "t1": (1, 1), "t2": (2, 1)}
-    assert capfd.readouterr().out == ""
-
-
-def test_a_task_that_always_loses_its_worker_fails(ray_here):
-    results = {r.key: r for r in pool(workers=2, retries=1).run(orders(("give", 0), ("killed", None), ("give", 2)))}
-    assert (results["t0"].value, results["t2"].value) == (0, 2)
-    assert (results["t1"].failure.kind, results["t1"].attempts) == ("crash", 2)
-    with pytest.raises(WorkerDiedError, match="t1: its worker was lost on attempt 2 of 2"):
-        raise results["t1"].failure.to_exception()
-
-
-def test_a_hung_worker_is_killed_and_its_task_retried(ray_here, tmp_path):
-    tasks = orders(("hang_once", str(tmp_path / "flag")), ("give", 1))
-    results = {r.key: r for r in pool(task_timeout_s=1.0).run(tasks)}
-    assert (results["t0"].value, results["t0"].attempts, results["t1"].value) == ("second try", 2, 1)
-    failed = list(pool(task_timeout_s=0.5, retries=0).run(orders(("sleep", 3600))))
-    assert failed[0].failure.kind == "timeout" and "took longer than 0.5 s" in failed[0].failure.message
-
-
-def test_workers_are_replaced_by_count_and_memory(ray_here):
-    pids = [r.value for r in pool(tasks_per_worker=3).run(orders(*[("pid", None)] * 7))]
-    assert len(pids) == 7 and 2 <= len(set(pids)) <= 3
-    pids = [r.value for r in pool(rss_ceiling_bytes=1).run(orders(*[("pid", None)] * 30))]
-    assert len(pids) == 30 and len(set(pids)) == 2
-
-
-def test_crashes_at_the_start_are_one_clear_error(ray_here, tmp_path):
-    counter = tmp_path / "starts"
-    with pytest.raises(WorkerDiedError, match="3 in a row ended before their first task"):
-        list(pool(WorkerSpec("executor_work:dies", str(counter)), retries=2).run(orders(("give", 1))))
-    assert len(counter.read_text()) == 3
-
-
-def test_libraries_in_workers_have_one_thread(ray_here):
-    assert next(iter(pool().run(orders(("environment", None))))).value == ("1", 1)
 
 
 PROGRAM = """

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from infrablend.config.recipe import Labels
 from infrablend.core.boxes import clip_boxes
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB, TIGHT_BOX, TIGHT_OBB, ImageRecord, Instance
 from infrablend.core.mesh import FloatArray
+from infrablend.core.strict_model import Strict
 
 PerClass = float | Mapping[str, float]
 """One value for all classes, or one per class; classes that are not listed keep their boxes."""
@@ -21,6 +21,9 @@ Fit = Literal["shape", "visible"]
 LOOSENED = "boxes_loosened"
 """Name of the count of changed boxes in records."""
 
+COUNTS = (LOOSENED, "boxes_fit", "loosened_by", "loosened_by_px")
+"""Names of all counts in records that tell of changed boxes."""
+
 _LEAST_PX = 1e-9  # shorter movements are rounding errors
 
 
@@ -29,19 +32,19 @@ class Looseness:
     """How boxes are to be drawn.
 
     Attributes:
-        factors: Factor of at least 1 on width and height.
-        px: Distance, px, by which each side moves outwards after that.
+        loosen: Factor of at least 1 on width and height.
+        loosen_px: Distance, px, by which each side moves outwards after that.
         fit: What they are drawn around before that: the object's `shape`, or what is `visible` of it.
     """
 
-    factors: PerClass = 1.0
-    px: PerClass = 0.0
+    loosen: PerClass = 1.0
+    loosen_px: PerClass = 0.0
     fit: Fit = "shape"
 
     @classmethod
-    def of_labels(cls, labels: Labels) -> Looseness:
-        """Return the looseness that a recipe asks for."""
-        return cls(labels.loosen, labels.loosen_px, labels.fit)
+    def of_labels(cls, section: Strict) -> Looseness:
+        """Return what the labels of a recipe ask for, or a part of an experiment: its fields have the same names."""
+        return cls(**section.model_dump(include={f.name for f in fields(cls)}))
 
     def __bool__(self) -> bool:
         """Return whether boxes of some class change."""
@@ -50,10 +53,10 @@ class Looseness:
     def to_counts(self) -> dict[str, Any]:
         """Return `boxes_fit`, `loosened_by` and `loosened_by_px`, each where it changes boxes, as plain JSON values."""
         counts: dict[str, Any] = {} if self.fit == "shape" else {"boxes_fit": self.fit}
-        if any(v > 1 for v in _values(self.factors)):
-            counts["loosened_by"] = self.factors
-        if any(v > 0 for v in _values(self.px)):
-            counts["loosened_by_px"] = self.px
+        if any(v > 1 for v in _values(self.loosen)):
+            counts["loosened_by"] = self.loosen
+        if any(v > 0 for v in _values(self.loosen_px)):
+            counts["loosened_by_px"] = self.loosen_px
         return counts
 
     def counted(self, changed: int) -> dict[str, Any]:
@@ -62,9 +65,13 @@ class Looseness:
 
     def of(self, category: str) -> tuple[float, float]:
         """Return the factor and the distance, px, of a class."""
-        factor = self.factors.get(category, 1.0) if isinstance(self.factors, Mapping) else self.factors
-        px = self.px.get(category, 0.0) if isinstance(self.px, Mapping) else self.px
+        factor = self.loosen.get(category, 1.0) if isinstance(self.loosen, Mapping) else self.loosen
+        px = self.loosen_px.get(category, 0.0) if isinstance(self.loosen_px, Mapping) else self.loosen_px
         return factor, px
+
+
+EXACT = Looseness()
+"""Boxes as they are."""
 
 
 def loosen_inserted(images: Sequence[ImageRecord], by: Looseness) -> tuple[list[ImageRecord], int]:
@@ -93,6 +100,11 @@ def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
             one, count = _loosened(one, factor, px, image.size_wh, fitted), count + 1
         instances.append(one)
     return replace(image, instances=tuple(instances)), count
+
+
+def loosened_counts(counts: Mapping[str, Any]) -> dict[str, Any]:
+    """Return those of a step's counts that say how many boxes were changed, and how; see `Looseness.counted`."""
+    return {k: counts[k] for k in COUNTS if k in counts}
 
 
 def loosened_text(count: int, by: Looseness) -> str:

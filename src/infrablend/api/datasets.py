@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from infrablend.annotation.looseness import Looseness
 from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
 from infrablend.fetching import fetch as fetching
@@ -114,7 +115,7 @@ def convert(
     """
     dataset = read_dataset(source, reading)
     return convert_dataset(
-        dataset, to, Path(out), classes=classes, selection=selection, loosen=loosen, loosen_px=loosen_px,
+        dataset, to, Path(out), classes=classes, selection=selection, looseness=Looseness(loosen, loosen_px),
         settings=writing, overwrite=overwrite,
     )  # fmt: skip
 

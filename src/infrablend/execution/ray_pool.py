@@ -16,20 +16,34 @@ import logging
 import os
 import signal
 import socket
+import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, MissingDependencyError, OutputError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
 from infrablend.execution.process_pool import module_path
-from infrablend.execution.worker import ONE_THREAD, ResultMessage, WorkerLimits, loss_of, start_error, value_of
+from infrablend.execution.worker import (
+    ONE_THREAD,
+    ResultMessage,
+    WorkerLimits,
+    close_callable,
+    failure_of,
+    loss_of,
+    make_callable,
+    perform,
+    start_error,
+    value_of,
+)
 
 log = logging.getLogger(__name__)
 
@@ -62,7 +76,6 @@ class RayPool:
     """Executor that runs tasks in Ray actors."""
 
     def __init__(self, worker: WorkerSpec, settings: RaySettings | None = None) -> None:
-        """Keep the settings; Ray and the workers start with `run`."""
         self._worker = worker
         self._settings = settings or RaySettings()
 
@@ -138,7 +151,6 @@ def _connected(settings: RaySettings) -> Iterator[tuple[Any, bool]]:
 
 @contextlib.contextmanager
 def _variables(variables: Mapping[str, str]) -> Iterator[None]:
-    """Set environment variables in this context, for the processes that are started in it."""
     before = {name: os.environ.get(name) for name in variables}
     os.environ.update(variables)
     try:
@@ -207,8 +219,6 @@ class _Worker:
 
 
 class _Run:
-    """State of a pool: its actors and the waiting tasks."""
-
     def __init__(self, ray: Any, settings: RaySettings, spec: WorkerSpec, own: bool) -> None:
         self._ray = ray
         self._settings = settings
@@ -270,7 +280,6 @@ class _Run:
             self._started += 1
 
     def _feed(self) -> None:
-        """Hand waiting tasks to idle workers."""
         for w in self._workers:
             if self._pending and w.starting is None and w.current is None:
                 attempts = self._next(w)
@@ -289,7 +298,6 @@ class _Run:
     # ---- collecting
 
     def _collect(self, winding_down: bool) -> None:
-        """Wait for a result or a start, and take all that are there."""
         waiting = [w.starting for w in self._workers if w.starting is not None]
         waiting += [w.current[0] for w in self._workers if w.current is not None]
         if not waiting:
@@ -363,7 +371,6 @@ class _Run:
         winding_down: bool,
         output: str = "",
     ) -> None:
-        """Retry or fail the tasks that a worker was running when it, or its machine, was lost."""
         self._workers.remove(w)
         self._ray.kill(w.actor)
         if winding_down:
@@ -383,7 +390,6 @@ class _Run:
     # ---- endings
 
     def _end(self, w: _Worker) -> None:
-        """Let a worker close its callable; it ends when its last reference is gone."""
         with contextlib.suppress(self._ray.exceptions.RayError):
             self._ray.get(w.actor.finish.remote(), timeout=self._settings.grace_s)
         self._ray.kill(w.actor)
@@ -404,9 +410,39 @@ class _Run:
         self._workers.clear()
 
 
-def _actor_class(ray: Any, settings: RaySettings, own: bool) -> Any:
-    from infrablend.execution.ray_worker import RayWorker
+class RayWorker:
+    """The worker in a Ray actor, on whatever machine: creates its callable once and performs one task at a time."""
 
+    def __init__(self, log_level: int, module_path: list[str], folder: str) -> None:
+        """Log to the files that Ray keeps per worker; work in the driver's folder, with its modules, where it is."""
+        if Path(folder).is_dir():
+            os.chdir(folder)
+        sys.path += [p for p in module_path if p not in sys.path and Path(p).exists()]
+        logging.basicConfig(level=log_level, format="%(levelname)s %(name)s: %(message)s", force=True)
+        self._work: Callable[[Task], Any] | None = None
+        self._process = psutil.Process()
+
+    def start(self, spec: WorkerSpec) -> Failure | None:
+        """Create the callable; return why it cannot be created, or None."""
+        try:
+            self._work = make_callable(spec)
+        except BaseException as error:
+            return failure_of(error)
+        return None
+
+    def perform(self, tasks: list[Task]) -> list[ResultMessage]:
+        """Perform tasks, one after the other."""
+        assert self._work is not None
+        return [perform(self._work, task, self._process) for task in tasks]
+
+    def finish(self) -> None:
+        """Close the callable; no task may follow."""
+        if self._work is not None:
+            close_callable(self._work)
+            self._work = None
+
+
+def _actor_class(ray: Any, settings: RaySettings, own: bool) -> Any:
     options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0}
     if not own:  # whoever started it may have set other variables; workers with an environment of theirs start later
         options["runtime_env"] = {"env_vars": dict(ONE_THREAD)}

@@ -52,7 +52,6 @@ def scratch_folder() -> Iterator[str]:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove the scratch folders of parents that were killed."""
     for left in sorted(folder.glob(_SCRATCH + "*")):
         with contextlib.suppress(OSError):
             if left.is_symlink() or left.stat().st_uid != os.getuid():

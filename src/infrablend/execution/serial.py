@@ -53,7 +53,6 @@ class WarmSerial:
     """`WarmPool` without worker processes: the callable is created with the first task and kept between calls."""
 
     def __init__(self, worker: WorkerSpec) -> None:
-        """Keep the worker's recipe."""
         self._worker = worker
         self._work: Callable[[Task], Any] | None = None
 

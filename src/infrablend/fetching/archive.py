@@ -179,7 +179,6 @@ def without_wrapper(folder: Path) -> Path:
 
 
 def _network_error(url: str, error: Exception) -> FetchError:
-    """Return the error for a request that failed, with what to do."""
     reason = error.reason if isinstance(error, urllib.error.URLError) else error
     code, expected = "no-connection", "the file"
     found = f"no connection, or a broken one ({getattr(reason, 'strerror', None) or reason or type(reason).__name__})"
@@ -247,7 +246,6 @@ def _members(tar: tarfile.TarFile) -> Iterator[tarfile.TarInfo]:
 
 
 def _zip_refusal(info: zipfile.ZipInfo) -> str:
-    """Return the reason not to unpack a member, or an empty string if it may be unpacked."""
     if stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
         return "a link or a device"
     if re.match(r"[/\\]|[A-Za-z]:", info.filename) or ".." in re.split(r"[/\\]", info.filename):

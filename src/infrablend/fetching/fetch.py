@@ -179,7 +179,9 @@ def fetch(
                 done[wanted[0].part].problems.append(replace(remark, severity="warning"))
             facts = {**known, **{part: one.facts for part, one in done.items()}}
             require_still_there([space.folder / place for one in done.values() for place in one.facts["places"]])
-            space.finish(_source_facts(source, facts))
+            names = ("name", "title", "page", "licence_note", "attribution", "citation")
+            origin = {name: getattr(source, name) for name in names}
+            space.finish({**origin, "licence": asdict(source.licence), "archives": facts})
         require_still_there([out / SOURCE_FILE])
     return FetchReport(
         out,
@@ -233,7 +235,6 @@ def _known(source: Source, out: Path) -> dict[str, Any]:
 
 
 def _missing(source: Source, out: Path, wanted: Sequence[Archive]) -> list[Archive]:
-    """Return the parts that were not fetched to `out`, or of which something has been removed since."""
     known = _known(source, out)
     return [
         a
@@ -243,8 +244,6 @@ def _missing(source: Source, out: Path, wanted: Sequence[Archive]) -> list[Archi
 
 
 def _link_tree(source: Path, target: Path) -> None:
-    """Copy a dataset without its record into the workspace, by hard links where the file system has them."""
-
     def link(file: str, copy: str) -> None:
         try:
             os.link(file, copy)
@@ -266,8 +265,6 @@ def _link_tree(source: Path, target: Path) -> None:
 
 @dataclass(frozen=True)
 class _Part:
-    """A fetched part: its facts for the record, and warnings."""
-
     facts: dict[str, Any]
     problems: list[Problem]
 
@@ -275,8 +272,6 @@ class _Part:
 def _fetch_part(
     source: Source, a: Archive, request: FetchRequest, root: Path, work: Path, on_progress: OnFetch | None
 ) -> _Part:
-    """Fetch, check and unpack one archive, and move its content to its place below `root`."""
-
     def show(step: Literal["download", "unpack"]) -> Callable[[int, int | None], None]:
         return lambda done, total: on_progress and on_progress(FetchProgress(step, file.name, done, total))
 
@@ -369,7 +364,6 @@ def _check_content(
 
 
 def _not_read_as(source: Source, root: Path) -> Problem | None:
-    """Return the problem of a folder that is not read as the dataset; None if it is."""
     found = detect(root)
     match = next((m for m in found.matches if m.format == source.name), None)
     if match is None or match.ok:
@@ -377,16 +371,6 @@ def _not_read_as(source: Source, root: Path) -> Problem | None:
     text = match.reason + (f"; it is read as {found.format}" if found.format else "")
     todo = "give the archive of this dataset, or use the files without `fetch`: their licence is another"
     return Problem(source.name, "not-this-format", text, f"the files of {source.name}", todo)
-
-
-def _source_facts(source: Source, archives: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the record of the folder: the origin of the data, for readers and for the cards of derived datasets."""
-    names = ("name", "title", "page", "licence_note", "attribution", "citation")
-    return {
-        **{name: getattr(source, name) for name in names},
-        "licence": asdict(source.licence),
-        "archives": dict(archives),
-    }
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,6 @@ class _Surfaces:
 
 
 def _surfaces(scene: PlacedScene) -> _Surfaces:
-    """Return the triangles of a scene."""
     found = [_surfaces_of(number, placed, scene) for number, placed in enumerate(scene.objects)]
     if len(found) == 1:
         return found[0]

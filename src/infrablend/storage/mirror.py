@@ -22,14 +22,11 @@ _INDEX = ".storage.json"
 _SPARE_BYTES = 1 << 30
 
 
-def local_folder(path: str | Path, store: Store | None = None) -> Path:
+def local_folder(path: str | Path) -> Path:
     """Return a folder on this machine with the files of a folder, which may be in object storage.
 
-    A copy is used again as long as the storage lists the same files with the same sizes.
-
-    Args:
-        path: Folder, which is returned as it is, or address.
-        store: The storage; None connects to that of the address.
+    A folder of this machine is returned as it is. A copy is used again as long as the storage lists the same files
+    with the same sizes.
 
     Raises:
         DatasetError: There is nothing at the address.
@@ -38,7 +35,7 @@ def local_folder(path: str | Path, store: Store | None = None) -> Path:
     """
     if (address := address_of(path)) is None:
         return Path(path)
-    store = store or Store(address)
+    store = Store(address)
     wanted = store.tree()
     if not wanted:
         raise DatasetError(f"{address}: found no files, expected a dataset. Check the address with the storage's tools")

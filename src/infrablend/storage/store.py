@@ -16,32 +16,27 @@ log = logging.getLogger(__name__)
 
 
 class Store:
-    """A folder in object storage."""
+    """A folder in object storage.
 
-    def __init__(self, address: str, files: Any = None) -> None:
-        """Connect to a folder.
+    Every method raises `StorageError` if the storage cannot be reached, or refuses.
+    """
 
-        Args:
-            address: Address of the folder, such as `s3://bucket/run`.
-            files: File system of fsspec to use; None for that of the address.
+    def __init__(self, address: str) -> None:
+        """Connect to a folder by its address, such as `s3://bucket/run`.
 
         Raises:
             MissingDependencyError: The library for this storage is not installed.
         """
         self.address = address
-        self._root = address.partition("://")[2]
-        self._files = files if files is not None else _file_system(address.partition("://")[0])
+        scheme, _, self._root = address.partition("://")
+        self._files = _file_system(scheme)
 
     def place(self, name: str) -> str:
         """Return the address of a file, for messages."""
         return f"{self.address}/{name}"
 
     def files(self) -> dict[str, int]:
-        """Return the bytes of the files directly in the folder by name; empty if there is no such folder.
-
-        Raises:
-            StorageError: The storage cannot be reached or read.
-        """
+        """Return the bytes of the files directly in the folder by name; empty if there is no such folder."""
         with self._reported("be listed"):
             try:
                 found = self._files.ls(self._root, detail=True)
@@ -50,11 +45,7 @@ class Store:
         return {f["name"].rpartition("/")[2]: int(f["size"] or 0) for f in found if f["type"] == "file"}
 
     def tree(self) -> dict[str, int]:
-        """Return the bytes of all files below the folder, by their paths in it.
-
-        Raises:
-            StorageError: The storage cannot be reached or read.
-        """
+        """Return the bytes of all files below the folder, by their paths in it."""
         with self._reported("be listed"):
             found = self._files.find(self._root, detail=True)
         before = len(self._root) + 1
@@ -62,32 +53,15 @@ class Store:
         return {p[before:]: int(f["size"] or 0) for p, f in found.items() if not p.endswith("/")}
 
     def read(self, name: str) -> bytes | None:
-        """Return the content of a small file, or None if there is none.
-
-        Raises:
-            StorageError: It cannot be read.
-        """
+        """Return the content of a small file, or None if there is none."""
         with self._reported("be read", name):
             try:
                 return bytes(self._files.cat_file(self._path(name)))
             except FileNotFoundError:
                 return None
 
-    def write(self, name: str, data: bytes) -> None:
-        """Write a small file.
-
-        Raises:
-            StorageError: It cannot be written.
-        """
-        with self._reported("be written", name):
-            self._files.pipe_file(self._path(name), data)
-
     def upload(self, source: Path, name: str) -> None:
-        """Write a file of any size.
-
-        Raises:
-            StorageError: It cannot be written, or has another size in the storage.
-        """
+        """Write a file, and check that it has the same size in the storage."""
         with self._reported("be written", name):
             self._files.put_file(str(source), self._path(name))
             found = int(self._files.info(self._path(name))["size"])
@@ -114,11 +88,7 @@ class Store:
                 )
 
     def remove(self, name: str) -> None:
-        """Remove a file, if there is one.
-
-        Raises:
-            StorageError: It cannot be removed.
-        """
+        """Remove a file, if there is one."""
         with self._reported("be removed", name), contextlib.suppress(FileNotFoundError):
             if self._files.exists(self._path(name)):
                 self._files.rm_file(self._path(name))

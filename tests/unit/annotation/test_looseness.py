@@ -71,7 +71,7 @@ def test_margins_end_at_the_border_and_widen_what_has_no_extent():
     corner = Instance("Person", np.array([0.0, 0, 4, 4]), corners_of_box(np.array([0.0, 0, 4, 4])), inserted=True)
     flat = Instance("Person", np.array([20.0, 30, 28, 30]), corners_of_box(np.array([20.0, 30, 28, 30])), inserted=True)
     image = ImageRecord("a", Path("a.png"), "train", WH, (corner, flat))
-    (loose,), _ = loosen_inserted([image], Looseness(px=3.0))
+    (loose,), _ = loosen_inserted([image], Looseness(loosen_px=3.0))
     for one, expected in zip(loose.instances, ([0, 0, 7, 7], [17, 27, 31, 33]), strict=True):
         np.testing.assert_allclose(one.box_xyxy, expected)
         low, high = one.corners_xy.min(axis=0), one.corners_xy.max(axis=0)

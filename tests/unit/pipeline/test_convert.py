@@ -8,21 +8,16 @@ from pathlib import Path
 
 import pytest
 import yaml
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.core.format_table import WRITERS, written_names
 from infrablend.errors import DatasetError, OutputError, UnknownFormatError
 from infrablend.formats import detection, writing
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures import read_size
+from tests.command_line import done, run
 from tests.flights import flight
 from tests.samples import SAMPLES, picture
-
-
-def run(*words: object):
-    return CliRunner().invoke(build_app(), [str(w) for w in words])
 
 
 @pytest.fixture
@@ -33,13 +28,12 @@ def data(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("to", written_names())
 def test_every_format_is_written_from_the_command_line(to: str, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    done = run("-q", "convert", data, out, "--to", to)
-    assert done.exit_code == 0, done.output
-    assert "Person 2" in done.stdout and done.stdout.endswith(f"{out}\n")
+    said = done("convert", data, out, "--to", to).stdout
+    assert "Person 2" in said and said.endswith(f"{out}\n")
     record = json.loads((out / "convert.json").read_text())
     assert (record["format"], record["source_format"], record["ok"]) == (to, "coco", True)
     assert {k.rpartition(".")[2] for k in record["losses"]} <= set(LOSSES)
-    assert all(f"lost: {k} {n}: {LOSSES[k.rpartition('.')[2]]}" in done.stdout for k, n in record["losses"].items())
+    assert all(f"lost: {k} {n}: {LOSSES[k.rpartition('.')[2]]}" in said for k, n in record["losses"].items())
     again = api.read_dataset(out)
     assert len(again.images) == 4
     linked = {p.stat().st_ino for p in data.rglob("*.jpg")}
@@ -47,8 +41,7 @@ def test_every_format_is_written_from_the_command_line(to: str, data: Path, tmp_
 
 
 def test_json_output_equals_the_record(data: Path, tmp_path: Path) -> None:
-    done = run("-q", "convert", data, tmp_path / "out", "--to", "yolo", "--split", "train,val", "--json")
-    said = json.loads(done.stdout)
+    said = json.loads(done("convert", data, tmp_path / "out", "--to", "yolo", "--split", "train,val", "--json").stdout)
     record = json.loads((tmp_path / "out/convert.json").read_text())
     assert {k: record[k] for k in ("ok", "counts", "losses", "problems")} == {
         k: said[k] for k in ("ok", "counts", "losses", "problems")
@@ -60,7 +53,7 @@ def test_json_output_equals_the_record(data: Path, tmp_path: Path) -> None:
 def test_classes_are_renamed_joined_and_dropped(data: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     options = ("--rename", "Car=vehicle,Bicycle=vehicle", "--drop-class", "DontCare,OtherVehicle")
-    assert run("-q", "convert", data, out, "--to", "yolo-obb", *options).exit_code == 0
+    done("convert", data, out, "--to", "yolo-obb", *options)
     record = json.loads((out / "convert.json").read_text())
     assert record["counts"]["labels"] == {"Person": 2, "vehicle": 2}
     assert record["counts"]["labels_dropped"] == {"DontCare": 1}
@@ -69,11 +62,9 @@ def test_classes_are_renamed_joined_and_dropped(data: Path, tmp_path: Path) -> N
 
 
 def test_names_with_commas_are_chosen_with_a_backslash(data: Path, tmp_path: Path) -> None:
-    renamed = run("-q", "convert", data, tmp_path / "a", "--to", "coco", "--rename", r"Car=car\, truck,Person=P")
-    assert renamed.exit_code == 0, renamed.output
+    done("convert", data, tmp_path / "a", "--to", "coco", "--rename", r"Car=car\, truck,Person=P")
     assert {"car, truck", "P"} <= {c.name for c in api.read_dataset(tmp_path / "a").categories}
-    dropped = run("-q", "convert", tmp_path / "a", tmp_path / "b", "--to", "coco", "--drop-class", r"car\, truck, P")
-    assert dropped.exit_code == 0, dropped.output
+    done("convert", tmp_path / "a", tmp_path / "b", "--to", "coco", "--drop-class", r"car\, truck, P")
     assert not {"car, truck", "P"} & {c.name for c in api.read_dataset(tmp_path / "b").categories}
 
 
@@ -102,15 +93,8 @@ def test_telemetry_that_names_do_not_hold_goes_into_a_table(tmp_path: Path) -> N
         report = api.convert(data, tmp_path / to, to)
         assert "telemetry_dropped" not in report.losses
         again = {i.name: i for i in api.read_dataset(tmp_path / to).images}
-        assert (
-            again["b 0.jpg"].capture.pitch_deg,
-            again["b 0.jpg"].capture.altitude_m,
-            again["b 0.jpg"].capture.time_of_day,
-        ) == (
-            30,
-            50,
-            "day",
-        )
+        capture = again["b 0.jpg"].capture
+        assert (capture.pitch_deg, capture.altitude_m, capture.time_of_day) == (30, 50, "day")
     report = api.convert(data, tmp_path / "xml", "hit-uav-xml")
     assert report.losses["telemetry_dropped"] == 1
 
@@ -151,9 +135,9 @@ def test_source_problems_are_reported_with_exit_code_1(data: Path, tmp_path: Pat
     top["annotations"][0]["bbox"] = [1, 2, -3, 4]
     top["annotations"][1]["category_id"] = 77
     file.write_text(json.dumps(top))
-    done = run("-q", "convert", data, tmp_path / "out", "--to", "coco")
-    assert done.exit_code == 1
-    assert "2 problem(s)" in done.stderr and "category_id 77" in done.stderr and "size -3x4" in done.stderr
+    ended = run("convert", data, tmp_path / "out", "--to", "coco")
+    assert ended.exit_code == 1
+    assert "2 problem(s)" in ended.stderr and "category_id 77" in ended.stderr and "size -3x4" in ended.stderr
     record = json.loads((tmp_path / "out/convert.json").read_text())
     assert [p["code"] for p in record["problems"]] == ["box-empty", "category-unknown", "category-zero"]
 

@@ -10,7 +10,6 @@ import pytest
 
 from infrablend import api
 from infrablend.core.workspace import partial_of
-from infrablend.pipeline.runs import review
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed
@@ -116,11 +115,13 @@ def test_included_frames_give_the_run_back_byte_by_byte(made: Path) -> None:
     assert hashes(made) == before
 
 
-def test_a_resumed_run_keeps_the_choice(made: Path, words: list[object]) -> None:
+@pytest.mark.parametrize("option", ["--resume", "--overwrite"])
+def test_a_resumed_run_keeps_the_choice_and_a_new_one_forgets_it(option: str, made: Path, words: list[object]) -> None:
+    whole = hashes(made)
     done("exclude", made, frame_ids(made)[0])
-    before = hashes(made)
-    done(*words, "--resume")
-    assert hashes(made) == before
+    expected = hashes(made) if option == "--resume" else whole
+    done(*words, option)
+    assert hashes(made) == expected
 
 
 def test_purged_files_are_deleted_and_rendered_again(made: Path, words: list[object]) -> None:
@@ -149,13 +150,6 @@ def test_a_review_excludes_and_includes(made: Path) -> None:
     (made.parent / "review.json").write_text(json.dumps({"frames": verdicts}))
     (made / "review.json").symlink_to(made.parent / "review.json")
     assert "a link out of its folder" in " ".join(refused("exclude", made, "--review").split())
-
-
-def test_overwriting_a_run_forgets_the_choice(made: Path, words: list[object]) -> None:
-    before = hashes(made)
-    done("exclude", made, frame_ids(made)[0])
-    done(*words, "--overwrite")
-    assert hashes(made) == before
 
 
 # Before and after the folder is reopened, while files move and labels are written, and at its end.
@@ -208,4 +202,3 @@ def test_the_recorded_request_is_read_again(made: Path, words: list[object], tmp
     }
     done("exclude", out, frame_ids(out)[0])
     assert len(frame_ids(out)) == 1
-    assert review.REVIEW_FILE == "review.json"

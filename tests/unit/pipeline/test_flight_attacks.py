@@ -5,43 +5,32 @@ from __future__ import annotations
 import json
 import struct
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import Result
 from numpy.typing import NDArray
 from PIL import Image
-from typer.testing import CliRunner
 
-from infrablend.cli.app import build_app
 from infrablend.formats.rjpeg.segments import APP1
 from infrablend.formats.rjpeg.writing import PLANCK, segment_bytes
 from infrablend.formats.rjpeg.xmp import EXTENDED
+from tests.command_line import said
 from tests.flights import SIZE_WH, flight, shot, with_xmp
 
-APP = build_app()
 SHAPE = SIZE_WH[::-1]
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(APP, ["-q", *(str(a) for a in arguments)], env={"COLUMNS": "300"})
 
 
 def inspected(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the facts by field (source and lowest value), and the texts of the problems by code."""
-    result = run("inspect", "--json", folder)
-    assert result.exit_code == 0, result.output
-    data = json.loads(result.output)
+    data = json.loads(said("inspect", "--json", folder))
     facts = {r["field"]: (r["source"], r["lowest"]) for r in data["notes"]["flight"]["facts"]}
     return facts, {p["code"]: p["found"] for p in data["problems"]}
 
 
-def extracted(*arguments: object, code: int = 0) -> str:
-    result = run("temperatures", *arguments)
-    assert result.exit_code == code, result.output
-    return " ".join(result.output.split())
+extracted = partial(said, "temperatures")
 
 
 # ---- Headers

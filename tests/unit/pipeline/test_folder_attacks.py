@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
+from infrablend.core.ledger import Ledger
 from infrablend.core.workspace import Workspace, partial_of
 from tests.clips import write_detections
 from tests.command_line import done, run
@@ -256,6 +257,26 @@ def test_damaged_records_are_errors_with_a_name(text: str, made: Path) -> None:
     for words in (["preview", made], ["preview", made, "--ground"], ["rerender", made, frame], ["report", made]):
         ended = run(*words)
         assert ended.exit_code == 2 and "run.sqlite: the record of" in " ".join(ended.output.split()), ended.output
+
+
+@pytest.mark.parametrize(
+    "values", [{"data": None}, {"data": "x"}, {"request": 5}, {"request": {"selection": []}}], ids=str
+)
+def test_fields_of_a_run_record_of_another_type_are_named(
+    words: list[object], made: Path, values: dict[str, object]
+) -> None:
+    with Ledger.open(made, write=True) as ledger:
+        ledger.write_run({**ledger.read_run(), **values})
+    frame = frame_ids(made)[0]
+    for reader in (["exclude", made, frame], ["rerender", made, frame]):
+        ended = run(*reader)
+        assert ended.exit_code in (1, 2, 3) and "Traceback" not in ended.output, ended.output
+        assert "run.json: cannot be read" in ended.output and "--overwrite" in ended.output
+    assert run("preview", made).exit_code in (0, 2)
+    assert run("preview", made, "--ground").exit_code == 2
+    assert run("check", made).exit_code in (0, 1, 2)
+    done(*words, "--overwrite")
+    done("check", made)
 
 
 def test_numbers_that_are_too_large_are_errors_with_a_name(tmp_path: Path) -> None:

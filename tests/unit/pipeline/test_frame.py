@@ -14,6 +14,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import LocalMatching
 from infrablend.errors import DatasetError
 from infrablend.pipeline.compose.looks import local_settings
+from tests.command_line import done
 from tests.run_files import records
 
 RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")
@@ -43,9 +44,10 @@ def write_yolo(root: Path, stem: str, pixels: np.ndarray, lines: list[str]) -> N
     (root / "labels" / "train" / f"{stem}.txt").write_text("\n".join(lines) + "\n")
 
 
-def generate(data: Path, out: Path, recipe: str = "hit-uav-drone-physical", settings=()):
+def generate(data: Path, out: Path, recipe: str = "hit-uav-drone-physical", settings=(), limit: int | None = None):
     pairs = ["output.image=png", "configurations=1", *settings]
-    return api.generate(recipe, data, out, settings=pairs, execution=api.Execution(renderer="flat", in_process=True))
+    how = api.Execution(renderer="flat", in_process=True)
+    return api.generate(recipe, data, out, settings=pairs, execution=how, limit=limit)
 
 
 @pytest.mark.parametrize("recipe", ["hit-uav-drone-physical", "monet-deer-physical"])
@@ -221,14 +223,7 @@ def test_levels_are_the_datasets_whatever_the_limit(tmp_path):
     wide = {f"{n}.png": Image.fromarray(scenery(k) // (1 + k)) for k, n in enumerate(RECORDS)}
     data = folder(tmp_path / "data", wide)
     for name, limit in (("all", None), ("one", 1)):
-        api.generate(
-            "hit-uav-drone-physical",
-            data,
-            tmp_path / name,
-            limit=limit,
-            execution=api.Execution(renderer="flat", in_process=True),
-            settings=["output.image=png", "configurations=1"],
-        )
+        generate(data, tmp_path / name, limit=limit)
     runs = [json.loads((tmp_path / n / "run.json").read_text()) for n in ("all", "one")]
     assert runs[0]["levels"] == runs[1]["levels"]
     first = f"images/train/{RECORDS[0]}_c0.png"
@@ -281,17 +276,10 @@ def test_the_controls_show_the_same_scenes_with_the_same_labels(tmp_path, recipe
 
 @pytest.mark.parametrize(("options", "rows"), [(["--count", "8"], 4), (["--count", "1"], 1), ([], 3)])
 def test_the_ground_preview_shows_as_many_frames_as_asked(tmp_path, options, rows):
-    from typer.testing import CliRunner
-
-    from infrablend.cli.app import build_app
-
     data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(n)[:256, :320]) for n in range(8)})
     generate(data, tmp_path / "run")
     sheet = tmp_path / "sheet.png"
-    done = CliRunner().invoke(
-        build_app(), ["preview", str(tmp_path / "run"), "--ground", "--out", str(sheet), *options]
-    )
-    assert done.exit_code == 0, done.output
+    done("preview", tmp_path / "run", "--ground", "--out", sheet, *options)
     # Each cell shows a frame of 256 rows, twice enlarged.
     with Image.open(sheet) as picture:
         assert picture.height // (2 * 256) == rows

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import ArgumentError, OtherSettingsError
 from infrablend.pipeline.plans.selection import FrameSelection
+from tests.command_line import run
 from tests.run_files import ledger_rows
 
 FLAT = api.Execution(renderer="flat", in_process=True)
@@ -103,12 +102,8 @@ def test_unknown_frames_are_named_with_similar_ones(data: Path, tmp_path: Path) 
 
 
 def test_the_command_line_plans_chosen_frames(data: Path, tmp_path: Path) -> None:
-    def call(*options: str) -> Any:
-        arguments = ["generate", RECIPE, "--data", str(data), "--out", str(tmp_path / "run"), "--plan", "--json"]
-        return CliRunner().invoke(build_app(), [*arguments, *options])
-
-    assert json.loads(call("--frames", "test/0_130_90_0_00004_c1,0_60_30_0_00001").stdout)["frames"] == 3
-    assert json.loads(call("--sample", "2").stdout)["frames"] == 4
-    refused = call("--sample", "2", "--limit", "1")
-    assert refused.exit_code == 2
-    assert "limit and sample exclude each other" in refused.output
+    words = ("generate", RECIPE, "--data", data, "--out", tmp_path / "run", "--plan", "--json")
+    for chosen, count in (("--frames", "test/0_130_90_0_00004_c1,0_60_30_0_00001"), 3), (("--sample", 2), 4):
+        assert json.loads(run(*words, *chosen).stdout)["frames"] == count
+    refused = run(*words, "--sample", 2, "--limit", 1)
+    assert refused.exit_code == 2 and "limit and sample exclude each other" in refused.output

@@ -6,32 +6,21 @@ import csv
 import json
 import shutil
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 from PIL import Image
-from typer.testing import CliRunner
 
-from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
 from infrablend.pipeline.plans.request import RunRequest
 from infrablend.pipeline.runs.generate import prepare_run
+from tests.command_line import run, said
 from tests.videos import FRAMES, RATE, SIZE_WH, av, bracketed, level, write_srt, write_video
 
-APP = build_app()
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(APP, ["-q", "frames", *(str(a) for a in arguments)])
-
-
-def done(*arguments: object, code: int = 0) -> str:
-    result = run(*arguments)
-    assert result.exit_code == code, result.output
-    return " ".join(result.output.split())
+done = partial(said, "frames")
 
 
 def rows(out: Path) -> list[dict[str, str]]:
@@ -57,7 +46,7 @@ def test_frames_and_telemetry_agree(tmp_path: Path) -> None:
         with Image.open(out / row["file"]) as picture:
             assert (picture.mode, picture.size) == ("L", SIZE_WH)
             assert picture.getextrema() == (level(int(row["frame"])),) * 2
-    facts = json.loads(CliRunner().invoke(APP, ["inspect", str(out), "--json"]).output)
+    facts = json.loads(run("inspect", out, "--json").output)
     assert facts["sequences"] == {"DJI_0001": 4}
     assert facts["coverage"] and not facts["problems"]
 
@@ -76,10 +65,7 @@ def test_several_videos_are_sequences_for_split(tmp_path: Path) -> None:
     videos = [flight(tmp_path, f"DJI_000{k}") for k in range(1, 4)]
     out, new = tmp_path / "out", tmp_path / "split"
     done(*videos, "--every", "20f", "--out", out, "--sequence", "north,south,west")
-    result = CliRunner().invoke(
-        APP, ["split", str(out), str(new), "--by", "sequence", "--to", "coco", "--shares", "0.4,0.3,0.3"]
-    )
-    assert result.exit_code == 0, result.output
+    said("split", out, new, "--by", "sequence", "--to", "coco", "--shares", "0.4,0.3,0.3")
     record = json.loads((new / "split.json").read_text("utf-8"))
     assert sorted(record["groups"]) == ["north", "south", "west"]
     assert sorted(record["groups"].values()) == ["test", "train", "val"]
@@ -162,11 +148,8 @@ def test_subtitles_of_each_second_are_interpolated(tmp_path: Path) -> None:
     write_srt(tmp_path / "a.srt", lambda _, s: line.format(20 + 3 * s), blocks=5, step_s=1.0)
     text = done(video, "--every", "5f", "--out", out)
     assert "matched by times" in text
-    assert (
-        "no gimbal pitch and field of view in a.srt" in text
-        and "camera.pitch" in text
-        and "camera.altitude" not in text
-    )
+    assert "no gimbal pitch and field of view in a.srt" in text and "camera.pitch" in text
+    assert "camera.altitude" not in text
     assert [float(r["altitude_m"]) for r in rows(out)][:4] == [20.0, 21.5, 23.0, 24.5]
 
 
@@ -203,20 +186,15 @@ def test_subtitles_in_the_video_are_read(tmp_path: Path, name: str, codec: str) 
 
 def test_captions_without_telemetry_are_reported(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    text = run(subtitled(tmp_path / "a.mp4", "a caption {height}", "mov_text"), "--every", "1s", "--out", out)
-    assert text.exit_code == 0, text.output
+    done(subtitled(tmp_path / "a.mp4", "a caption {height}", "mov_text"), "--every", "1s", "--out", out)
     problems = json.loads((out / "frames.json").read_text("utf-8"))["problems"]
     assert {"log-layout", "telemetry-missing"} <= {p["code"] for p in problems}
 
 
 def test_everything_that_is_missing_is_named_at_once(tmp_path: Path) -> None:
     text = done(write_video(tmp_path / "a.mp4"), "--out", tmp_path / "out")
-    assert (
-        "no gimbal pitch, height and field of view" in text
-        and "--hfov" in text
-        and "camera.pitch" in text
-        and "camera.altitude" in text
-    )
+    words = ("no gimbal pitch, height and field of view", "--hfov", "camera.pitch", "camera.altitude")
+    assert all(word in text for word in words)
 
 
 def test_frames_without_a_log_are_not_seen_through_the_recipes_lens(tmp_path: Path) -> None:
@@ -308,7 +286,7 @@ def test_negative_heights_and_cameras_that_look_back_are_left_empty(tmp_path: Pa
     assert [r["altitude_m"] for r in rows(out)] == ["", "", "0.000", "1.000", "2.000"]
     assert [r["pitch_deg"] for r in rows(out)] == ["", "", "90.000", "80.000", "70.000"]
     assert "below the take-off point" in text and "looks back under the aircraft" in text
-    problems = json.loads(CliRunner().invoke(APP, ["inspect", str(out), "--json"]).output)["problems"]
+    problems = json.loads(run("inspect", out, "--json").output)["problems"]
     missing = [
         "camera pitch missing in 2 of 5",
         "height above the ground missing in 2 of 5",
@@ -328,7 +306,7 @@ def test_a_varying_rate_is_matched_by_time(tmp_path: Path) -> None:
 def test_a_truncated_video_gives_what_it_has(tmp_path: Path) -> None:
     whole = write_video(tmp_path / "whole.mkv", codec="ffv1")
     (tmp_path / "cut.mkv").write_bytes(whole.read_bytes()[: whole.stat().st_size * 6 // 10])
-    result = run(tmp_path / "cut.mkv", "--every", "5f", "--out", tmp_path / "out")
+    result = run("frames", tmp_path / "cut.mkv", "--every", "5f", "--out", tmp_path / "out")
     assert result.exit_code in (0, 1), result.output
     assert 0 < len(rows(tmp_path / "out")) < FRAMES / 5
     mp4 = flight(tmp_path)
@@ -344,7 +322,7 @@ def test_a_damaged_video_counts_its_losses(tmp_path: Path) -> None:
     middle = start + (len(data) - start) // 2
     data[middle : middle + 9000] = bytes(9000)
     path.write_bytes(data)
-    result = run(path, "--every", "1f", "--out", tmp_path / "out")
+    result = run("frames", path, "--every", "1f", "--out", tmp_path / "out")
     assert result.exit_code in (1, 2)
     assert "cannot be decoded" in result.output or "no frame" in result.output
 

@@ -4,37 +4,26 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 from PIL import Image
-from typer.testing import CliRunner
 
-from infrablend.cli.app import build_app
+from tests.command_line import said
 from tests.videos import FRAMES, av, bracketed, timecode, write_srt, write_video
 
-APP = build_app()
 HEADER = "time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),isVideo,gimbal_pitch(degrees)"
-
-
-def run(*arguments: object) -> Result:
-    return CliRunner().invoke(APP, ["-q", "frames", *(str(a) for a in arguments)])
 
 
 def extracted(folder: Path, *options: object, video: Path | None = None) -> tuple[str, list[dict[str, str]]]:
     out = folder / "out"
-    result = run(video or write_video(folder / "V.MP4"), "--every", "1s", "--out", out, *options)
-    assert result.exit_code == 0, result.output
-    rows = list(csv.DictReader((out / "metadata.csv").read_text("utf-8").splitlines()))
-    return " ".join(result.output.split()), rows
+    text = said("frames", video or write_video(folder / "V.MP4"), "--every", "1s", "--out", out, *options)
+    return text, list(csv.DictReader((out / "metadata.csv").read_text("utf-8").splitlines()))
 
 
-def refused(*arguments: object) -> str:
-    result = run(*arguments)
-    assert result.exit_code == 2, result.output
-    return " ".join(result.output.split())
+refused = partial(said, "frames", code=2)
 
 
 # ---- Subtitles

@@ -1,4 +1,4 @@
-"""What `generate --plan` estimates: core-hours, cost, and the time of each shard."""
+"""What `generate --plan` estimates (core-hours, cost, the time of each shard), and the pace of a run."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from infrablend.core.tasks import TaskResult
+from infrablend.pipeline.runs.executors import Pace
 from tests.command_line import run
 from tests.samples import SAMPLES
 
@@ -75,3 +77,14 @@ def test_unchanged_pictures_have_no_records_of_inserts(tmp_path: Path) -> None:
     more = int(str(with_originals["disk_bytes"])) - int(str(without["disk_bytes"]))
     size = sum(p.stat().st_size for p in data.rglob("*.jpg")) / len([*data.rglob("*.jpg")])
     assert originals > 0 and more == pytest.approx((6_000 + size) * originals, rel=0.05)
+
+
+def test_the_first_frame_of_a_worker_counts_only_until_another_is_done() -> None:
+    pace = Pace(workers=2)
+    assert pace.frames_per_s() == 0
+    pace.add(TaskResult("a", seconds=2.0, worker=0))
+    assert pace.frames_per_s() == pytest.approx(1.0)
+    pace.add(TaskResult("b", seconds=4.0, worker=1))
+    assert pace.frames_per_s() == pytest.approx(2 / 3)
+    pace.add(TaskResult("c", seconds=0.2, worker=0))
+    assert pace.frames_per_s() == pytest.approx(10)

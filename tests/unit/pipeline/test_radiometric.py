@@ -118,9 +118,15 @@ def test_a_part_that_appears_at_324_kelvin_reads_32410_centikelvin(tmp_path: Pat
     assert picture[core].mean() > pixels_of(data / "0.tiff").max() + 2_000  # far above all that the picture held
 
 
-def test_pixels_outside_the_surroundings_are_bit_for_bit_those_of_the_original(tmp_path: Path) -> None:
+def test_a_sensor_changes_only_the_surroundings_has_the_noise_of_the_picture_and_is_recorded(tmp_path: Path) -> None:
     data = write_flight(tmp_path / "data")
-    for r in generate(data, tmp_path / "run", settings(60.0, sensor={"profile": "generic-640x512"})):
+    made = generate(data, tmp_path / "run", settings(60.0, sensor={"profile": "generic-640x512"}))
+    again = api.rerender(tmp_path / "run", made[0].frame_id, tmp_path / "again.tiff")
+    assert again.read_bytes() == (tmp_path / "run/images" / made[0].image).read_bytes()
+    for r in made:
+        assert 0.03 < (pixels_of(tmp_path / "run/images" / r.image)[core_of(r)] / 100).std() < 0.09  # kelvin
+        assert r.facts["sensor"]["halo_gain"] == 0 and r.facts["sensor"]["limits"] is None
+        # All other pixels are bit for bit those of the original.
         before, after = pixels_of(data / r.background["path"]), pixels_of(tmp_path / "run/images" / r.image)
         x0, y0, x1, y1 = r.inserted[0].box_xyxy
         rows, columns = np.nonzero(before != after)
@@ -160,14 +166,6 @@ def test_air_that_nobody_stated_is_drawn_and_reported(tmp_path: Path) -> None:
     assert "air-drawn" in {p.code for p in report.problems}
 
 
-def test_noise_is_that_of_the_picture_in_kelvin(tmp_path: Path) -> None:
-    data = write_flight(tmp_path / "data")
-    for r in generate(data, tmp_path / "run", settings(60.0, sensor={"profile": "generic-640x512"})):
-        found = pixels_of(tmp_path / "run/images" / r.image)[core_of(r)] / 100
-        assert 0.03 < found.std() < 0.09
-        assert r.facts["sensor"]["halo_gain"] == 0 and r.facts["sensor"]["limits"] is None
-
-
 def test_the_scale_is_in_the_labels_and_counted_as_lost_elsewhere(tmp_path: Path) -> None:
     data = write_flight(tmp_path / "data")
     generate(data, tmp_path / "run", settings(60.0, **{"output.formats": ["coco", "yolo"]}))
@@ -179,13 +177,6 @@ def test_the_scale_is_in_the_labels_and_counted_as_lost_elsewhere(tmp_path: Path
     assert record["losses"]["yolo.temperature_dropped"] == 2 and "coco.temperature_dropped" not in record["losses"]
     card = (tmp_path / "run" / "README.md").read_text()
     assert "centikelvin" in card
-
-
-def test_a_frame_is_rendered_again_from_its_record(tmp_path: Path) -> None:
-    data = write_flight(tmp_path / "data")
-    (r, _) = generate(data, tmp_path / "run", settings(60.0, sensor={"profile": "generic-640x512"}))
-    again = api.rerender(tmp_path / "run", r.frame_id, tmp_path / "again.tiff")
-    assert again.read_bytes() == (tmp_path / "run/images" / r.image).read_bytes()
 
 
 def test_pictures_without_a_scale_or_without_16_bits_are_named(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """The pipeline with the flat renderer, on a small dataset in HIT-UAV's layout."""
 
 import dataclasses
+import itertools
 import json
 import os
 import shutil
@@ -28,50 +29,35 @@ SPLIT = {"train": NAMES[:2], "val": NAMES[2:3], "test": NAMES[3:]}
 @pytest.fixture
 def dataset(tmp_path) -> Path:
     """normal_json with four pictures, five labels, one DontCare."""
-    root = tmp_path / "data"
-    rng = np.random.default_rng(7)
-    categories = ["Person", "Car", "Bicycle", "OtherVehicle", "DontCare"]
-    number = 0
+    root = tmp_path / "data" / "normal_json"
+    rng, number = np.random.default_rng(7), itertools.count()
+    names_of_classes = ["Person", "Car", "Bicycle", "OtherVehicle", "DontCare"]
+    categories = [{"id": i, "name": n, "supercategory": n} for i, n in enumerate(names_of_classes)]
+    (root / "annotations").mkdir(parents=True)
     for split, names in SPLIT.items():
-        folder = root / "normal_json" / split
-        folder.mkdir(parents=True)
+        (root / split).mkdir()
         images, labels = [], []
         for k, name in enumerate(names):
             grey = np.clip(rng.normal(126, 30, (512, 640)), 16, 235).astype(np.uint8)
-            Image.fromarray(grey).save(folder / f"{name}.jpg", quality=95)
-            images.append(
-                {"filename": f"{name}.jpg", "height": 512, "width": 640, "id": k, "date_captured": "20210116"}
-            )
+            Image.fromarray(grey).save(root / split / f"{name}.jpg", quality=95)
+            facts = {"height": 512, "width": 640, "date_captured": "20210116"}
+            images.append({"filename": f"{name}.jpg", "id": k, **facts})
             for category, x, y in ((0, 40, 50), (4, 300, 300)):
-                labels.append(
-                    {
-                        "segmentation": [[x, y, x + 10, y, x + 10, y + 12, x, y + 12]],
-                        "area": 120,
-                        "image_id": k,
-                        "bbox": [x, y, 10, 12],
-                        "category_id": category,
-                        "id": number,
-                    }
-                )
-                number += 1
-        (root / "normal_json" / "annotations").mkdir(exist_ok=True)
-        (root / "normal_json" / "annotations" / f"{split}.json").write_text(
-            json.dumps(
-                {
-                    "info": {},
-                    "licenses": [],
-                    "images": images,
-                    "annotation": labels,
-                    "categories": [{"id": i, "name": n, "supercategory": n} for i, n in enumerate(categories)],
-                }
-            )
-        )
-    return root
+                outline = [[x, y, x + 10, y, x + 10, y + 12, x, y + 12]]
+                shape = {"segmentation": outline, "area": 120, "bbox": [x, y, 10, 12]}
+                labels.append({"id": next(number), "image_id": k, "category_id": category, **shape})
+        top = {"info": {}, "licenses": [], "images": images, "annotation": labels, "categories": categories}
+        (root / "annotations" / f"{split}.json").write_text(json.dumps(top))
+    return root.parent
 
 
 def generate(data, out, **kwargs):
     options = {"execution": api.Execution(renderer="flat", in_process=True), "settings": ["output.image=png"]}
     return api.generate("hit-uav-drone", data, out, **{**options, **kwargs})
+
+
+def coco_of(run: Path, split: str = "train") -> dict:
+    return json.loads((run / "coco" / f"{split}.json").read_text())
 
 
 def test_run_end_to_end(dataset, tmp_path):
@@ -91,7 +77,7 @@ def test_run_end_to_end(dataset, tmp_path):
                 assert classes == ["0", "4"]  # Person, drone; DontCare is left out
                 image = run / "yolo" / "images" / split / f"{stem}.png"
                 assert image.samefile(run / "images" / split / f"{stem}.png")
-    coco = json.loads((run / "coco" / "train.json").read_text())
+    coco = coco_of(run)
     assert [c["id"] for c in coco["categories"]] == [0, 1, 2, 3, 4, 5]
     assert sum(a["category_id"] == 5 for a in coco["annotations"]) == 4
     assert all(a["iscrowd"] == 1 for a in coco["annotations"] if a["category_id"] == 4)
@@ -270,9 +256,9 @@ def test_unreadable_background_is_skipped_named_and_counted(dataset, tmp_path):
 
 
 def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path, monkeypatch):
-    from infrablend.pipeline.compose import frame
+    from infrablend.pipeline.compose import worker
 
-    real, calls = frame.write_bytes, []
+    real, calls = worker.write_bytes, []
 
     def full_after_two(path, data):
         calls.append(path)
@@ -280,7 +266,7 @@ def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path,
             raise OutputError(f"cannot write {path}: No space left on device")
         return real(path, data)
 
-    monkeypatch.setattr(frame, "write_bytes", full_after_two)
+    monkeypatch.setattr(worker, "write_bytes", full_after_two)
     with pytest.raises(OutputError, match="No space left"):
         generate(dataset, tmp_path / "run")
     assert len(list((partial_of(tmp_path / "run") / "images").rglob("*.png"))) == 2
@@ -322,10 +308,9 @@ def test_boxes_of_inserted_objects_are_written_as_loose_as_the_recipe_says(datas
         assert before.image_sha256 == after.image_sha256
         np.testing.assert_array_equal(before.inserted[0].box_xyxy, after.inserted[0].box_xyxy)
 
-    def annotations(run):
-        return json.loads((tmp_path / run / "coco" / "train.json").read_text())["annotations"]
-
-    for a, b in zip(annotations("tight"), annotations("loose"), strict=True):
+    for a, b in zip(
+        coco_of(tmp_path / "tight")["annotations"], coco_of(tmp_path / "loose")["annotations"], strict=True
+    ):
         changes = {k: b[k] for k in b if a.get(k) != b[k]}
         assert not changes or b["inserted"]
         if b["inserted"]:
@@ -336,7 +321,7 @@ def test_boxes_of_inserted_objects_are_written_as_loose_as_the_recipe_says(datas
             assert lx <= x and ly <= y and x + w <= lx + lw + 1e-6 and y + h <= ly + lh + 1e-6
     for run, by in (("tight", 1.0), ("loose", 1.3)):
         text = (tmp_path / run / "yolo" / "labels" / "train" / f"{SPLIT['train'][0]}_c0.txt").read_text()
-        box = annotations(run)[0] if annotations(run)[0]["inserted"] else annotations(run)[1]
+        box = next(a for a in coco_of(tmp_path / run)["annotations"] if a["inserted"])
         assert f" {box['bbox'][2] / 640:.4f}"[:6] in text, by
     for labels in ("coco", "native", ""):
         with pytest.raises(DatasetError, match="8 boxes that are enlarged or fitted already"):
@@ -362,10 +347,9 @@ def test_boxes_of_inserted_objects_are_drawn_around_what_is_visible(dataset, tmp
             np.testing.assert_array_equal(shape.box_xyxy, seen.box_xyxy)
             assert set(seen.extra) - set(shape.extra) <= {SEEN_BOX, SEEN_OBB}
 
-    def annotations(run):
-        return json.loads((tmp_path / run / "coco" / "train.json").read_text())["annotations"]
-
-    for a, b in zip(annotations("shape"), annotations("visible"), strict=True):
+    for a, b in zip(
+        coco_of(tmp_path / "shape")["annotations"], coco_of(tmp_path / "visible")["annotations"], strict=True
+    ):
         assert b.get("tight_bbox", b["bbox"]) == a["bbox"] and b.get("segmentation") == a.get("segmentation")
         (x, y, w, h), (sx, sy, sw, sh) = a["bbox"], b["bbox"]
         assert sx >= x - 1e-6 and sy >= y - 1e-6 and sx + sw <= x + w + 1e-6 and sy + sh <= y + h + 1e-6
@@ -381,8 +365,7 @@ def test_objects_of_an_earlier_run_keep_their_boxes(dataset, tmp_path):
     again = generate(tmp_path / "first" / "coco", tmp_path / "again", settings=settings)
 
     def inserted(run):
-        text = (tmp_path / run / "coco" / "train.json").read_text()
-        return [(a["bbox"], a["tight_bbox"]) for a in json.loads(text)["annotations"] if a["inserted"]]
+        return [(a["bbox"], a["tight_bbox"]) for a in coco_of(tmp_path / run)["annotations"] if a["inserted"]]
 
     first, both = inserted("first"), inserted("again")
     assert 0 < again.counts["boxes_loosened"] == again.counts["objects_inserted"]
@@ -459,7 +442,7 @@ def test_label_modes_and_categories(dataset, tmp_path):
     assert labels("original", **{"labels.mode": "original"}) == {"Person": 4, "DontCare": 4}
     assert labels("some", **{"labels.keep_categories": ["DontCare"]}) == {"DontCare": 4, "drone": 4}
     assert labels("existing", **{"objects.0.category": "Person"}) == {"Person": 8, "DontCare": 4}
-    coco = json.loads((tmp_path / "existing" / "coco" / "train.json").read_text())
+    coco = coco_of(tmp_path / "existing")
     assert len(coco["categories"]) == 5
     assert sorted(a["inserted"] for a in coco["annotations"] if a["category_id"] == 0) == [False, False, True, True]
 
@@ -722,10 +705,6 @@ def test_a_renderer_that_cannot_start_leaves_no_run_behind(dataset, tmp_path, mo
         generate(dataset, tmp_path / "run")
     monkeypatch.undo()
     assert generate(dataset, tmp_path / "run", limit=1).ok
-
-
-def coco_of(run: Path, split: str = "train") -> dict:
-    return json.loads((run / "coco" / f"{split}.json").read_text())
 
 
 def test_classes_are_renamed_joined_and_shared_with_new_objects(dataset, tmp_path):

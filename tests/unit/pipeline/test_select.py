@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.masks import Mask
@@ -21,9 +19,10 @@ from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError
 from infrablend.formats import writing
 from infrablend.pipeline.datasets.content import content_digest
-from infrablend.pipeline.datasets.enlarged import count_enlarged
+from infrablend.pipeline.datasets.origin import loosened_before
 from infrablend.pipeline.datasets.requests import MOST_COPIES, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.select import Conditions, conditions, copies_to_match, draw_with_sum, select
+from tests.command_line import done
 
 CATEGORIES = (Category(0, "Person"), Category(1, "Car"), Category(2, "DontCare", ignore=True))
 
@@ -174,10 +173,9 @@ def written(root: Path) -> Path:
 
 def test_convert_writes_a_selection_with_one_class_and_says_so(tmp_path):
     data, out = written(tmp_path), tmp_path / "out"
-    words = ["-q", "convert", data, out, "--to", "coco", "--with-class", "Person", "--without", "DontCare"]
+    words = ["convert", data, out, "--to", "coco", "--with-class", "Person", "--without", "DontCare"]
     words += ["--only-class", "Person", "--images", 4, "--objects", 9, "--seed", 1]
-    done = CliRunner().invoke(build_app(), [str(w) for w in words])
-    assert done.exit_code == 0, done.output
+    done(*words)
     again = api.read_dataset(out)
     assert [c.name for c in again.categories] == ["Person"]
     assert len(again.images) == 4
@@ -211,18 +209,16 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     writing.write(
         "coco", tmp_path / "data", [first], CATEGORIES, source=Dataset(tmp_path, "coco", CATEGORIES, (first,))
     )
-    words = ["-q", "convert", tmp_path / "data", tmp_path / "out", "--to", "coco", "--loosen-inserted", 1.2]
-    done = CliRunner().invoke(build_app(), [str(w) for w in words])
-    assert done.exit_code == 0, done.output
+    words = ["convert", tmp_path / "data", tmp_path / "out", "--to", "coco", "--loosen-inserted", 1.2]
+    done(*words)
     (again,) = api.read_dataset(tmp_path / "out").images
     boxes = sorted(i.box_xyxy.tolist() for i in again.instances)
     np.testing.assert_allclose(boxes, [[0, 48.6, 11, 64], [19, 18, 31, 42], [40, 20, 50, 40]])
     counts = json.loads((tmp_path / "out" / "convert.json").read_text())["counts"]
     assert (counts["boxes_loosened"], counts["loosened_by"]) == (2, 1.2)
     assert "boxes of 2 inserted objects were enlarged by the factor 1.2" in (tmp_path / "out" / "README.md").read_text()
-    words = [*words[:3], tmp_path / "px", "--to", "coco", "--loosen-inserted-px", 2]
-    done = CliRunner().invoke(build_app(), [str(w) for w in words])
-    assert done.exit_code == 0, done.output
+    words = [*words[:2], tmp_path / "px", "--to", "coco", "--loosen-inserted-px", 2]
+    done(*words)
     (again,) = api.read_dataset(tmp_path / "px").images
     boxes = sorted(i.box_xyxy.tolist() for i in again.instances)
     np.testing.assert_allclose(boxes, [[0, 48, 12, 64], [18, 18, 32, 42], [40, 20, 50, 40]])
@@ -254,10 +250,11 @@ def test_boxes_of_inserted_objects_alone_are_loosened(tmp_path):
     # Without marks, any box of a part may be enlarged.
     voc = api.read_dataset(tmp_path / "voc")
     one = replace(voc.images[0], instances=voc.images[0].instances[:1])
-    assert count_enlarged(voc) == (2, False)
-    assert count_enlarged(voc, replace(voc, images=(one,))) == (1, True)
+    assert loosened_before(voc, voc) == {"boxes_loosened": 2}
+    assert loosened_before(voc, replace(voc, images=(one,))) == {"boxes_loosened_at_most": 1}
     two = replace(voc.images[0], instances=voc.images[0].instances[:2])
-    assert count_enlarged(voc, replace(voc, images=(two, replace(two, id="again"), two))) == (6, True)
+    thrice = replace(voc, images=(two, replace(two, id="again"), two))
+    assert loosened_before(voc, thrice) == {"boxes_loosened_at_most": 6}
     half = api.convert(tmp_path / "voc", tmp_path / "train", "yolo", selection=api.Selection(images=1))
     assert half.counts["boxes_loosened"] == 2
     # Formats without boxes have none, and exact ones are read from their masks.

@@ -230,23 +230,22 @@ def test_damaged_shards_are_named_and_made_again(small, tmp_path):
     record.write_bytes(written)
 
 
-def test_two_jobs_and_other_runs(small, dataset, tmp_path):
-    out = tmp_path / "out"
-    done(*small, "--shard", "1/2")
+@pytest.mark.parametrize("layout", [(), PACKED])
+def test_two_jobs_on_one_shard(layout, dataset, tmp_path):
+    out, words = tmp_path / "out", command(dataset, tmp_path / "out", *layout, "--limit", 2)
     with workspace(out / "shard-00002-of-00002", "shard", "run.json"):
-        assert "another process is writing this shard" in run(*small, "--shard", "2/2").output
+        ended = run(*words, "--shard", "2/2")
+        assert ended.exit_code == 2 and "another process is writing this shard" in ended.output
+        done(*words, "--shard", "1/2")  # others go on
         states = json.loads(run("status", out, "--json").stdout)["shards"]
         assert [s["state"] for s in states] == ["done", "running"]
-    assert "from 1 to 2" in run(*small, "--shard", "3/2").output
-    assert "seed was 0, is 5" in run(*small, "--shard", "2/2", "--seed", 5).output
-    other = command(dataset, tmp_path / "other", *PACKED, "--limit", 2, "--shard", "2/2", "--seed", 5)
-    done(*other)
-    ended = run("merge", out, tmp_path / "other", tmp_path / "merged")
-    assert "seed was 0, is 5" in ended.output
-    # A shard under the name of another one.
-    for end in ("json", "parquet", "tar"):
-        shutil.copy(out / f"shard-00001-of-00002.{end}", out / f"shard-00002-of-00002.{end}")
-    assert "found shard 1/2" in run("merge", out, tmp_path / "merged").output
+
+
+def test_a_shard_under_the_name_of_another_one_is_not_merged(small, tmp_path):
+    done(*small, "--shard", "1/2")
+    for ours, theirs in zip(shard_names(1, 2), shard_names(2, 2), strict=True):
+        shutil.copy(tmp_path / "out" / ours, tmp_path / "out" / theirs)
+    assert "found shard 1/2" in run("merge", tmp_path / "out", tmp_path / "merged").output
     assert not (tmp_path / "merged").exists()
 
 

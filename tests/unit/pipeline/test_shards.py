@@ -115,15 +115,6 @@ def test_status_and_unfinished_shards(dataset, tmp_path):
     done("merge", out, tmp_path / "merged")
 
 
-def test_two_jobs_on_one_shard(dataset, tmp_path):
-    make_shards(dataset, tmp_path / "out", 3, only=range(1, 2))
-    with workspace(tmp_path / "out/shard-00002-of-00003", "shard", "run.json"):
-        ended = run(*command(dataset, tmp_path / "out", "--shard", "2/3"))
-        assert ended.exit_code == 2
-        assert "another process is writing this shard" in ended.output
-        make_shards(dataset, tmp_path / "out", 3, only=range(3, 4))  # others go on
-
-
 def test_shard_with_folders_as_texts(dataset, tmp_path):
     flat = Execution(renderer="flat", in_process=True)
     out = str(tmp_path / "out")

@@ -12,17 +12,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner, Result
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError, OutputError
 from infrablend.pipeline.datasets.split import assign_groups, check_shares, split_warnings
+from tests.command_line import done, run
 from tests.samples import SAMPLES, picture
-
-
-def run(*words: object) -> Result:
-    return CliRunner().invoke(build_app(), ["split", *map(str, words)])
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -91,16 +86,14 @@ def test_a_split_with_hardly_any_object_of_a_class_is_a_warning(tmp_path: Path) 
 
 def test_splits_without_pictures_are_a_warning(tmp_path: Path) -> None:
     SAMPLES["coco"](tmp_path / "data")
-    ended = run(tmp_path / "data", tmp_path / "out", "--by", "gap", "--gap", "100000", "--to", "voc")
-    assert ended.exit_code == 0
+    ended = done("split", tmp_path / "data", tmp_path / "out", "--by", "gap", "--gap", "100000", "--to", "voc")
     expected = "val and test are empty: one group holds all pictures. Use a smaller --gap, or another --by"
     assert expected in " ".join(ended.stderr.split())
 
 
 def test_lists_only(tmp_path: Path) -> None:
     root = clips(tmp_path / "data")
-    ended = run(root, tmp_path / "out", "--by", "gap", "--list", "--json")
-    assert ended.exit_code == 0, ended.output
+    ended = done("split", root, tmp_path / "out", "--by", "gap", "--list", "--json")
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["split.json", "test.txt", "train.txt", "val.txt"]
     lines = [p for s in ("train", "val", "test") for p in (tmp_path / "out" / f"{s}.txt").read_text().split()]
     assert len(set(lines)) == 60 and all((root / line).is_file() for line in lines)
@@ -135,8 +128,8 @@ def test_pictures_of_like_name_do_not_meet(tmp_path: Path) -> None:
 
 def test_impossible_requests_are_reported_before_writing(tmp_path: Path) -> None:
     root = clips(tmp_path / "data")
-    assert run(root, tmp_path / "out", "--by", "date").exit_code == 2
-    assert "without a date" in run(root, tmp_path / "out", "--by", "date").stderr
+    dates = run("split", root, tmp_path / "out", "--by", "date")
+    assert dates.exit_code == 2 and "without a date" in dates.stderr
     for words in (
         ("--by", "gap", "--shares", "1,2"),
         ("--by", "gap", "--shares", "1,0,0"),
@@ -146,7 +139,7 @@ def test_impossible_requests_are_reported_before_writing(tmp_path: Path) -> None
         ("--by", "gap", "--to", "coco", "--list"),
         ("--by", "weather"),
     ):
-        assert run(root, tmp_path / "out", *words).exit_code == 2, words
+        assert run("split", root, tmp_path / "out", *words).exit_code == 2, words
     assert not (tmp_path / "out").exists()
     with pytest.raises(OutputError, match="inside the data folder"):
         api.split(root, root / "out", api.SplitRule(by="gap"))

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.formats.rjpeg.temperatures import read_temperatures
+from tests.command_line import run as invoke
+from tests.command_line import said
 from tests.flights import counts, flight, plain_jpeg, with_exif, with_xmp
 
-
-def run(*arguments: object) -> str:
-    result = CliRunner().invoke(build_app(), ["temperatures", *map(str, arguments)], env={"COLUMNS": "200"})
-    assert result.exit_code == 0, result.output
-    return result.output
+run = partial(said, "temperatures")
 
 
 def test_flir_layers_become_centikelvin_with_the_cameras_settings(tmp_path: Path) -> None:
@@ -62,9 +59,8 @@ def test_a_scale_is_fitted_to_two_spots(tmp_path: Path) -> None:
     run(source, "--out", tmp_path / "out", "--spot", spots[0], "--spot", spots[1])
     (image,) = api.read_dataset(tmp_path / "out").images
     assert image.capture.radiometry is not None and image.capture.radiometry.scale is not None
-    assert image.capture.radiometry.scale.slope_k == pytest.approx(
-        0.01
-    ) and image.capture.radiometry.scale.offset_k == pytest.approx(133.15)
+    scale = image.capture.radiometry.scale
+    assert (scale.slope_k, scale.offset_k) == pytest.approx((0.01, 133.15))
 
 
 def test_another_programs_temperatures_are_taken(tmp_path: Path) -> None:
@@ -93,18 +89,16 @@ def test_another_programs_temperatures_are_taken(tmp_path: Path) -> None:
 )
 def test_scales_that_do_not_fit_are_refused(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
     source = flight(tmp_path / "in", 1)
-    result = CliRunner().invoke(build_app(), ["temperatures", str(source), "--out", str(tmp_path / "o"), *arguments])
-    assert result.exit_code == 2 and words in " ".join(result.output.split()) and not (tmp_path / "o").exists()
+    assert words in run(source, "--out", tmp_path / "o", *arguments, code=2) and not (tmp_path / "o").exists()
 
 
 def test_pictures_without_a_layer_are_counted_and_the_rest_is_written(tmp_path: Path) -> None:
     source = flight(tmp_path / "in", 2, "flir")
     plain_jpeg(source / "plain.jpg")
     plain_jpeg(source / "IMG_0001.jpg", exif={271: "Apple", 272: "iPhone"})
-    command = ["temperatures", str(source), "--out", str(tmp_path / "out"), "--json"]
-    result = CliRunner().invoke(build_app(), command)
-    report = json.loads(result.stdout)
-    assert result.exit_code == 1 and report["pictures"] == 2 and report["ok"] is False
+    ended = invoke("temperatures", source, "--out", tmp_path / "out", "--json")
+    report = json.loads(ended.stdout)
+    assert ended.exit_code == 1 and report["pictures"] == 2 and report["ok"] is False
     assert [p["code"] for p in report["problems"] if p["severity"] == "error"] == ["raw-missing"]
     (left_out,) = [p["found"] for p in report["problems"] if p["code"] == "flight-left-out"]
     assert left_out.startswith("1 picture(s) left out: of another camera (Apple iPhone)")
@@ -130,9 +124,9 @@ def test_labels_of_zoomed_and_turned_pictures_are_an_error(how: str, tmp_path: P
     source = flight(tmp_path / "in", 2)
     labelled(source, "DJI_0002_T.JPG")
     with_exif(source / "DJI_0002_T.JPG", **({"detail": {0xA404: 2.0}} if how == "zoom" else {"main": {0x0112: 3}}))
-    result = CliRunner().invoke(build_app(), ["temperatures", str(source), "--out", str(tmp_path / "out"), "--json"])
-    report = json.loads(result.stdout)
-    assert (result.exit_code, report["pictures"]) == (1, 2)
+    ended = invoke("temperatures", source, "--out", tmp_path / "out", "--json")
+    report = json.loads(ended.stdout)
+    assert (ended.exit_code, report["pictures"]) == (1, 2)
     (lost,) = [p for p in report["problems"] if p["severity"] == "error"]
     assert lost["code"] == "labels-dropped" and lost["found"].startswith("1 label(s) of 1 picture(s) left out")
     assert not any(i.instances for i in api.read_dataset(tmp_path / "out").images)
@@ -141,7 +135,7 @@ def test_labels_of_zoomed_and_turned_pictures_are_an_error(how: str, tmp_path: P
 def test_what_reading_the_pictures_found_is_reported(tmp_path: Path) -> None:
     source = flight(tmp_path / "in", 2, pitch_deg=None, altitude_m=None)
     with_xmp(source / "DJI_0001_T.JPG", b'<!DOCTYPE x [<!ENTITY e "a">]><x>&e;</x>')
-    text = " ".join(run(source, "--out", tmp_path / "out").split())
+    text = run(source, "--out", tmp_path / "out")
     assert "XMP with a document type" in text
     assert "camera pitch missing in 2 of 2 pictures" in text and "height above the ground missing in 2 of 2" in text
     assert "read as plain pictures" not in text
@@ -151,7 +145,7 @@ def test_what_reading_the_pictures_found_is_reported(tmp_path: Path) -> None:
 
 def test_a_scale_that_is_not_needed_is_a_warning(tmp_path: Path) -> None:
     source = flight(tmp_path / "in", 2, "flir")
-    text = " ".join(run(source, "--out", tmp_path / "out", "--slope", "0.1", "--offset", "0").split())
+    text = run(source, "--out", tmp_path / "out", "--slope", "0.1", "--offset", "0")
     assert "--slope and --offset not used for 2 of 2 picture(s)" in text
 
 
@@ -160,7 +154,7 @@ def test_spots_name_their_counts_and_warn_of_edges(tmp_path: Path) -> None:
     level = counts(0).astype(float)
     y, x = np.unravel_index(np.argmin(level[1:-1, 1:-1]), (126, 158))
     spots = [f"DJI_0001_T.JPG:{x + 1},{y + 1}=-10", "DJI_0001_T.JPG:40,50=900"]
-    text = " ".join(run(source, "--out", tmp_path / "out", "--spot", spots[0], "--spot", spots[1]).split())
+    text = run(source, "--out", tmp_path / "out", "--spot", spots[0], "--spot", spots[1])
     square = level[49:52, 39:42]
     assert f"count {np.median(square):g}, median of 3 x 3 px with {square.min():.0f} to {square.max():.0f}" in text
     assert "K apart" in text and "a uniform surface" in text

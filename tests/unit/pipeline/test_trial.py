@@ -10,16 +10,15 @@ from typing import Any
 
 import pytest
 from PIL import Image
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
 from infrablend.errors import ArgumentError, InfraBlendError, OutputError, RecipeError
 from infrablend.pipeline.compose import trial
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.frame import FrameComposer
 from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.request import Execution
+from tests.command_line import done
 
 FLAT = Execution(renderer="flat", in_process=True)
 RECIPE = "hit-uav-drone"
@@ -107,27 +106,20 @@ def test_the_command_writes_and_describes_one_frame(
 ) -> None:
     monkeypatch.setattr(api, "try_recipe", lambda *a, **k: _flat(*a, **k))
     out = tmp_path / "shown.png"
-    done = CliRunner().invoke(
-        build_app(), ["try", str(recipe), "--data", str(data), "--frame", FRAME, "--out", str(out)]
-    )
-    assert done.exit_code == 0, done.output
-    assert done.stdout.splitlines()[0].startswith(f"{FRAME}, ")
-    assert done.stdout.splitlines()[1].startswith("drone: ")
-    assert done.stdout.splitlines()[-1] == str(out)
+    first, second, *_, last = done("try", recipe, "--data", data, "--frame", FRAME, "--out", out).stdout.splitlines()
+    assert first.startswith(f"{FRAME}, ") and second.startswith("drone: ") and last == str(out)
     assert out.is_file()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["hit-uav", "recipe.yaml", "shown.png"]
-    done = CliRunner().invoke(build_app(), ["try", RECIPE, "--data", str(data), "--out", str(out), "--json"])
-    assert json.loads(done.stdout)["frame"] == "train/0_60_30_0_00001_c0"
+    as_json = json.loads(done("try", RECIPE, "--data", data, "--out", out, "--json").stdout)
+    assert as_json["frame"] == "train/0_60_30_0_00001_c0"
 
 
 def test_the_command_prints_the_gain_of_the_physical_look(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(api, "try_recipe", lambda *a, **k: _flat(*a, **k))
-    words = ["try", "hit-uav-drone-physical", "--data", str(data), "--out", str(tmp_path / "shown.png")]
-    done = CliRunner().invoke(build_app(), words)
-    assert done.exit_code == 0, done.output
-    assert re.search(r"^gain \(\w+\) \d+\.\d grey levels per kelvin, from ", done.stdout, re.MULTILINE)
+    said = done("try", "hit-uav-drone-physical", "--data", data, "--out", tmp_path / "shown.png").stdout
+    assert re.search(r"^gain \(\w+\) \d+\.\d grey levels per kelvin, from ", said, re.MULTILINE)
 
 
 def _flat(*arguments: Any, **options: Any) -> Any:

@@ -11,20 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
-from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.app import build_app
+from tests.command_line import said
 from tests.run_files import records
 
-APP = build_app()
 SHAPE = (128, 160)
-
-
-def run(*arguments: object, code: int = 0) -> str:
-    result = CliRunner().invoke(APP, ["-q", *(str(a) for a in arguments)], env={"COLUMNS": "300"})
-    assert result.exit_code == code, result.output
-    return " ".join(result.output.split())
 
 
 def centikelvin(seed: int = 0, level: float = 28_800.0) -> NDArray[np.uint16]:
@@ -59,12 +51,12 @@ def test_a_mistaken_unit_is_refused_before_anything_is_made(
 ) -> None:
     source = data(tmp_path / "in", centikelvin(0), centikelvin(1))
     options = ["--set", "matching.mode=radiometric", "--set", "labels.mode=new", *scale(*values)]
-    text = run("generate", "hit-uav-car", "--data", source, "--out", tmp_path / "out", *options, code=2)
+    text = said("generate", "hit-uav-car", "--data", source, "--out", tmp_path / "out", *options, code=2)
     assert f"temperatures of no scene: medians of {medians}" in text and "check the unit" in text.lower()
     assert not (tmp_path / "out").exists()
     read = [w for v in values for w in ("--read", v)]
     for command in ("inspect", "check"):
-        assert "temperatures of no scene" in run(command, source, *read)
+        assert "temperatures of no scene" in said(command, source, *read)
 
 
 def test_raw_counts_taken_for_centikelvin_are_refused_unless_the_sky_is_that_cold(tmp_path: Path) -> None:
@@ -72,27 +64,27 @@ def test_raw_counts_taken_for_centikelvin_are_refused_unless_the_sky_is_that_col
     source = data(tmp_path / "in", centikelvin(0, 18_500), centikelvin(1, 18_500))
     stated = ["--set", "data.unit=centikelvin"]
     options = ["--set", "matching.mode=radiometric", "--set", "labels.mode=new", *stated]
-    text = run("generate", "hit-uav-car", "--data", source, "--out", tmp_path / "out", *options, code=2)
+    text = said("generate", "hit-uav-car", "--data", source, "--out", tmp_path / "out", *options, code=2)
     assert "between -43 and 67 degrees Celsius in pictures of the ground" in text
     assert "state their pitch (0 or less) in metadata.csv" in text
-    assert "temperatures of no scene" in run("inspect", source, "--read", "unit=centikelvin")
+    assert "temperatures of no scene" in said("inspect", source, "--read", "unit=centikelvin")
     up = [*options, "--set", "camera.pitch={fixed_deg: -20}", "--plan"]
-    assert "of no scene" not in run("generate", "drone-sky", "--data", source, "--out", tmp_path / "out", *up)
+    assert "of no scene" not in said("generate", "drone-sky", "--data", source, "--out", tmp_path / "out", *up)
     table = source / "metadata.csv"
     table.write_text(table.read_text().replace(",60,", ",-20,"))
-    assert "of no scene" not in run("inspect", source, "--read", "unit=centikelvin")
-    assert "of no scene" in run("inspect", source, "--read", "unit=decikelvin")
+    assert "of no scene" not in said("inspect", source, "--read", "unit=centikelvin")
+    assert "of no scene" in said("inspect", source, "--read", "unit=decikelvin")
 
 
 def test_a_stated_scale_that_replaces_the_files_own_is_reported(tmp_path: Path) -> None:
     source = data(tmp_path / "in", centikelvin(0))
     own = tmp_path / "own"
-    run("convert", source, own, "--to", "coco", "--read", "unit=centikelvin")
+    said("convert", source, own, "--to", "coco", "--read", "unit=centikelvin")
     other = [w for v in ("unit=counts", "slope=0.02", "offset=-290") for w in ("--read", v)]
-    text = run("inspect", own, *other)
+    text = said("inspect", own, *other)
     assert "1 picture(s) in their own files (centikelvin) is replaced by the stated one (0.02 K per count" in text
-    assert "replaced by none" in run("inspect", own, "--read", "unit=counts")
-    assert "replaced" not in run("inspect", own, "--read", "unit=centikelvin") + run("inspect", own)
+    assert "replaced by none" in said("inspect", own, "--read", "unit=counts")
+    assert "replaced" not in said("inspect", own, "--read", "unit=centikelvin") + said("inspect", own)
 
 
 @pytest.mark.parametrize("level", [0, 65_535])
@@ -126,7 +118,7 @@ def test_16_bit_colour_is_not_cut_to_8_bits_in_silence(channels: int, kind: int,
     source = tmp_path / "in"
     source.mkdir()
     (source / "a.png").write_bytes(png(np.stack(layers, 2), kind))
-    assert "16-bit colour or alpha, read in 8 bits" in run("check", source)
+    assert "16-bit colour or alpha, read in 8 bits" in said("check", source)
 
 
 def test_objects_in_16_bits_are_not_compared_with_real_ones_in_8(tmp_path: Path, write_tiny_hit_uav: Any) -> None:
@@ -135,5 +127,5 @@ def test_objects_in_16_bits_are_not_compared_with_real_ones_in_8(tmp_path: Path,
     execution = api.Execution(renderer="flat", in_process=True)
     api.generate("hit-uav-car", source, tmp_path / "out", settings=fields, execution=execution)
     real = write_tiny_hit_uav(tmp_path / "real", ("normal_json",))
-    text = run("realism", tmp_path / "out", "--against", source, "--real", real, "--no-steps", code=2)
+    text = said("realism", tmp_path / "out", "--against", source, "--real", real, "--no-steps", code=2)
     assert "8-bit pictures, and 16-bit ones in the run" in text

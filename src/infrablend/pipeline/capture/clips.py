@@ -176,7 +176,6 @@ def _open_all(paths: Sequence[Path]) -> list[Video]:
 
 
 def _renamed(video: Path, wanted: str, name: str) -> tuple[Problem, ...]:
-    """Return a warning if another video has the name that a sequence should get."""
     if name == wanted:
         return ()
     found = f"another video is also named {wanted!r}, so the sequence of this one is {name!r}"
@@ -184,24 +183,14 @@ def _renamed(video: Path, wanted: str, name: str) -> tuple[Problem, ...]:
     return (Problem(video.name, "sequence-renamed", found, "a name per video", todo, "warning"),)
 
 
-def find_subtitles(video: Path) -> Path | None:
-    """Return the subtitle file beside a video, of the same name in upper or lower case, or None."""
-    for suffix in (".SRT", ".srt", ".Srt"):
-        if (path := video.with_suffix(suffix)).is_file():
-            return path
-    return None
-
-
 def _own_subtitles(video: Video) -> tuple[FlightLog | None, tuple[Problem, ...]]:
     """Return the log of the subtitles beside a video, or else in it; warnings if those in it hold no telemetry."""
-    beside = find_subtitles(video.path)
-    if beside is not None:
-        return read_log(beside), ()
+    for suffix in (".SRT", ".srt", ".Srt"):
+        if (beside := video.path.with_suffix(suffix)).is_file():
+            return read_log(beside), ()
     text = video.subtitles()
-    if not text:
-        return None, ()
     try:
-        return parse_srt(text, video.path), ()
+        return (parse_srt(text, video.path) if text else None), ()
     except DatasetError as error:
         return None, tuple(replace(p, severity="warning") for p in error.problems)
 

@@ -9,7 +9,7 @@ from infrablend.core.files import write_bytes, write_text
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import FRAMES_FILE, replacing, workspace
 from infrablend.errors import ArgumentError
-from infrablend.formats.flight_log import Sampled, sample
+from infrablend.formats.flight_log import sample
 from infrablend.formats.images import png_bytes
 from infrablend.formats.video import Frame
 from infrablend.pipeline.capture.clips import ClipPlan, FlightFacts, FrameChoice, plan_clips
@@ -63,11 +63,13 @@ def extract_frames(
         for plan in plans:
             written = []
             for frame in _wanted(plan):
-                written.append(_write_picture(space.folder, plan.sequence, frame))
+                name = f"{plan.sequence}/{plan.sequence}_{frame.number:06d}.png"
+                write_bytes(space.folder / name, png_bytes(frame.pixels))
+                written.append(WrittenFrame(frame.number, frame.time_s, name, frame.pixels.ndim == 3))
                 done += 1
                 if report_done is not None:
                     report_done(done, total)
-            sampled = _sampled(plan, written)
+            sampled = None if plan.aligned is None else sample(plan.aligned.log, [f.time_s for f in written])
             rows += telemetry_rows(plan, written, sampled, flight)
             clips.append(clip_result(plan, written, sampled, flight.hfov_deg))
             problems += clip_problems(plan, written, sampled)
@@ -79,7 +81,6 @@ def extract_frames(
 
 
 def _wanted(plan: ClipPlan) -> Iterator[Frame]:
-    """Yield the chosen frames; decoding stops after the last one."""
     wanted = {*plan.numbers.tolist()}
     last = int(plan.numbers[-1])
     with plan.video as video:
@@ -88,14 +89,3 @@ def _wanted(plan: ClipPlan) -> Iterator[Frame]:
                 yield frame
             if frame.number >= last:
                 return
-
-
-def _write_picture(out: Path, sequence: str, frame: Frame) -> WrittenFrame:
-    """Write one frame, and return what is known about it without its pixels."""
-    name = f"{sequence}/{sequence}_{frame.number:06d}.png"
-    write_bytes(out / name, png_bytes(frame.pixels))
-    return WrittenFrame(frame.number, frame.time_s, name, frame.pixels.ndim == 3)
-
-
-def _sampled(plan: ClipPlan, written: Sequence[WrittenFrame]) -> Sampled | None:
-    return None if plan.aligned is None else sample(plan.aligned.log, [f.time_s for f in written])

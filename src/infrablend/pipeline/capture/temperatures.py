@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -78,23 +78,13 @@ class _Layer:
         return cls(_CENTIKELVIN.counts(np.nan_to_num(kelvin, nan=0.0)), _CENTIKELVIN, source, unfit)
 
 
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """A picture, the name of its output, and its layer; the faults where there is none."""
-
-    image: ImageRecord
-    name: str
-    raw: RawTemperatures | None = None
-    layer: _Layer | None = None
-    faults: tuple[Problem, ...] = ()
-
-
 @dataclass(frozen=True)
 class _Written:
     """What is known of a layer that was written.
 
     Attributes:
         record: Its record.
+        source: Where its scale comes from.
         range_k: Its range, kelvin; None without a scale.
         implausible_k: Its median, kelvin, if that is one of no scene.
         unfit: Number of pixels without a temperature, or with one that 16 bits do not hold.
@@ -102,6 +92,7 @@ class _Written:
     """
 
     record: ImageRecord
+    source: str
     range_k: tuple[float, float] | None
     implausible_k: float | None
     unfit: int
@@ -170,14 +161,18 @@ def extract_temperatures(
     stated = stated_scale(scale, spots)
     problems: list[Problem] = []
     layers: list[_Written] = []
-    flir = 0
+    stems = Counter(i.path.stem for i in dataset.images)
+    names = distinct_names([file_name(str(PurePosixPath(i.name).with_suffix(""))) for i in dataset.images])
     tell = paced(on_progress)
     with workspace(out, "extraction of temperatures", TEMPERATURES_FILE, replacing(overwrite)) as space:
-        for k, one in enumerate(_layers(dataset, scale, stated)):
-            problems += one.faults
-            if one.raw is not None and one.layer is not None:
-                flir += one.layer.source == _OF_FLIR
-                layers.append(_write(one.raw, one.layer, one.image, f"{one.name}.png", space.folder))
+        for k, (image, name) in enumerate(zip(dataset.images, names, strict=True)):
+            try:
+                raw = read_temperatures(image.path)
+                layer = _layer(raw, image, scale, stated, unique=stems[image.path.stem] == 1)
+            except DatasetError as error:
+                problems += error.problems
+            else:
+                layers.append(_write(raw, layer, image, f"{name}.png", space.folder))
             if tell is not None:
                 tell(k + 1, len(dataset.images))
         if not layers:
@@ -188,7 +183,12 @@ def extract_temperatures(
             write_chunks(space.folder / "annotations" / f"instances_{split}", chunks)
         scales = Counter(_scale_text(i) for i in images)
         problems += _of_reading(dataset, problems) + _remarks(dataset, layers) + spot_warnings(spots, stated)
-        problems += _unused_scale(dataset, scale, flir, len(layers)) + _loss_warnings(dataset, losses)
+        problems += _unused_scale(dataset, scale, layers)
+        problems += [
+            Problem(dataset.root.name, "labels-changed", f"{n} {LOSSES[kind]}", severity="warning")
+            for kind, n in sorted(losses.items())
+            if n
+        ]
         ranges = [w.range_k for w in layers if w.range_k is not None]
         span = (min(low for low, _ in ranges), max(high for _, high in ranges)) if ranges else None
         report = TemperaturesReport(out, len(images), dict(sorted(scales.items())), span, spots, tuple(problems))
@@ -196,22 +196,7 @@ def extract_temperatures(
     return report
 
 
-def _layers(dataset: Dataset, given: CountScale, stated: TemperatureScale | None) -> Iterator[_Read]:
-    """Yield the layer of each picture, or what is wrong with it, one at a time."""
-    stems = Counter(i.path.stem for i in dataset.images)
-    names = distinct_names([file_name(str(PurePosixPath(i.name).with_suffix(""))) for i in dataset.images])
-    for image, name in zip(dataset.images, names, strict=True):
-        try:
-            raw = read_temperatures(image.path)
-            layer = _layer(raw, image, given, stated, unique=stems[image.path.stem] == 1)
-        except DatasetError as error:
-            yield _Read(image, name, faults=tuple(error.problems))
-        else:
-            yield _Read(image, name, raw, layer)
-
-
 def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, out: Path) -> _Written:
-    """Write one layer; return what is known of it."""
     path = write_bytes(out / "images" / image.split / name, png_bytes(layer.levels))
     h, w = layer.levels.shape
     facts = read_facts(image.path)
@@ -225,11 +210,12 @@ def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, o
         capture=replace(image.capture, hfov_deg=hfov, radiometry=raw.facts(layer.scale, layer.source)),
     )  # fmt: skip
     lost = 0 if fits else len(image.instances)
-    if layer.scale is None or not layer.kelvin.size:
-        return _Written(record, None, None, layer.unfit, lost)
-    kelvin = layer.kelvin
+    kelvin = np.zeros(0) if layer.scale is None else layer.kelvin
+    if not kelvin.size:
+        return _Written(record, layer.source, None, None, layer.unfit, lost)
     span = float(kelvin.min()), float(kelvin.max())
-    return _Written(record, span, implausible_median(kelvin, shows_ground(image)), layer.unfit, lost)
+    implausible = implausible_median(kelvin, shows_ground(image))
+    return _Written(record, layer.source, span, implausible, layer.unfit, lost)
 
 
 def _layer(
@@ -282,22 +268,18 @@ def _of_reading(dataset: Dataset, told: Sequence[Problem]) -> list[Problem]:
     return [p for p in dataset.problems if p.code not in _OF_PLAIN_PICTURES and (p.where, p.code) not in known]
 
 
-def _unused_scale(dataset: Dataset, given: CountScale, flir: int, all_: int) -> list[Problem]:
+def _unused_scale(dataset: Dataset, given: CountScale, layers: Sequence[_Written]) -> list[Problem]:
     """Return a warning if a scale was given and FLIR's files have their own, which is used."""
     option = "--slope and --offset" if given.slope_k is not None else "--spot" if given.spots else ""
     option = option or ("--converted" if given.converted is not None else "")
+    flir = sum(w.source == _OF_FLIR for w in layers)
     if not option or not flir:
         return []
-    found = f"{option} not used for {flir} of {all_} picture(s): FLIR's files hold the constants of their conversion"
-    todo = "leave it out" if flir == all_ else ""
+    found = (
+        f"{option} not used for {flir} of {len(layers)} picture(s): FLIR's files hold the constants of their conversion"
+    )
+    todo = "leave it out" if flir == len(layers) else ""
     return [Problem(dataset.root.name, "scale-unused", found, "a scale for DJI's counts", todo, "warning")]
-
-
-def _loss_warnings(dataset: Dataset, losses: Mapping[str, int]) -> list[Problem]:
-    return [
-        Problem(dataset.root.name, "labels-changed", f"{n} {LOSSES[kind]}", severity="warning")
-        for kind, n in sorted(losses.items()) if n
-    ]  # fmt: skip
 
 
 def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
@@ -332,7 +314,6 @@ def _remarks(dataset: Dataset, layers: Sequence[_Written]) -> list[Problem]:
 
 
 def _span(kelvin: Iterable[float]) -> str:
-    """Return a range of temperatures in degrees Celsius as a text."""
     celsius = sorted(k - ZERO_C_K for k in kelvin)
     low, high = f"{celsius[0]:,.1f}", f"{celsius[-1]:,.1f}"
     return low if low == high else f"{low} to {high}"

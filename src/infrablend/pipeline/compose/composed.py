@@ -1,14 +1,16 @@
-"""Defines a finished frame in memory, before it is written or handed to a caller."""
+"""Defines finished frames: in memory, in the folder of a run, and as pictures of a dataset with their labels."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
 
-from infrablend.annotation.merge import MergedLabels
+from infrablend.annotation.looseness import Looseness, loosen_image
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import DoneFrame
+from infrablend.pipeline.plans.plan import PlannedFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +51,26 @@ class MadeFrame:
         return cls(frame, record.to_text(), str(record.background.get("sha256")), seconds)
 
 
-def covered_facts(merged: MergedLabels) -> dict[int, dict[str, Any]]:
-    """Return `FrameRecord.covered` for merged labels."""
-    return {
-        n: {"visibility": i.visibility, **({} if i.mask is None else {"mask": i.mask.to_coco()})}
-        for n, i in merged.partly_covered.items()
-    }
+def labelled_image(
+    frame: PlannedFrame, record: FrameRecord, path: Path, looseness: Looseness
+) -> tuple[ImageRecord, int]:
+    """Return a finished frame as a dataset image at this path, with the metadata of its background.
+
+    The boxes of the objects that the frame inserted are drawn as `looseness` says. Those of its background stay, also
+    if an earlier run inserted them.
+
+    Returns:
+        The image, and the number of boxes that were changed.
+    """
+    source = frame.background
+    width, height = record.background["size_wh"]
+    inserted = replace(
+        source,
+        id=frame.name,
+        path=path,
+        size_wh=(width, height),
+        instances=record.inserted,
+        file_name=record.image.partition("/")[2],
+    )
+    inserted, count = loosen_image(inserted, looseness)
+    return replace(inserted, instances=record.originals(source.instances) + inserted.instances), count

@@ -14,25 +14,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from infrablend.annotation.labels import LabelReport, annotate
-from infrablend.annotation.merge import MergedLabels, merge
+from infrablend.annotation.merge import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
 from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Instance
-from infrablend.core.files import write_bytes
 from infrablend.core.frame_record import FrameRecord
-from infrablend.core.machine import take_core
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed
-from infrablend.core.run_folder import RunFolder
-from infrablend.core.tasks import Task
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, output_suffix
-from infrablend.pipeline.compose.composed import ComposedFrame, MadeFrame, covered_facts
+from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import FirstContrasts, Insert, faint_inserts, measure_inserts, with_seen_box
 from infrablend.pipeline.compose.looks import make_look
 from infrablend.pipeline.compose.occlusion import (
@@ -43,10 +38,9 @@ from infrablend.pipeline.compose.occlusion import (
     occlusion_facts,
     too_hidden,
 )
-from infrablend.pipeline.compose.settings import FrameSettings, merge_settings
+from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.backgrounds import background_facts
 from infrablend.pipeline.plans.plan import PlannedFrame
-from infrablend.rendering import make_renderer
 from infrablend.sampling.site import FrameKey, Site
 
 
@@ -129,7 +123,7 @@ class FrameComposer:
             RenderError: The renderer fails.
         """
         if frame.configuration is None:
-            return _unchanged_original(frame, self._recipe, self._settings)
+            return self._unchanged(frame)
         background = self._settings.extensions.load(frame.background)
         self._look.check(frame, background)
         canvas = self._canvas(frame, background)
@@ -148,14 +142,24 @@ class FrameComposer:
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
-        merged = merge(frame.background.instances, labels, merge_settings(self._recipe))
         image_bytes = encode_image(picture.pixels, background, self._recipe.output.image)
-        found_first = {"contrast_first": first.found} if moves and first.found else {}
-        record = self._record(picture, canvas, merged, image_bytes, found_first)
+        facts = {**picture.facts, **({"contrast_first": first.found} if moves and first.found else {})}
+        made = {"scene": picture.scene.spec, "mapping": picture.mapping.to_json(), "facts": facts}
+        record = self._record(frame, background, labels, image_bytes, made)
         return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
 
+    def _unchanged(self, frame: PlannedFrame) -> ComposedFrame:
+        """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
+        path, kind, extensions = frame.background.path, self._recipe.output.image, self._settings.extensions
+        background = extensions.load(frame.background)
+        if extensions.backgrounds is not None or (kind == "png" and path.suffix.lower() != ".png"):
+            image_bytes = encode_image(background.pixels, background, kind)
+        else:
+            image_bytes = path.read_bytes()
+        record = self._record(frame, background, (), image_bytes, {"scene": None, "mapping": None})
+        return ComposedFrame(record, image_bytes, {})
+
     def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
-        """Return the background with what placement may know of it."""
         recipe, source, pixels, unit = self._recipe, frame.as_read, background.pixels, self._grey_unit(background)
         rules = recipe.occlusion
         cover = None if rules.share == 0 else Cover(rules, Scenery(pixels, unit), self._models)
@@ -244,31 +248,39 @@ class FrameComposer:
         )
 
     def _labels(self, picture: Picture, canvas: Canvas) -> tuple[Instance, ...]:
-        """Return the labels of the inserted objects, with the boxes that the recipe asks for."""
         if self._recipe.labels.fit == "visible":
             before, after = canvas.background.pixels, picture.pixels
             return tuple(with_seen_box(i, before, after, canvas.site.grey_unit) for i in picture.inserts)
         return tuple(i.labelled() for i in picture.inserts)
 
     def _record(
-        self, picture: Picture, canvas: Canvas, merged: MergedLabels, image_bytes: bytes, facts: Mapping[str, Any]
+        self,
+        frame: PlannedFrame,
+        background: Background,
+        labels: Sequence[Instance],
+        image_bytes: bytes,
+        made: Mapping[str, Any],
     ) -> FrameRecord:
-        """Return the record of a frame; `facts` are added to those of its picture."""
-        frame, output, source = canvas.frame, self._recipe.output, canvas.frame.background
+        """Return the record of a frame with the labels of its inserts, and the fields of what was `made`."""
+        source, output, wanted = frame.background, self._recipe.output, self._recipe.labels
+        # Ignore regions stay in the record: each format leaves them out, or not, when it is written.
+        rules = MergeSettings(wanted.mode, wanted.keep_categories, wanted.remove_covered)
+        merged = merge(source.instances, labels, rules)
         return FrameRecord(
             frame_id=frame.frame_id,
             image=frame.image_path(output.group_by, output_suffix(source.path, output.image)),
             image_sha256=hashlib.sha256(image_bytes).hexdigest(),
-            background=background_facts(source, canvas.background, self._settings.data_root),
-            scene=picture.scene.spec,
-            mapping=picture.mapping.to_json(),
+            background=background_facts(source, background, self._settings.data_root),
             kept=merged.kept,
             inserted=merged.inserted,
             removed=tuple(r.to_json() for r in merged.removed),
-            facts={**picture.facts, **facts},
-            warnings=tuple(p.to_json() for p in canvas.background.problems),
-            covered=covered_facts(merged),
+            warnings=tuple(p.to_json() for p in background.problems),
+            covered={
+                n: {"visibility": i.visibility, **({} if i.mask is None else {"mask": i.mask.to_coco()})}
+                for n, i in merged.partly_covered.items()
+            },
             run=self._settings.run,
+            **made,
         )
 
 
@@ -303,59 +315,3 @@ def nearest_range_m(scene: PlacedScene) -> float | None:
     if scene.spec.view is None or not scene.objects:
         return None
     return min(o.range_m for o in scene.objects)
-
-
-def _unchanged_original(frame: PlannedFrame, recipe: Recipe, settings: FrameSettings) -> ComposedFrame:
-    """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
-    source = frame.background
-    background = settings.extensions.load(source)
-    kind = recipe.output.image
-    relative = frame.image_path(recipe.output.group_by, output_suffix(source.path, kind))
-    if settings.extensions.backgrounds is not None or (kind == "png" and source.path.suffix.lower() != ".png"):
-        image_bytes = encode_image(background.pixels, background, kind)
-    else:
-        image_bytes = source.path.read_bytes()
-    merged = merge(source.instances, (), merge_settings(recipe))
-    record = FrameRecord(
-        frame_id=frame.frame_id,
-        image=relative,
-        image_sha256=hashlib.sha256(image_bytes).hexdigest(),
-        background=background_facts(source, background, settings.data_root),
-        scene=None,
-        mapping=None,
-        kept=merged.kept,
-        inserted=(),
-        removed=tuple(r.to_json() for r in merged.removed),
-        warnings=tuple(p.to_json() for p in background.problems),
-        run=settings.run,
-    )
-    return ComposedFrame(record, image_bytes, {})
-
-
-class FrameMaker:
-    """Composes frames and writes them to the folder of a run; each worker process has one instance."""
-
-    def __init__(self, settings: FrameSettings) -> None:
-        """Start the renderer and load the recipe's models."""
-        if settings.pin_cores:
-            take_core()
-        if settings.out is None:
-            raise ValueError("frames in memory are made by FrameWorker")
-        self._folder = RunFolder(settings.out)
-        self._renderer = make_renderer(settings.renderer, settings.device)
-        self._composer = FrameComposer(settings, self._renderer)
-
-    def __call__(self, task: Task) -> MadeFrame:
-        """Write the image of the `PlannedFrame` in the task's payload, and return its record."""
-        composed = self._composer.compose(task.payload)
-        write_bytes(self._folder.image(composed.record.image), composed.image_bytes)
-        return MadeFrame.of(composed.record, len(composed.image_bytes), composed.seconds)
-
-    def close(self) -> None:
-        """Release the renderer."""
-        self._renderer.close()
-
-
-def make_frame_maker(settings: FrameSettings) -> FrameMaker:
-    """Return a frame maker; the worker factory that `execution` calls by its dotted name."""
-    return FrameMaker(settings)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import logging
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +22,10 @@ from infrablend.errors import ArgumentError, Problem
 from infrablend.formats import detection
 from infrablend.formats.images import decode_image
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.compose.composed import ComposedFrame
+from infrablend.pipeline.compose.composed import ComposedFrame, labelled_image
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
-from infrablend.pipeline.compose.labelled import labelled_image
-from infrablend.pipeline.compose.pool import FrameWorkers, settings_for
-from infrablend.pipeline.compose.settings import FrameSettings
+from infrablend.pipeline.compose.pool import FrameWorkers
+from infrablend.pipeline.compose.settings import FrameSettings, settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.planning import make_plan, with_scale
@@ -160,7 +158,7 @@ class Frames:
             InfraBlendError: It cannot be composed.
         """
         planned = self._frames[frame_id]
-        composed = self._workers.compose_one(planned, self._settings, self._models)
+        composed = self._workers.compose_one(planned, self._settings)
         return as_frame(planned, composed, self._plan.recipe)
 
     def iterate(self, ids: Sequence[str] | None = None, seed: int | None = None) -> Iterator[Frame]:
@@ -190,15 +188,10 @@ class Frames:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    @property
-    def _models(self) -> Mapping[str, Any]:
-        found: Mapping[str, Any] = self._plan.key.get("models", {})
-        return found
-
     def _composed(self, wanted: Sequence[str], settings: FrameSettings) -> Iterator[Frame]:
         """Yield frames in the order of `wanted`, which workers finish in another one."""
         early: dict[str, list[TaskResult]] = {}
-        results = self._workers.compose((self._frames[i] for i in wanted), settings, self._models)
+        results = self._workers.compose((self._frames[i] for i in wanted), settings)
         for frame_id in wanted:
             while not early.get(frame_id):
                 result = next(results)

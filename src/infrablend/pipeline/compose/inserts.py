@@ -117,7 +117,6 @@ class FirstContrasts:
     """
 
     def __init__(self, scene: PlacedScene) -> None:
-        """Start with the scene as it was drawn."""
         self._unknown = list(scene.objects)
         self.found: list[dict[str, Any]] = []
 

@@ -55,11 +55,13 @@ class Match:
     faint: Mapping[int, float] = field(default_factory=dict)
 
 
-class RecipeLook:
-    """The look of a recipe."""
+class ArtisticLook:
+    """The paper's hand-tuned look: cold and hot surfaces are shown at two percentiles of the background.
+
+    It also has what all looks share, and frames without objects are matched as here whatever the look.
+    """
 
     def __init__(self, recipe: Recipe, settings: FrameSettings) -> None:
-        """Keep what matching and overlay need."""
         self._recipe, self._settings = recipe, settings
 
     def check(self, frame: PlannedFrame, background: Background) -> None:
@@ -101,15 +103,10 @@ class RecipeLook:
         return changed
 
 
-class ArtisticLook(RecipeLook):
-    """The paper's hand-tuned look: cold and hot surfaces are shown at two percentiles of the background."""
-
-
-class PhysicalLook(RecipeLook):
+class PhysicalLook(ArtisticLook):
     """Radiance in the thermal band, with a gain that is estimated for each background."""
 
     def __init__(self, recipe: PaperPhysicalRecipe | MetricPhysicalRecipe, settings: FrameSettings) -> None:
-        """Keep the matching as well."""
         super().__init__(recipe, settings)
         self._matching, self._headroom = recipe.matching, recipe.sensor.headroom
 
@@ -141,7 +138,7 @@ class PhysicalLook(RecipeLook):
         return Match(scene, found.mapping, facts, faint)
 
 
-class RadiometricLook(RecipeLook):
+class RadiometricLook(ArtisticLook):
     """Temperatures as they are, through the air, for 16-bit pictures with a temperature scale."""
 
     def check(self, frame: PlannedFrame, background: Background) -> None:
@@ -160,14 +157,14 @@ class RadiometricLook(RecipeLook):
         return Match(scene, mapping, {"matching": facts})
 
 
-_LOOKS: Mapping[str, Callable[[Any, FrameSettings], RecipeLook]] = {
+_LOOKS: Mapping[str, Callable[[Any, FrameSettings], ArtisticLook]] = {
     "artistic": ArtisticLook,
     "physical": PhysicalLook,
     "radiometric": RadiometricLook,
 }
 
 
-def make_look(recipe: Recipe, settings: FrameSettings) -> RecipeLook:
+def make_look(recipe: Recipe, settings: FrameSettings) -> ArtisticLook:
     """Return the look of a run's frames."""
     return _LOOKS[recipe.look](recipe, settings)
 

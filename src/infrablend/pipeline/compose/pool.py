@@ -4,66 +4,18 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 from infrablend.core.tasks import Task, TaskResult, WorkerSpec
 from infrablend.execution.process_pool import PoolSettings, WarmPool
 from infrablend.execution.serial import WarmSerial
 from infrablend.pipeline.compose.composed import ComposedFrame
-from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, Extensions
 from infrablend.pipeline.compose.settings import FrameSettings
-from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.request import Execution
 
-FACTORY = "infrablend.pipeline.compose.worker:make_frame_worker"
-
-
-def settings_for(
-    plan: RunPlan,
-    levels: tuple[float, float] | None,
-    execution: Execution,
-    out: Path | None = None,
-    extensions: Extensions = NO_EXTENSIONS,
-) -> FrameSettings:
-    """Return what workers need to compose the frames of a plan.
-
-    Args:
-        plan: Plan of the frames.
-        levels: Darkest and brightest level of the dataset, if the recipe needs them.
-        execution: How to compute the frames.
-        out: Folder of the run; None for frames in memory.
-        extensions: The caller's own sampler, backgrounds and look; only for frames in memory.
-    """
-    return FrameSettings(
-        out=out,
-        data_root=plan.dataset.root,
-        recipe_json=plan.recipe.model_dump_json(),
-        seed=plan.seed,
-        renderer=execution.renderer,
-        device=execution.device,
-        pin_cores=pins_cores(execution),
-        levels=levels,
-        ignored=plan.ignored,
-        extensions=extensions,
-        run=plan.run,
-    )
-
-
-def pins_cores(execution: Execution) -> bool:
-    """Return whether each worker keeps to a processor core of its own."""
-    return execution.renderer == "blender" and execution.device in {"cpu", "auto"} and not execution.in_process
-
-
-@dataclass(frozen=True)
-class WorkerStart:
-    """What a worker needs before its first frame."""
-
-    renderer: str
-    device: str
-    pin_cores: bool
+FACTORY = "infrablend.pipeline.compose.worker:FrameWorker"
 
 
 @dataclass(frozen=True)
@@ -88,11 +40,10 @@ class FrameWorkers:
     """
 
     def __init__(self, execution: Execution) -> None:
-        """Prepare the pool."""
         self._owner = os.getpid()
-        worker = WorkerSpec(FACTORY, WorkerStart(execution.renderer, execution.device, pins_cores(execution)))
+        worker = WorkerSpec(FACTORY, execution)
         self._contexts = itertools.count()
-        self._last: tuple[FrameSettings, Mapping[str, Any]] | None = None
+        self._last: FrameSettings | None = None
         self._context = 0
         self._count = 1 if execution.in_process else execution.worker_count()
         self._pool: WarmPool | WarmSerial = (
@@ -103,28 +54,20 @@ class FrameWorkers:
         """Start all workers, which load Blender while the caller prepares."""
         self._pool.start(self._count)
 
-    def compose(
-        self, frames: Iterable[PlannedFrame], settings: FrameSettings, models: Mapping[str, Any]
-    ) -> Iterator[TaskResult]:
-        """Yield a result per frame in the order of completion; its value is a `ComposedFrame`.
-
-        Args:
-            frames: Frames, read as workers become free.
-            settings: Recipe, seed and levels.
-            models: Digests of the recipe's own models: changed models are loaded again.
-        """
-        if (settings, models) != self._last:
-            self._last, self._context = (settings, models), next(self._contexts)
+    def compose(self, frames: Iterable[PlannedFrame], settings: FrameSettings) -> Iterator[TaskResult]:
+        """Yield a result per frame in the order of completion, with a `ComposedFrame`; `frames` is read as needed."""
+        if settings != self._last:
+            self._last, self._context = settings, next(self._contexts)
         context = self._context
         yield from self._pool.run(Task(f.frame_id, FrameJob(context, settings, f)) for f in frames)
 
-    def compose_one(self, frame: PlannedFrame, settings: FrameSettings, models: Mapping[str, Any]) -> ComposedFrame:
+    def compose_one(self, frame: PlannedFrame, settings: FrameSettings) -> ComposedFrame:
         """Return one frame.
 
         Raises:
             InfraBlendError: It cannot be composed.
         """
-        (result,) = self.compose([frame], settings, models)
+        (result,) = self.compose([frame], settings)
         if result.failure is not None:
             raise result.failure.to_exception()
         composed: ComposedFrame = result.value

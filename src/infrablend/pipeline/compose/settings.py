@@ -1,13 +1,15 @@
-"""Settings of frame workers: what a run hands to each of them, and what each step takes from the recipe."""
+"""Settings of frame workers: what a run hands to each of them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
-from infrablend.annotation.merge import MergeSettings
-from infrablend.config.recipe import Recipe
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, Extensions
+from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
 
 
 @dataclass(frozen=True)
@@ -19,31 +21,43 @@ class FrameSettings:
         data_root: Folder of the backgrounds as it was given; their paths are recorded relative to it.
         recipe_json: The recipe.
         seed: The run's seed.
-        renderer: Name in `rendering.RENDERERS`.
-        device: Device that Cycles computes on.
-        pin_cores: Whether each worker keeps to a processor core of its own.
+        execution: Renderer and device, and whether each worker keeps to a processor core of its own.
         levels: Darkest and brightest level that the dataset uses; for `appearance.mode: physical` and the sensor.
         ignored: The source's own names of the categories that mark ignore regions.
         extensions: The caller's own sampler, backgrounds and look.
         run: Identity of the run, for the records of its frames.
+        models: Digests of the recipe's own models: changed models are loaded again.
     """
 
     out: Path | None
     data_root: Path
     recipe_json: str
     seed: int
-    renderer: str = "blender"
-    device: str = "cpu"
-    pin_cores: bool = True
+    execution: Execution = DEFAULT_EXECUTION
     levels: tuple[float, float] | None = None
     ignored: tuple[str, ...] = ()
     extensions: Extensions = NO_EXTENSIONS
     run: str = ""
+    models: Mapping[str, Any] = field(default_factory=dict)
 
 
-def merge_settings(recipe: Recipe) -> MergeSettings:
-    """Return the kinds of labels on an image.
-
-    Ignore regions stay in the record: each format leaves them out, or not, when it is written.
-    """
-    return MergeSettings(recipe.labels.mode, recipe.labels.keep_categories, recipe.labels.remove_covered)
+def settings_for(
+    plan: RunPlan,
+    levels: tuple[float, float] | None,
+    execution: Execution,
+    out: Path | None = None,
+    extensions: Extensions = NO_EXTENSIONS,
+) -> FrameSettings:
+    """Return what workers need to compose the frames of a plan; extensions are only for frames in memory."""
+    return FrameSettings(
+        out=out,
+        data_root=plan.dataset.root,
+        recipe_json=plan.recipe.model_dump_json(),
+        seed=plan.seed,
+        execution=execution,
+        levels=levels,
+        ignored=plan.ignored,
+        extensions=extensions,
+        run=plan.run,
+        models=plan.key.get("models", {}),
+    )

@@ -24,7 +24,8 @@ from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.compose.in_memory import Frame, as_frame
-from infrablend.pipeline.compose.pool import FrameWorkers, settings_for
+from infrablend.pipeline.compose.pool import FrameWorkers
+from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan, with_scale
@@ -173,7 +174,7 @@ class Trials:
         planned = _frame_of(plan)
         self._picture = planned.background.path
         settings = settings_for(plan, self._levels_of(plan, dataset), request.execution)
-        composed = self._workers.compose_one(planned, settings, plan.key.get("models", {}))
+        composed = self._workers.compose_one(planned, settings)
         frame = as_frame(planned, composed, plan.recipe)
         warnings = tuple(Problem(**{"severity": "warning", **w}) for w in composed.record.warnings)
         return Trial(frame, (*loaded.warnings, *warnings), time.perf_counter() - started)
@@ -226,7 +227,6 @@ class Trials:
             time.sleep(POLL_S)
 
     def _files(self) -> set[Path]:
-        """Return the files of recipe, sensor profile, models and metadata, and the frame's background."""
         found = {Path(self._request.recipe), *self._profile()}
         if self._request.reading.metadata is not None:
             found.add(Path(self._request.reading.metadata))
@@ -248,7 +248,6 @@ class Trials:
         return []
 
     def _data_state(self) -> Sequence[_State]:
-        """Return the states of the folders and annotation files of the data."""
         states: list[_State] = []
         for folder, subfolders, files in os.walk(self._request.data):
             subfolders.sort()
@@ -259,7 +258,6 @@ class Trials:
 
 
 def _frame_of(plan: RunPlan) -> PlannedFrame:
-    """Return the first frame of a plan with inserted objects."""
     for frame in plan.frames:
         if frame.configuration is not None:
             return frame

@@ -1,39 +1,58 @@
-"""The worker that composes frames on demand; `pool` is its other side."""
+"""The workers that compose frames: on demand, started by `pool`, and for the folder of a run, started by `runs.run`."""
 
 from __future__ import annotations
 
+from infrablend.core.files import write_bytes
 from infrablend.core.machine import take_core
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
-from infrablend.pipeline.compose.composed import ComposedFrame
+from infrablend.pipeline.compose.composed import ComposedFrame, MadeFrame
 from infrablend.pipeline.compose.frame import FrameComposer
-from infrablend.pipeline.compose.pool import FrameJob, WorkerStart
+from infrablend.pipeline.compose.pool import FrameJob
+from infrablend.pipeline.compose.settings import FrameSettings
+from infrablend.pipeline.plans.request import Execution
 from infrablend.rendering import make_renderer
 
 
-class FrameWorker:
-    """Composes the frame of each task; each worker process has one instance."""
+class _Worker:
+    """Has a renderer; each worker process has one instance."""
 
-    def __init__(self, start: WorkerStart) -> None:
-        """Start the renderer."""
-        if start.pin_cores:
+    def __init__(self, execution: Execution) -> None:
+        if execution.pins_cores:
             take_core()
-        self._renderer = make_renderer(start.renderer, start.device)
-        self._context: int | None = None
-        self._composer: FrameComposer | None = None
-
-    def __call__(self, task: Task) -> ComposedFrame:
-        """Return the frame of the `FrameJob` in the task's payload."""
-        job: FrameJob = task.payload
-        if self._composer is None or job.context != self._context:
-            self._composer = FrameComposer(job.settings, self._renderer)
-            self._context = job.context
-        return self._composer.compose(job.frame)
+        self._renderer = make_renderer(execution.renderer, execution.device)
 
     def close(self) -> None:
         """Release the renderer."""
         self._renderer.close()
 
 
-def make_frame_worker(start: WorkerStart) -> FrameWorker:
-    """Return a frame worker; the worker factory that `execution` calls by its dotted name."""
-    return FrameWorker(start)
+class FrameWorker(_Worker):
+    """Composes the frame of each task."""
+
+    _context: int | None = None
+
+    def __call__(self, task: Task) -> ComposedFrame:
+        """Return the frame of the `FrameJob` in the task's payload."""
+        job: FrameJob = task.payload
+        if job.context != self._context:
+            self._composer = FrameComposer(job.settings, self._renderer)
+            self._context = job.context
+        return self._composer.compose(job.frame)
+
+
+class FrameMaker(_Worker):
+    """Composes frames and writes them to the folder of a run."""
+
+    def __init__(self, settings: FrameSettings) -> None:
+        """Start the renderer and load the recipe's models."""
+        super().__init__(settings.execution)
+        assert settings.out is not None
+        self._folder = RunFolder(settings.out)
+        self._composer = FrameComposer(settings, self._renderer)
+
+    def __call__(self, task: Task) -> MadeFrame:
+        """Write the image of the `PlannedFrame` in the task's payload, and return its record."""
+        composed = self._composer.compose(task.payload)
+        write_bytes(self._folder.image(composed.record.image), composed.image_bytes)
+        return MadeFrame.of(composed.record, len(composed.image_bytes), composed.seconds)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes, ignored_turned_objects, rename_classes, unknown_classes
-from infrablend.annotation.looseness import Looseness, loosen_inserted, loosened_text
+from infrablend.annotation.looseness import EXACT, Looseness, loosen_inserted, loosened_text
 from infrablend.config.recipe import CLASS_NAME, MAX_LOOSEN, MAX_LOOSEN_PX
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE, Writer, find_writer, written_names
@@ -21,8 +21,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.write_settings import WriteSettings
-from infrablend.pipeline.datasets.enlarged import count_enlarged, enlarged_counts
-from infrablend.pipeline.datasets.origin import origin_of
+from infrablend.pipeline.datasets.origin import AT_MOST, invalid_texts, loosened_before, origin_of, renamed_texts
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection
 from infrablend.pipeline.datasets.select import select
 from infrablend.report.card import dataset_card, write_card, written_layout
@@ -72,8 +71,7 @@ def convert_dataset(
     *,
     classes: ClassChanges = KEEP_CLASSES,
     selection: Selection = SELECT_ALL,
-    loosen: float = 1.0,
-    loosen_px: float = 0.0,
+    looseness: Looseness = EXACT,
     settings: WriteSettings | None = None,
     overwrite: bool = False,
 ) -> ConvertReport:
@@ -85,8 +83,7 @@ def convert_dataset(
         out: Folder to write: new or empty, or with `overwrite` one that an earlier call wrote.
         classes: Classes to rename and to leave out.
         selection: Pictures to select; class names apply after renaming and before dropping.
-        loosen: Factor by which to enlarge the boxes of inserted objects, see `annotation.looseness`.
-        loosen_px: Distance, px, by which to move each side of these boxes outwards after that.
+        looseness: How to enlarge the boxes of inserted objects: one factor and one distance for all classes.
         settings: Settings of the writer.
         overwrite: Replace the folder that an earlier call wrote.
 
@@ -99,12 +96,10 @@ def convert_dataset(
     settings = settings or WriteSettings()
     writer = _writer(dataset, to)
     chosen = _choose(dataset, classes, selection)
-    looseness = Looseness(loosen, loosen_px)
-    earlier, at_most = count_enlarged(dataset, chosen.wanted)
-    if {"boxes", "obb"} <= writer.lacks:
-        earlier = 0  # boxes that are read from masks are exact
-    if (loosen, loosen_px) != (1, 0):
-        _require_tight(dataset, looseness, earlier, writer)
+    # Boxes that are read from masks are exact.
+    earlier = {} if _has_only_masks(writer) else loosened_before(dataset, chosen.wanted)
+    if looseness != EXACT:
+        _require_tight(dataset, looseness, sum(earlier.values()), writer)
     problems = [*dataset.problems, *ignored_turned_objects(dataset, classes.rename)]
     images = with_sizes(chosen.wanted.images, partial(_location, dataset.root), problems)
     images, loosened = _loosened(dataset, images, looseness)
@@ -121,8 +116,7 @@ def convert_dataset(
         "source_format": dataset.format,
         **({} if chosen.selection is None else {"selection": chosen.selection}),
         # Those of the source count as well, or a further step would enlarge them again.
-        **enlarged_counts(loosened or earlier, at_most),
-        **(looseness.to_counts() if looseness else {}),
+        **(looseness.counted(loosened) or earlier),
     }
     with workspace(out, "conversion", CONVERT_FILE, replacing(overwrite)) as space:
         try:
@@ -133,11 +127,9 @@ def convert_dataset(
             raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
         problems += written.problems
         changes = _changes(writer.name, classes.rename, chosen, problems)
-        if earlier:
-            changes.append(
-                f"{'Up to ' if at_most else ''}{earlier} boxes of inserted objects were enlarged or fitted before, to "
-                "match drawn ones."
-            )
+        for name, n in earlier.items():
+            up_to = "Up to " if name == AT_MOST else ""
+            changes.append(f"{up_to}{n} boxes of inserted objects were enlarged or fitted before, to match drawn ones.")
         if looseness:
             changes.append(loosened_text(loosened, looseness))
         card = dataset_card(
@@ -177,7 +169,8 @@ def _writer(dataset: Dataset, to: str) -> Writer:
     """
     writer = writing.native_writer(dataset) if to == NATIVE else find_writer(to)
     if writer is None:
-        problem = Problem("--to", "format-none", f"{dataset.format} has no writer", f"one of {_choice()}")
+        expected = f"one of {', '.join(written_names())}"
+        problem = Problem("--to", "format-none", f"{dataset.format} has no writer", expected)
         raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
     return writer
 
@@ -239,19 +232,20 @@ def _loosened(dataset: Dataset, images: list[ImageRecord], by: Looseness) -> tup
 
 def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) -> None:
     """Check the factor and the distance, and that no earlier step has enlarged or fitted the boxes already."""
-    faults = []
-    if not isinstance(by.factors, int | float) or not 1 <= by.factors <= MAX_LOOSEN:
-        faults.append(Problem(_LOOSEN, "loosen-range", f"{by.factors}", f"a factor from 1 to {MAX_LOOSEN:g}"))
-    if not isinstance(by.px, int | float) or not 0 <= by.px <= MAX_LOOSEN_PX:
-        faults.append(Problem(_LOOSEN_PX, "loosen-range", f"{by.px}", f"a distance from 0 to {MAX_LOOSEN_PX:g} px"))
+    faults = [
+        Problem(option, "loosen-range", f"{value}", f"a {what} from {least} to {most:g}{unit}")
+        for option, value, what, least, most, unit in (
+            (_LOOSEN, by.loosen, "factor", 1, MAX_LOOSEN, ""),
+            (_LOOSEN_PX, by.loosen_px, "distance", 0, MAX_LOOSEN_PX, " px"),
+        )
+        if not isinstance(value, int | float) or not least <= value <= most
+    ]
     if faults:
         raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this much", faults)
-    if {"boxes", "obb"} <= to.lacks:
+    if _has_only_masks(to):
         found, todo = f"{to.name}, which has masks instead of boxes", "leave the option out, or write another format"
-        raise DatasetError(
-            f"{dataset.root}: no box to enlarge",
-            [Problem(_loosen_option(by), "loosen-none", found, "a format with boxes", todo)],
-        )
+        none = Problem(_loosen_option(by), "loosen-none", found, "a format with boxes", todo)
+        raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
     if earlier:
         found, expected = f"{earlier} boxes that are enlarged or fitted already", "boxes that fit tightly"
         todo = "leave the option out, or convert a run made without labels.fit, labels.loosen and labels.loosen_px"
@@ -259,41 +253,33 @@ def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) ->
         raise DatasetError(f"{dataset.root}: boxes are enlarged only once", [twice])
 
 
+def _has_only_masks(to: Writer) -> bool:
+    return {"boxes", "obb"} <= to.lacks
+
+
 def _loosen_option(by: Looseness) -> str:
-    """Return the option that asked for larger boxes."""
     return _LOOSEN if "loosened_by" in by.to_counts() else _LOOSEN_PX
 
 
 def _changes(to: str, rename: Mapping[str, str], chosen: _Chosen, problems: Sequence[Problem]) -> list[str]:
-    """Return the changes to list on the dataset card."""
     texts = [f"The labels were converted to the format `{to}`; the picture files are unchanged."]
-    if rename:
-        texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in rename.items()) + ".")
+    texts += renamed_texts(rename)
     if chosen.dropped:
         which = ", ".join(f"{name} {n}" for name, n in chosen.dropped.items())
         texts.append(f"{sum(chosen.dropped.values())} labels of dropped classes ({which}) were left out.")
     if chosen.selection is not None:
         what = ", ".join(f"{n} {why}" for why, n in chosen.selection["left_out"].items()) or "none"
         texts.append(f"Only a selection of the source's pictures is included; left out: {what}; see `{CONVERT_FILE}`.")
-    left_out = Counter(p.code for p in problems if p.severity == "error")
-    if left_out:
-        found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
-        texts.append(f"Invalid parts of the source were left out: {found}; `{CONVERT_FILE}` lists them.")
-    return texts
+    return texts + invalid_texts(problems, CONVERT_FILE)
 
 
 def _background_class(name: str, dataset: Dataset, settings: WriteSettings) -> list[Problem]:
-    """Return a warning for a COCO file with a category 0."""
     zero = next((c.name for c in dataset.categories if c.id == 0), None)
     if name != "coco" or zero is None or settings.category_ids == "from_one":
         return []
     found = f"{zero} has category id 0, which many tools (Datumaro, torchvision) treat as background"
     todo = "use --category-ids from_one if your tool does"
     return [Problem("coco", "category-zero", found, "ids from 1", todo, "warning")]
-
-
-def _choice() -> str:
-    return ", ".join(written_names())
 
 
 def _require_classes(dataset: Dataset, names: Mapping[str, str] | Sequence[str], option: str) -> None:

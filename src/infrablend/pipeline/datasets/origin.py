@@ -1,4 +1,4 @@
-"""Origin of a dataset's pictures, with the objects that earlier runs inserted and the labels of them that are left."""
+"""Origin of a dataset's pictures: the objects that earlier runs inserted, what is left of their labels and boxes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ from pathlib import Path
 
 import yaml
 
+from infrablend.annotation.looseness import LOOSENED, is_loosened
 from infrablend.assets.user_model import is_description
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.files import load_json
+from infrablend.core.run_folder import EIGHT_BIT, RUN_FILE
+from infrablend.core.workspace import CONVERT_FILE, SPLIT_FILE
+from infrablend.errors import Problem
 from infrablend.report.card import INSERT_LIMITS, Inserts, Provenance, find_provenance
+
+AT_MOST = f"{LOOSENED}_at_most"
+"""Name of the count of changed boxes in records where only the largest possible number is known."""
 
 _PLACED = {
     "paper": "Inserted objects were placed by a virtual camera, not in a measured scene: they may appear in front of, "
@@ -57,6 +65,19 @@ def run_inserts(recipe: Recipe, seed: int, labels: Mapping[str, int]) -> Inserts
     if recipe.camera.pitch != "metadata":
         limits.append("Inserted objects are not seen from each picture's own camera pitch: the recipe sets another.")
     return Inserts(recipe.name, seed, recipe_yaml(recipe), dict(labels), tuple(limits))
+
+
+def renamed_texts(rename: Mapping[str, str]) -> list[str]:
+    """Return what a card says about renamed classes, if there are any."""
+    found = ", ".join(f"{a} to {b}" for a, b in rename.items())
+    return [f"Classes were renamed: {found}."] if rename else []
+
+
+def invalid_texts(problems: Iterable[Problem], record: str) -> list[str]:
+    """Return what a card says about invalid parts of the source, if there are any; `record` lists them."""
+    left_out = Counter(p.code for p in problems if p.severity == "error")
+    found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
+    return [f"Invalid parts of the source were left out: {found}; `{record}` lists them."] if left_out else []
 
 
 def recipe_yaml(recipe: Recipe) -> str:
@@ -106,3 +127,43 @@ def _count_written(
             for k in owners:
                 written[k][name] = recorded[k][name]
     return tuple(replace(one, labels=labels) for one, labels in zip(inserts, written, strict=True))
+
+
+def loosened_before(dataset: Dataset, part: Dataset) -> dict[str, int]:
+    """Return how many boxes of a part were enlarged or fitted by earlier steps, by its name in records; {} for none.
+
+    COCO and shards mark such boxes. In other formats the record of the dataset's command has their number, but does
+    not say which ones they are: any box of a part may be one, and the count is `AT_MOST`.
+    """
+    if count_loosened(dataset):
+        name, count = LOOSENED, count_loosened(part)
+    else:
+        recorded, labels = _recorded(dataset)
+        whole, boxes = (sum(len(i.instances) for i in d.images) for d in (dataset, part))
+        name, count = LOOSENED, recorded
+        if not boxes == labels == whole:
+            # Pictures may have been drawn several times.
+            copies = max(Counter(i.path for i in part.images).values(), default=1)
+            name, count = AT_MOST, min(copies * recorded, boxes)
+    return {name: count} if count else {}
+
+
+def count_loosened(dataset: Dataset) -> int:
+    """Return how many boxes are marked as changed, and so have their exact box beside them."""
+    return sum(is_loosened(i) for image in dataset.images for i in image.instances)
+
+
+def _recorded(dataset: Dataset) -> tuple[int, int | None]:
+    """Return the number of changed boxes in the record of the dataset's command, and that of labels if it is exact."""
+    root = dataset.root
+    run = root.parent.parent if root.parent.name == EIGHT_BIT else root.parent
+    for record in (root / CONVERT_FILE, root / SPLIT_FILE, root / RUN_FILE, run / RUN_FILE):
+        try:
+            counts = load_json(record)["counts"]
+            if AT_MOST in counts:
+                return int(counts[AT_MOST]), None
+            loosened, labels = int(counts[LOOSENED]), counts.get("labels")
+            return loosened, sum(map(int, labels.values())) if isinstance(labels, Mapping) else None
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+    return 0, None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from infrablend.core.arguments import require_names
@@ -71,14 +71,7 @@ class Selection:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return {
-            "with_class": self.with_class,
-            "without": sorted(self.without),
-            "images": self.images,
-            "objects": self.objects,
-            "like": self.like,
-            "seed": self.seed,
-        }
+        return asdict(self) | {"without": sorted(self.without)}
 
 
 SELECT_ALL = Selection()

@@ -205,24 +205,21 @@ def _problems(dataset: Dataset, wanted: Selection) -> list[Problem]:
         if unknown := unknown_classes(dataset, names):
             expected = f"classes of the dataset ({known})"
             problems.append(Problem(option, "category-unknown", ", ".join(unknown), expected))
+
+    def refuse(option: str, code: str, found: str, expected: str, todo: str = "") -> None:
+        problems.append(Problem(option, code, found, expected, todo))
+
     if wanted.with_class is not None and wanted.with_class in wanted.without:
-        problems.append(
-            Problem("--without", "selection-empty", f"{wanted.with_class}, also given as --with-class", "another class")
-        )
+        refuse("--without", "selection-empty", f"{wanted.with_class}, also given as --with-class", "another class")
     for option, number in (("--images", wanted.images), ("--objects", wanted.objects)):
         if number is not None and number < 1:
-            problems.append(Problem(option, "selection-number", str(number), "a positive number"))
+            refuse(option, "selection-number", str(number), "a positive number")
+    shown = {o.category for i in dataset.images for o in i.instances}
     if wanted.like is not None and wanted.objects is not None:
-        problems.append(
-            Problem("--like-class", "selection-class", "given together with --objects", "only one of the two")
-        )
-    elif wanted.like in {c.name for c in dataset.categories} and not any(
-        o.category == wanted.like for i in dataset.images for o in i.instances
-    ):
-        problems.append(
-            Problem("--like-class", "selection-empty", f"no object of class {wanted.like}", "a class with objects")
-        )
+        refuse("--like-class", "selection-class", "given together with --objects", "only one of the two")
+    elif wanted.like in {c.name for c in dataset.categories} - shown:
+        refuse("--like-class", "selection-empty", f"no object of class {wanted.like}", "a class with objects")
     if wanted.objects is not None and wanted.with_class is None:
         found = f"{wanted.objects} objects, but no class"
-        problems.append(Problem("--objects", "selection-class", found, "objects of one class", "give --with-class"))
+        refuse("--objects", "selection-class", found, "objects of one class", "give --with-class")
     return problems

@@ -23,8 +23,7 @@ from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
 from infrablend.formats.pictures import assign_ids, with_sizes
-from infrablend.pipeline.datasets.enlarged import count_enlarged, enlarged_counts
-from infrablend.pipeline.datasets.origin import origin_of
+from infrablend.pipeline.datasets.origin import loosened_before, origin_of
 from infrablend.pipeline.datasets.requests import SplitRule
 from infrablend.report.card import dataset_card, write_card, written_layout
 
@@ -160,9 +159,9 @@ def split_dataset(
         else:
             report = _write_dataset(space.folder, report, images, dataset, to)
         content = report.to_json()  # without the source: the same bytes wherever the dataset is
-        if enlarged := enlarged_counts(*count_enlarged(dataset, replace(dataset, images=tuple(images)))):
+        if loosened := loosened_before(dataset, replace(dataset, images=tuple(images))):
             labels = Counter(o.category for i in images for o in i.instances)
-            content["counts"] = {**enlarged, "labels": dict(sorted(labels.items()))}
+            content["counts"] = {**loosened, "labels": dict(sorted(labels.items()))}
         space.finish(content)
     return report
 
@@ -216,7 +215,6 @@ def assign_groups(counts: NDArray[np.float64], shares: Sequence[float], seed: in
 
 
 def _cost_of(held: NDArray[np.float64], part: NDArray[np.float64], split: int, target: NDArray[np.float64]) -> float:
-    """Return by how much adding a part increases the squared deviation of a split from its target."""
     before = held[split] - target[split]
     return float(((before + part) ** 2 - before**2).sum())
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from infrablend.annotation.looseness import Looseness, loosened_counts
 from infrablend.config.experiment import Convert, Evaluation, Generate, Merge, Resplit, Training
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.tasks import paced
@@ -83,7 +84,7 @@ def _make_run(job: StageJob) -> dict[str, Any]:
         raise RenderError(f"{job.stage.id}: frames failed twice; run the same command to try them again", problems)
     made = read_dataset(job.out / "coco")
     counts = {k: report.counts[k] for k in ("frames", "objects_inserted", "skipped_backgrounds") if k in report.counts}
-    facts = {**dataset_facts(made), **_loosened(report.counts)}
+    facts = {**dataset_facts(made), **loosened_counts(report.counts)}
     return {**facts, "run": counts, "dataset": "out/coco", "there": ["out/coco", "out/images"]}
 
 
@@ -96,12 +97,8 @@ def _make_part(job: StageJob) -> dict[str, Any]:
     dataset = replace(dataset, images=tuple(images))
     known = {c.name for c in dataset.categories}
     classes = ClassChanges({old: new for old, new in spec.rename.items() if old in known}, spec.drop, spec.only)
-    report = convert_dataset(dataset, "coco", out, classes=classes, loosen=spec.loosen, loosen_px=spec.loosen_px)
-    return {**dataset_facts(read_dataset(out)), **_loosened(report.counts), "dataset": "out", "there": ["out"]}
-
-
-def _loosened(counts: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: counts[k] for k in ("boxes_loosened", "boxes_fit", "loosened_by", "loosened_by_px") if k in counts}
+    report = convert_dataset(dataset, "coco", out, classes=classes, looseness=Looseness.of_labels(spec))
+    return {**dataset_facts(read_dataset(out)), **loosened_counts(report.counts), "dataset": "out", "there": ["out"]}
 
 
 def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:

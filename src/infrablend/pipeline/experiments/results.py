@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from infrablend.annotation.looseness import COUNTS
 from infrablend.config.experiment import METRICS, Check, FactsRow, Row, Training
 from infrablend.core.file_names import real_path
 from infrablend.pipeline.experiments.dataset_facts import class_key
@@ -23,7 +24,7 @@ _OF_TRAINING = (
     "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
     "seconds", "precision", "device", "batch", "threads", "versions", "note", "adopted",
 )  # fmt: skip
-_OF_STAGE = ("adopted", "boxes_loosened", "boxes_fit", "loosened_by", "loosened_by_px", "pasted")
+_OF_STAGE = ("adopted", *COUNTS, "pasted")
 _FIGURES = ("images", "instances", *METRICS)
 
 

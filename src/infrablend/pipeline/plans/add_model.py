@@ -55,7 +55,8 @@ class ModelSurvey:
     @property
     def unknown_parts(self) -> list[str]:
         """Names of the pieces without a role: of the object, or of the material if the object has other roles too."""
-        described = [_describes_itself(g) for g in self.groups]
+        # By an InfraredEffect node in its material.
+        described = [g.temperature_c is not None and g.emissivity is not None for g in self.groups]
         names: list[str] = []
         for g, role, own in zip(self.groups, self.guess.roles, described, strict=True):
             if role is None and not own:
@@ -171,8 +172,3 @@ def description(survey: ModelSurvey, name: str, file: str) -> str:
         fields += [] if entry.opacity == 1 else [f"opacity: {entry.opacity:g}"]
         lines.append(f"  {role}: {{{', '.join(fields)}}}")
     return "\n".join(lines) + "\n"
-
-
-def _describes_itself(group: GroupFacts) -> bool:
-    """Return whether the material of a piece has an InfraredEffect node, which states its temperature."""
-    return group.temperature_c is not None and group.emissivity is not None

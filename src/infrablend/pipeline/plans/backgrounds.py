@@ -30,23 +30,16 @@ def require_thermal_levels(background: Background) -> None:
     """
     name = background.path.name
     if any(p.code == "image-colour" for p in background.problems):
-        problem = Problem(
-            name,
-            "image-colour-mapped",
-            "colours; grey levels computed from them do not follow temperature",
-            "a grey picture, as physical matching needs",
-            "export it in white-hot grey, or use appearance.mode: artistic",
-        )
+        found = "colours; grey levels computed from them do not follow temperature"
+        expected = "a grey picture, as physical matching needs"
+        todo = "export it in white-hot grey, or use appearance.mode: artistic"
+        problem = Problem(name, "image-colour-mapped", found, expected, todo)
         raise DatasetError(f"{background.path}: colour-mapped", [problem])
     low, high = (float(v) for v in np.percentile(background.pixels, [0.5, 99.5]))
     if high - low < MIN_SPAN_LEVELS:
-        problem = Problem(
-            name,
-            "image-no-contrast",
-            f"grey levels {low:g} to {high:g}",
-            f"a picture with at least {MIN_SPAN_LEVELS} levels between its 0.5 and 99.5 percentiles",
-            "leave it out, or use appearance.mode: artistic",
-        )
+        expected = f"a picture with at least {MIN_SPAN_LEVELS} levels between its 0.5 and 99.5 percentiles"
+        todo = "leave it out, or use appearance.mode: artistic"
+        problem = Problem(name, "image-no-contrast", f"grey levels {low:g} to {high:g}", expected, todo)
         raise DatasetError(f"{background.path}: no contrast", [problem])
 
 

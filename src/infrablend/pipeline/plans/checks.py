@@ -107,7 +107,6 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
 
 
 def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning if the recipe's lens replaces fields of view in the files that differ from it."""
     c = recipe.camera
     if not c.is_real or c.needs_lens:
         return []
@@ -128,7 +127,6 @@ def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
 
 
 def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning if the recipe's pitch replaces pitches in the files that differ from it."""
     stated = recipe.camera.stated_pitch_deg
     if stated is None or not recipe.camera.is_real:  # paper's ablations replace it on purpose
         return []
@@ -148,7 +146,6 @@ def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]
 
 
 def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning if pictures that are not stated to be by day were taken with the sun in the sky."""
     sky = recipe.environment.sky
     if sky is None or sky.place is None:
         return []
@@ -190,11 +187,11 @@ def unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Probl
 def require_loosened(recipe: Recipe, inserted: Collection[str]) -> None:
     """Check that `labels.loosen` and `labels.loosen_px` list classes of inserted objects; no other boxes change."""
     expected = f"classes of the inserted objects ({', '.join(sorted(inserted))})"
-    faults = []
-    for name, given in (("labels.loosen", recipe.labels.loosen), ("labels.loosen_px", recipe.labels.loosen_px)):
-        unknown = [] if isinstance(given, float) else sorted(set(given) - set(inserted))
-        if unknown:
-            faults.append(Problem(name, "recipe-value", f"found {', '.join(unknown)}", expected))
+    faults = [
+        Problem(name, "recipe-value", f"found {', '.join(unknown)}", expected)
+        for name, given in (("labels.loosen", recipe.labels.loosen), ("labels.loosen_px", recipe.labels.loosen_px))
+        if not isinstance(given, float) and (unknown := sorted(set(given) - set(inserted)))
+    ]
     if faults:
         raise RecipeError(f"recipe {recipe.name}: no such inserted class", faults)
 

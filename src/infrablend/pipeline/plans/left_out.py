@@ -23,13 +23,9 @@ LEFT_OUT = frozenset(
 def usable_images(
     recipe: Recipe, dataset: Dataset, images: Sequence[ImageRecord], stands: bool
 ) -> tuple[list[ImageRecord], list[Problem]]:
-    """Return the pictures that a run can use, and a problem for each of the others.
+    """Return those of the chosen pictures of a dataset that a run can use, and a problem for each of the others.
 
-    Args:
-        recipe: The recipe.
-        dataset: The whole dataset.
-        images: Those of its pictures that were chosen.
-        stands: Whether all models of the recipe stand on the ground.
+    `stands` says whether all models of the recipe stand on the ground.
     """
     usable, problems = [], []
     others = Telemetry.of(dataset)
@@ -46,7 +42,6 @@ def usable_images(
 
 
 def _unreadable(image: ImageRecord) -> Problem | None:
-    """Return a problem if a picture's name cannot be written, or if it shows visible light."""
     if not is_text(image.path.name) or not is_text(image.id):
         return Problem(
             as_text(f"{image.split}/{image.path.name}"),
@@ -123,7 +118,6 @@ class Telemetry:
 
 
 def _scale_missing(image: ImageRecord, recipe: Recipe, dataset: Dataset) -> Problem | None:
-    """Return a problem if the temperatures of a picture are needed and their scale is unknown."""
     agc = recipe.output.agc
     if not recipe.matching.needs_temperatures and (agc is None or not agc.needs_scale):
         return None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.dataset import ImageRecord
@@ -36,15 +37,19 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
     return measure_levels([p.pixels for p in pictures])
 
 
+def recorded_levels(record: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the levels in the record of a run, or in the plan that its shards share; None if it has none."""
+    if record.get("levels") is None:
+        return None
+    low, high = record["levels"]
+    return float(low), float(high)
+
+
 def require_one_depth(root: Path, depths: Collection[int]) -> None:
     """Refuse pictures of several bit depths, whose levels have no common range.
 
-    Args:
-        root: Folder of the dataset, for the message.
-        depths: Different bit depths of its pictures, 8 or 16.
-
     Raises:
-        DatasetError: There are two.
+        DatasetError: There are several.
     """
     if len(depths) > 1:
         raise DatasetError(

@@ -51,7 +51,7 @@ def import_geometry(file: Path) -> None:
         return
     with replace_atomically(target, beside=target.with_name(f".{target.stem}.{os.getpid()}.part")) as temporary:
         job = ImportJob(files, str(file), temporary, IMPORT_MEMORY_BYTES, IMPORT_CPU_SECONDS)
-        failure = _result_of(IMPORTER, job, f"import of {file}", timeout_s=IMPORT_SECONDS).failure
+        failure = _result_of(IMPORTER, job, f"import of {file}", IMPORT_SECONDS).failure
         if failure is not None:
             log.info("%s\n%s", failure.message, failure.traceback)
             raise _import_error(file, failure)
@@ -60,7 +60,6 @@ def import_geometry(file: Path) -> None:
 
 
 def _import_error(file: Path, failure: Failure) -> InfraBlendError:
-    """Return the error of an import that did not succeed."""
     if failure.kind == "error":
         return failure.to_exception()
     if failure.kind == "timeout" or "SIGXCPU" in failure.message:
@@ -77,21 +76,19 @@ def _import_error(file: Path, failure: Failure) -> InfraBlendError:
     )
 
 
-def run_once(factory: str, payload: Any, key: str, settings: Any = None, timeout_s: float = JOB_TIMEOUT_S) -> Any:
+def run_once(factory: str, payload: Any, key: str) -> Any:
     """Run one job in a separate worker process and return its value.
 
     Raises:
         InfraBlendError: The job failed.
     """
-    result = _result_of(factory, payload, key, settings, timeout_s)
+    result = _result_of(factory, payload, key, JOB_TIMEOUT_S)
     if result.failure is not None:
         raise result.failure.to_exception()
     return result.value
 
 
-def _result_of(
-    factory: str, payload: Any, key: str, settings: Any = None, timeout_s: float = JOB_TIMEOUT_S
-) -> TaskResult:
-    pool = ProcessPool(WorkerSpec(factory, settings), PoolSettings(workers=1, retries=0, task_timeout_s=timeout_s))
+def _result_of(factory: str, payload: Any, key: str, timeout_s: float) -> TaskResult:
+    pool = ProcessPool(WorkerSpec(factory), PoolSettings(workers=1, retries=0, task_timeout_s=timeout_s))
     (result,) = pool.run([Task(key, payload)])
     return result

@@ -37,6 +37,11 @@ class PlannedFrame:
         """`<split>/<name>`: unique in the run."""
         return f"{self.background.split}/{self.name}"
 
+    @property
+    def background_id(self) -> str:
+        """`<split>/<id>` of the background."""
+        return f"{self.background.split}/{self.background.id}"
+
     def key(self, size_wh: tuple[int, int]) -> FrameKey:
         """Return the key of the frame's random streams."""
         assert self.configuration is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,15 +47,7 @@ def make_plan(
     selection: FrameSelection = ALL_FRAMES,
     recipe_warnings: Sequence[Problem] = (),
 ) -> RunPlan:
-    """Return the plan of a run.
-
-    Args:
-        recipe: Recipe of the run.
-        dataset: Backgrounds of the requested splits.
-        seed: Seed of the run.
-        splits: Requested splits, for error messages only.
-        selection: Frames to produce.
-        recipe_warnings: Warnings from reading the recipe.
+    """Return the plan of a run on the backgrounds of the requested splits, which `splits` names in messages only.
 
     Raises:
         ArgumentError: The selection names a frame that does not exist.
@@ -110,12 +102,11 @@ def make_plan(
         key=key,
         ignored=tuple(c.name for c in dataset.categories if c.ignore),
         sample=renamed.images[:: max(1, len(renamed.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
-        run=_identity(key),
+        run=sha256_of_json([{**key["recipe"], "description": None}, seed])[:16],
     )
 
 
 def _with_new(known: Sequence[Category], classes: Iterable[str]) -> tuple[Category, ...]:
-    """Return the categories of a dataset, and after them those of inserted objects that it does not have."""
     categories = list(known)
     for name in classes:
         if name not in {c.name for c in categories}:
@@ -136,11 +127,6 @@ def _key(recipe: Recipe, seed: int, used: Dataset, chosen: Sequence[PlannedFrame
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return key
-
-
-def _identity(key: Mapping[str, Any]) -> str:
-    deciding = {**key["recipe"], "description": None}
-    return sha256_of_json([deciding, key["seed"]])[:16]
 
 
 def _configurations(originals: bool, count: int) -> list[int | None]:

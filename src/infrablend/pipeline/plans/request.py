@@ -62,6 +62,11 @@ class Execution:
         if self.address is not None and self.executor != "ray":
             raise ArgumentError("address: used by executor='ray' only (--executor ray). Give both, or leave it out")
 
+    @property
+    def pins_cores(self) -> bool:
+        """Whether each worker keeps to a processor core of its own."""
+        return self.renderer == "blender" and self.device in {"cpu", "auto"} and not self.in_process
+
     def worker_count(self) -> int:
         """Return the number of workers to start: the requested number, limited by free memory and cores.
 

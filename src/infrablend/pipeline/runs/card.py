@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from infrablend.core.ledger import LEDGER
 from infrablend.core.run_folder import EIGHT_BIT, IMAGES, RUN_FILE
 from infrablend.errors import Problem
 from infrablend.formats.temperatures import describe_scales
-from infrablend.pipeline.datasets.origin import origin_of, run_inserts
+from infrablend.pipeline.datasets.origin import invalid_texts, origin_of, renamed_texts, run_inserts
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.report.card import Card
 
@@ -31,15 +30,7 @@ def run_card(
     images: Sequence[ImageRecord],
     warnings: Sequence[Problem] = (),
 ) -> Card:
-    """Return the card of a finished run.
-
-    Args:
-        plan: Plan of the run.
-        counts: Counts as in the run's record.
-        losses: Losses by format and kind, as in the record.
-        images: Images that were written.
-        warnings: Warnings about frames and labels, to be listed as known failures.
-    """
+    """Return the card of a finished run, with counts and losses as in its record, and warnings as known failures."""
     recipe = plan.recipe
     classes = ", ".join(dict.fromkeys(o.category or plan.models[o.model].category for o in recipe.objects))
     source = origin_of(plan.dataset, images, recipe.labels.rename, counts["labels_inserted"])
@@ -110,12 +101,7 @@ def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
         texts.append(f"{unlabelled} inserted objects have no label because they are too small or hidden: `run.json`.")
     if loosened := counts.get("boxes_loosened"):
         texts.append(loosened_text(loosened, Looseness.of_labels(labels)))
-    if labels.rename:
-        texts.append("Classes were renamed: " + ", ".join(f"{a} to {b}" for a, b in labels.rename.items()) + ".")
-    left_out = Counter(p.code for p in plan.problems if p.severity == "error")
-    if left_out:
-        found = ", ".join(f"{n} x {code}" for code, n in sorted(left_out.items()))
-        texts.append(f"Invalid parts of the source were left out: {found}; `run.json` lists them.")
+    texts += renamed_texts(labels.rename) + invalid_texts(plan.problems, RUN_FILE)
     if excluded := plan.dataset.notes.get("excluded"):
         found = ", ".join(f"{name} ({e['images']} pictures, {e['why']})" for name, e in excluded.items())
         texts.append(f"Sequences of the source that were left out: {found}.")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import sha256_of
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import partial_of
@@ -18,7 +17,7 @@ from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.selection import similar
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.pipeline.runs.review import read_verdicts
-from infrablend.pipeline.runs.run import Choice, run_plan
+from infrablend.pipeline.runs.run import Choice, is_unchanged, run_plan
 
 BY_HAND = "by hand"
 
@@ -130,7 +129,6 @@ def choose_frames(
 
 
 def _count_aside(folder: RunFolder) -> int:
-    """Return the number of pictures of excluded frames."""
     return sum(path.is_file() for path in folder.excluded("").rglob("*"))
 
 
@@ -157,18 +155,14 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
     """
     with folder.ledger() as ledger:
         known, done = ledger.backgrounds(), ledger.done()
-    digests: dict[Path, str | None] = {}
-    changed = []
-    for frame in plan.frames:
-        background = frame.background
-        made_of = known.get(f"{background.split}/{background.id}")
-        if frame.frame_id in excluded or frame.frame_id not in done or made_of is None:
-            continue
-        path = background.path
-        if path not in digests:
-            digests[path] = sha256_of(real_path(path)) if path.is_file() else None
-        if digests[path] != made_of[2]:
-            changed.append(Problem(str(path), "background-changed", f"not the one that {frame.frame_id} was made of"))
+    changed = [
+        Problem(str(frame.background.path), "background-changed", f"not the one that {frame.frame_id} was made of")
+        for frame in plan.frames
+        if frame.frame_id in done
+        and frame.frame_id not in excluded
+        and (made_of := known.get(frame.background_id)) is not None
+        and not is_unchanged(frame.background.path, made_of)
+    ]
     if changed:
         raise OtherSettingsError(
             f"{len(changed)} frames would have to be rendered again on other backgrounds; nothing was changed. Restore "
@@ -178,12 +172,10 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
 
 
 def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan, run: Path) -> dict[str, str]:
-    """Return the excluded frames after a change."""
     rejected, accepted = ({}, set()) if choice.review is None else read_review(choice.review, run)
     of_background: dict[str, list[str]] = {}
     for frame in plan.frames:
-        background = frame.background
-        for name in (f"{background.split}/{background.id}", background.id):
+        for name in (frame.background_id, frame.background.id):
             of_background.setdefault(name, []).append(frame.frame_id)
     # A frame may have the name of a background: `train/a_c0`, made of `train/a`, beside a background `a_c0`.
     frames = {frame.frame_id: [frame.frame_id] for frame in plan.frames}

@@ -12,13 +12,7 @@ from infrablend.pipeline.plans.request import WORKER_BYTES, Execution
 
 
 def make_executor(worker: WorkerSpec, execution: Execution, log_path: Path) -> Executor:
-    """Return the executor that a request asks for.
-
-    Args:
-        worker: What computes a frame.
-        execution: Workers, device and where they run.
-        log_path: File for the output of the workers of this machine; Ray keeps that of its own.
-    """
+    """Return the executor that a request asks for; `log_path` is for workers of this machine: Ray has its own logs."""
     if execution.in_process:
         return Serial(worker, log_path)
     if execution.executor == "ray":

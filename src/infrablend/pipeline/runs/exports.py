@@ -6,7 +6,7 @@ import math
 import os
 import statistics
 from array import array
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,7 +26,7 @@ from infrablend.errors import OutputError, Problem
 from infrablend.formats import huggingface, writing
 from infrablend.formats.losses import Written
 from infrablend.formats.write_settings import WriteSettings
-from infrablend.pipeline.compose.labelled import labelled_image
+from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.runs.card import run_card
@@ -66,13 +66,8 @@ class LabelSummary:
 def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequence[PlannedFrame]) -> LabelSummary:
     """Write the card and all formats of the recipe; the same ledger gives the same bytes.
 
-    One record is in memory at a time beyond the first `spool.IN_MEMORY`, whatever the number of frames.
-
-    Args:
-        plan: Plan of the run.
-        folder: Its folder.
-        ledger: Its ledger.
-        frames: Its finished frames, in the order of the plan.
+    `frames` are its finished frames, in the order of the plan. One record is in memory at a time beyond the first
+    `spool.IN_MEMORY`, whatever their number.
     """
     records: Spool[FrameRecord] = Spool(folder.root)  # on disk, see `Spool`
     for record in ledger.records(f.frame_id for f in frames):
@@ -103,17 +98,14 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     problems += frame_warnings(records)
     finished = summarize(plan, records, images)
     finished = replace(finished, counts={**finished.counts, **looseness.counted(loosened)})
-    problems += absent_warnings(finished.draws)
-    problems += limit_warnings(records)
-    problems += air_warnings(records)
+    problems += absent_warnings(finished.draws) + limit_warnings(records) + air_warnings(records)
     problems += hiding_warnings(finished.counts)
     if images:
         problems += write_card(
             folder.root, run_card(plan, finished.counts, losses, images, tuple(dict.fromkeys(problems)))
         )
     # The three YOLO formats warn alike of a missing split.
-    unique = tuple(dict.fromkeys(problems))
-    return replace(finished, losses=dict(sorted(losses.items())), problems=unique)
+    return replace(finished, losses=dict(sorted(losses.items())), problems=tuple(dict.fromkeys(problems)))
 
 
 def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
@@ -132,13 +124,7 @@ def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
 
 
 def list_exports(folder: RunFolder, ledger: Ledger, foreign: Collection[str]) -> Iterator[tuple[str, int, str]]:
-    """Yield path, size and digest of all files of a run but its pictures, for the ledger.
-
-    Args:
-        folder: The run.
-        ledger: Its ledger.
-        foreign: Names at the top of the folder that are not part of the run.
-    """
+    """Yield path, size and digest of all files of a run but its pictures and names at its top that are `foreign`."""
     done = ledger.done().values()
     pictures = {f"{IMAGES}/{frame.image}" for frame in done}
     # Label folders have hard links to the pictures, which need not be read again.
@@ -153,7 +139,7 @@ def list_exports(folder: RunFolder, ledger: Ledger, foreign: Collection[str]) ->
 
 def lost_exports(folder: RunFolder, ledger: Ledger) -> list[str]:
     """Return the files of a finished run, other than pictures, that are gone or have another size."""
-    return [name for name, size, _ in ledger.exports() if not _has_size(folder.root / name, size)]
+    return [name for name, size, _ in ledger.exports() if not has_size(folder.root / name, size)]
 
 
 def unknown_files(folder: RunFolder, ledger: Ledger) -> list[str]:
@@ -180,7 +166,8 @@ def require_nothing_added(folder: RunFolder, plan: RunPlan) -> None:
         )
 
 
-def _has_size(path: Path, size: int) -> bool:
+def has_size(path: Path, size: int) -> bool:
+    """Return whether there is a file with this number of bytes."""
     try:
         return path.lstat().st_size == size
     except OSError:
@@ -188,7 +175,6 @@ def _has_size(path: Path, size: int) -> bool:
 
 
 def _files_below(root: Path, top: str) -> list[str]:
-    """Return the files below a folder, relative to `root`, sorted."""
     found = []
     for folder, _, names in os.walk(root / top):
         inside = Path(folder).relative_to(root).as_posix()
@@ -197,7 +183,6 @@ def _files_below(root: Path, top: str) -> list[str]:
 
 
 def _write_eight_bit(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord], agc: Agc) -> list[Problem]:
-    """Write the dataset again with 8-bit pictures by an automatic gain control; return its problems."""
     shown, as_they_are = eight_bit_copies(images, folder.eight_bit / IMAGES, agc)
     problems: list[Problem] = []
     for name in plan.recipe.output.formats:
@@ -223,62 +208,53 @@ def _write_format(name: str, plan: RunPlan, out: Path, images: Sequence[ImageRec
 
 def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[ImageRecord]) -> LabelSummary:
     """Return counts and placement statistics of the finished frames."""
-    pictures: Counter[str] = Counter()
-    per_split: dict[str, Counter[str]] = {}
+    n: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    per_split: defaultdict[str, Counter[str]] = defaultdict(Counter)
     for image in images:
-        pictures[image.split] += 1
-        per_split.setdefault(image.split, Counter()).update(i.category for i in image.instances)
-    labels: Counter[str] = Counter()
-    for of_split in per_split.values():
-        labels.update(of_split)
+        n["pictures"][image.split] += 1
+        per_split[image.split].update(i.category for i in image.instances)
+        n["labels"].update(i.category for i in image.instances)
     removed: list[Mapping[str, Any]] = []
-    reasons: Counter[str] = Counter()
-    drops: Counter[str] = Counter()
-    doubts: Counter[str] = Counter()
-    pitches: Counter[str] = Counter()
-    behind: Counter[str] = Counter()
-    inserted: Counter[str] = Counter()
-    covered = fallbacks = without = other_size = 0
+    total: Counter[str] = Counter()
     for r in records:
         removed += [{"frame_id": r.frame_id, **item} for item in r.removed if item["reason"] == "covered"]
-        reasons.update(item["reason"] for item in r.removed)
-        drops.update(d["reason"] for d in r.facts.get("drops", ()))
-        inserted.update(i.category for i in r.inserted)
-        doubts.update(doubt_codes(r))
-        behind.update(r.facts.get("matching", {}).get("behind", ()))
-        if r.scene is not None and "pitch_from" in r.scene.draws:
-            pitches[r.scene.draws["pitch_from"]] += 1
-        covered += len(r.covered)
-        fallbacks += len(r.facts.get("mask_fallbacks", ()))
-        without += not r.inserted
-        other_size += r.scene is not None and tuple(r.scene.camera.size_wh) != tuple(plan.recipe.camera.size_px)
+        n["removed"].update(item["reason"] for item in r.removed)
+        n["drops"].update(d["reason"] for d in r.facts.get("drops", ()))
+        n["inserted"].update(i.category for i in r.inserted)
+        n["doubts"].update(doubt_codes(r))
+        n["behind"].update(r.facts.get("matching", {}).get("behind", ()))
+        n["pitches"].update([r.scene.draws["pitch_from"]] if r.scene and "pitch_from" in r.scene.draws else [])
+        total["covered"] += len(r.covered)
+        total["fallbacks"] += len(r.facts.get("mask_fallbacks", ()))
+        total["without"] += not r.inserted
+        other_size = r.scene is not None and tuple(r.scene.camera.size_wh) != tuple(plan.recipe.camera.size_px)
+        total["other_size"] += other_size
+    by_name = {name: dict(sorted(counter.items())) for name, counter in n.items()}
+    draws = draw_statistics(records)
+    behind = by_name.get("behind", {})
+    found_at_times = {
+        "frames_in_doubt": by_name.get("doubts"),
+        "pitch_from": by_name.get("pitches"),
+        "in_front_of": behind if behind.keys() - {"ground"} else {},
+        "partly_hidden": hiding_statistics(records),
+        "contrast_grey": contrast_statistics(records),
+        "objects_left_out": draws.get("absent"),
+    }
     counts = {
         "images": len(images),
-        "images_per_split": dict(sorted(pictures.items())),
-        "labels": dict(sorted(labels.items())),
+        "images_per_split": by_name.get("pictures", {}),
+        "labels": by_name.get("labels", {}),
         "labels_per_split": {s: dict(sorted(c.items())) for s, c in sorted(per_split.items())},
-        "labels_inserted": dict(sorted(inserted.items())),
-        "labels_removed": dict(sorted(reasons.items())),
-        "labels_partly_covered": covered,
-        "objects_without_label": dict(sorted(drops.items())),
-        "masks_of_one_pixel": fallbacks,
-        "frames_without_object": without,
+        "labels_inserted": by_name.get("inserted", {}),
+        "labels_removed": by_name.get("removed", {}),
+        "labels_partly_covered": total["covered"],
+        "objects_without_label": by_name.get("drops", {}),
+        "masks_of_one_pixel": total["fallbacks"],
+        "frames_without_object": total["without"],
         "frames_without_object_because": empty_frames(records),
-        "frames_of_other_size": other_size,
+        "frames_of_other_size": total["other_size"],
+        **{name: found for name, found in found_at_times.items() if found},
     }
-    if doubts:
-        counts["frames_in_doubt"] = dict(sorted(doubts.items()))
-    if pitches:
-        counts["pitch_from"] = dict(sorted(pitches.items()))
-    if behind.keys() - {"ground"}:
-        counts["in_front_of"] = dict(sorted(behind.items()))
-    if hiding := hiding_statistics(records):
-        counts["partly_hidden"] = hiding
-    if contrast := contrast_statistics(records):
-        counts["contrast_grey"] = contrast
-    draws = draw_statistics(records)
-    if left_out := draws.get("absent"):
-        counts["objects_left_out"] = left_out
     return LabelSummary(counts, draws, tuple(removed))
 
 
@@ -300,12 +276,8 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
 
 def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:
     """Count the objects that were to be partly hidden, and those that are; empty if the recipe hides nothing."""
-    wanted = hidden = 0
-    for r in records:
-        asked = r.facts.get("occlusion", ())
-        wanted += len(asked)
-        hidden += sum("window" in o for o in asked)
-    return {"wanted": wanted, "hidden": hidden} if wanted else {}
+    asked = Counter("window" in o for r in records for o in r.facts.get("occlusion", ()))
+    return {"wanted": asked.total(), "hidden": asked[True]} if asked else {}
 
 
 def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
@@ -330,31 +302,28 @@ def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
 def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
     """Return how often scenes were redrawn, by reason, and how redrawing shifted the camera distances."""
     first, last, pitches, sizes = array("d"), array("d"), array("d"), array("d")
-    rejected: Counter[str] = Counter()
-    absent: Counter[str] = Counter()
-    scenes = wanted = attempts = most = 0
+    rejected, absent = Counter[str](), Counter[str]()
+    wanted, attempts = 0, array("q")
     for r in records:
         for i in r.inserted:
             sizes.append(max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1])))
         if r.scene is None or not r.scene.draws.get("wanted"):
             continue
         draws = r.scene.draws
-        scenes += 1
         wanted += int(draws["wanted"])
-        attempts += int(draws["attempts"])
-        most = max(most, int(draws["attempts"]))
+        attempts.append(int(draws["attempts"]))
         first.append(float(draws["first_distance_m"]))
         last.append(r.scene.camera.distance_m)
         pitches.append(math.degrees(r.scene.camera.pitch_rad))
         rejected.update(draws["rejected"])
         absent.update(draws["absent"])
-    if not scenes:
+    if not attempts:
         return {}
     return {
-        "scenes": scenes,
+        "scenes": len(attempts),
         "wanted": wanted,
-        "attempts_total": attempts,
-        "attempts_max": most,
+        "attempts_total": sum(attempts),
+        "attempts_max": max(attempts),
         "rejected": dict(sorted(rejected.items())),
         "absent": dict(sorted(absent.items())),
         "distance_m": {"first_draw": _spread(first), "kept": _spread(last)},
@@ -372,6 +341,5 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 
 
 def _quantiles(values: Sequence[float], *shares: float) -> list[float]:
-    """Return for each share the value that so large a share of the values is below."""
     ordered = sorted(values)
     return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in shares]

@@ -49,7 +49,6 @@ def _asked_differences(earlier: Mapping[str, Any] | None, asked: Mapping[str, An
 
 
 def _plain(values: Any) -> Any:
-    """Return values as they are read from a record."""
     return json.loads(json.dumps(values, default=str))
 
 
@@ -62,7 +61,6 @@ def _short(value: Any) -> str:
 
 
 def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a run's key with the recipe without its description."""
     comparable = dict(key)
     if isinstance(key.get("recipe"), Mapping):
         comparable["recipe"] = {k: v for k, v in key["recipe"].items() if k != "description"}

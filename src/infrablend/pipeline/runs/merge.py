@@ -19,6 +19,7 @@ from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.execution.interrupt import STOPPED, Interruption
 from infrablend.pipeline.compose.composed import MadeFrame
+from infrablend.pipeline.plans.levels import recorded_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.shard import Shard
@@ -119,7 +120,6 @@ def _pack(
     execution: Execution,
     existing: Existing,
 ) -> RunReport:
-    """Write one packed shard from the shards of a run."""
     started = time.monotonic()
     output = plan.recipe.output.model_copy(update={"layout": "shards"})
     recipe = plan.recipe.model_copy(update={"output": output})
@@ -129,17 +129,11 @@ def _pack(
     if (whole := find_whole(plan, files, existing)) is not None:
         return whole
     state = RunState()
-    failures: dict[str, Failure] = {}
-
-    def frames() -> Iterator[tuple[PlannedFrame, str, bytes]]:
-        for frame in plan.frames:
-            one = places[frame.frame_id]
-            if frame.frame_id not in one.failures:
-                yield (frame, *one.source.read(frame.frame_id))
-
+    names = [f.frame_id for f in plan.frames]
+    failures = {name: failure for name in names if (failure := places[name].failures.get(name)) is not None}
+    frames = ((f, *places[f.frame_id].source.read(f.frame_id)) for f in plan.frames if f.frame_id not in failures)
     for frame in plan.frames:
-        if (failure := places[frame.frame_id].failures.get(frame.frame_id)) is not None:
-            failures[frame.frame_id] = failure
+        if (failure := failures.get(frame.frame_id)) is not None:
             state.add(TaskResult(frame.frame_id, None, failure), frame)
     state.done = len(plan.frames) - len(failures)
     counted = {one.shard: one.source.record()["counts"]["objects_inserted"] for one in places.values()}
@@ -148,7 +142,7 @@ def _pack(
     record = run_record(header, plan, state, LabelSummary(), {"seconds": round(time.monotonic() - started, 3)})
     with workspace(files.folder / files.name, "shard", RUN_FILE, existing, keep=True) as space:
         packed = ShardFiles(space.folder, files.name)
-        counts = pack(plan, frames(), packed, record, failures)
+        counts = pack(plan, frames, packed, record, failures)
         publish(packed, files)
         space.discard()
     problems = tuple(state.problems(plan, LabelSummary()))
@@ -156,7 +150,6 @@ def _pack(
 
 
 def _finished_shards(runs: Sequence[ShardedRun], partial: bool) -> tuple[SharedPlan, list[_Finished]]:
-    """Return the shared plan and the finished shards, in the order of their numbers."""
     shared = runs[0].read_plan()
     for run in runs[1:]:
         other = run.read_plan()
@@ -205,11 +198,10 @@ def _read(run: ShardedRun, shard: Shard, shared: SharedPlan) -> _Finished:
             f"{source.place}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
             f"Repeat its command with --overwrite."
         )
-    levels = record.get("levels")
-    if (None if levels is None else [float(v) for v in levels]) != (shared.levels and list(shared.levels)):
+    if recorded_levels(record) != shared.levels:
         raise OtherSettingsError(
-            f"{source.place}: made with grey levels {levels}; expected {shared.levels}, as in {SHARDS_FILE}. Restore "
-            "the file as it was, or repeat the command of the shard with --overwrite"
+            f"{source.place}: made with grey levels {record.get('levels')}; expected {shared.levels}, as in "
+            f"{SHARDS_FILE}. Restore the file as it was, or repeat the command of the shard with --overwrite"
         )
     return _Finished(shard, source, source.failures(), run)
 

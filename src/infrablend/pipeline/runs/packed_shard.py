@@ -24,7 +24,7 @@ from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import OutputError
 from infrablend.formats.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text
 from infrablend.formats.shards import SOURCE
-from infrablend.pipeline.compose.labelled import labelled_image
+from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.origin import run_inserts
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import Execution
@@ -50,14 +50,7 @@ def run_packed(
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
 ) -> RunReport:
-    """Render the frames of a shard, and pack them.
-
-    Args:
-        plan: Plan of the shard.
-        files: Files to write.
-        execution: Workers, device and renderer.
-        existing: What to do if the shard has been started; `resume` leaves a shard that is whole as it is.
-        on_progress: Called after each frame.
+    """Render the frames of a shard, and pack them; `resume` leaves a shard that is whole as it is.
 
     Raises:
         MissingDependencyError: pyarrow is not installed.
@@ -93,7 +86,9 @@ def find_whole(plan: RunPlan, files: ShardFiles, existing: Existing) -> RunRepor
             "or --overwrite to replace it."
         )
     record = read_object(files.marker) or {}
-    if (found := _number_damage(record, plan) or damage_of(files, record)) is None:
+    if plan.shard is not None and record.get("shard") != str(plan.shard):
+        found: str | None = f"it is the record of shard {record.get('shard')}, expected {plan.shard}"
+    elif (found := damage_of(files, record)) is None:
         require_same_key(record, plan, files.marker)
         if record["counts"]["frames"] == len(plan.frames):
             return RunReport.of_record(record, files.folder, files.marker)
@@ -102,14 +97,7 @@ def find_whole(plan: RunPlan, files: ShardFiles, existing: Existing) -> RunRepor
     return None
 
 
-def _number_damage(record: Mapping[str, Any], plan: RunPlan) -> str | None:
-    if plan.shard is None or record.get("shard") == str(plan.shard):
-        return None
-    return f"it is the record of shard {record.get('shard')}, expected {plan.shard}"
-
-
 def _frames_of(plan: RunPlan, folder: RunFolder, ledger: Ledger) -> Iterator[tuple[PlannedFrame, str, bytes]]:
-    """Yield the finished frames of a shard in its folder."""
     done = ledger.done()
     for frame in plan.frames:
         if (row := done.get(frame.frame_id)) is None:
@@ -143,7 +131,9 @@ def pack(
                 known = FrameRecord.from_text(text)
                 image, count = labelled_image(frame, known, Path(known.image), looseness)
                 loosened += count
-                key, label, scene = key_of(frame.frame_id), label_text(frame.frame_id, image, ids), _scene(text)
+                key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
+                # As people read it in a tar.
+                scene = (json.dumps(json.loads(text), sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
                 offset = tar.add(key, Path(known.image).suffix[1:], picture)
                 tar.add(key, LABEL, label)
                 tar.add(key, SCENE, scene)
@@ -197,11 +187,6 @@ def damage_of(files: ShardFiles, record: Mapping[str, Any], *, digests: bool = T
         except (LookupError, TypeError):
             return f"{files.marker.name} is damaged: no facts about the {name}"
     return None
-
-
-def _scene(text: str) -> bytes:
-    """Return the record of a frame as people read it in a tar."""
-    return (json.dumps(json.loads(text), sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
 
 
 def _facts(path: Path) -> dict[str, Any]:

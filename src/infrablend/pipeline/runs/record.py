@@ -23,9 +23,9 @@ from infrablend.storage.mirror import origin_of
 
 log = logging.getLogger(__name__)
 
-# Packages that affect pixels or labels.
 RUN = "run"
 """Field of a run record with the identity that the records of its frames name."""
+# Packages that affect pixels or labels.
 RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
 
 # Reader problems that leave out a whole image, or an annotation file with many.
@@ -101,11 +101,9 @@ class RunState:
         if failure.error == "DatasetError":
             image = Problem(str(frame.background.path), "image", failure.message)
             problem = failure.problems[0] if failure.problems else image
-            background = f"{frame.background.split}/{frame.background.id}"
-            known = background in self.skipped  # another configuration failed for the same reason
-            self.skipped[background] = problem
-            if not known:
-                log.warning("skipped background %s: %s", background, problem)
+            if frame.background_id not in self.skipped:  # or another configuration failed for the same reason
+                log.warning("skipped background %s: %s", frame.background_id, problem)
+            self.skipped[frame.background_id] = problem
             return
         self.failures[result.key] = Problem(
             result.key,
@@ -185,15 +183,7 @@ def run_record(
     labels: LabelSummary,
     timing: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return the record of a run whose frames have been made.
-
-    Args:
-        header: See `record_header`.
-        plan: Its plan.
-        state: Counts of its frames.
-        labels: Summary of its label files.
-        timing: Seconds, in a section of their own because they differ between equal runs.
-    """
+    """Return the record of a run whose frames have been made; times are apart, as they differ between equal runs."""
     return {
         **header,
         "counts": state.counts(plan, labels),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,7 @@ def report_run(run: Path) -> Path:
 def write_report(
     layout: RunFolder, record: Mapping[str, Any], frames: Iterable[FrameRecord], excluded: Mapping[str, str]
 ) -> Path:
-    """Write the report of a run and return its path.
-
-    Args:
-        layout: Folder of the run.
-        record: Record of the run.
-        frames: Records of its frames; one is in memory at a time.
-        excluded: Frames left out of the finished run, each with its reason.
-    """
+    """Write the report of a run and return its path; one of the records of `frames` is in memory at a time."""
     facts = sorted((_frame_facts(r) for r in frames), key=lambda f: f.frame_id)
     page = run_page(_run_facts(layout.root, record, facts, excluded))
     # Names from the data may hold what UTF-8 cannot.
@@ -115,7 +108,7 @@ def _frame_facts(record: FrameRecord) -> FrameFacts:
     )
 
 
-def _box(values: Sequence[Any]) -> Box:
+def _box(values: Iterable[Any]) -> Box:
     x0, y0, x1, y1 = (float(v) for v in values)
     return x0, y0, x1, y1
 
@@ -130,10 +123,9 @@ def _insert_facts(record: FrameRecord) -> tuple[InsertFacts, ...]:
             distance = float(np.linalg.norm(place - record.scene.camera.position_m))
         if (c := measured.get(number)) is not None:
             change = min(float(c["changed"]), float(c.get("change", c["changed"])))
-        x0, y0, x1, y1 = (float(v) for v in i.box_xyxy)
         signed = i.extra.get("contrast_grey")
         found.append(
-            InsertFacts(i.category, (x0, y0, x1, y1), distance, change,
+            InsertFacts(i.category, _box(i.box_xyxy), distance, change,
                         None if signed is None else float(signed), i.visibility)
         )  # fmt: skip
     return tuple(found)

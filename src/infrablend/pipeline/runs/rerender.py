@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.assets.model import ObjectModel
-from infrablend.compositing.mapping import GreyImage, GreyMapping
+from infrablend.compositing.mapping import GreyMapping
 from infrablend.compositing.picture import overlay
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import Recipe
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.machine import take_core
 from infrablend.core.output import require_replaceable
 from infrablend.core.picture_place import require_outside_datasets
-from infrablend.core.render import Renderer
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats.images import Background, encode_image, load_background
+from infrablend.formats.images import encode_image, load_background
 from infrablend.pipeline.compose.occlusion import recorded_front
 from infrablend.pipeline.plans.models import ready_model, run_once
 from infrablend.pipeline.runs.recorded import RecordedRun
@@ -112,30 +109,6 @@ def show_frame(run: Path, frame_id: str) -> dict[str, Any]:
     return folder.record(frame_id).to_json()
 
 
-def render_record(
-    record: FrameRecord, background: Background, recipe: Recipe, models: Mapping[str, ObjectModel], renderer: Renderer
-) -> GreyImage:
-    """Render a recorded frame again; the same device gives the same pixels as in the run."""
-    if record.scene is None or record.mapping is None:
-        raise ValueError(f"{record.frame_id}: an unchanged original has no scene")
-    scene, fitted = rebuild_scene(record.scene, models), record.facts.get("sensor")
-    rendered = renderer.render(scene)
-    return overlay(
-        rendered,
-        background.pixels,
-        GreyMapping.from_json(record.mapping),
-        recipe.overlay,
-        None if fitted is None else Sensor.from_json(fitted),
-        scene.spec.motion_px,
-        recorded_front(record.facts, background.pixels, rendered),
-    )
-
-
-def _holds(path: Path, data: bytes) -> bool:
-    """Return whether a file has exactly these bytes."""
-    return path.is_file() and path.stat().st_size == len(data) and path.read_bytes() == data
-
-
 def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
     """Return the worker: a function of a task whose payload is a `Rerender`."""
     take_core()
@@ -146,10 +119,21 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
         record = FrameRecord.from_json(job.record)
         background = load_background(job.background)
         models = {o.model: ready_model(o.model) for o in recipe.objects}
-        pixels = render_record(record, background, recipe, models, make_renderer(job.renderer, job.device))
+        assert record.scene is not None and record.mapping is not None, "no unchanged original"
+        scene, fitted = rebuild_scene(record.scene, models), record.facts.get("sensor")
+        rendered = make_renderer(job.renderer, job.device).render(scene)
+        pixels = overlay(
+            rendered,
+            background.pixels,
+            GreyMapping.from_json(record.mapping),
+            recipe.overlay,
+            None if fitted is None else Sensor.from_json(fitted),
+            scene.spec.motion_px,
+            recorded_front(record.facts, background.pixels, rendered),
+        )
         lossless = job.out.suffix.lower() == ".png"
         data = encode_image(pixels, background, "png" if lossless else "same")
-        if job.overwrite or not _holds(job.out, data):
+        if job.overwrite or not (job.out.is_file() and job.out.read_bytes() == data):
             require_replaceable(job.out, "rendering of this frame", ours=job.overwrite)
             write_bytes(job.out, data)
         return str(job.out)

@@ -21,14 +21,15 @@ from infrablend.core.workspace import Existing, Workspace, workspace
 from infrablend.errors import Interrupted, MissingDependencyError, OtherSettingsError, Problem, RenderError
 from infrablend.formats.images import output_suffix
 from infrablend.pipeline.compose.composed import MadeFrame
-from infrablend.pipeline.compose.pool import settings_for
-from infrablend.pipeline.plans.levels import dataset_levels
+from infrablend.pipeline.compose.settings import settings_for
+from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
 from infrablend.pipeline.runs.executors import Pace, make_executor
 from infrablend.pipeline.runs.exports import (
     LabelSummary,
     export_run,
+    has_size,
     list_exports,
     lost_exports,
     remove_exports,
@@ -39,7 +40,7 @@ from infrablend.pipeline.runs.record import RECORDED_PACKAGES, RUN, RunState, re
 
 log = logging.getLogger(__name__)
 
-FACTORY = "infrablend.pipeline.compose.frame:make_frame_maker"
+FACTORY = "infrablend.pipeline.compose.worker:FrameMaker"
 
 Choose = Callable[[Mapping[str, str]], Mapping[str, str]]
 """Returns the frames to leave out from now on, each with its reason, from those that are left out now."""
@@ -167,17 +168,17 @@ def run_in(
         with Ledger.open(folder.root) as ledger:
             previous, done, excluded = ledger.read_run(), ledger.done(), ledger.excluded()
             _require_same_run(previous, plan, space.out, execution)
-            plan = replace(plan, run=str(previous[RUN]), levels=_recorded_levels(previous))
+            plan = replace(plan, run=str(previous[RUN]), levels=recorded_levels(previous))
             kept_out = dict(excluded if choice is None else choice.choose(excluded))
             todo = _remaining(plan, folder, ledger, done, kept_out)
             written = list(plan.recipe.output.formats) == previous["formats"] and not lost_exports(folder, ledger)
         kept = kept_out == excluded and not (choice and choice.purge)
-        if space.state == "complete" and not todo and kept and (written or plan.shard is not None):
-            return RunReport.of_record(previous, space.out), None
-        if space.state == "complete" and todo:
-            named = ", ".join(f.frame_id for f in todo[:3])
-            log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), named)
         if space.state == "complete":
+            if not todo and kept and (written or plan.shard is not None):
+                return RunReport.of_record(previous, space.out), None
+            if todo:
+                named = ", ".join(f.frame_id for f in todo[:3])
+                log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), named)
             require_nothing_added(folder, plan)
         space.reopen()
         folder = RunFolder(space.folder)
@@ -192,9 +193,7 @@ def run_in(
         ledger.write_run({**previous, **header})
         ledger.exclude(kept_out)
         _place_excluded(folder, done, kept_out, purge=choice is not None and choice.purge)
-        state = RunState(excluded=sum(f.frame_id in kept_out for f in plan.frames))
-        plan = replace(plan, frames=tuple(f for f in plan.frames if f.frame_id not in kept_out))
-        _count_done(state, plan, done, todo)
+        plan, state = _without(plan, kept_out, done, todo)
         log.info("%d frames, %d already there, seed %d", len(plan.frames), state.resumed, plan.seed)
         try:
             _make_frames(plan, todo, folder, ledger, state, execution, on_progress, source)
@@ -209,8 +208,6 @@ def run_in(
                 space.discard()
             raise
         made = time.monotonic()
-        if not state.failures:
-            (folder.root / WORKERS_LOG).unlink(missing_ok=True)
         try:
             record, problems = _export(space, folder, plan, ledger, state, header, started, made)
         except KeyboardInterrupt as error:
@@ -219,6 +216,18 @@ def run_in(
                 f"{folder.root}. Repeat the command with --resume to write the labels."
             ) from error
     return RunReport(space.out, record["counts"], tuple(problems), time.monotonic() - started), record
+
+
+def _without(
+    plan: RunPlan, kept_out: Mapping[str, str], done: Mapping[str, DoneFrame], todo: Sequence[PlannedFrame]
+) -> tuple[RunPlan, RunState]:
+    """Return the plan without some frames, and the counts of those of the others that an earlier call finished."""
+    frames = tuple(f for f in plan.frames if f.frame_id not in kept_out)
+    again = {f.frame_id for f in todo}
+    earlier = [done[f.frame_id] for f in frames if f.frame_id not in again]
+    inserted = sum(frame.inserted for frame in earlier)
+    state = RunState(excluded=len(plan.frames) - len(frames), resumed=len(earlier), inserted=inserted)
+    return replace(plan, frames=frames), state
 
 
 def _export(
@@ -231,7 +240,8 @@ def _export(
     started: float,
     made: float,
 ) -> tuple[dict[str, Any], list[Problem]]:
-    """Write everything that follows from the ledger; return the record of the run and its problems."""
+    if not state.failures:
+        (folder.root / WORKERS_LOG).unlink(missing_ok=True)
     remove_exports(space, folder, ledger)
     frames = [f for f in plan.frames if f.frame_id not in state.unfinished]
     labels = LabelSummary() if plan.shard is not None else export_run(plan, folder, ledger, frames)
@@ -256,7 +266,6 @@ def _export(
 
 
 def _header(plan: RunPlan, execution: Execution, source: FrameSource | None) -> dict[str, Any]:
-    """Return the part of the record that is known before the first frame."""
     header = record_header(plan, execution)
     if source is not None:
         header |= {"machine": dict(source.machine), "packages": dict(source.packages)}
@@ -271,14 +280,6 @@ def _command(previous: Mapping[str, Any], choosing: bool) -> dict[str, Any]:
     return {k: v for k, v in previous.items() if k == COMMAND}
 
 
-def _recorded_levels(previous: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Return the levels with which a run was started."""
-    if previous.get("levels") is None:
-        return None
-    low, high = previous["levels"]
-    return float(low), float(high)
-
-
 def _make_frames(
     plan: RunPlan,
     todo: Sequence[PlannedFrame],
@@ -289,7 +290,6 @@ def _make_frames(
     on_progress: OnProgress | None,
     source: FrameSource | None,
 ) -> None:
-    """Make the frames of `todo`; a failed frame is counted and does not stop the others."""
     if source is None:
         worker = WorkerSpec(FACTORY, settings_for(plan, plan.levels, execution, folder.root))
         executor = make_executor(worker, execution, folder.root / WORKERS_LOG)
@@ -305,7 +305,13 @@ def _make_frames(
         if result.failure is None:
             made: MadeFrame = result.value
             ledger.add(frame.frame_id, made.frame, made.record)
-            _note_background(ledger, frame, made.background_sha256)
+            try:
+                status = frame.background.path.stat()
+            except OSError:  # removed meanwhile: its frames are made again by the next call that finds it
+                pass
+            else:
+                facts = status.st_size, status.st_mtime_ns, made.background_sha256
+                ledger.add_background(frame.background_id, *facts)
         else:
             ledger.add_failure(frame.frame_id, result.failure)
         state.add(result, frame)
@@ -314,25 +320,6 @@ def _make_frames(
             rate = pace.frames_per_s()
             done, eta_s = state.resumed + finished, (len(todo) - finished) / rate
             on_progress(Progress(done, len(plan.frames), rate, eta_s, state.outcomes))
-
-
-def _note_background(ledger: Ledger, frame: PlannedFrame, sha256: str) -> None:
-    try:
-        status = frame.background.path.stat()
-    except OSError:  # removed meanwhile: its frames are made again by the next call that finds it
-        return
-    ledger.add_background(_background(frame), status.st_size, status.st_mtime_ns, sha256)
-
-
-def _background(frame: PlannedFrame) -> str:
-    return f"{frame.background.split}/{frame.background.id}"
-
-
-def _count_done(state: RunState, plan: RunPlan, done: Mapping[str, DoneFrame], todo: Sequence[PlannedFrame]) -> None:
-    """Count the frames that an earlier call finished."""
-    again = {f.frame_id for f in todo}
-    kept = [done[f.frame_id] for f in plan.frames if f.frame_id not in again]
-    state.resumed, state.inserted = len(kept), sum(frame.inserted for frame in kept)
 
 
 def _remaining(
@@ -344,30 +331,25 @@ def _remaining(
     for frame in plan.frames:
         if frame.frame_id in kept_out:
             continue
-        row, name = done.get(frame.frame_id), _background(frame)
+        row, name = done.get(frame.frame_id), frame.background_id
         image = frame.image_path(output.group_by, output_suffix(frame.background.path, output.image))
-        if row is None or row.image != image or not _has_size(folder, row):
+        if row is None or row.image != image or not _is_there(folder, row):
             todo.append(frame)
             continue
         if name not in unchanged:
-            unchanged[name] = _is_unchanged(frame.background.path, known.get(name))
+            unchanged[name] = is_unchanged(frame.background.path, known.get(name))
         if not unchanged[name]:
             log.warning("%s: the background has changed since the frame was made; making it again", frame.frame_id)
             todo.append(frame)
     return todo
 
 
-def _has_size(folder: RunFolder, frame: DoneFrame) -> bool:
+def _is_there(folder: RunFolder, frame: DoneFrame) -> bool:
     """Return whether a picture is there, in its place or left out, with the size in the ledger."""
-    for path in (folder.image(frame.image), folder.excluded(frame.image)):
-        try:
-            return path.lstat().st_size == frame.bytes
-        except OSError:
-            continue
-    return False
+    return any(has_size(path, frame.bytes) for path in (folder.image(frame.image), folder.excluded(frame.image)))
 
 
-def _is_unchanged(path: Path, known: tuple[int, int, str] | None) -> bool:
+def is_unchanged(path: Path, known: tuple[int, int, str] | None) -> bool:
     """Return whether a background is the one that a frame was made of; it is read only if its size or time differs."""
     try:
         status = path.stat()

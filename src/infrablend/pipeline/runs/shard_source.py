@@ -6,8 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from infrablend.core.files import link_or_copy, read_object, read_regular, sha256_of, write_bytes
 from infrablend.core.frame_record import FrameRecord
@@ -20,53 +19,14 @@ from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.runs.packed_shard import UNFINISHED, damage_of
 
 
-class ShardSource(Protocol):
-    """A finished shard.
+class ShardFolder:
+    """Shard with a ledger and a file per picture.
 
     Attributes:
-        place: Folder or tar with its frames, for messages.
+        place: Folder with its frames, for messages.
     """
 
-    place: Path
-
-    def record(self) -> Mapping[str, Any]:
-        """Return the record of the shard.
-
-        Raises:
-            OutputError: It is damaged.
-        """
-        ...
-
-    def failures(self) -> Mapping[str, Failure]:
-        """Return why frames of the shard have no picture, by id."""
-        ...
-
-    def damage(self, frames: Sequence[str]) -> str | None:
-        """Return what is wrong with these frames; None if all are whole."""
-        ...
-
-    def read(self, frame_id: str) -> tuple[str, bytes]:
-        """Return record and picture of a frame; frames are asked for in the order of the plan.
-
-        Raises:
-            OutputError: The frame is not there, or damaged.
-        """
-        ...
-
-    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
-        """Put the picture of a frame into the folder of a run; see `read`."""
-        ...
-
-    def close(self) -> None:
-        """Close what is open; the shard can be read again from its start."""
-        ...
-
-
-class ShardFolder:
-    """Shard with a ledger and a file per picture."""
-
     def __init__(self, folder: RunFolder) -> None:
-        """Name the folder of the shard."""
         self._folder = folder
         self.place = folder.root
         self._stack = ExitStack()
@@ -99,7 +59,7 @@ class ShardFolder:
             return False
 
     def read(self, frame_id: str) -> tuple[str, bytes]:
-        """Return record and picture of a frame."""
+        """Return record and picture of a frame; frames are asked for in the order of the plan."""
         ledger, done = self._open()
         return ledger.record_text(frame_id), read_regular(self._folder.image(done[frame_id].image), self._folder.root)
 
@@ -117,10 +77,13 @@ class ShardFolder:
 
 
 class ShardArchive:
-    """Shard in a tar, which is read once from start to end."""
+    """Shard in a tar, which is read once from start to end.
+
+    Attributes:
+        place: The tar, for messages.
+    """
 
     def __init__(self, files: ShardFiles) -> None:
-        """Name the files of the shard."""
         self._files = files
         self.place = files.tar
         self._frames: Iterator[PackedFrame] | None = None
@@ -144,7 +107,11 @@ class ShardArchive:
         return damage_of(self._files, self.record())
 
     def read(self, frame_id: str) -> tuple[str, bytes]:
-        """Return record and picture of a frame that follows the last one that was asked for."""
+        """Return record and picture of a frame that follows the last one that was asked for.
+
+        Raises:
+            OutputError: The frame is not there, or damaged.
+        """
         if self._frames is None:
             self._frames = packed_frames(self._files.tar)
         key = key_of(frame_id)
@@ -167,8 +134,11 @@ class ShardArchive:
         return MadeFrame.of(record, len(picture), {})
 
     def close(self) -> None:
-        """Close the tar."""
+        """Close the tar; it can be read again from its start."""
         self._frames = None
 
     def _changed(self, found: str) -> OutputError:
         return OutputError(f"{self._files.tar}: {found}; expected the tar as it was written. Repeat with --resume")
+
+
+ShardSource = ShardFolder | ShardArchive

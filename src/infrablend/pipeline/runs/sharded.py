@@ -19,9 +19,9 @@ import os
 import shlex
 import socket
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -33,7 +33,7 @@ from infrablend.core.tasks import OnProgress, Progress
 from infrablend.core.typed_command import recorded_command
 from infrablend.core.workspace import NOTE, Existing, is_being_written, partial_of
 from infrablend.errors import OtherSettingsError, OutputError
-from infrablend.pipeline.plans.levels import dataset_levels
+from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.shard import MAX_SHARDS, Shard
@@ -89,7 +89,7 @@ class SharedPlan:
         Raises:
             LookupError, TypeError, ValueError, ArithmeticError: The values are damaged.
         """
-        levels, count, frames = data["levels"], int(data["shards"]), int(data["frames"])
+        count, frames = int(data["shards"]), int(data["frames"])
         if not 1 <= count <= MAX_SHARDS or frames < 0:
             raise ValueError(f"{count} shards of {frames} frames, expected 1 to {MAX_SHARDS} of at least 0")
         layout: Layout = data.get("layout", "files")
@@ -101,7 +101,7 @@ class SharedPlan:
             dict(data["key"]),
             tuple(data["formats"]),
             str(data["renderer"]),
-            None if levels is None else (float(levels[0]), float(levels[1])),
+            recorded_levels(data),
             layout,
         )
 
@@ -149,16 +149,9 @@ class ShardState:
         return f"{self.state}: {self.damage or f'{self.finished} of {self.frames} frames'}"
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            "shard": str(self.shard),
-            "state": self.state,
-            "frames": self.frames,
-            "finished": self.finished,
-            "failed": self.failed,
-            **({"command": self.command} if self.command else {}),
-            **({"damage": self.damage} if self.damage else {}),
-        }
+        """Return plain JSON values, without an empty command and an empty damage."""
+        found = asdict(self) | {"shard": str(self.shard)}
+        return {name: value for name, value in found.items() if value != ""}
 
 
 @dataclass(frozen=True)
@@ -323,13 +316,7 @@ def run_shard(
 ) -> RunReport:
     """Render the frames of one shard into its folder or files in `out`; merging shards writes the label files.
 
-    Args:
-        plan: Plan of the whole run.
-        shard: Shard to produce.
-        out: Folder of the run in shards.
-        execution: Workers, device and renderer.
-        existing: What to do if the shard has been started.
-        on_progress: Called after each frame.
+    `plan` is that of the whole run.
 
     Raises:
         OtherSettingsError: `out` has shards of another run.
@@ -350,47 +337,33 @@ def run_shards(
     execution: Execution,
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
+    make: Callable[..., RunReport] = run_shard,
 ) -> RunReport:
     """Produce shards one after the other; the report counts the frames of all.
 
-    The arguments and errors are those of `run_shard`.
+    The arguments and errors are those of `run_shard`, or of another function `make` that makes one shard.
     """
     reports: list[RunReport] = []
-    for shard, progress in zip(shards, shifted(plan, shards, on_progress), strict=True):
-        if len(shards) < shard.count:
-            plan = replace(plan, problems=())  # those of the data are reported once, by merging
-        reports.append(run_shard(plan, shard, out, execution, existing, progress))
-        plan = replace(plan, problems=())
-    return joined_reports(reports, out)
-
-
-def shifted(plan: RunPlan, shards: Sequence[Shard], on_progress: OnProgress | None) -> Iterator[OnProgress | None]:
-    """Yield for each shard what reports its progress as that of all of them."""
     before, total = 0, sum(len(s.part_of(plan.frames)) for s in shards)
     for shard in shards:
+        if reports or len(shards) < shard.count:
+            plan = replace(plan, problems=())  # those of the data are reported once: by merging, or with the first
 
         def report(progress: Progress, before: int = before) -> None:
             assert on_progress is not None
             done, rate = before + progress.done, progress.frames_per_s
             on_progress(replace(progress, done=done, total=total, eta_s=(total - done) / rate if rate else None))
 
-        yield None if on_progress is None else report
+        reports.append(make(plan, shard, out, execution, existing, None if on_progress is None else report))
         before += len(shard.part_of(plan.frames))
-
-
-def joined_reports(reports: Sequence[RunReport], out: Path) -> RunReport:
-    """Return one report on several shards of a run."""
     if len(reports) == 1:
         return reports[0]
     problems = tuple(p for r in reports for p in r.problems)
-    counts: dict[str, Any] = {}
-    for report in reports:
-        counts = _added(counts, report.counts)
+    counts = reduce(_added, (r.counts for r in reports))
     return RunReport(out, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
 
 
 def _added(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the sums of counts, also of those in mappings."""
     found = dict(a)
     for name, value in b.items():
         found[name] = _added(a.get(name, {}), value) if isinstance(value, Mapping) else a.get(name, 0) + value

@@ -18,24 +18,24 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
-from infrablend.core.files import read_object, read_regular, sha256_of_json, write_bytes
-from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
+from infrablend.core.files import read_object, sha256_of_json, write_bytes
+from infrablend.core.run_folder import SHARDS_FILE
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, OutputError, StorageError
-from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.packed_shard import ARCHIVE
 from infrablend.pipeline.runs.run import RunReport, require_same_key
 from infrablend.pipeline.runs.shard_source import ShardArchive, ShardSource
-from infrablend.pipeline.runs.sharded import ShardedRun, joined_reports, run_shard, shifted
+from infrablend.pipeline.runs.sharded import ShardedRun, run_shard, run_shards
 from infrablend.storage.store import Store
 
 log = logging.getLogger(__name__)
@@ -50,7 +50,7 @@ class StoredRun(ShardedRun):
         sizes: Bytes of its files, by name.
     """
 
-    store: Store = field(default_factory=lambda: Store(""))
+    store: Store
     sizes: dict[str, int] = field(default_factory=dict)
 
     @property
@@ -108,10 +108,6 @@ class _StoredShard(ShardArchive):
             self._run.store.download(self._files.tar.name, self._files.tar, self.record()[ARCHIVE]["tar"]["sha256"])
         return super().read(frame_id)
 
-    def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
-        """Unpack the picture of a frame that follows the last one that was asked for."""
-        return super().put(frame_id, folder)
-
     def close(self) -> None:
         """Delete the copy of the tar."""
         super().close()
@@ -119,7 +115,7 @@ class _StoredShard(ShardArchive):
 
 
 @contextlib.contextmanager
-def opened_run(out: str | Path, store: Store | None = None) -> Iterator[ShardedRun]:
+def opened_run(out: str | Path) -> Iterator[ShardedRun]:
     """Yield the run in shards in a folder, or at an address.
 
     Raises:
@@ -129,7 +125,7 @@ def opened_run(out: str | Path, store: Store | None = None) -> Iterator[ShardedR
         yield ShardedRun(Path(out))
         return
     with tempfile.TemporaryDirectory(prefix="infrablend-") as folder:
-        run = StoredRun(Path(folder), store or Store(address))
+        run = StoredRun(Path(folder), Store(address))
         run.refresh()
         yield run
 
@@ -154,18 +150,10 @@ def run_stored_shards(
     execution: Execution,
     existing: Existing = "refuse",
     on_progress: OnProgress | None = None,
-    store: Store | None = None,
 ) -> RunReport:
-    """Make packed shards one after the other, and copy each to object storage.
+    """Make packed shards one after the other, and copy each to object storage; `resume` leaves whole ones there.
 
-    Args:
-        plan: Plan of the whole run.
-        shards: Shards to make.
-        out: Address of the run.
-        execution: Workers, device and renderer.
-        existing: What to do with shards that the storage has: `resume` leaves whole ones as they are.
-        on_progress: Called after each frame.
-        store: The storage; None connects to that of the address.
+    `out` is the address of the run.
 
     Raises:
         ArgumentError: The layout has a file per frame.
@@ -175,17 +163,15 @@ def run_stored_shards(
     address = address_of(out)
     assert address is not None
     require_packed(plan.recipe, out)
-    store = store or Store(address)
-    reports: list[RunReport] = []
+    store = Store(address)
     # What a killed job left is found by the next job of the same run on this machine.
     key = hashlib.sha256(f"{address} {sha256_of_json(plan.key)}".encode()).hexdigest()[:16]
     local = ShardedRun(Path(tempfile.gettempdir()) / f"infrablend-{os.getuid()}-{key}")
     _share_plan(local, plan, shards[0].count, execution, store)
-    for shard, progress in zip(shards, shifted(plan, shards, on_progress), strict=True):
-        reports.append(_run_stored_shard(local, plan, shard, execution, existing, progress, store))
-        plan = replace(plan, problems=())
+    make = partial(_run_stored_shard, local=local, store=store)
+    report = run_shards(plan, shards, out, execution, existing, on_progress, make)
     shutil.rmtree(local.root, ignore_errors=True)
-    return replace(joined_reports(reports, out), out=Path(address))
+    return replace(report, out=Path(address))
 
 
 def _share_plan(local: ShardedRun, plan: RunPlan, count: int, execution: Execution, store: Store) -> None:
@@ -200,16 +186,17 @@ def _share_plan(local: ShardedRun, plan: RunPlan, count: int, execution: Executi
     except OutputError as error:
         raise type(error)(error.message.replace(str(local.root), store.address), error.problems) from error
     if known is None:
-        store.write(SHARDS_FILE, read_regular(local.file))
+        store.upload(local.file, SHARDS_FILE)
 
 
 def _run_stored_shard(
-    local: ShardedRun,
     plan: RunPlan,
     shard: Shard,
+    out: Path,
     execution: Execution,
     existing: Existing,
     on_progress: OnProgress | None,
+    local: ShardedRun,
     store: Store,
 ) -> RunReport:
     """Make one shard here, and copy its files: the record is removed first and comes last."""
@@ -227,13 +214,17 @@ def _run_stored_shard(
         whole = record.get("shard") == str(shard) and stored.damage(shard, record) is None
         if whole and record["counts"]["frames"] == len(shard.part_of(plan.frames)):
             require_same_key(record, plan, store.place(files.marker.name))
-            return RunReport.of_record(record, Path(store.address), marker)
+            return RunReport.of_record(record, out, marker)
     for path in (files.marker, files.tar, files.table):
         path.unlink(missing_ok=True)
     here: Existing = "overwrite" if existing == "overwrite" else "resume"
     report = run_shard(plan, shard, local.root, execution, here, on_progress)
-    _upload(files, store)
-    return replace(report, out=Path(store.address), record_file=marker)
+    store.remove(files.marker.name)
+    for path in (files.tar, files.table, files.marker):
+        store.upload(path, path.name)
+    for path in (files.tar, files.table, files.marker):
+        path.unlink()
+    return replace(report, out=out, record_file=marker)
 
 
 def _read_marker(store: Store, name: str) -> bytes | None:
@@ -245,11 +236,3 @@ def _read_marker(store: Store, name: str) -> bytes | None:
             raise
         log.warning("%s", error)
         return None
-
-
-def _upload(files: ShardFiles, store: Store) -> None:
-    store.remove(files.marker.name)
-    for path in (files.tar, files.table, files.marker):
-        store.upload(path, path.name)
-    for path in (files.tar, files.table, files.marker):
-        path.unlink()

@@ -224,14 +224,10 @@ def doubt_codes(record: FrameRecord) -> set[str]:
     codes = {_DOUBTS[kind][0] for gain in _gains(record) for kind in gain["doubts"] if kind in _DOUBTS}
     if _height_at_limit(record):
         codes.add(_HEIGHT)
-    if _sun_is_contradicted(record):
+    weather = None if record.scene is None else record.scene.weather
+    if weather is not None and weather.sun is not None and weather.sun.source == "contradicted":
         codes.add(_SUN)
     return codes
-
-
-def _sun_is_contradicted(record: FrameRecord) -> bool:
-    weather = None if record.scene is None else record.scene.weather
-    return weather is not None and weather.sun is not None and weather.sun.source == "contradicted"
 
 
 def warning_codes(record: FrameRecord) -> set[str]:

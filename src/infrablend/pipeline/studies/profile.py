@@ -27,7 +27,7 @@ from infrablend.core.output import require_apart, require_no_foreign
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import Background, load_background
-from infrablend.pipeline.datasets.enlarged import count_enlarged, count_marked
+from infrablend.pipeline.datasets.origin import count_loosened, loosened_before
 from infrablend.pipeline.plans.levels import require_one_depth
 from infrablend.pipeline.studies.profile_objects import annotated_pictures, object_figures, read_objects
 from infrablend.realism.looseness import MIN_BOXES
@@ -292,7 +292,7 @@ def _require_exact(rendered: Dataset) -> None:
         todo = "give a run of `infrablend generate` that inserts the annotated classes"
         none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
         raise DatasetError(f"{rendered.root}: no exact boxes to compare with", [none])
-    if not count_marked(rendered) and (enlarged := count_enlarged(rendered)[0]):
+    if not count_loosened(rendered) and (enlarged := sum(loosened_before(rendered, rendered).values())):
         found = f"{enlarged} boxes that are enlarged or fitted"
         todo = "give a run with coco in output.formats, or with exact boxes"
         unknown = Problem("--rendered", "boxes-enlarged", found, "the exact boxes", todo)
