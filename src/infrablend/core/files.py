@@ -128,7 +128,7 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         raise
 
 
-def require_still_there(paths: Iterable[Path], todo: str = "repeat the command") -> None:
+def require_still_there(paths: Iterable[Path]) -> None:
     """Check that files and folders which a command wrote have not been removed before its end.
 
     Raises:
@@ -137,7 +137,7 @@ def require_still_there(paths: Iterable[Path], todo: str = "repeat the command")
     gone = [str(p) for p in paths if not p.exists()]
     if gone:
         expected = "the file that was written before"
-        problems = [Problem(p, "output-removed", "no file", expected, todo) for p in gone]
+        problems = [Problem(p, "output-removed", "no file", expected, "repeat the command") for p in gone]
         raise OutputError("output was removed while the command was running", problems)
 
 

@@ -46,7 +46,7 @@ def exact_coverage(polygon: np.ndarray, w: int, h: int) -> np.ndarray:
 
 
 def test_a_rectangle_on_pixel_edges_is_covered_exactly() -> None:
-    coverage = raster.silhouette(fan(corners_of_box(np.array([2.0, 1, 5, 3]))), (0, 0), (7, 5), 4)
+    coverage = raster.silhouette(fan(corners_of_box(np.array([2.0, 1, 5, 3]))), (0, 0), (7, 5))
     expected = np.zeros((5, 7), np.float32)
     expected[1:3, 2:5] = 1
     assert_array_equal(coverage, expected)
@@ -59,7 +59,7 @@ def test_coverage_of_a_tilted_rectangle_has_no_bias(size: float) -> None:
     for _ in range(12):
         box = np.array([15 + rng.uniform(), 14 + rng.uniform(), size, size / 2, rng.uniform(0, 3)])
         polygon = corners_of_cxcywha(box)
-        coverage = raster.silhouette(fan(polygon), (0, 0), (30, 28), 8)
+        coverage = raster.silhouette(fan(polygon), (0, 0), (30, 28))
         error.append(coverage - exact_coverage(polygon, 30, 28))
         area_error.append(coverage.sum() / (size * size / 2) - 1)
     # One sample of 64 per pixel that an edge crosses is the worst, and the mean error cancels.
@@ -69,8 +69,8 @@ def test_coverage_of_a_tilted_rectangle_has_no_bias(size: float) -> None:
 
 def test_crop_and_whole_frame_agree() -> None:
     triangles = fan(corners_of_cxcywha(np.array([30.3, 20.8, 17, 9, 0.4])))
-    whole = raster.silhouette(triangles, (0, 0), (64, 48), 8)
-    assert_array_equal(raster.silhouette(triangles, (25, 15), (10, 8), 8), whole[15:23, 25:35])
+    whole = raster.silhouette(triangles, (0, 0), (64, 48))
+    assert_array_equal(raster.silhouette(triangles, (25, 15), (10, 8)), whole[15:23, 25:35])
 
 
 def test_triangles_sharing_edges_leave_no_gap_and_overlap_nowhere() -> None:
@@ -111,7 +111,7 @@ def test_projected_cube_has_the_cameras_pixels_and_depths() -> None:
 
 def test_geometry_at_the_near_plane_is_cut_there() -> None:
     vertices, triangles = cube(4.0)
-    projected = raster.project_triangles(camera(1.0), vertices, triangles, near_m=0.05)
+    projected = raster.project_triangles(camera(1.0), vertices, triangles)
     assert projected.cut
     assert np.isfinite(projected.xy).all()
     assert (1 / projected.inverse_depth).min() == pytest.approx(0.05)
