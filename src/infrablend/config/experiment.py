@@ -6,23 +6,20 @@ fields in the file) and a maker in `pipeline/experiments` (how it is made).
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterator, Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from infrablend.config.loading import parse_mapping, read_text
 from infrablend.config.recipe import LooseFactor, LoosePx
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.file_names import real_path
 from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale, shipped_names
 from infrablend.core.strict_model import Strict
-from infrablend.core.validation_messages import did_you_mean, field_problems
-from infrablend.core.yaml_text import read_yaml
-from infrablend.errors import Problem, RecipeError
+from infrablend.core.validation_messages import read_model
+from infrablend.errors import RecipeError
 
 Metric = Literal["p", "r", "map50", "map50_95"]
 METRICS: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
@@ -483,25 +480,7 @@ def load_experiment(experiment: str | Path) -> Experiment:
     Raises:
         RecipeError: The file cannot be read, or is wrong; lists every unknown key and bad value.
     """
-    path = Path(experiment)
-    folder: Path | None = None
-    if path.suffix.lower() in {".yaml", ".yml"} or path.parent != Path():
-        folder = real_path(path).parent
-        try:
-            text = path.read_text("utf-8")
-        except (OSError, ValueError) as error:
-            raise RecipeError(
-                f"experiment {path}: cannot be read ({error}); expected a YAML text file. "
-                f"Shipped experiments are {', '.join(list_experiments())}."
-            ) from error
-    elif str(experiment) in list_experiments():
-        text = (resources.files("infrablend.config") / "experiments" / f"{experiment}.yaml").read_text("utf-8")
-    else:
-        raise RecipeError(
-            f"experiment {str(experiment)!r}: neither a shipped experiment nor a YAML file that exists; "
-            f"shipped are {', '.join(list_experiments())}. "
-            f"{did_you_mean(str(experiment), list_experiments()) or 'Give one of these or the path of a .yaml file.'}"
-        )
+    text, folder = read_text("experiments", experiment)
     return parse_experiment(text, str(experiment), folder)
 
 
@@ -516,31 +495,13 @@ def parse_experiment(text: str, where: str, folder: Path | None = None) -> Exper
     Raises:
         RecipeError: Lists every unknown key and bad value.
     """
-    try:
-        data = read_yaml(text)
-    except ValueError as error:
-        raise RecipeError(
-            f"experiment {where}: {error}. Correct the file; docs/how_to/experiments.md explains it."
-        ) from error
-    if not isinstance(data, dict):
-        raise RecipeError(f"experiment {where}: found {type(data).__name__}, expected a mapping of fields")
-    if folder is not None:
-        _resolve_recipes(data, folder)
-    problems: list[Problem] = []
-    try:
-        return Experiment.model_validate_json(json.dumps(data))
-    except ValidationError as error:
-        problems += field_problems(
-            error, data, Experiment, "experiment", "see docs/how_to/experiments.md for all fields"
-        )
-    except (TypeError, ValueError) as error:
-        problems.append(Problem(where, "experiment-value", str(error), "plain numbers, texts, lists and mappings"))
-    raise RecipeError(f"experiment {where}: {len(problems)} field(s) are wrong", sorted(set(problems)))
-
-
-def _resolve_recipes(data: dict[str, Any], folder: Path) -> None:
+    data = parse_mapping(text, f"experiment {where}", "docs/how_to/experiments.md")
     items = data.get("data")
     for item in items.values() if isinstance(items, Mapping) else ():
         recipe = item.get("recipe") if isinstance(item, dict) else None
-        if isinstance(recipe, str) and re.search(r"\.ya?ml$", recipe, re.IGNORECASE):
+        if folder is not None and isinstance(recipe, str) and recipe.lower().endswith((".yaml", ".yml")):
             item["recipe"] = str(real_path(folder / recipe))
+    found = read_model(Experiment, data, where, "experiment", "see docs/how_to/experiments.md for all fields")
+    if isinstance(found, Experiment):
+        return found
+    raise RecipeError(f"experiment {where}: {len(found)} field(s) are wrong", found)
