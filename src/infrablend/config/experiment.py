@@ -319,16 +319,17 @@ class Check(Strict):
 
     @model_validator(mode="after")
     def _whole(self) -> Check:
-        if (self.comparison is None) == (self.ratio is None):
-            raise ValueError("a check needs either comparison or ratio, not both")
-        if (self.expect == "at_least") != (self.least is not None):
-            raise ValueError("expect: at_least and least need each other")
-        if self.expect in ("below", "above", "within", "not_below") and self.comparison is None:
-            raise ValueError(f"expect: {self.expect} needs a comparison")
-        if self.time is not None and self.ratio is None:
-            raise ValueError("time needs a ratio")
-        if self.expect == "at_least" and self.ratio is None:
-            raise ValueError("expect: at_least needs a ratio")
+        no_comparison, no_ratio, at_least = self.comparison is None, self.ratio is None, self.expect == "at_least"
+        of_interval = self.expect in ("below", "above", "within", "not_below")
+        for wrong, why in (
+            (no_comparison == no_ratio, "a check needs either comparison or ratio, not both"),
+            (at_least != (self.least is not None), "expect: at_least and least need each other"),
+            (of_interval and no_comparison, f"expect: {self.expect} needs a comparison"),
+            (self.time is not None and no_ratio, "time needs a ratio"),
+            (at_least and no_ratio, "expect: at_least needs a ratio"),
+        ):
+            if wrong:
+                raise ValueError(why)
         return self
 
 
@@ -390,33 +391,38 @@ class Experiment(Strict):
             {one for names in repeated[kind].values() for one in names} for kind in ("trainings", "evaluations")
         )
         for n, d in self.data.items():
-            yield from (f"data.{n}: no source or data {i}" for i in self.inputs_of(n).values() if i not in items)
             if isinstance(d, Paste) and not isinstance(self.data.get(d.like), Generate):
                 yield f"data.{n}.like: {d.like} is no data item of kind generate"
-        for n, t in self.trainings.items():
-            if t.data not in items:
-                yield f"trainings.{n}.data: no source or data {t.data}"
+        known = {
+            "source or data": items,
+            "training": trainings,
+            "evaluation": evaluations,
+            "comparison": {*self.comparisons},
+            "stage": {*self.data, *trainings, *evaluations, *self.comparisons},
+        }
+        yield from (f"{place}: no {kind} {name}" for place, kind, name in self._references() if name not in known[kind])
+
+    def _references(self) -> Iterator[tuple[str, str, str]]:
+        """Yield place, kind and name of every reference in the file."""
+        data, evaluation = "source or data", "evaluation"
+        for n in self.data:
+            yield from ((f"data.{n}", data, i) for i in self.inputs_of(n).values())
+        yield from ((f"trainings.{n}.data", data, t.data) for n, t in self.trainings.items())
         for n, e in self.evaluations.items():
-            if e.training not in trainings:
-                yield f"evaluations.{n}.training: no training {e.training}"
-            if e.data not in items:
-                yield f"evaluations.{n}.data: no source or data {e.data}"
+            yield from ((f"evaluations.{n}.training", "training", e.training), (f"evaluations.{n}.data", data, e.data))
         for n, c in self.comparisons.items():
-            yield from (f"comparisons.{n}: no evaluation {e}" for e in (*c.a, *c.b) if e not in evaluations)
+            yield from ((f"comparisons.{n}", evaluation, of) for of in (*c.a, *c.b))
         for k, table in enumerate(self.tables):
             for row in table.rows:
-                for of in row.evaluation or (table.evaluation,):
-                    if of not in evaluations:
-                        yield f"tables.{k}: {row.title}: no evaluation {of}"
+                names = row.evaluation or (str(table.evaluation),)
+                yield from ((f"tables.{k}: {row.title}", evaluation, of) for of in names)
         for k, f in enumerate(self.facts):
-            yield from (f"facts.{k}.data: no source or data {d}" for d in f.data if d not in items)
+            yield from ((f"facts.{k}.data", data, d) for d in f.data)
         for k, check in enumerate(self.checks):
-            if check.comparison is not None and check.comparison not in self.comparisons:
-                yield f"checks.{k}.comparison: no comparison {check.comparison}"
-            of_ratio = [e for side in check.ratio or () for e in side]
-            yield from (f"checks.{k}.ratio: no evaluation {e}" for e in of_ratio if e not in evaluations)
-        known = {*self.data, *trainings, *evaluations, *self.comparisons}
-        yield from (f"only_at: no stage {n}" for n in self.only_at if n not in known)
+            if check.comparison is not None:
+                yield f"checks.{k}.comparison", "comparison", check.comparison
+            yield from ((f"checks.{k}.ratio", evaluation, e) for side in check.ratio or () for e in side)
+        yield from (("only_at", "stage", n) for n in self.only_at)
 
     def seeds_of_trainings(self) -> dict[str, tuple[str, ...]]:
         """Return the names of all seeds of each training, at any scale."""
