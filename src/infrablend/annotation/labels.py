@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -74,10 +74,6 @@ class Drop:
     category: str
     reason: DropReason
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {"index": self.index, "category": self.category, "reason": self.reason}
-
 
 @dataclass(frozen=True)
 class LabelReport:
@@ -101,14 +97,11 @@ class LabelReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return {
-            "kept": list(self.kept),
-            "drops": [d.to_json() for d in self.drops],
-            "mask_fallbacks": list(self.mask_fallbacks),
-            "obb_held_inside": list(self.obb_held_inside),
-            "heading_end_on": list(self.heading_end_on),
-            "boxes_from_samples": list(self.boxes_from_samples),
-        }
+        return {name: list(found) for name, found in asdict(self).items()}
+
+
+# Special cases of a label, in the order in which `annotate` meets them.
+_SPECIAL = ("mask_fallbacks", "obb_held_inside", "heading_end_on", "boxes_from_samples")
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,10 +166,7 @@ def annotate(
     instances: list[Instance] = []
     kept: list[int] = []
     drops: list[Drop] = []
-    fallbacks: list[int] = []
-    held_inside: list[int] = []
-    end_on: list[int] = []
-    from_samples: list[int] = []
+    special: dict[str, list[int]] = {name: [] for name in _SPECIAL}
     for k, placed in enumerate(scene.objects):
         category = placed.spec.category
         shape = _visible_shape(k, surfaces, size_wh, with_coverage=result is None)
@@ -197,14 +187,9 @@ def annotate(
         direction = heading_in_image(placed) if obb == "heading" else None
         corners, held = oriented_box(shape.hull_xy, shape.truncated, direction, size_wh)
         kept.append(k)
-        if fallback:
-            fallbacks.append(k)
-        if held:
-            held_inside.append(k)
-        if obb == "heading" and direction is None:
-            end_on.append(k)
-        if shape.from_samples:
-            from_samples.append(k)
+        cases = (fallback, held, obb == "heading" and direction is None, shape.from_samples)
+        for name, met in zip(_SPECIAL, cases, strict=True):
+            special[name] += [k] if met else []
         instances.append(
             Instance(
                 category=category,
@@ -217,15 +202,8 @@ def annotate(
                 extra={"object": k},
             )
         )
-    report = LabelReport(
-        kept=tuple(kept),
-        drops=tuple(drops),
-        mask_fallbacks=tuple(fallbacks),
-        obb_held_inside=tuple(held_inside),
-        heading_end_on=tuple(end_on),
-        boxes_from_samples=tuple(from_samples),
-    )
-    return tuple(instances), report
+    met_in = {name: tuple(found) for name, found in special.items()}
+    return tuple(instances), LabelReport(tuple(kept), tuple(drops), **met_in)
 
 
 def _require_matching(scene: PlacedScene, result: RenderResult | None) -> None:
@@ -290,7 +268,8 @@ def _visible_shape(
     hull = points[convex_hull_indices(points[:, :2])]
 
     # At equal depth the first object counts as nearer, so that only one of two coinciding objects is visible.
-    others = [p.every if j > k else _moved_nearer(p.every, 1e-9) for j, p in enumerate(surfaces) if j != k]
+    nearer = [replace(p.every, inverse_depth=p.every.inverse_depth * (1 + 1e-9)) for p in surfaces[:k]]
+    others = [*nearer, *(p.every for p in surfaces[k + 1 :])]
     others = [p for p in (_in_front(p, box, float(own.inverse_depth.min())) for p in others) if len(p.xy)]
     hidden = hidden_points(hull[:, :2], hull[:, 2], _joined([surfaces[k].unlabelled, *others]))
     offset_xy = (math.floor(box[0]), math.floor(box[1]))
@@ -321,15 +300,9 @@ def _visible_shape(
 
 
 def _not_behind(own: ProjectedTriangles, others: Sequence[ProjectedTriangles], grid: SampleGrid) -> NDArray[np.bool_]:
-    """Return the samples in which none of the others is nearer."""
     front = _joined(others)
     depth = nearest_inverse_depth(own.xy, own.inverse_depth, grid)
     return np.asarray(depth >= nearest_inverse_depth(front.xy, front.inverse_depth, grid))
-
-
-def _moved_nearer(triangles: ProjectedTriangles, share: float) -> ProjectedTriangles:
-    """Return the triangles moved nearer by a share of their depth."""
-    return replace(triangles, inverse_depth=triangles.inverse_depth * (1 + share))
 
 
 def _in_front(triangles: ProjectedTriangles, box_xyxy: FloatArray, inverse_depth: float) -> ProjectedTriangles:

@@ -50,6 +50,5 @@ def label_occluded(
 
 
 def _visible_hull(mask: NDArray[np.bool_], box_xyxy: FloatArray) -> FloatArray:
-    """Return the (H, 2) convex hull of a mask's pixels, within the box of the whole object."""
     points = np.clip(row_corners(mask), box_xyxy[:2], box_xyxy[2:])
     return convex_hull(np.unique(points, axis=0))

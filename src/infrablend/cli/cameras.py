@@ -21,7 +21,7 @@ from infrablend.cli.options import (
     WorkersOption,
     reported,
 )
-from infrablend.cli.output import print_problems, print_result, show_result, shown_progress, table
+from infrablend.cli.output import grid, print_problems, print_result, show_result, shown_progress, table
 from infrablend.cli.session import Session
 from infrablend.report.figures import human_seconds
 
@@ -78,7 +78,6 @@ def frames(
 
 
 def _clip(clip: Clip) -> str:
-    """Return the lines on one video."""
     facts = clip.facts
     width, height = facts["size_wh"]
     kind = "in colour" if clip.colour == clip.frames else "grey" if not clip.colour else f"{clip.colour} in colour"
@@ -183,18 +182,12 @@ def profile(
 
 
 def _profile_lines(report: ProfileReport) -> list[str]:
-    """Return the table of the fit, a line per time of day and class, and the paths of what was written."""
-    first = max(len(what) for what, _ in report.rows)
-    widths = [max(len(c), *(len(cells[i]) for _, cells in report.rows)) for i, c in enumerate(report.columns)]
-    lines = []
-    for what, cells in (("", report.columns), *report.rows):
-        columns = "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
-        lines.append(f"{what:<{first}}  {columns}".rstrip())
-    return [*lines, *_object_lines(report.objects), str(report.path), str(report.plot)]
+    rows = [[what, *cells] for what, cells in report.rows]
+    fit = grid(["", *report.columns], rows)
+    return [fit, *_object_lines(report.objects), str(report.path), str(report.plot)]
 
 
 def _object_lines(objects: Mapping[str, Any]) -> list[str]:
-    """Return a line per time of day and class on what annotated objects show."""
     lines = []
     for time, share in objects["local_share"].items():
         bound = f"at most {share['upper_bound']:.2f} ({share['ci'][0]:.2f} to {share['ci'][1]:.2f})"

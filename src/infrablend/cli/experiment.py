@@ -113,7 +113,6 @@ def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
 
 
 def _result_blocks(facts: Mapping[str, Any]) -> list[str]:
-    """Return the page's tables and conclusions as text for the terminal."""
     blocks = [_table_block(t) for t in facts["tables"]]
     if facts["datasets"]:
         blocks.append(_datasets_block(facts["datasets"]))

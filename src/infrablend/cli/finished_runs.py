@@ -189,7 +189,6 @@ def realism(
 
 
 def _realism_lines(compared: api.RealismReport) -> list[str]:
-    """Return the figures and the checks of each class, and the path of the report."""
     from infrablend.report.realism import check_rows
 
     lines = []

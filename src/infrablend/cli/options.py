@@ -95,7 +95,6 @@ def _parameter(name: str, annotation: Any, default: Any = inspect.Parameter.empt
 
 
 def _field_options(request: type, wanted: Fields) -> list[_FieldOption]:
-    """Return the options of the wanted fields of a request, in their order."""
     texts, types = attribute_texts(request), get_type_hints(request)
     return [
         _field_option(f, types[f.name], texts[f.name], wanted.options.get(f.name, typer.Option()))

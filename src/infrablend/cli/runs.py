@@ -147,7 +147,6 @@ def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None
 
 
 def _show_run(report: api.RunReport, session: Session) -> None:
-    """Print the report, and its problems on stderr; exit with 1 if something was skipped or failed."""
     print_problems(report.problems, session.log_path, report.record_file or report.out / "run.json")
     show_result(session, report.to_json(), lambda: f"{table(facts(report.counts))}\n{shown(report.out)}".lstrip("\n"))
     if not report.ok:

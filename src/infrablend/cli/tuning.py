@@ -65,7 +65,6 @@ def try_recipe(
 
 
 def _show(trial: api.Trial, out: Path, session: Session) -> None:
-    """Write the picture, and print what is in it."""
     path = trial.write(out)
     gc.freeze()
     gc.enable()
@@ -77,7 +76,6 @@ def _show(trial: api.Trial, out: Path, session: Session) -> None:
 
 
 def _lines(trial: api.Trial) -> list[str]:
-    """Return what is in the frame, a line per inserted object."""
     from infrablend.pipeline.compose.trial import gain_words, how_visible
 
     lines = [f"{trial.frame.id}, {trial.seconds:.2f} s"]

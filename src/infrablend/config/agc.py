@@ -27,8 +27,6 @@ Levels = NDArray[np.uint8]
 
 
 class _Agc(Strict):
-    """A map from 16-bit to 8-bit pictures."""
-
     needs_scale: ClassVar[bool] = False
     """Whether pictures need a temperature scale."""
 
@@ -161,7 +159,6 @@ def _rounded(levels: NDArray[np.float64]) -> Levels:
 
 
 def _mode_alone(data: Any) -> Any:
-    """Return the mapping that a mode alone stands for."""
     return {"mode": data} if isinstance(data, str) else data
 
 

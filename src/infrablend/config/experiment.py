@@ -375,7 +375,6 @@ class Experiment(Strict):
         return self
 
     def _unknown_names(self) -> Iterator[str]:
-        """Yield every reference to something that does not exist."""
         both = sorted(set(self.sources) & set(self.data))
         yield from (f"{n} is both in sources and in data" for n in both)
         items = {*self.sources, *self.data}

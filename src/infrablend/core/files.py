@@ -293,16 +293,6 @@ def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool =
     return write_text(path, text + "\n", durable=durable)
 
 
-def copy_new(source: Path, target: Path) -> None:
-    """Copy the content of a file to a new one.
-
-    Raises:
-        OSError: `target` exists, if only as a link; or the file cannot be copied.
-    """
-    with source.open("rb") as stream, target.open("xb") as new:
-        shutil.copyfileobj(stream, new, 1 << 20)
-
-
 def link_or_copy(source: Path, target: Path) -> Path:
     """Make `target` a hard link to `source`, or a copy where links are impossible; atomic, creates folders.
 
@@ -322,5 +312,6 @@ def link_or_copy(source: Path, target: Path) -> Path:
         except OSError as error:
             if error.errno not in _NO_LINK:
                 raise
-            copy_new(real, temporary)
+            with real.open("rb") as stream, temporary.open("xb") as new:
+                shutil.copyfileobj(stream, new, 1 << 20)
     return target

@@ -192,9 +192,8 @@ class Ledger:
 
     def forget(self, frame_id: str) -> None:
         """Remove a frame that has to be made again."""
-        self._write("DELETE FROM frames WHERE frame_id = ?", frame_id)
-        self._write("DELETE FROM records WHERE frame_id = ?", frame_id)
-        self._write("DELETE FROM tracebacks WHERE frame_id = ?", frame_id)
+        for table in ("frames", "records", "tracebacks"):
+            self._write(f"DELETE FROM {table} WHERE frame_id = ?", frame_id)
 
     def done(self) -> dict[str, DoneFrame]:
         """Return the frames that have a picture, excluded ones too, by id."""
@@ -294,7 +293,6 @@ _OF_THE_DISK = {sqlite3.SQLITE_FULL: errno.ENOSPC, sqlite3.SQLITE_IOERR: errno.E
 
 @contextlib.contextmanager
 def _reported(file: Path) -> Iterator[None]:
-    """Turn errors of SQLite into errors that say what to do."""
     try:
         yield
     except (sqlite3.Error, ValueError, TypeError) as error:

@@ -117,7 +117,6 @@ class RunFolder:
         raise OutputError(f"{self.root}: no finished frame {frame_id!r}; expected the id of a frame{hint}")
 
     def _what_it_is(self) -> str:
-        """Return what a folder is that has no ledger, and what to do."""
         if (left := unfinished(self.root)) is not None:
             return f"not finished; {left}"
         if os.path.lexists(self.root / SHARDS_FILE):

@@ -226,7 +226,6 @@ def _mapping_text(model: type[BaseModel], path: Path) -> str:
 
 
 def _known_names(model: type[BaseModel], path: Path) -> set[str]:
-    """Return the names of the fields at the parent of `path`."""
     return {name for m in _parents(model, path) for name in m.model_fields}
 
 

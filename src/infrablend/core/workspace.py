@@ -305,11 +305,6 @@ def _require_own(space: Workspace, *, replaced: bool) -> None:
 
 
 def _open(space: Workspace, existing: Existing, keep: bool) -> None:
-    """Look at what is there, and prepare the workspace.
-
-    Raises:
-        OutputError: What is there may not be replaced.
-    """
     root, partial = space.out, space.partial
     entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
     left = sorted(p.name for p in partial.iterdir())
@@ -375,7 +370,6 @@ def _lock(folder: Path, noun: str, *, make: bool = False) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _reported(path: Path) -> Iterator[None]:
-    """Turn a failed rename or deletion into an error that says what to do."""
     try:
         yield
     except OSError as error:

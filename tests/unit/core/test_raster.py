@@ -14,7 +14,6 @@ from infrablend.core.boxes import (
     convex_hull,
     corners_of_box,
     corners_of_cxcywha,
-    frame_polygon,
     polygon_area,
 )
 from infrablend.core.camera import CameraSpec
@@ -195,7 +194,9 @@ def test_share_of_a_cube_at_the_frames_corner_is_that_of_its_outline() -> None:
     vertices, triangles = cube(0.6)
     vertices = vertices @ view.world_to_camera + view.position_m + view.world_to_camera.T @ [1.7, 1.4, 5.0]
     outline = convex_hull(view.project(vertices)[0])
-    exact = polygon_area(clip_convex(outline, frame_polygon(view.size_wh))) / polygon_area(outline)
+    exact = polygon_area(clip_convex(outline, corners_of_box(np.array([0.0, 0, *view.size_wh])))) / polygon_area(
+        outline
+    )
     assert 0.1 < exact < 0.9
     assert raster.inside_fraction(view, vertices, triangles)[0] == pytest.approx(exact, abs=0.004)
 
