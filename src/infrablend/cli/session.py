@@ -22,7 +22,6 @@ from infrablend.errors import ArgumentError
 if TYPE_CHECKING:
     from rich.console import Console
 
-_WARNED = 1000  # warnings that are remembered
 LOG_SIZE_BYTES = 5_000_000  # a longer log is renamed and a new one started
 
 logger = logging.getLogger(__name__)
@@ -63,8 +62,7 @@ class _ConsoleHandler(logging.Handler):
             if record.levelno == logging.WARNING:  # shown once; stages of an experiment repeat them
                 if line in self._warned:
                     return
-                if len(self._warned) < _WARNED:
-                    self._warned.add(line)
+                self._warned.add(line)
             self._console.print(line, markup=False, highlight=False, soft_wrap=True)
         except Exception:
             self.handleError(record)
