@@ -128,11 +128,7 @@ def merge(original: Sequence[Instance], new: Sequence[Instance], settings: Merge
 
 
 def covered_pixels(new: Sequence[Instance]) -> NDArray[np.bool_] | None:
-    """Mark the (h, w) pixels that the new objects hide; None without any new object.
-
-    Raises:
-        ValueError: A new instance has no mask.
-    """
+    """Mark the (h, w) pixels that the new objects hide; None without any new object."""
     cover: NDArray[np.bool_] | None = None
     for i in new:
         if i.mask is None:

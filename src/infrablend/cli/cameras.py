@@ -21,7 +21,7 @@ from infrablend.cli.options import (
     WorkersOption,
     reported,
 )
-from infrablend.cli.output import grid, print_problems, print_result, show_result, shown_progress, table
+from infrablend.cli.output import grid, print_result, show_report, show_result, shown_progress, table
 from infrablend.cli.session import Session
 from infrablend.report.figures import human_seconds
 
@@ -70,11 +70,9 @@ def frames(
     flight = replace(flight, use_log=not no_log, clock=clock)
     with shown_progress(session, "extracting") as on_progress:
         report = api.extract_frames(videos, out, choice, flight, overwrite=overwrite, on_progress=on_progress)
-    print_problems(report.problems, session.log_path, out / FRAMES_FILE)
     data = {"out": str(out), **report.to_json()}
-    show_result(session, data, lambda: "\n\n".join([*(_clip(clip) for clip in report.clips), str(out)]))
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    clips = (_clip(clip) for clip in report.clips)
+    show_report(session, report, out / FRAMES_FILE, data, lambda: "\n\n".join([*clips, str(out)]))
 
 
 def _clip(clip: Clip) -> str:
@@ -131,10 +129,8 @@ def temperatures(
         report = api.extract_temperatures(
             data, out, scale, reading=reading, overwrite=overwrite, on_progress=on_progress
         )
-    print_problems(report.problems, session.log_path, out / TEMPERATURES_FILE)
-    show_result(session, {"out": str(out), **report.to_json()}, lambda: f"{table(_temperatures(report))}\n\n{out}")
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    found = {"out": str(out), **report.to_json()}
+    show_report(session, report, out / TEMPERATURES_FILE, found, lambda: f"{table(_temperatures(report))}\n\n{out}")
 
 
 def _temperatures(report: TemperaturesReport) -> dict[str, str]:

@@ -20,7 +20,7 @@ from infrablend.cli.options import (
     key_values,
     split_at_commas,
 )
-from infrablend.cli.output import facts, grid, print_problems, show_result, shown_progress, table
+from infrablend.cli.output import facts, grid, show_report, show_result, shown_progress, table
 
 if TYPE_CHECKING:
     from infrablend.report.checking import CheckReport
@@ -229,10 +229,8 @@ def convert(
         source, out, to, reading=reading, classes=classes, selection=selection,
         loosen=loosen, loosen_px=loosen_px, writing=writing, overwrite=overwrite,
     )  # fmt: skip
-    print_problems(report.problems, session.log_path, report.out / "convert.json")
-    show_result(session, report.to_json(), lambda: "\n".join(_conversion_lines(report)))
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    record = report.out / "convert.json"
+    show_report(session, report, record, report.to_json(), lambda: "\n".join(_conversion_lines(report)))
 
 
 def _conversion_lines(report: api.ConvertReport) -> list[str]:

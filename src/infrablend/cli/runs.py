@@ -27,7 +27,7 @@ from infrablend.cli.options import (
     earlier_output,
     reported,
 )
-from infrablend.cli.output import facts, print_problems, print_warnings, show_result, shown_progress, table
+from infrablend.cli.output import facts, print_warnings, show_report, show_result, shown_progress, table
 from infrablend.cli.session import Session
 from infrablend.core.addresses import shown
 from infrablend.errors import ArgumentError
@@ -129,11 +129,7 @@ def generate(
 
 
 def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None:
-    """Parse `--shard I/N`, or `--shard I` with `--shard-size`; None if neither is given.
-
-    Raises:
-        typer.BadParameter: The values are not a shard, or do not fit together.
-    """
+    """Parse `--shard I/N`, or `--shard I` with `--shard-size`; None if neither is given."""
     if text is None:
         return None if size is None else api.ShardRequest(size=size)
     number, slash, count = text.partition("/")
@@ -147,10 +143,9 @@ def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None
 
 
 def _show_run(report: api.RunReport, session: Session) -> None:
-    print_problems(report.problems, session.log_path, report.record_file or report.out / "run.json")
-    show_result(session, report.to_json(), lambda: f"{table(facts(report.counts))}\n{shown(report.out)}".lstrip("\n"))
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    record = report.record_file or report.out / "run.json"
+    text = f"{table(facts(report.counts))}\n{shown(report.out)}".lstrip("\n")
+    show_report(session, report, record, report.to_json(), lambda: text)
 
 
 def merge(

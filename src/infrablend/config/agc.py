@@ -175,11 +175,7 @@ _ADAPTER: TypeAdapter[Agc] = TypeAdapter(Agc)
 
 
 def agc_from_json(data: Mapping[str, Any]) -> Agc:
-    """Return the AGC that `model_dump` gave.
-
-    Raises:
-        ValidationError: The values are no AGC.
-    """
+    """Return the AGC that `model_dump` gave; a `ValidationError` for values that are none."""
     return _ADAPTER.validate_python(dict(data))
 
 

@@ -490,16 +490,7 @@ def load_experiment(experiment: str | Path) -> Experiment:
 
 
 def parse_experiment(text: str, where: str, folder: Path | None = None) -> Experiment:
-    """Return the experiment in a YAML text.
-
-    Args:
-        text: Content of the file.
-        where: Name of the file in error messages.
-        folder: Folder that paths of recipes are relative to.
-
-    Raises:
-        RecipeError: Lists every unknown key and bad value.
-    """
+    """Return the experiment in a YAML text, as `load_experiment`; paths of recipes are relative to `folder`."""
     data = parse_mapping(text, f"experiment {where}", "docs/how_to/experiments.md")
     items = data.get("data")
     for item in items.values() if isinstance(items, Mapping) else ():

@@ -41,11 +41,7 @@ def list_recipes() -> list[str]:
 
 
 def recipe_text(name: str) -> str:
-    """Return the YAML text of a shipped recipe.
-
-    Raises:
-        RecipeError: If no shipped recipe has that name.
-    """
+    """Return the YAML text of a shipped recipe; a `RecipeError` if none has that name."""
     return _shipped_text("recipes", name)
 
 
@@ -62,12 +58,7 @@ def _shipped_text(kind: Kind, name: str) -> str:
 def read_text(kind: Kind, named: str | Path) -> tuple[str, Path | None]:
     """Return the text of a shipped recipe or experiment, or of a YAML file with the folder that it is in.
 
-    Args:
-        kind: What it is.
-        named: A shipped name, or a path (anything with a suffix or a folder in it).
-
-    Raises:
-        RecipeError: There is no such name, or the file cannot be read.
+    A path is anything with a suffix or a folder in it. A `RecipeError` if there is no such name or file.
     """
     path = Path(named)
     if path.suffix.lower() not in _YAML and path.parent == Path():
@@ -82,12 +73,7 @@ def read_text(kind: Kind, named: str | Path) -> tuple[str, Path | None]:
 
 
 def parse_mapping(text: str, what: str, docs: str) -> dict[str, Any]:
-    """Return the fields in a YAML text.
-
-    Args:
-        text: The text.
-        what: Kind and name of the file, for errors.
-        docs: Page that explains the fields.
+    """Return the fields in the YAML text of a file; `docs` is the page that explains them.
 
     Raises:
         RecipeError: The text is not YAML, or no mapping.
@@ -125,14 +111,8 @@ def load_recipe(recipe: str | Path, settings: Settings = ()) -> Recipe:
     """Return the recipe of that name or file, with `settings` applied.
 
     Fields that a setting of a mode makes meaningless are dropped, each with a warning in the log; a lens or a roll
-    kept from the other placement mode gives a warning too. `read_recipe` returns these warnings.
-
-    Args:
-        recipe: A shipped name, or a path (anything with a suffix or a folder in it).
-        settings: `key=value` texts (dotted keys, YAML values), or a mapping of dotted keys to values.
-
-    Raises:
-        RecipeError: With every unknown key and bad value at once.
+    kept from the other placement mode gives a warning too. `read_recipe` has the same arguments and errors, and returns
+    these warnings.
     """
     loaded = read_recipe(recipe, settings)
     for problem in loaded.warnings:
@@ -161,7 +141,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     Args:
         text: The YAML text.
         where: Name of the recipe in errors.
-        settings: As of `load_recipe`.
+        settings: As of `read_recipe`.
         folder: Folder that paths in the recipe are relative to; the working directory by default.
 
     Raises:

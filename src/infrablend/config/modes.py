@@ -123,11 +123,7 @@ def recipe_class(modes: Modes) -> type[Recipe]:
 
 
 def recipe_from_json(text: str) -> Recipe:
-    """Return the recipe that `model_dump_json` wrote.
-
-    Raises:
-        ValidationError: If the text is no recipe.
-    """
+    """Return the recipe that `model_dump_json` wrote; a `ValidationError` for another text."""
     return recipe_class(modes_of(json.loads(text))).model_validate_json(text)
 
 

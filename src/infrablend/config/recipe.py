@@ -174,7 +174,7 @@ class Camera(Strict):
     @property
     def horizon(self) -> HorizonPitch | None:
         """How the pitch is found in pictures that state none; None if it is not."""
-        return self.pitch if isinstance(self.pitch, HorizonPitch) else None
+        return self.pitch if isinstance(self.pitch, HorizonPitch) and self.pitch.from_horizon else None
 
     @property
     def needs_height(self) -> bool:

@@ -132,11 +132,7 @@ def read_profile(path: Path) -> SensorProfile:
 
 
 def find_profile(profile: str | SensorProfile) -> SensorProfile:
-    """Return the shipped profile of that name; a `SensorProfile` is returned as it is.
-
-    Raises:
-        RecipeError: If no profile has that name.
-    """
+    """Return the shipped profile of that name, or a `SensorProfile` as it is; a `RecipeError` if there is none."""
     if isinstance(profile, SensorProfile):
         return profile
     if profile not in PROFILES:

@@ -109,11 +109,7 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
 
 
 def require_still_there(paths: Iterable[Path]) -> None:
-    """Check that files and folders which a command wrote have not been removed before its end.
-
-    Raises:
-        OutputError: One was; the message names it.
-    """
+    """Check that files and folders which a command wrote are still there at its end; an `OutputError` if not."""
     gone = [str(p) for p in paths if not p.exists()]
     if gone:
         expected = "the file that was written before"
@@ -274,11 +270,7 @@ def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool =
 
 
 def link_or_copy(source: Path, target: Path) -> Path:
-    """Make `target` a hard link to `source`, or a copy where links are impossible; atomic, creates folders.
-
-    Raises:
-        OutputError: Both failed.
-    """
+    """Make `target` a hard link to `source`, or a copy where links are impossible; atomic, creates folders."""
     try:
         real = Path(os.path.realpath(source))
         # Renaming one hard link over another of the same file does nothing, so handle this case first.

@@ -243,22 +243,14 @@ def written_names() -> tuple[str, ...]:
 
 
 def find_format(name: str) -> Format:
-    """Return the format of that name.
-
-    Raises:
-        UnknownFormatError: There is none.
-    """
+    """Return the format of that name; an `UnknownFormatError` if there is none."""
     if found := next((f for f in FORMATS if f.name == name), None):
         return found
     raise UnknownFormatError(f"format {name!r}: expected one of {', '.join(f.name for f in FORMATS)}")
 
 
 def find_writer(name: str) -> Writer:
-    """Return the writer of that name.
-
-    Raises:
-        UnknownFormatError: There is none.
-    """
+    """Return the writer of that name; an `UnknownFormatError` if there is none."""
     if found := next((w for w in WRITERS if w.name == name), None):
         return found
     expected = ", ".join((*written_names(), NATIVE))

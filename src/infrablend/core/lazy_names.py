@@ -38,11 +38,7 @@ def lazy_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[
 
 
 def resolve(dotted: str) -> Any:
-    """Return the object that `package.module:name` names.
-
-    Raises:
-        MissingDependencyError: If the module cannot be imported because something it needs is missing.
-    """
+    """Return the object that `package.module:name` names; a `MissingDependencyError` if that cannot be imported."""
     module, _, name = dotted.partition(":")
     try:
         return getattr(import_module(module), name)

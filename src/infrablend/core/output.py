@@ -1,4 +1,4 @@
-"""Checks of the places that commands write to, before anything is written."""
+"""Checks of the places that commands write to, before anything is written; each raises an `OutputError`."""
 
 from __future__ import annotations
 
@@ -16,16 +16,7 @@ _OF_RUN = {IMAGES, EIGHT_BIT, EXCLUDED, NATIVE, *written_names()}
 
 
 def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:
-    """Check that a command may write this file: it does not exist, or an earlier call of the command wrote it.
-
-    Args:
-        path: File to write.
-        noun: Name of what the command writes, for the message.
-        ours: Whether the file, if it exists, carries the command's mark.
-
-    Raises:
-        OutputError: The path is a folder, or a file that the command did not write.
-    """
+    """Check that a command may write this file: it does not exist, or has the mark of the command (`ours`)."""
     if path.is_dir():
         raise OutputError(f"{path}: is a folder; expected the name of a file")
     if not ours and (path.exists() or path.is_symlink()):
@@ -35,18 +26,7 @@ def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:
 
 
 def require_no_foreign(foreign: Sequence[Path], out: Path, what: str, expected: str, option: str) -> None:
-    """Refuse to replace files in a folder which InfraBlend did not write.
-
-    Args:
-        foreign: Such files, in the place of what the command writes.
-        out: The folder.
-        what: What the command writes, for the message.
-        expected: What a file in its place may be.
-        option: Option that names the folder.
-
-    Raises:
-        OutputError: There are some; the problems name them.
-    """
+    """Refuse to replace files in a folder which InfraBlend did not write, in the place of what the command writes."""
     if foreign:
         todo = f"move it away, or give another folder with {option}"
         raise OutputError(
@@ -56,11 +36,7 @@ def require_no_foreign(foreign: Sequence[Path], out: Path, what: str, expected: 
 
 
 def require_apart(data: Path, out: Path) -> None:
-    """Check that a command does not write into the data it reads.
-
-    Raises:
-        OutputError: `out` is the data folder, contains it, or is inside it.
-    """
+    """Check that a command does not write into the data it reads."""
     a, b = real_path(data), real_path(out)
     if a == b or b in a.parents:
         raise OutputError(f"--out {out}: is or contains the data folder {data}; choose a separate folder")

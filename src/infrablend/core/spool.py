@@ -42,11 +42,7 @@ class Spool(Sequence[Item], Generic[Item]):
         self._file: int | None = None
 
     def append(self, item: Item) -> None:
-        """Add an item.
-
-        Raises:
-            OutputError: The file cannot be written, for example because the disk is full.
-        """
+        """Add an item; an `OutputError` if the file cannot be written, for example because the disk is full."""
         if len(self._first) < self._limit:
             self._first.append(item)
             return
