@@ -10,7 +10,7 @@ import typer
 from infrablend import api
 from infrablend.cli.completion import complete_experiment
 from infrablend.cli.exits import printable
-from infrablend.cli.options import FieldsOf, JsonSession
+from infrablend.cli.options import Fields, JsonSession
 from infrablend.cli.output import grid, human_bytes, show_result, shown_progress, table
 from infrablend.report.figures import human_seconds
 
@@ -30,9 +30,9 @@ def experiment(
     ] = None,
     options: Annotated[
         dict[str, Any],
-        FieldsOf(
-            api.ExperimentRequest,
+        Fields(
             "data work results scale seed device training only adopt workers",
+            request=api.ExperimentRequest,
             data=Annotated[list[str] | None, typer.Option(metavar="[NAME=]DIR"), tuple],
             work=typer.Option(metavar="DIR"),
             results=typer.Option(metavar="DIR"),

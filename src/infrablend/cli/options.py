@@ -42,19 +42,13 @@ class Fields:
         options: What a field does not say, by its name: a `typer.Option` with flags, metavar, bounds or parser, and
             with a help text if the field's would not do; or `Annotated[list[str] | None, typer.Option(...), convert]`
             for an option of another type, with the function that makes the field's value from it, if there is one.
+        request: Class of a request that also needs other values: the parameter is then a dictionary with the fields.
     """
 
-    def __init__(self, names: str = "", /, **options: Any) -> None:
+    def __init__(self, names: str = "", /, request: type | None = None, **options: Any) -> None:
         self.names = names.split()
-        self.options = options
-
-
-class FieldsOf(Fields):
-    """As `Fields`, for a request that also needs other values: the parameter is a dictionary with the fields."""
-
-    def __init__(self, request: type, names: str = "", /, **options: Any) -> None:
-        super().__init__(names, **options)
         self.request = request
+        self.options = options
 
 
 def with_options(function: Callable[..., None]) -> Callable[..., None]:
@@ -66,8 +60,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
         kind, *marks = get_args(parameter.annotation) or (parameter.annotation,)
         wanted = next((mark for mark in marks if isinstance(mark, Fields)), None)
         if wanted is not None:
-            request = wanted.request if isinstance(wanted, FieldsOf) else kind
-            requests[name] = (kind, _field_options(request, wanted))
+            requests[name] = (kind, _field_options(wanted.request or kind, wanted))
             options += [option for option, _ in requests[name][1]]
         elif name not in _GIVEN:
             options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))

@@ -17,7 +17,6 @@ from infrablend.cli.exits import PARTIAL
 from infrablend.cli.options import (
     BackgroundsOption,
     Fields,
-    FieldsOf,
     JsonSession,
     ReadingOptions,
     RecipeArgument,
@@ -217,9 +216,9 @@ def submit(
     ] = None,
     job: Annotated[
         dict[str, Any],
-        FieldsOf(
-            api.Submission,
+        Fields(
             "shards into name cores memory_gib minutes parallel partition account image volumes",
+            request=api.Submission,
             shards=typer.Option(metavar="N"),
             into=typer.Option(metavar="DIR"),
             cores=typer.Option(min=1),

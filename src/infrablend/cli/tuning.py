@@ -16,7 +16,6 @@ from infrablend.cli.completion import complete_recipe
 from infrablend.cli.exits import report_error
 from infrablend.cli.options import (
     Fields,
-    FieldsOf,
     JsonSession,
     ReadingOptions,
     RecipeArgument,
@@ -105,9 +104,9 @@ def studio(
     ] = None,
     opened: Annotated[
         dict[str, Any],
-        FieldsOf(
-            StudioRequest,
+        Fields(
             "data run compare results seed",
+            request=StudioRequest,
             data=typer.Option(metavar="DIR"),
             run=typer.Option(metavar="DIR"),
             compare=typer.Option(metavar="RUN|RECIPE"),

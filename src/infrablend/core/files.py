@@ -192,8 +192,8 @@ def open_regular(path: Path, folder: Path | None = None) -> Iterator[BufferedRea
     """
     if leaves_folder(path, folder):
         raise LinkOutError(errno.EPERM, LINK_OUT, str(path))
-    # A pipe would block here without O_NONBLOCK, which Windows does not have.
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    # A pipe would block here without O_NONBLOCK.
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     with os.fdopen(handle, "rb") as stream:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise NotRegularError(errno.EINVAL, "not a regular file", str(path))

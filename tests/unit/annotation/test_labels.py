@@ -344,16 +344,6 @@ def test_no_objects_no_labels() -> None:
     assert report.kept == ()
 
 
-def test_labels_are_the_same_twice() -> None:
-    view = camera(3, 30, 5)
-    things = [thing((-0.9, 0.1, 0.0), 20), thing((-0.3, -0.5, 0.1), 70)]
-    meshes = [sphere_mesh(0.4), brick_mesh((0.7, 0.3, 0.2))]
-    first, _ = annotate(place(scene(view, *things), meshes))
-    second, _ = annotate(place(scene(view, *things), meshes))
-    assert len(first) == 2
-    assert all(a.equals(b) for a, b in zip(first, second, strict=True))
-
-
 def test_masks_of_one_frame_share_no_pixel():
     """A pixel that two objects cover evenly belongs to the first of them, whichever is nearer."""
     view = camera()
