@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from infrablend.assets.shapes import box
 from infrablend.core import raster
 from infrablend.core.boxes import (
     clip_convex,
@@ -29,11 +30,8 @@ def camera(distance_m: float = 10.0, pitch_deg: float = 0.0, roll_deg: float = 0
 
 
 def cube(size_m: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    x = np.array([-0.5, 0.5]) * size_m
-    vertices = np.array([[a, b, c] for a in x for b in x for c in x])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    return vertices, np.array(triangles, np.int32)
+    solid = box((size_m,) * 3, 0.0)
+    return solid.vertices, solid.triangles
 
 
 def exact_coverage(polygon: np.ndarray, w: int, h: int) -> np.ndarray:
