@@ -3,7 +3,7 @@
 Boxes come from geometry, so they do not depend on samples or noise. They enclose the projected triangles of the
 labelled parts, clipped at the near plane and at the frame's edge. If a nearer object hides a corner of the convex hull,
 the hull is rebuilt from the corners that are still visible and the visible samples of a depth buffer. Masks come from
-the renderer's coverage.
+the renderer's coverage. Objects that structures of the background hide in part have a visible share and both boxes.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import (
     box_of_points,
     clip_triangles_to_rect,
+    convex_hull,
     convex_hull_indices,
     corners_in_frame,
     min_area_rectangle,
@@ -29,7 +30,7 @@ from infrablend.core.boxes import (
 )
 from infrablend.core.camera import object_to_world
 from infrablend.core.dataset import Instance
-from infrablend.core.masks import Mask
+from infrablend.core.masks import Mask, row_corners
 from infrablend.core.mesh import FloatArray
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import (
@@ -58,6 +59,8 @@ _AMODAL_LONGEST = 512
 _ENOUGH_SAMPLES = 400
 # Below this sine of the angle between heading and line of sight, the heading has no direction in the image.
 _END_ON = 1e-3
+# Digits of the numbers that partly hidden objects get.
+_DIGITS = 9
 
 
 @dataclass(frozen=True)
@@ -423,3 +426,38 @@ def oriented_box(
         return np.clip(free, 0.0, size), False
     corners = smallest_rectangle_inside(hull_xy, size_wh)
     return (corners if direction is None else start_nearest(corners, direction)), True
+
+
+def label_occluded(
+    label: Instance,
+    placed: PlacedObject,
+    share: float,
+    written: Literal["visible", "amodal"] = "visible",
+    obb: ObbMode = "min_area",
+) -> Instance:
+    """Return the label of a partly hidden object.
+
+    `extra` gets `occluded`, `amodal_box` (as if nothing were in front) and `visible_box` (around the visible pixels).
+
+    Args:
+        label: Label with the mask of the visible part, and with boxes and `visibility` as if nothing were in front.
+        placed: The object.
+        share: Share of the object's pixels that is visible.
+        written: Box that `box_xyxy` and `corners_xy` describe.
+        obb: Kind of oriented box.
+    """
+    assert label.mask is not None and label.visibility is not None
+    points = np.clip(row_corners(label.mask.to_array()), label.box_xyxy[:2], label.box_xyxy[2:])
+    hull = convex_hull(np.unique(points, axis=0))
+    boxes = {"amodal": label.box_xyxy, "visible": box_of_points(hull)}
+    extra = {
+        **label.extra,
+        "occluded": True,
+        **{f"{name}_box": [round(float(v), _DIGITS) for v in box] for name, box in boxes.items()},
+    }
+    label = replace(label, visibility=round(label.visibility * share, _DIGITS), extra=extra)
+    if written == "amodal":
+        return label
+    direction = heading_in_image(placed) if obb == "heading" else None
+    corners, _ = oriented_box(hull, bool(label.truncated), direction, placed.camera.size_wh)
+    return replace(label, box_xyxy=boxes["visible"], corners_xy=corners)

@@ -17,6 +17,7 @@ from infrablend.config.modes import (
     kept_camera_warnings,
     modes_of,
     recipe_class,
+    stated_camera_fields,
     wrong_modes,
 )
 from infrablend.config.recipe import Recipe
@@ -181,12 +182,9 @@ def _prefer_stated_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) 
     A `field_of_view` of the recipe's file does not prevent that, for recipes that the studio writes state every field;
     one among the settings does.
     """
-    stated = {key for key, _ in pairs}
-    stated |= {f"camera.{f}" for key, value in pairs if key == "camera" and isinstance(value, dict) for f in value}
-    camera = data.get("camera")
-    lens = stated & {"camera.focal_length_mm", "camera.sensor_width_mm"}
-    chosen = "camera.field_of_view" in stated
-    if lens and not chosen and isinstance(camera, dict) and modes_of(data).placement == "metric":
+    camera, stated = data.get("camera"), stated_camera_fields(pairs)
+    lens = stated & {"focal_length_mm", "sensor_width_mm"} and "field_of_view" not in stated
+    if lens and isinstance(camera, dict) and modes_of(data).placement == "metric":
         camera["field_of_view"] = "recipe"
 
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from infrablend.annotation.labels import annotate
-from infrablend.annotation.occluded import label_occluded
+from infrablend.annotation.labels import annotate, label_occluded
 from infrablend.core.boxes import box_of_points
 from infrablend.core.placed import PlacedScene, place
 from infrablend.core.render import RenderResult
