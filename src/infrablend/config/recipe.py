@@ -22,7 +22,7 @@ from infrablend.config.agc import Agc
 from infrablend.config.sensor_profile import PROFILES, SensorProfile, find_profile
 from infrablend.core.capture import Capture
 from infrablend.core.format_table import WrittenName
-from infrablend.core.strict_model import Strict, range_of
+from infrablend.core.strict_model import Strict, in_order, range_of
 from infrablend.core.temperature import TemperatureScale, Unit
 
 
@@ -734,17 +734,11 @@ class PercentileMatching(GreyMatching):
     min_span: float = Field(0.35, ge=0, le=1)
     """Least span between the two ends, as a share of the full range; keeps objects visible on flat backgrounds."""
 
+    _in_order = in_order("low_percentile", "high_percentile")
+
     @property
     def percentiles(self) -> PercentileMatching:
         """Itself, for all frames."""
-        return self
-
-    @model_validator(mode="after")
-    def _in_order(self) -> PercentileMatching:
-        if self.low_percentile >= self.high_percentile:
-            raise ValueError(
-                f"low_percentile below high_percentile; found {self.low_percentile:g} and {self.high_percentile:g}"
-            )
         return self
 
 
