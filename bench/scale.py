@@ -2,10 +2,9 @@
 
 `bench/scale.py [--frames N,...] [--shard-frames M] [--jobs J] [--packed] [--json FILE [--plot PNG]]` makes backgrounds
 of 64 x 64 px, plans N frames of them, makes packed shards of M frames with the flat renderer and a model of twelve
-faces, joins them to one packed shard and checks it, and merges them into files, resumes the finished run and checks it (not
-with `--packed`).
-Shards are removed once they have been merged. For each step it prints the CPU milliseconds per frame and the largest
-memory of any process.
+faces, joins them to one packed shard and checks it. Without `--packed` it also merges them into files, resumes that
+finished run and checks it. Shards are removed once they have been merged. For each step it prints the CPU milliseconds
+per frame and the largest memory of any process.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -75,7 +76,7 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
         self._new_each_epoch = new_each_epoch
         self._transform = transform
         self._epoch = self._position = self._start = 0
-        self._open: tuple[int, int, Frames] | None = None
+        self._open: tuple[int, Frames] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_open": None}  # a loader's workers open frames of their own
@@ -125,7 +126,7 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
             seed = integer_seed(frames.seed, "epoch", self._epoch)
         position = {frame_id: k for k, frame_id in enumerate(ids)}
         start, self._start = self._start, 0
-        transform = self._transform or self._tensors
+        transform = self._transform or partial(to_tensors, categories=frames.categories)
         for frame in frames.iterate(ids[start:], seed):
             # Before the sample is used: what the caller has got is passed. Skipped backgrounds count as passed, too.
             self._position = position[frame.id] + 1
@@ -135,7 +136,7 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
     def close(self) -> None:
         """End the worker processes."""
         if self._open is not None:
-            self._open[2].close()
+            self._open[1].close()
             self._open = None
 
     def _frames(self, loader_workers: int = 1) -> Frames:
@@ -145,11 +146,8 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
             execution = self._request.execution
             if loader_workers > 1 and not execution.in_process:
                 execution = replace(execution, workers=max(1, execution.worker_count() // loader_workers))
-            self._open = process, loader_workers, Frames(replace(self._request, execution=execution))
-        return self._open[2]
-
-    def _tensors(self, frame: Frame) -> tuple[Any, dict[str, Any]]:
-        return to_tensors(frame, self.categories)
+            self._open = process, Frames(replace(self._request, execution=execution))
+        return self._open[1]
 
 
 def to_tensors(frame: Frame, categories: tuple[Category, ...]) -> tuple[Any, dict[str, Any]]:

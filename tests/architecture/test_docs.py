@@ -335,7 +335,7 @@ def test_the_python_page_names_what_the_api_offers() -> None:
     assert named == offered
     modules = [import_module(f"{api.__name__}.{m.name}") for m in pkgutil.iter_modules(api.__path__)]
     functions = {n for m in modules for n, f in vars(m).items() if inspect.isfunction(f) and f.__module__ == m.__name__}
-    assert {n for n in functions if not n.startswith("_")} == offered
+    assert {n for n in functions if not n.startswith("_")} <= offered
     for block in blocks(ROOT / "docs" / "reference" / "python_api.md", "python"):
         compile(block, "python_api.md", "exec")
 

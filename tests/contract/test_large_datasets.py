@@ -20,8 +20,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
 from infrablend.core.json_stream import COMPACT, SPACED, Streamed, json_chunks
-from infrablend.core.spool import Spool
-from infrablend.core.stored_images import store_images
+from infrablend.core.spool import Spool, store_images
 from infrablend.formats import writing
 
 

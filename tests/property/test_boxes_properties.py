@@ -35,7 +35,9 @@ def cut_shapes(draw: st.DrawFn) -> np.ndarray:
     around = np.arange(count) * (2 * math.pi / count) + draw(st.floats(0, 1))
     oval = np.stack([np.cos(around), aspect * np.sin(around)], axis=1) * size / 2
     rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
-    return boxes.clip_convex(boxes.convex_hull(centre + shift + oval @ rotation), boxes.frame_polygon(FRAME))
+    return boxes.clip_convex(
+        boxes.convex_hull(centre + shift + oval @ rotation), boxes.corners_of_box(np.array([0.0, 0, *FRAME]))
+    )
 
 
 def contains(corners: np.ndarray, points: np.ndarray, slack: float = 1e-7) -> bool:

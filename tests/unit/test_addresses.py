@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
+from infrablend.cli.session import LogFileHandler
 from infrablend.core.addresses import address_of, require_folder, require_known, shown, without_user
 from infrablend.core.files import write_bytes
-from infrablend.core.log_file import LogFileHandler
 from infrablend.errors import ArgumentError, DatasetError
 from infrablend.pipeline.plans.request import RunRequest
 from tests.command_line import run

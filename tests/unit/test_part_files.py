@@ -40,14 +40,15 @@ def test_nothing_is_written_through_what_is_in_the_way(tmp_path: Path, way: str,
 
 def test_files_and_folders_of_others_with_temporary_names_are_kept(tmp_path: Path) -> None:
     target = tmp_path / "sheet.png"
-    for number, name in enumerate((".sheet.part.png", ".sheet.part-2.png", "sheet.png.part")):
-        (tmp_path / name).write_bytes(f"mine {number}".encode())
-    (part_path(target) / "mine").mkdir(parents=True)
-    part_path(target, 2).write_bytes(b"of a killed process")
-    before = sorted(p.name for p in tmp_path.iterdir())
+    mine = [tmp_path / name for name in (".sheet.part.png", "sheet.png.part")]
+    for path in mine:
+        path.write_bytes(b"mine")
     assert write_bytes(target, b"new").read_bytes() == b"new"
-    assert sorted({*before, "sheet.png"} - {part_path(target, 2).name}) == sorted(p.name for p in tmp_path.iterdir())
-    assert (tmp_path / ".sheet.part-2.png").read_bytes() == b"mine 1" and (part_path(target) / "mine").is_dir()
+    assert sorted(tmp_path.iterdir()) == sorted([*mine, target]) and all(p.read_bytes() == b"mine" for p in mine)
+    part_path(target).mkdir()
+    with pytest.raises(OutputError, match="cannot write"):
+        write_bytes(target, b"newer")
+    assert part_path(target).is_dir() and target.read_bytes() == b"new"
 
 
 def test_temporary_names_fit_the_file_system_and_differ_by_file(tmp_path: Path) -> None:
@@ -65,7 +66,7 @@ def test_file_made_by_others_meanwhile_is_kept(tmp_path: Path) -> None:
 
     part_path(target).symlink_to(tmp_path / "victim")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("infrablend.core.files.free_part", lambda path, wanted: part_path(path))  # seen as free before
+        patch.setattr(Path, "unlink", lambda path, missing_ok: None)  # it was free before
         for write in (lambda: write_bytes(target, b"new"), lambda: write_chunks(target, chunks())):
             with pytest.raises(OutputError, match="File exists"):
                 write()

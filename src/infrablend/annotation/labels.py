@@ -3,14 +3,14 @@
 Boxes come from geometry, so they do not depend on samples or noise. They enclose the projected triangles of the
 labelled parts, clipped at the near plane and at the frame's edge. If a nearer object hides a corner of the convex hull,
 the hull is rebuilt from the corners that are still visible and the visible samples of a depth buffer. Masks come from
-the renderer's coverage.
+the renderer's coverage. Objects that structures of the background hide in part have a visible share and both boxes.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import (
     box_of_points,
     clip_triangles_to_rect,
+    convex_hull,
     convex_hull_indices,
     corners_in_frame,
     min_area_rectangle,
@@ -29,7 +30,7 @@ from infrablend.core.boxes import (
 )
 from infrablend.core.camera import object_to_world
 from infrablend.core.dataset import Instance
-from infrablend.core.masks import Mask
+from infrablend.core.masks import Mask, row_corners
 from infrablend.core.mesh import FloatArray
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import (
@@ -58,6 +59,8 @@ _AMODAL_LONGEST = 512
 _ENOUGH_SAMPLES = 400
 # Below this sine of the angle between heading and line of sight, the heading has no direction in the image.
 _END_ON = 1e-3
+# Digits of the numbers that partly hidden objects get.
+_DIGITS = 9
 
 
 @dataclass(frozen=True)
@@ -73,10 +76,6 @@ class Drop:
     index: int
     category: str
     reason: DropReason
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {"index": self.index, "category": self.category, "reason": self.reason}
 
 
 @dataclass(frozen=True)
@@ -101,14 +100,11 @@ class LabelReport:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return {
-            "kept": list(self.kept),
-            "drops": [d.to_json() for d in self.drops],
-            "mask_fallbacks": list(self.mask_fallbacks),
-            "obb_held_inside": list(self.obb_held_inside),
-            "heading_end_on": list(self.heading_end_on),
-            "boxes_from_samples": list(self.boxes_from_samples),
-        }
+        return {name: list(found) for name, found in asdict(self).items()}
+
+
+# Special cases of a label, in the order in which `annotate` meets them.
+_SPECIAL = ("mask_fallbacks", "obb_held_inside", "heading_end_on", "boxes_from_samples")
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,10 +169,7 @@ def annotate(
     instances: list[Instance] = []
     kept: list[int] = []
     drops: list[Drop] = []
-    fallbacks: list[int] = []
-    held_inside: list[int] = []
-    end_on: list[int] = []
-    from_samples: list[int] = []
+    special: dict[str, list[int]] = {name: [] for name in _SPECIAL}
     for k, placed in enumerate(scene.objects):
         category = placed.spec.category
         shape = _visible_shape(k, surfaces, size_wh, with_coverage=result is None)
@@ -197,14 +190,9 @@ def annotate(
         direction = heading_in_image(placed) if obb == "heading" else None
         corners, held = oriented_box(shape.hull_xy, shape.truncated, direction, size_wh)
         kept.append(k)
-        if fallback:
-            fallbacks.append(k)
-        if held:
-            held_inside.append(k)
-        if obb == "heading" and direction is None:
-            end_on.append(k)
-        if shape.from_samples:
-            from_samples.append(k)
+        cases = (fallback, held, obb == "heading" and direction is None, shape.from_samples)
+        for name, met in zip(_SPECIAL, cases, strict=True):
+            special[name] += [k] if met else []
         instances.append(
             Instance(
                 category=category,
@@ -217,15 +205,8 @@ def annotate(
                 extra={"object": k},
             )
         )
-    report = LabelReport(
-        kept=tuple(kept),
-        drops=tuple(drops),
-        mask_fallbacks=tuple(fallbacks),
-        obb_held_inside=tuple(held_inside),
-        heading_end_on=tuple(end_on),
-        boxes_from_samples=tuple(from_samples),
-    )
-    return tuple(instances), report
+    met_in = {name: tuple(found) for name, found in special.items()}
+    return tuple(instances), LabelReport(tuple(kept), tuple(drops), **met_in)
 
 
 def _require_matching(scene: PlacedScene, result: RenderResult | None) -> None:
@@ -290,7 +271,8 @@ def _visible_shape(
     hull = points[convex_hull_indices(points[:, :2])]
 
     # At equal depth the first object counts as nearer, so that only one of two coinciding objects is visible.
-    others = [p.every if j > k else _moved_nearer(p.every, 1e-9) for j, p in enumerate(surfaces) if j != k]
+    nearer = [replace(p.every, inverse_depth=p.every.inverse_depth * (1 + 1e-9)) for p in surfaces[:k]]
+    others = [*nearer, *(p.every for p in surfaces[k + 1 :])]
     others = [p for p in (_in_front(p, box, float(own.inverse_depth.min())) for p in others) if len(p.xy)]
     hidden = hidden_points(hull[:, :2], hull[:, 2], _joined([surfaces[k].unlabelled, *others]))
     offset_xy = (math.floor(box[0]), math.floor(box[1]))
@@ -321,15 +303,9 @@ def _visible_shape(
 
 
 def _not_behind(own: ProjectedTriangles, others: Sequence[ProjectedTriangles], grid: SampleGrid) -> NDArray[np.bool_]:
-    """Return the samples in which none of the others is nearer."""
     front = _joined(others)
     depth = nearest_inverse_depth(own.xy, own.inverse_depth, grid)
     return np.asarray(depth >= nearest_inverse_depth(front.xy, front.inverse_depth, grid))
-
-
-def _moved_nearer(triangles: ProjectedTriangles, share: float) -> ProjectedTriangles:
-    """Return the triangles moved nearer by a share of their depth."""
-    return replace(triangles, inverse_depth=triangles.inverse_depth * (1 + share))
 
 
 def _in_front(triangles: ProjectedTriangles, box_xyxy: FloatArray, inverse_depth: float) -> ProjectedTriangles:
@@ -450,3 +426,38 @@ def oriented_box(
         return np.clip(free, 0.0, size), False
     corners = smallest_rectangle_inside(hull_xy, size_wh)
     return (corners if direction is None else start_nearest(corners, direction)), True
+
+
+def label_occluded(
+    label: Instance,
+    placed: PlacedObject,
+    share: float,
+    written: Literal["visible", "amodal"] = "visible",
+    obb: ObbMode = "min_area",
+) -> Instance:
+    """Return the label of a partly hidden object.
+
+    `extra` gets `occluded`, `amodal_box` (as if nothing were in front) and `visible_box` (around the visible pixels).
+
+    Args:
+        label: Label with the mask of the visible part, and with boxes and `visibility` as if nothing were in front.
+        placed: The object.
+        share: Share of the object's pixels that is visible.
+        written: Box that `box_xyxy` and `corners_xy` describe.
+        obb: Kind of oriented box.
+    """
+    assert label.mask is not None and label.visibility is not None
+    points = np.clip(row_corners(label.mask.to_array()), label.box_xyxy[:2], label.box_xyxy[2:])
+    hull = convex_hull(np.unique(points, axis=0))
+    boxes = {"amodal": label.box_xyxy, "visible": box_of_points(hull)}
+    extra = {
+        **label.extra,
+        "occluded": True,
+        **{f"{name}_box": [round(float(v), _DIGITS) for v in box] for name, box in boxes.items()},
+    }
+    label = replace(label, visibility=round(label.visibility * share, _DIGITS), extra=extra)
+    if written == "amodal":
+        return label
+    direction = heading_in_image(placed) if obb == "heading" else None
+    corners, _ = oriented_box(hull, bool(label.truncated), direction, placed.camera.size_wh)
+    return replace(label, box_xyxy=boxes["visible"], corners_xy=corners)

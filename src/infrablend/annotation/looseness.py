@@ -75,16 +75,10 @@ EXACT = Looseness()
 
 
 def loosen_inserted(images: Sequence[ImageRecord], by: Looseness) -> tuple[list[ImageRecord], int]:
-    """Draw the boxes of inserted objects within the frame as `by` says; masks and original labels stay unchanged.
+    """Draw the boxes of inserted objects within the frame as `by` says, and return how many were changed.
 
-    The exact boxes are kept in `Instance.extra`, see `TIGHT_BOX`.
-
-    Args:
-        images: Images with known sizes; others stay unchanged.
-        by: How the boxes are drawn.
-
-    Returns:
-        The images, and the number of boxes that were changed.
+    Masks, original labels and images of unknown size stay unchanged. The exact boxes are kept in `Instance.extra`, see
+    `TIGHT_BOX`.
     """
     loose = [loosen_image(image, by) for image in images]
     return [image for image, _ in loose], sum(count for _, count in loose)

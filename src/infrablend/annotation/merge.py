@@ -25,13 +25,12 @@ class MergeSettings:
     Attributes:
         labels: Original and new labels, or only one of the two.
         keep_categories: Original categories that stay, None for all. New labels always stay.
-        cover_share: Covered share in (0, 1] (see `covered_share`) at which the label of an original object is removed;
-            None to remove none.
+        cover_share: Covered share in (0, 1] (see `covered_share`) at which the label of an original object is removed.
     """
 
     labels: LabelChoice = "merged"
     keep_categories: tuple[str, ...] | None = None
-    cover_share: float | None = 0.99
+    cover_share: float = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +91,7 @@ class MergedLabels:
     partly_covered: dict[int, Instance]
 
 
-def merge(original: Sequence[Instance], new: Sequence[Instance], settings: MergeSettings | None = None) -> MergedLabels:
+def merge(original: Sequence[Instance], new: Sequence[Instance], settings: MergeSettings) -> MergedLabels:
     """Merge the labels of a background with those of the objects inserted into it.
 
     Every given label is either carried by the output or listed in `removed`.
@@ -105,7 +104,6 @@ def merge(original: Sequence[Instance], new: Sequence[Instance], settings: Merge
     Raises:
         ValueError: A new instance has no mask.
     """
-    settings = settings if settings is not None else MergeSettings()
     cover = covered_pixels(new)
     kept: list[int] = []
     removed: list[Removal] = []
@@ -116,7 +114,7 @@ def merge(original: Sequence[Instance], new: Sequence[Instance], settings: Merge
             reason = "labels"
         elif settings.keep_categories is not None and instance.category not in settings.keep_categories:
             reason = "category"
-        elif settings.cover_share is not None and share > 0 and share >= settings.cover_share:
+        elif share > 0 and share >= settings.cover_share:
             reason = "covered"
         if reason is None:
             kept.append(n)
@@ -130,14 +128,12 @@ def merge(original: Sequence[Instance], new: Sequence[Instance], settings: Merge
 
 
 def covered_pixels(new: Sequence[Instance]) -> NDArray[np.bool_] | None:
-    """Mark the (h, w) pixels that the new objects hide; None without any new object.
-
-    Raises:
-        ValueError: A new instance has no mask.
-    """
+    """Mark the (h, w) pixels that the new objects hide; None without any new object."""
     cover: NDArray[np.bool_] | None = None
-    for mask in [_require_mask(i) for i in new]:
-        cover = mask.to_array() if cover is None else cover | mask.to_array()
+    for i in new:
+        if i.mask is None:
+            raise ValueError(f"a new object needs a mask; {i.category!r} at {i.box_xyxy.tolist()} has none")
+        cover = i.mask.to_array() if cover is None else cover | i.mask.to_array()
     return cover
 
 
@@ -212,15 +208,6 @@ def box_pixels(instance: Instance, size_hw: tuple[int, int]) -> tuple[tuple[int,
     return (row, column), np.ones((1, 1), np.bool_)
 
 
-def _require_mask(instance: Instance) -> Mask:
-    if instance.mask is None:
-        where = instance.box_xyxy.tolist()
-        raise ValueError(f"a new object needs a mask; {instance.category!r} at {where} has none")
-    return instance.mask
-
-
-def _removal(instance: Instance, reason: RemovalReason, share: float) -> Removal:
-    x0, y0, x1, y1 = (float(v) for v in instance.box_xyxy)
-    box = (x0, y0, x1, y1)
-    i = instance
-    return Removal(reason, i.category, i.source_id, box, share, i.inserted, i.corners_xy, i.mask)
+def _removal(i: Instance, reason: RemovalReason, share: float) -> Removal:
+    x0, y0, x1, y1 = (float(v) for v in i.box_xyxy)
+    return Removal(reason, i.category, i.source_id, (x0, y0, x1, y1), share, i.inserted, i.corners_xy, i.mask)

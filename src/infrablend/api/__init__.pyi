@@ -8,7 +8,6 @@ from infrablend.api.datasets import (
     extract_temperatures as extract_temperatures,
     fetch as fetch,
     inspect as inspect,
-    list_sources as list_sources,
     make_world as make_world,
     profile as profile,
     read_dataset as read_dataset,
@@ -40,13 +39,10 @@ from infrablend.api.runs import (
     rerender as rerender,
     show as show,
     status as status,
-    submission_text as submission_text,
-    submit as submit,
 )
 from infrablend.api.shipped import (
     add_model as add_model,
     describe_model as describe_model,
-    diagnose as diagnose,
     list_models as list_models,
     list_recipes as list_recipes,
     show_model as show_model,
@@ -58,6 +54,7 @@ from infrablend.fetching.fetch import (
     FetchReport as FetchReport,
     FetchRequest as FetchRequest,
     SourceEntry as SourceEntry,
+    list_sources as list_sources,
 )
 from infrablend.formats.log_alignment import Clock as Clock
 from infrablend.formats.reading import Reading as Reading
@@ -92,9 +89,11 @@ from infrablend.pipeline.plans.shard import ShardRequest as ShardRequest
 from infrablend.pipeline.runs.sharded import ShardState as ShardState
 from infrablend.pipeline.datasets.split import SplitReport as SplitReport
 from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
+from infrablend.pipeline.submission.submit import submission_text as submission_text, submit as submit
 from infrablend.pipeline.detectors.train import TrainReport as TrainReport
 from infrablend.pipeline.detectors.training_plan import TrainPlan as TrainPlan
 from infrablend.pipeline.compose.trial import Trial as Trial
+from infrablend.report.doctor import diagnose as diagnose
 from infrablend.training.request import TrainRequest as TrainRequest
 
 __all__: list[str]

@@ -10,7 +10,7 @@ from infrablend.annotation.looseness import Looseness
 from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
 from infrablend.fetching import fetch as fetching
-from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch, SourceEntry
+from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.write_settings import WriteSettings
@@ -39,15 +39,6 @@ def fetch(
     `list_sources` lists the names. Calling it again with other parts adds them to `out`.
     """
     return fetching.fetch(name, Path(out), request, on_progress=on_progress)
-
-
-def list_sources() -> list[SourceEntry]:
-    """Return the public datasets that `fetch` knows, with page, licence and parts.
-
-    >>> "hit-uav" in [source.name for source in list_sources()]
-    True
-    """
-    return fetching.list_sources()
 
 
 def describe_source(name: str, *, licence_only: bool = False) -> str:

@@ -27,9 +27,6 @@ from infrablend.pipeline.runs.rerender import rerender_frame, show_frame
 from infrablend.pipeline.runs.run import RunReport
 from infrablend.pipeline.runs.sharded import Layout, ShardState
 from infrablend.pipeline.runs.stored import opened_run
-from infrablend.pipeline.submission.request import Scheduler, Submission
-from infrablend.pipeline.submission.submit import submission_text as make_submission_text
-from infrablend.pipeline.submission.submit import submit_jobs
 
 if TYPE_CHECKING:
     from infrablend.pipeline.studies.compare_objects import RealismReport, Time
@@ -102,16 +99,6 @@ def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
     require_known("out", out)
     with opened_run(Path(out)) as run:
         return run.wait() if wait else run.states()
-
-
-def submission_text(job: Submission, to: Scheduler) -> str:
-    """Return the Bash script for SLURM, or the YAML manifest for Kubernetes, of a run in shards."""
-    return make_submission_text(job, to)
-
-
-def submit(job: Submission, to: Scheduler) -> str:
-    """Submit a run in shards with sbatch or kubectl; return what it says. Arguments as of `submission_text`."""
-    return submit_jobs(job, to)
 
 
 def plan(  # noqa: PLR0913 - as in `realism`

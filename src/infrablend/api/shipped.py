@@ -1,10 +1,10 @@
-"""What the package ships: models, recipes and the shader; whether this machine can run it."""
+"""What the package ships: models, recipes and the shader."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
@@ -12,9 +12,6 @@ from infrablend.config import loading
 from infrablend.pipeline.plans import add_model as adding
 from infrablend.pipeline.plans.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.plans.models import ready_model, run_once
-
-if TYPE_CHECKING:
-    from infrablend.report.doctor import Diagnosis
 
 
 def list_models() -> dict[str, str]:
@@ -64,10 +61,3 @@ def show_recipe(name: str) -> str:
 def write_infrared_effect(path: str | Path) -> Path:
     """Write the InfraredEffect node group as a .blend file to append from; return its path."""
     return Path(run_once("infrablend.blender.materials:make_node_group_writer", str(path), "infrared-effect"))
-
-
-def diagnose() -> Diagnosis:
-    """Check whether this machine can run InfraBlend: Python, Blender, libraries, devices, disk."""
-    from infrablend.report.doctor import diagnose as survey
-
-    return survey()

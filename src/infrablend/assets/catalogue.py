@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from infrablend.core.registry import resolve
+from infrablend.core.lazy_names import resolve
 from infrablend.errors import ModelError
 
 if TYPE_CHECKING:

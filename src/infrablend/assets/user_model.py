@@ -31,7 +31,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator
 from pydantic_core import PydanticKnownError
 
 from infrablend.assets.model import MATERIALS, ObjectModel, Params, PartRange, part_role
@@ -41,7 +41,7 @@ from infrablend.core.files import LINK_OUT, LinkOutError, read_regular
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict_model import Strict, range_of
 from infrablend.core.user_folders import cache_folder
-from infrablend.core.validation_messages import field_problems
+from infrablend.core.validation_messages import read_model
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem
 
@@ -165,13 +165,11 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
         raise ModelError(
             f"model {path}: cannot be read ({error}); expected a YAML file (docs/how_to/own_model.md)"
         ) from error
-    try:
-        if not isinstance(data, dict):
-            raise ModelError(f"model {path}: found {type(data).__name__}, expected a mapping of fields")
-        described = UserModel.model_validate_json(json.dumps(data))
-    except ValidationError as error:
-        problems = field_problems(error, data, UserModel, "model", "see docs/how_to/own_model.md for all fields")
-        raise ModelError(f"model {path}: {len(problems)} field(s) are invalid", problems) from error
+    if not isinstance(data, dict):
+        raise ModelError(f"model {path}: found {type(data).__name__}, expected a mapping of fields")
+    described = read_model(UserModel, data, path.name, "model", "see docs/how_to/own_model.md for all fields")
+    if isinstance(described, list):
+        raise ModelError(f"model {path}: {len(described)} field(s) are invalid", described)
     file = path.parent / described.file
     if file.suffix.lower() not in SUFFIXES:
         raise ModelError(f"model {path}: file {described.file!r} has an unknown type; expected {' '.join(SUFFIXES)}")

@@ -21,7 +21,7 @@ from infrablend.cli.options import (
     WorkersOption,
     reported,
 )
-from infrablend.cli.output import print_problems, print_result, show_result, shown_progress, table
+from infrablend.cli.output import grid, print_result, show_report, show_result, shown_progress, table
 from infrablend.cli.session import Session
 from infrablend.report.figures import human_seconds
 
@@ -70,15 +70,12 @@ def frames(
     flight = replace(flight, use_log=not no_log, clock=clock)
     with shown_progress(session, "extracting") as on_progress:
         report = api.extract_frames(videos, out, choice, flight, overwrite=overwrite, on_progress=on_progress)
-    print_problems(report.problems, session.log_path, out / FRAMES_FILE)
     data = {"out": str(out), **report.to_json()}
-    show_result(session, data, lambda: "\n\n".join([*(_clip(clip) for clip in report.clips), str(out)]))
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    clips = (_clip(clip) for clip in report.clips)
+    show_report(session, report, out / FRAMES_FILE, data, lambda: "\n\n".join([*clips, str(out)]))
 
 
 def _clip(clip: Clip) -> str:
-    """Return the lines on one video."""
     facts = clip.facts
     width, height = facts["size_wh"]
     kind = "in colour" if clip.colour == clip.frames else "grey" if not clip.colour else f"{clip.colour} in colour"
@@ -132,10 +129,8 @@ def temperatures(
         report = api.extract_temperatures(
             data, out, scale, reading=reading, overwrite=overwrite, on_progress=on_progress
         )
-    print_problems(report.problems, session.log_path, out / TEMPERATURES_FILE)
-    show_result(session, {"out": str(out), **report.to_json()}, lambda: f"{table(_temperatures(report))}\n\n{out}")
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    found = {"out": str(out), **report.to_json()}
+    show_report(session, report, out / TEMPERATURES_FILE, found, lambda: f"{table(_temperatures(report))}\n\n{out}")
 
 
 def _temperatures(report: TemperaturesReport) -> dict[str, str]:
@@ -183,18 +178,12 @@ def profile(
 
 
 def _profile_lines(report: ProfileReport) -> list[str]:
-    """Return the table of the fit, a line per time of day and class, and the paths of what was written."""
-    first = max(len(what) for what, _ in report.rows)
-    widths = [max(len(c), *(len(cells[i]) for _, cells in report.rows)) for i, c in enumerate(report.columns)]
-    lines = []
-    for what, cells in (("", report.columns), *report.rows):
-        columns = "  ".join(f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True))
-        lines.append(f"{what:<{first}}  {columns}".rstrip())
-    return [*lines, *_object_lines(report.objects), str(report.path), str(report.plot)]
+    rows = [[what, *cells] for what, cells in report.rows]
+    fit = grid(["", *report.columns], rows)
+    return [fit, *_object_lines(report.objects), str(report.path), str(report.plot)]
 
 
 def _object_lines(objects: Mapping[str, Any]) -> list[str]:
-    """Return a line per time of day and class on what annotated objects show."""
     lines = []
     for time, share in objects["local_share"].items():
         bound = f"at most {share['upper_bound']:.2f} ({share['ci'][0]:.2f} to {share['ci'][1]:.2f})"

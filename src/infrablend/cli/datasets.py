@@ -20,7 +20,7 @@ from infrablend.cli.options import (
     key_values,
     split_at_commas,
 )
-from infrablend.cli.output import facts, grid, print_problems, show_result, shown_progress, table
+from infrablend.cli.output import facts, grid, show_report, show_result, shown_progress, table
 
 if TYPE_CHECKING:
     from infrablend.report.checking import CheckReport
@@ -47,7 +47,6 @@ def inspect(
 
 
 def _contents(found: Inspection) -> list[str]:
-    """Return the paragraphs on a dataset."""
     splits = list(found.splits)
     blocks = [f"{found.root}: {found.format} ({found.reason})"]
     keys = ("images", "without_objects", "objects", "ignore_regions")
@@ -83,7 +82,6 @@ def _contents(found: Inspection) -> list[str]:
 
 
 def _flight(note: Mapping[str, Any]) -> str:
-    """Return the table of what the pictures' own headers state, and where."""
     rows = []
     for row in note["facts"]:
         low, high = row["lowest"], row["highest"]
@@ -106,7 +104,6 @@ def _summed(counts: list[int]) -> list[int]:
 
 
 def _further(found: Inspection) -> dict[str, str]:
-    """Return one line each on labels, sequences, dates, tracks and pictures."""
     rows: dict[str, Any] = {"labels": _listed(found.labels)}
     if found.sequences:
         mean = sum(found.sequences.values()) / len(found.sequences)
@@ -158,7 +155,6 @@ def check(
 
 
 def _check_lines(report: CheckReport) -> list[str]:
-    """Return the problems grouped by code, the first few of each, and the totals."""
     lines: list[str] = []
     for title, problems in (("errors", report.errors), ("warnings", report.warnings)):
         if problems:
@@ -176,7 +172,6 @@ def _check_lines(report: CheckReport) -> list[str]:
 
 
 def _renamed(texts: list[str] | None) -> dict[str, str]:
-    """Parse the values of `--rename`."""
     return key_values([pair for text in texts or () for pair in split_at_commas(text)], "--rename")
 
 
@@ -234,10 +229,8 @@ def convert(
         source, out, to, reading=reading, classes=classes, selection=selection,
         loosen=loosen, loosen_px=loosen_px, writing=writing, overwrite=overwrite,
     )  # fmt: skip
-    print_problems(report.problems, session.log_path, report.out / "convert.json")
-    show_result(session, report.to_json(), lambda: "\n".join(_conversion_lines(report)))
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    record = report.out / "convert.json"
+    show_report(session, report, record, report.to_json(), lambda: "\n".join(_conversion_lines(report)))
 
 
 def _conversion_lines(report: api.ConvertReport) -> list[str]:
@@ -251,7 +244,6 @@ def _conversion_lines(report: api.ConvertReport) -> list[str]:
 
 
 def _selection_text(selection: Mapping[str, Any]) -> str:
-    """Describe what was selected and what was left out."""
     named = selection["with_class"]
     parts = [f"pictures with {named}"] if named is not None else []
     parts += [f"no pictures with {' or '.join(selection['without'])}"] if selection["without"] else []
@@ -267,7 +259,6 @@ def _selection_text(selection: Mapping[str, Any]) -> str:
 
 
 def _shares(text: str) -> list[float]:
-    """Parse the value of `--shares`."""
     try:
         wanted = [float(part) for part in text.split(",")]
     except ValueError:

@@ -129,7 +129,6 @@ def evaluate(
 
 
 def _evaluation(report: EvaluationReport) -> list[str]:
-    """Return the paragraphs on an evaluation."""
     from infrablend.report.evaluation import FOUND_HEAD, HEAD, class_interval, found_rows, found_title, table_rows
     from infrablend.report.figures import decimals, interval
 

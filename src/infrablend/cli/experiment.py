@@ -10,7 +10,7 @@ import typer
 from infrablend import api
 from infrablend.cli.completion import complete_experiment
 from infrablend.cli.exits import printable
-from infrablend.cli.options import FieldsOf, JsonSession
+from infrablend.cli.options import Fields, JsonSession
 from infrablend.cli.output import grid, human_bytes, show_result, shown_progress, table
 from infrablend.report.figures import human_seconds
 
@@ -30,9 +30,9 @@ def experiment(
     ] = None,
     options: Annotated[
         dict[str, Any],
-        FieldsOf(
-            api.ExperimentRequest,
+        Fields(
             "data work results scale seed device training only adopt workers",
+            request=api.ExperimentRequest,
             data=Annotated[list[str] | None, typer.Option(metavar="[NAME=]DIR"), tuple],
             work=typer.Option(metavar="DIR"),
             results=typer.Option(metavar="DIR"),
@@ -113,7 +113,6 @@ def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
 
 
 def _result_blocks(facts: Mapping[str, Any]) -> list[str]:
-    """Return the page's tables and conclusions as text for the terminal."""
     blocks = [_table_block(t) for t in facts["tables"]]
     if facts["datasets"]:
         blocks.append(_datasets_block(facts["datasets"]))

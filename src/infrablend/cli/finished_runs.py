@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from infrablend import api
-from infrablend.cli.exits import PARTIAL
 from infrablend.cli.options import (
     BackgroundsOption,
     JsonSession,
@@ -19,7 +18,7 @@ from infrablend.cli.options import (
     comma_list,
     split_list,
 )
-from infrablend.cli.output import print_json, print_problems, print_result, show_result, shown_progress, table
+from infrablend.cli.output import print_json, print_result, show_report, show_result, shown_progress, table
 from infrablend.cli.session import Session
 
 if TYPE_CHECKING:
@@ -130,7 +129,6 @@ def include(
 
 
 def _show_choice(changed: api.ChoiceReport, session: Session) -> None:
-    print_problems(changed.problems, session.log_path, changed.out / "run.json")
     rows = {
         "changed": f"{changed.changed} frames",
         "excluded": f"{len(changed.excluded)} frames",
@@ -138,9 +136,8 @@ def _show_choice(changed: api.ChoiceReport, session: Session) -> None:
     }
     if changed.purged_files:
         rows["deleted"] = f"{changed.purged_files} files"
-    show_result(session, changed.to_json(), lambda: f"{table(rows)}\n{changed.out}")
-    if not changed.ok:
-        raise typer.Exit(PARTIAL)
+    record = changed.out / "run.json"
+    show_report(session, changed, record, changed.to_json(), lambda: f"{table(rows)}\n{changed.out}")
 
 
 def realism(
@@ -189,7 +186,6 @@ def realism(
 
 
 def _realism_lines(compared: api.RealismReport) -> list[str]:
-    """Return the figures and the checks of each class, and the path of the report."""
     from infrablend.report.realism import check_rows
 
     lines = []

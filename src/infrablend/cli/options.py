@@ -2,7 +2,7 @@
 
 A command is a function whose parameters are Typer's, or requests: `settings: Annotated[EvaluationSettings, Fields()]`
 stands for an option per field. The field gives name, type and default of its option, and the docstring of the request
-gives the help, so that a new field is a new option.
+gives the help, so that a new field is a new option. Parsers raise `typer.BadParameter` for wrong values.
 """
 
 from __future__ import annotations
@@ -42,19 +42,13 @@ class Fields:
         options: What a field does not say, by its name: a `typer.Option` with flags, metavar, bounds or parser, and
             with a help text if the field's would not do; or `Annotated[list[str] | None, typer.Option(...), convert]`
             for an option of another type, with the function that makes the field's value from it, if there is one.
+        request: Class of a request that also needs other values: the parameter is then a dictionary with the fields.
     """
 
-    def __init__(self, names: str = "", /, **options: Any) -> None:
+    def __init__(self, names: str = "", /, request: type | None = None, **options: Any) -> None:
         self.names = names.split()
-        self.options = options
-
-
-class FieldsOf(Fields):
-    """As `Fields`, for a request that also needs other values: the parameter is a dictionary with the fields."""
-
-    def __init__(self, request: type, names: str = "", /, **options: Any) -> None:
-        super().__init__(names, **options)
         self.request = request
+        self.options = options
 
 
 def with_options(function: Callable[..., None]) -> Callable[..., None]:
@@ -66,8 +60,7 @@ def with_options(function: Callable[..., None]) -> Callable[..., None]:
         kind, *marks = get_args(parameter.annotation) or (parameter.annotation,)
         wanted = next((mark for mark in marks if isinstance(mark, Fields)), None)
         if wanted is not None:
-            request = wanted.request if isinstance(wanted, FieldsOf) else kind
-            requests[name] = (kind, _field_options(request, wanted))
+            requests[name] = (kind, _field_options(wanted.request or kind, wanted))
             options += [option for option, _ in requests[name][1]]
         elif name not in _GIVEN:
             options.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
@@ -95,7 +88,6 @@ def _parameter(name: str, annotation: Any, default: Any = inspect.Parameter.empt
 
 
 def _field_options(request: type, wanted: Fields) -> list[_FieldOption]:
-    """Return the options of the wanted fields of a request, in their order."""
     texts, types = attribute_texts(request), get_type_hints(request)
     return [
         _field_option(f, types[f.name], texts[f.name], wanted.options.get(f.name, typer.Option()))
@@ -138,11 +130,7 @@ def attribute_texts(request: type) -> dict[str, str]:
 
 
 def comma_list(text: str) -> tuple[str, ...]:
-    r"""Parse `"a, b"` into `("a", "b")` without repeats. A comma of a name is written `\,`.
-
-    Raises:
-        typer.BadParameter: An item is empty.
-    """
+    r"""Parse `"a, b"` into `("a", "b")` without repeats; no item may be empty. A comma of a name is written `\,`."""
     items = tuple(dict.fromkeys(split_at_commas(text)))
     if not all(items):
         raise typer.BadParameter(f"{text!r} has an empty item; write a,b,c")
@@ -167,11 +155,7 @@ def split_at_commas(text: str) -> list[str]:
 
 
 def split_list(text: str) -> tuple[str, ...]:
-    """Parse the value of `--split`.
-
-    Raises:
-        typer.BadParameter: A name is not a split.
-    """
+    """Parse the value of `--split`."""
     from infrablend.core.dataset import SPLITS
 
     splits = comma_list(text)
@@ -182,11 +166,7 @@ def split_list(text: str) -> tuple[str, ...]:
 
 
 def one_format(text: str) -> str:
-    """Return the value of `--format`.
-
-    Raises:
-        typer.BadParameter: It is a list.
-    """
+    """Return the value of `--format`, which is no list."""
     if "," in text:
         raise typer.BadParameter(
             f"{text!r}: name the one format of the dataset to read; --to lists the formats to write"
@@ -195,11 +175,7 @@ def one_format(text: str) -> str:
 
 
 def key_values(pairs: Sequence[str] | None, option: str) -> dict[str, str]:
-    """Parse `["a=1", "b=x=y"]` into `{"a": "1", "b": "x=y"}`.
-
-    Raises:
-        typer.BadParameter: An item has no `=`, or a key is given twice; the message names `option`.
-    """
+    """Parse `["a=1", "b=x=y"]` into `{"a": "1", "b": "x=y"}`; each key once."""
     found: dict[str, str] = {}
     for pair in pairs or ():
         key, equals, value = pair.partition("=")
@@ -210,11 +186,7 @@ def key_values(pairs: Sequence[str] | None, option: str) -> dict[str, str]:
 
 
 def yaml_values(pairs: Sequence[str] | None, option: str) -> dict[str, Any]:
-    """Parse `["a=1", "b=[2, 3]"]` into `{"a": 1, "b": [2, 3]}`.
-
-    Raises:
-        typer.BadParameter: An item has no `=`, a key comes twice, or a value is not YAML; the message names `option`.
-    """
+    """Parse `["a=1", "b=[2, 3]"]` into `{"a": 1, "b": [2, 3]}`; each key once."""
     from infrablend.core.yaml_text import read_yaml
 
     found = {}
@@ -227,11 +199,7 @@ def yaml_values(pairs: Sequence[str] | None, option: str) -> dict[str, Any]:
 
 
 def earlier_output(resume: bool, overwrite: bool) -> Existing:
-    """Return what `--resume` and `--overwrite` ask to do with earlier output.
-
-    Raises:
-        typer.BadParameter: Both are given.
-    """
+    """Return what `--resume` and `--overwrite`, of which one may be given, ask to do with earlier output."""
     if resume and overwrite:
         raise typer.BadParameter("--resume and --overwrite exclude each other; give one of them")
     return "resume" if resume else "overwrite" if overwrite else "refuse"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from infrablend.cli.exits import fields_together, printable, problem_lines
+from infrablend.cli.exits import PARTIAL, fields_together, printable, problem_lines
 from infrablend.cli.session import Session
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import OutputError, Problem, format_problems
@@ -47,12 +47,24 @@ def show_result(session: Session, data: Any, text: Callable[[], str]) -> None:
         print_result(text())
 
 
-def _write(text: str) -> None:
-    """Print a text on stdout.
+def show_report(session: Session, report: Any, record: Path, data: Any, text: Callable[[], str]) -> None:
+    """Print a report's result as `show_result`, its problems on stderr; exit with 1 if something was left out.
 
-    Raises:
-        OutputError: It cannot be written, e.g. to a file on a full disk.
+    Args:
+        session: State of the call.
+        report: Report with `problems` and `ok`.
+        record: File that lists all problems.
+        data: Result for JSON.
+        text: Result for people.
     """
+    print_problems(report.problems, session.log_path, record)
+    show_result(session, data, text)
+    if not report.ok:
+        raise typer.Exit(PARTIAL)
+
+
+def _write(text: str) -> None:
+    """Print a text on stdout; an `OutputError` if it cannot be written, e.g. to a file on a full disk."""
     try:
         typer.echo(text)
     except BrokenPipeError:

@@ -17,7 +17,6 @@ from infrablend.cli.exits import PARTIAL
 from infrablend.cli.options import (
     BackgroundsOption,
     Fields,
-    FieldsOf,
     JsonSession,
     ReadingOptions,
     RecipeArgument,
@@ -27,7 +26,7 @@ from infrablend.cli.options import (
     earlier_output,
     reported,
 )
-from infrablend.cli.output import facts, print_problems, print_warnings, show_result, shown_progress, table
+from infrablend.cli.output import facts, print_warnings, show_report, show_result, shown_progress, table
 from infrablend.cli.session import Session
 from infrablend.core.addresses import shown
 from infrablend.errors import ArgumentError
@@ -129,11 +128,7 @@ def generate(
 
 
 def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None:
-    """Parse `--shard I/N`, or `--shard I` with `--shard-size`; None if neither is given.
-
-    Raises:
-        typer.BadParameter: The values are not a shard, or do not fit together.
-    """
+    """Parse `--shard I/N`, or `--shard I` with `--shard-size`; None if neither is given."""
     if text is None:
         return None if size is None else api.ShardRequest(size=size)
     number, slash, count = text.partition("/")
@@ -147,11 +142,9 @@ def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None
 
 
 def _show_run(report: api.RunReport, session: Session) -> None:
-    """Print the report, and its problems on stderr; exit with 1 if something was skipped or failed."""
-    print_problems(report.problems, session.log_path, report.record_file or report.out / "run.json")
-    show_result(session, report.to_json(), lambda: f"{table(facts(report.counts))}\n{shown(report.out)}".lstrip("\n"))
-    if not report.ok:
-        raise typer.Exit(PARTIAL)
+    record = report.record_file or report.out / "run.json"
+    text = f"{table(facts(report.counts))}\n{shown(report.out)}".lstrip("\n")
+    show_report(session, report, record, report.to_json(), lambda: text)
 
 
 def merge(
@@ -223,9 +216,9 @@ def submit(
     ] = None,
     job: Annotated[
         dict[str, Any],
-        FieldsOf(
-            api.Submission,
+        Fields(
             "shards into name cores memory_gib minutes parallel partition account image volumes",
+            request=api.Submission,
             shards=typer.Option(metavar="N"),
             into=typer.Option(metavar="DIR"),
             cores=typer.Option(min=1),

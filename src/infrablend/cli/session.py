@@ -16,14 +16,12 @@ from typing import TYPE_CHECKING
 
 from infrablend.cli.exits import printable
 from infrablend.core.addresses import require_folder, without_user
-from infrablend.core.log_file import LogFileHandler
 from infrablend.core.user_folders import state_folder
 from infrablend.errors import ArgumentError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-_WARNED = 1000  # warnings that are remembered
 LOG_SIZE_BYTES = 5_000_000  # a longer log is renamed and a new one started
 
 logger = logging.getLogger(__name__)
@@ -64,11 +62,37 @@ class _ConsoleHandler(logging.Handler):
             if record.levelno == logging.WARNING:  # shown once; stages of an experiment repeat them
                 if line in self._warned:
                     return
-                if len(self._warned) < _WARNED:
-                    self._warned.add(line)
+                self._warned.add(line)
             self._console.print(line, markup=False, highlight=False, soft_wrap=True)
         except Exception:
             self.handleError(record)
+
+
+class LogFileHandler(logging.FileHandler):
+    """Handler that appends to a file and ignores write errors.
+
+    A full disk ends a command with one clear error, or does not concern it, without tracebacks of the log.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file.
+
+        Raises:
+            OSError: It cannot be opened.
+        """
+        super().__init__(path, encoding="utf-8", errors="backslashreplace")
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the text of a record, without secrets in addresses, which messages of libraries may have."""
+        return without_user(super().format(record))
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
+        """Ignore the error."""
+
+    def close(self) -> None:
+        """Close the file; what cannot be written any more is lost."""
+        with contextlib.suppress(OSError):
+            super().close()
 
 
 @contextlib.contextmanager

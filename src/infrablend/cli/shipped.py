@@ -35,7 +35,6 @@ def describe_model(name: ModelArgument) -> None:
 
 
 def _description(model: ObjectModel) -> str:
-    """Return what a recipe can set of a model, in lines."""
     parts = {
         part: f"{role.delta_t_k[0]:+g} to {role.delta_t_k[1]:+g} K, {role.emissivity[0]:g} to {role.emissivity[1]:g}"
         + (f"  {role.what}" if role.what else "")
@@ -96,7 +95,6 @@ def add_model(
 
 
 def _ask(file: Path, answers: api.ModelAnswers) -> api.ModelAnswers:
-    """Ask for everything that the names in the file and the options do not say."""
     from infrablend.assets.part_roles import ROLES
 
     if not answers.category:

@@ -16,7 +16,6 @@ from infrablend.cli.completion import complete_recipe
 from infrablend.cli.exits import report_error
 from infrablend.cli.options import (
     Fields,
-    FieldsOf,
     JsonSession,
     ReadingOptions,
     RecipeArgument,
@@ -65,7 +64,6 @@ def try_recipe(
 
 
 def _show(trial: api.Trial, out: Path, session: Session) -> None:
-    """Write the picture, and print what is in it."""
     path = trial.write(out)
     gc.freeze()
     gc.enable()
@@ -77,7 +75,6 @@ def _show(trial: api.Trial, out: Path, session: Session) -> None:
 
 
 def _lines(trial: api.Trial) -> list[str]:
-    """Return what is in the frame, a line per inserted object."""
     from infrablend.pipeline.compose.trial import gain_words, how_visible
 
     lines = [f"{trial.frame.id}, {trial.seconds:.2f} s"]
@@ -107,9 +104,9 @@ def studio(
     ] = None,
     opened: Annotated[
         dict[str, Any],
-        FieldsOf(
-            StudioRequest,
+        Fields(
             "data run compare results seed",
+            request=StudioRequest,
             data=typer.Option(metavar="DIR"),
             run=typer.Option(metavar="DIR"),
             compare=typer.Option(metavar="RUN|RECIPE"),

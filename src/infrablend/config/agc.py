@@ -7,14 +7,14 @@ with inserts are mapped alike.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Discriminator, TypeAdapter, ValidationError, model_validator
+from pydantic import BeforeValidator, Discriminator, TypeAdapter, ValidationError
 from pydantic import Field as _Field
 
-from infrablend.core.strict_model import Strict
+from infrablend.core.strict_model import Strict, in_order
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.yaml_text import read_yaml
 
@@ -27,8 +27,6 @@ Levels = NDArray[np.uint8]
 
 
 class _Agc(Strict):
-    """A map from 16-bit to 8-bit pictures."""
-
     needs_scale: ClassVar[bool] = False
     """Whether pictures need a temperature scale."""
 
@@ -60,13 +58,7 @@ class LinearAgc(_Agc):
     high_percentile: float = _Field(99.5, gt=0, le=100)
     """Percentile of the counts that becomes white."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if self.low_percentile >= self.high_percentile:
-            raise ValueError(
-                f"low_percentile below high_percentile; found {self.low_percentile:g} and {self.high_percentile:g}"
-            )
-        return self
+    _in_order = in_order("low_percentile", "high_percentile")
 
     def _map(self, counts: Counts) -> Levels:
         low, high = (float(v) for v in np.percentile(counts, [self.low_percentile, self.high_percentile]))
@@ -138,11 +130,7 @@ class FixedAgc(_Agc):
     high_c: float = _Field(ge=-200, le=2000)
     """Temperature that becomes white, degrees Celsius."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Self:
-        if self.low_c >= self.high_c:
-            raise ValueError(f"low_c below high_c; found {self.low_c:g} and {self.high_c:g}")
-        return self
+    _in_order = in_order("low_c", "high_c")
 
     def apply(self, counts: Counts, scale: TemperatureScale | None = None) -> Levels:
         """Return the (h, w) 8-bit picture of a (h, w) 16-bit one with a scale."""
@@ -161,7 +149,6 @@ def _rounded(levels: NDArray[np.float64]) -> Levels:
 
 
 def _mode_alone(data: Any) -> Any:
-    """Return the mapping that a mode alone stands for."""
     return {"mode": data} if isinstance(data, str) else data
 
 
@@ -178,11 +165,7 @@ _ADAPTER: TypeAdapter[Agc] = TypeAdapter(Agc)
 
 
 def agc_from_json(data: Mapping[str, Any]) -> Agc:
-    """Return the AGC that `model_dump` gave.
-
-    Raises:
-        ValidationError: The values are no AGC.
-    """
+    """Return the AGC that `model_dump` gave; a `ValidationError` for values that are none."""
     return _ADAPTER.validate_python(dict(data))
 
 

@@ -6,23 +6,20 @@ fields in the file) and a maker in `pipeline/experiments` (how it is made).
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterator, Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
+from infrablend.config.loading import parse_mapping, read_text
 from infrablend.config.recipe import LooseFactor, LoosePx
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.file_names import real_path
 from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale, shipped_names
 from infrablend.core.strict_model import Strict
-from infrablend.core.validation_messages import did_you_mean, field_problems
-from infrablend.core.yaml_text import read_yaml
-from infrablend.errors import Problem, RecipeError
+from infrablend.core.validation_messages import read_model
+from infrablend.errors import RecipeError
 
 Metric = Literal["p", "r", "map50", "map50_95"]
 METRICS: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
@@ -322,16 +319,17 @@ class Check(Strict):
 
     @model_validator(mode="after")
     def _whole(self) -> Check:
-        if (self.comparison is None) == (self.ratio is None):
-            raise ValueError("a check needs either comparison or ratio, not both")
-        if (self.expect == "at_least") != (self.least is not None):
-            raise ValueError("expect: at_least and least need each other")
-        if self.expect in ("below", "above", "within", "not_below") and self.comparison is None:
-            raise ValueError(f"expect: {self.expect} needs a comparison")
-        if self.time is not None and self.ratio is None:
-            raise ValueError("time needs a ratio")
-        if self.expect == "at_least" and self.ratio is None:
-            raise ValueError("expect: at_least needs a ratio")
+        no_comparison, no_ratio, at_least = self.comparison is None, self.ratio is None, self.expect == "at_least"
+        of_interval = self.expect in ("below", "above", "within", "not_below")
+        for wrong, why in (
+            (no_comparison == no_ratio, "a check needs either comparison or ratio, not both"),
+            (at_least != (self.least is not None), "expect: at_least and least need each other"),
+            (of_interval and no_comparison, f"expect: {self.expect} needs a comparison"),
+            (self.time is not None and no_ratio, "time needs a ratio"),
+            (at_least and no_ratio, "expect: at_least needs a ratio"),
+        ):
+            if wrong:
+                raise ValueError(why)
         return self
 
 
@@ -377,7 +375,6 @@ class Experiment(Strict):
         return self
 
     def _unknown_names(self) -> Iterator[str]:
-        """Yield every reference to something that does not exist."""
         both = sorted(set(self.sources) & set(self.data))
         yield from (f"{n} is both in sources and in data" for n in both)
         items = {*self.sources, *self.data}
@@ -393,33 +390,38 @@ class Experiment(Strict):
             {one for names in repeated[kind].values() for one in names} for kind in ("trainings", "evaluations")
         )
         for n, d in self.data.items():
-            yield from (f"data.{n}: no source or data {i}" for i in self.inputs_of(n).values() if i not in items)
             if isinstance(d, Paste) and not isinstance(self.data.get(d.like), Generate):
                 yield f"data.{n}.like: {d.like} is no data item of kind generate"
-        for n, t in self.trainings.items():
-            if t.data not in items:
-                yield f"trainings.{n}.data: no source or data {t.data}"
+        known = {
+            "source or data": items,
+            "training": trainings,
+            "evaluation": evaluations,
+            "comparison": {*self.comparisons},
+            "stage": {*self.data, *trainings, *evaluations, *self.comparisons},
+        }
+        yield from (f"{place}: no {kind} {name}" for place, kind, name in self._references() if name not in known[kind])
+
+    def _references(self) -> Iterator[tuple[str, str, str]]:
+        """Yield place, kind and name of every reference in the file."""
+        data, evaluation = "source or data", "evaluation"
+        for n in self.data:
+            yield from ((f"data.{n}", data, i) for i in self.inputs_of(n).values())
+        yield from ((f"trainings.{n}.data", data, t.data) for n, t in self.trainings.items())
         for n, e in self.evaluations.items():
-            if e.training not in trainings:
-                yield f"evaluations.{n}.training: no training {e.training}"
-            if e.data not in items:
-                yield f"evaluations.{n}.data: no source or data {e.data}"
+            yield from ((f"evaluations.{n}.training", "training", e.training), (f"evaluations.{n}.data", data, e.data))
         for n, c in self.comparisons.items():
-            yield from (f"comparisons.{n}: no evaluation {e}" for e in (*c.a, *c.b) if e not in evaluations)
+            yield from ((f"comparisons.{n}", evaluation, of) for of in (*c.a, *c.b))
         for k, table in enumerate(self.tables):
             for row in table.rows:
-                for of in row.evaluation or (table.evaluation,):
-                    if of not in evaluations:
-                        yield f"tables.{k}: {row.title}: no evaluation {of}"
+                names = row.evaluation or (str(table.evaluation),)
+                yield from ((f"tables.{k}: {row.title}", evaluation, of) for of in names)
         for k, f in enumerate(self.facts):
-            yield from (f"facts.{k}.data: no source or data {d}" for d in f.data if d not in items)
+            yield from ((f"facts.{k}.data", data, d) for d in f.data)
         for k, check in enumerate(self.checks):
-            if check.comparison is not None and check.comparison not in self.comparisons:
-                yield f"checks.{k}.comparison: no comparison {check.comparison}"
-            of_ratio = [e for side in check.ratio or () for e in side]
-            yield from (f"checks.{k}.ratio: no evaluation {e}" for e in of_ratio if e not in evaluations)
-        known = {*self.data, *trainings, *evaluations, *self.comparisons}
-        yield from (f"only_at: no stage {n}" for n in self.only_at if n not in known)
+            if check.comparison is not None:
+                yield f"checks.{k}.comparison", "comparison", check.comparison
+            yield from ((f"checks.{k}.ratio", evaluation, e) for side in check.ratio or () for e in side)
+        yield from (("only_at", "stage", n) for n in self.only_at)
 
     def seeds_of_trainings(self) -> dict[str, tuple[str, ...]]:
         """Return the names of all seeds of each training, at any scale."""
@@ -483,64 +485,19 @@ def load_experiment(experiment: str | Path) -> Experiment:
     Raises:
         RecipeError: The file cannot be read, or is wrong; lists every unknown key and bad value.
     """
-    path = Path(experiment)
-    folder: Path | None = None
-    if path.suffix.lower() in {".yaml", ".yml"} or path.parent != Path():
-        folder = real_path(path).parent
-        try:
-            text = path.read_text("utf-8")
-        except (OSError, ValueError) as error:
-            raise RecipeError(
-                f"experiment {path}: cannot be read ({error}); expected a YAML text file. "
-                f"Shipped experiments are {', '.join(list_experiments())}."
-            ) from error
-    elif str(experiment) in list_experiments():
-        text = (resources.files("infrablend.config") / "experiments" / f"{experiment}.yaml").read_text("utf-8")
-    else:
-        raise RecipeError(
-            f"experiment {str(experiment)!r}: neither a shipped experiment nor a YAML file that exists; "
-            f"shipped are {', '.join(list_experiments())}. "
-            f"{did_you_mean(str(experiment), list_experiments()) or 'Give one of these or the path of a .yaml file.'}"
-        )
+    text, folder = read_text("experiments", experiment)
     return parse_experiment(text, str(experiment), folder)
 
 
 def parse_experiment(text: str, where: str, folder: Path | None = None) -> Experiment:
-    """Return the experiment in a YAML text.
-
-    Args:
-        text: Content of the file.
-        where: Name of the file in error messages.
-        folder: Folder that paths of recipes are relative to.
-
-    Raises:
-        RecipeError: Lists every unknown key and bad value.
-    """
-    try:
-        data = read_yaml(text)
-    except ValueError as error:
-        raise RecipeError(
-            f"experiment {where}: {error}. Correct the file; docs/how_to/experiments.md explains it."
-        ) from error
-    if not isinstance(data, dict):
-        raise RecipeError(f"experiment {where}: found {type(data).__name__}, expected a mapping of fields")
-    if folder is not None:
-        _resolve_recipes(data, folder)
-    problems: list[Problem] = []
-    try:
-        return Experiment.model_validate_json(json.dumps(data))
-    except ValidationError as error:
-        problems += field_problems(
-            error, data, Experiment, "experiment", "see docs/how_to/experiments.md for all fields"
-        )
-    except (TypeError, ValueError) as error:
-        problems.append(Problem(where, "experiment-value", str(error), "plain numbers, texts, lists and mappings"))
-    raise RecipeError(f"experiment {where}: {len(problems)} field(s) are wrong", sorted(set(problems)))
-
-
-def _resolve_recipes(data: dict[str, Any], folder: Path) -> None:
+    """Return the experiment in a YAML text, as `load_experiment`; paths of recipes are relative to `folder`."""
+    data = parse_mapping(text, f"experiment {where}", "docs/how_to/experiments.md")
     items = data.get("data")
     for item in items.values() if isinstance(items, Mapping) else ():
         recipe = item.get("recipe") if isinstance(item, dict) else None
-        if isinstance(recipe, str) and re.search(r"\.ya?ml$", recipe, re.IGNORECASE):
+        if folder is not None and isinstance(recipe, str) and recipe.lower().endswith((".yaml", ".yml")):
             item["recipe"] = str(real_path(folder / recipe))
+    found = read_model(Experiment, data, where, "experiment", "see docs/how_to/experiments.md for all fields")
+    if isinstance(found, Experiment):
+        return found
+    raise RecipeError(f"experiment {where}: {len(found)} field(s) are wrong", found)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import copy
 import functools
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Any
-
-from pydantic import ValidationError
+from typing import Any, Literal
 
 from infrablend.config.modes import (
     drop_fields_of_other_modes,
@@ -20,19 +17,23 @@ from infrablend.config.modes import (
     kept_camera_warnings,
     modes_of,
     recipe_class,
+    stated_camera_fields,
     wrong_modes,
 )
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
 from infrablend.core.file_names import real_path
 from infrablend.core.shipped import shipped_names
-from infrablend.core.validation_messages import did_you_mean, field_problems
+from infrablend.core.validation_messages import did_you_mean, read_model
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
 
 log = logging.getLogger(__name__)
 
 Settings = Sequence[str] | Mapping[str, Any]
+Kind = Literal["recipes", "experiments"]
+
+_YAML = (".yaml", ".yml")
 
 
 def list_recipes() -> list[str]:
@@ -41,18 +42,50 @@ def list_recipes() -> list[str]:
 
 
 def recipe_text(name: str) -> str:
-    """Return the YAML text of a shipped recipe.
+    """Return the YAML text of a shipped recipe; a `RecipeError` if none has that name."""
+    return _shipped_text("recipes", name)
+
+
+def _shipped_text(kind: Kind, name: str) -> str:
+    names, noun = shipped_names(kind), kind.removesuffix("s")
+    if name not in names:
+        raise RecipeError(
+            f"{noun} {name!r}: neither a shipped {noun} nor a YAML file that exists; shipped are {', '.join(names)}. "
+            f"{did_you_mean(name, names) or 'Give one of these names or the path of a .yaml file.'}"
+        )
+    return (resources.files("infrablend.config") / kind / f"{name}.yaml").read_text("utf-8")
+
+
+def read_text(kind: Kind, named: str | Path) -> tuple[str, Path | None]:
+    """Return the text of a shipped recipe or experiment, or of a YAML file with the folder that it is in.
+
+    A path is anything with a suffix or a folder in it. A `RecipeError` if there is no such name or file.
+    """
+    path = Path(named)
+    if path.suffix.lower() not in _YAML and path.parent == Path():
+        return _shipped_text(kind, str(named)), None
+    try:
+        return path.read_text("utf-8"), real_path(path).parent
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a NUL in it
+        raise RecipeError(
+            f"{kind.removesuffix('s')} {path}: cannot be read ({error}); expected a YAML text file. "
+            f"Shipped {kind} are {', '.join(shipped_names(kind))}."
+        ) from error
+
+
+def parse_mapping(text: str, what: str, docs: str) -> dict[str, Any]:
+    """Return the fields in the YAML text of a file; `docs` is the page that explains them.
 
     Raises:
-        RecipeError: If no shipped recipe has that name.
+        RecipeError: The text is not YAML, or no mapping.
     """
-    if name not in list_recipes():
-        raise RecipeError(
-            f"recipe {name!r}: neither a shipped recipe nor a YAML file that exists; "
-            f"shipped are {', '.join(list_recipes())}. "
-            f"{did_you_mean(name, list_recipes()) or 'Give one of these names or the path of a .yaml file.'}"
-        )
-    return (resources.files("infrablend.config") / "recipes" / f"{name}.yaml").read_text("utf-8")
+    try:
+        data = copy.deepcopy(_read_yaml(text))
+    except ValueError as error:
+        raise RecipeError(f"{what}: {error}. Correct the file; {docs} has all fields.") from error
+    if not isinstance(data, dict):
+        raise RecipeError(f"{what}: found {type(data).__name__}, expected a mapping of fields")
+    return data
 
 
 @dataclass(frozen=True)
@@ -79,14 +112,8 @@ def load_recipe(recipe: str | Path, settings: Settings = ()) -> Recipe:
     """Return the recipe of that name or file, with `settings` applied.
 
     Fields that a setting of a mode makes meaningless are dropped, each with a warning in the log; a lens or a roll
-    kept from the other placement mode gives a warning too. `read_recipe` returns these warnings.
-
-    Args:
-        recipe: A shipped name, or a path (anything with a suffix or a folder in it).
-        settings: `key=value` texts (dotted keys, YAML values), or a mapping of dotted keys to values.
-
-    Raises:
-        RecipeError: With every unknown key and bad value at once.
+    kept from the other placement mode gives a warning too. `read_recipe` has the same arguments and errors, and returns
+    these warnings.
     """
     loaded = read_recipe(recipe, settings)
     for problem in loaded.warnings:
@@ -105,19 +132,7 @@ def read_recipe(recipe: str | Path, settings: Settings = ()) -> LoadedRecipe:
         RecipeError: With every unknown key and bad value at once.
     """
     _require_settings(settings)
-    path = Path(recipe)
-    folder: Path | None = None
-    if path.suffix.lower() in {".yaml", ".yml"} or path.parent != Path():
-        folder = real_path(path).parent
-        try:
-            text = path.read_text("utf-8")
-        except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a NUL in it
-            raise RecipeError(
-                f"recipe {path}: cannot be read ({error}); expected a YAML text file. "
-                f"Shipped recipes are {', '.join(list_recipes())}."
-            ) from error
-    else:
-        text = recipe_text(str(recipe))
+    text, folder = read_text("recipes", recipe)
     return parse_recipe(text, str(recipe), settings, folder)
 
 
@@ -127,50 +142,38 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     Args:
         text: The YAML text.
         where: Name of the recipe in errors.
-        settings: As of `load_recipe`.
+        settings: As of `read_recipe`.
         folder: Folder that paths in the recipe are relative to; the working directory by default.
 
     Raises:
         RecipeError: With every unknown key and bad value at once.
     """
-    try:
-        data = copy.deepcopy(_read_yaml(text))
-    except ValueError as error:
-        raise RecipeError(
-            f"recipe {where}: {error}. Correct the file; docs/reference/recipe.md has all fields."
-        ) from error
-    if not isinstance(data, dict):
-        raise RecipeError(f"recipe {where}: found {type(data).__name__}, expected a mapping of fields")
+    data = parse_mapping(text, f"recipe {where}", "docs/reference/recipe.md")
     problems: list[Problem] = []
     pairs = _pairs(settings, problems)
     dropped, kept = _change_modes(data, pairs)
     for key, value in pairs:
         _set(data, key, value, problems)
     _prefer_stated_lens(data, pairs)
-    if isinstance(data.get("objects"), list):
-        for item in data["objects"]:
-            if isinstance(item, dict) and isinstance(item.get("model"), str) and _is_path(item["model"]):
-                # The record of a run has the whole path, so that the run can be used from any folder.
-                path = (folder or Path()) / item["model"]
-                # A description that is a link out of its folder is refused by its reader.
-                item["model"] = str(real_path(path.parent) / path.name)
+    objects = data.get("objects")
+    for item in objects if isinstance(objects, list) else ():
+        model = item.get("model") if isinstance(item, dict) else None
+        if isinstance(model, str) and model.lower().endswith(_YAML):
+            # The record of a run has the whole path, so that the run can be used from any folder.
+            path = (folder or Path()) / model
+            # A description that is a link out of its folder is refused by its reader.
+            item["model"] = str(real_path(path.parent) / path.name)
     _read_profile(data, folder)
     problems += wrong_modes(data)
     modes = modes_of(data)
-    model = recipe_class(modes)
-    try:
-        # Through JSON: strict mode then takes lists for tuples, and still refuses "640" or true for a number.
-        recipe = model.model_validate_json(json.dumps(data))
-    except ValidationError as error:
-        see = "see docs/reference/recipe.md for all fields"
+    see = "see docs/reference/recipe.md for all fields"
+    found = read_model(recipe_class(modes), data, where, "recipe", see, lambda path: explain_unknown(path, modes))
+    if isinstance(found, list):
         known = {p.where for p in problems}
-        found = field_problems(error, data, model, "recipe", see, lambda path: explain_unknown(path, modes))
         problems += [p for p in found if p.where not in known]
-    except (TypeError, ValueError) as error:
-        problems.append(Problem(where, "recipe-value", str(error), "plain numbers, texts, lists and mappings"))
-    if problems:
+    if problems or isinstance(found, list):
         raise RecipeError(f"recipe {where}: {len(set(problems))} field(s) are wrong", sorted(set(problems)))
-    return LoadedRecipe(recipe, tuple(dropped), tuple(kept))
+    return LoadedRecipe(found, tuple(dropped), tuple(kept))
 
 
 def _prefer_stated_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> None:
@@ -179,12 +182,9 @@ def _prefer_stated_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) 
     A `field_of_view` of the recipe's file does not prevent that, for recipes that the studio writes state every field;
     one among the settings does.
     """
-    stated = {key for key, _ in pairs}
-    stated |= {f"camera.{f}" for key, value in pairs if key == "camera" and isinstance(value, dict) for f in value}
-    camera = data.get("camera")
-    lens = stated & {"camera.focal_length_mm", "camera.sensor_width_mm"}
-    chosen = "camera.field_of_view" in stated
-    if lens and not chosen and isinstance(camera, dict) and modes_of(data).placement == "metric":
+    camera, stated = data.get("camera"), stated_camera_fields(pairs)
+    lens = stated & {"focal_length_mm", "sensor_width_mm"} and "field_of_view" not in stated
+    if lens and isinstance(camera, dict) and modes_of(data).placement == "metric":
         camera["field_of_view"] = "recipe"
 
 
@@ -211,10 +211,6 @@ def _read_profile(data: dict[str, Any], folder: Path | None) -> None:
     named = sensor.get("profile")
     if isinstance(named, str) and named.lower().endswith(PROFILE_SUFFIXES):
         data["sensor"] = {**sensor, "profile": read_profile((folder or Path()) / named).model_dump(mode="json")}
-
-
-def _is_path(model: str) -> bool:
-    return model.lower().endswith((".yaml", ".yml"))
 
 
 def _require_settings(settings: Settings) -> None:

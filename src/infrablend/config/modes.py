@@ -123,11 +123,7 @@ def recipe_class(modes: Modes) -> type[Recipe]:
 
 
 def recipe_from_json(text: str) -> Recipe:
-    """Return the recipe that `model_dump_json` wrote.
-
-    Raises:
-        ValidationError: If the text is no recipe.
-    """
+    """Return the recipe that `model_dump_json` wrote; a `ValidationError` for another text."""
     return recipe_class(modes_of(json.loads(text))).model_validate_json(text)
 
 
@@ -165,6 +161,13 @@ def drop_fields_of_other_modes(data: dict[str, Any], old: Modes, new: Modes) -> 
     return dropped
 
 
+def stated_camera_fields(settings: Iterable[tuple[str, Any]]) -> set[str]:
+    """Return the fields of the camera that settings state, one by one or as a mapping."""
+    whole = (value for key, value in settings if key == "camera" and isinstance(value, Mapping))
+    single = (key.removeprefix("camera.") for key, _ in settings if key.startswith("camera."))
+    return {*single, *(str(field) for value in whole for field in value)}
+
+
 def kept_camera_warnings(
     data: Mapping[str, Any], settings: Iterable[tuple[str, Any]], old: Modes, new: Modes
 ) -> list[Problem]:
@@ -178,11 +181,7 @@ def kept_camera_warnings(
     """
     if old.placement == new.placement:
         return []
-    given: set[str] = set()
-    for key, value in settings:
-        if key == "camera" and isinstance(value, Mapping):
-            given.update(map(str, value))
-        given.add(key.removeprefix("camera."))
+    given = stated_camera_fields(settings)
     camera = {name: info.default for name, info in Camera.model_fields.items()} | dict(_section(data, "camera"))
     has, needs = _CAMERAS[old.placement], _CAMERAS[new.placement]
     expected = f"that of {needs}, for placement.mode {new.placement}"

@@ -11,9 +11,9 @@ its own classes for the sections that depend on it, so that a recipe has no fiel
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -22,7 +22,7 @@ from infrablend.config.agc import Agc
 from infrablend.config.sensor_profile import PROFILES, SensorProfile, find_profile
 from infrablend.core.capture import Capture
 from infrablend.core.format_table import WrittenName
-from infrablend.core.strict_model import Strict, range_of
+from infrablend.core.strict_model import Strict, in_order, range_of
 from infrablend.core.temperature import TemperatureScale, Unit
 
 
@@ -32,13 +32,9 @@ def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
     return value
 
 
-def _five(value: Any) -> Any:
-    if not isinstance(value, list | tuple) or len(value) != 5:
+def _quantiles(value: tuple[float, ...]) -> tuple[float, ...]:
+    if len(value) != 5:
         raise ValueError("five quantiles: 5, 25, 50, 75 and 95 %")
-    return tuple(value)
-
-
-def _rising(value: tuple[float, ...]) -> tuple[float, ...]:
     if any(a > b for a, b in pairwise(value)):
         raise ValueError("five quantiles in rising order")
     return value
@@ -81,17 +77,17 @@ class Data(Strict):
 # ---- Camera
 
 
-def _is_below(value: float | None, limit: float | None) -> bool:
-    """Return whether a known value is below a limit; True without a limit."""
-    return limit is None or (value is not None and value < limit)
+Flight = TypeVar("Flight", "FlightHeight", "FlightNumbers")
 
 
-def _fits(entry: FlightHeight | FlightNumbers, picture: Capture) -> bool:
-    return (
-        entry.time_of_day in (None, picture.time_of_day)
-        and _is_below(picture.altitude_m, entry.below_m)
-        and _is_below(picture.pitch_deg, entry.below_pitch_deg)
-    )
+def of_flight(entries: Iterable[Flight], picture: Capture) -> Flight | None:
+    """Return the first entry that a picture belongs to, by its time of day, height and pitch; None if none fits."""
+    for e in entries:
+        limits = ((picture.altitude_m, e.below_m), (picture.pitch_deg, e.below_pitch_deg))
+        below = all(limit is None or (value is not None and value < limit) for value, limit in limits)
+        if below and e.time_of_day in (None, picture.time_of_day):
+            return e
+    return None
 
 
 class FixedPitch(Strict):
@@ -219,10 +215,6 @@ class FlightHeight(Strict):
     spread: float | None = Field(None, gt=0, le=1)
     """Standard deviation of this factor's logarithm; by default that of all pictures."""
 
-    def fits(self, picture: Capture) -> bool:
-        """Return whether a picture belongs to these."""
-        return _fits(self, picture)
-
 
 class StatedHeights(Strict):
     """How heights in names and tables of the dataset differ from true ones."""
@@ -328,10 +320,6 @@ class FlightNumbers(Numbers):
     below_pitch_deg: float | None = Field(None, gt=-90, le=90)
     """These pictures have a smaller depression angle than this; any angle by default. They show more ground."""
 
-    def fits(self, picture: Capture) -> bool:
-        """Return whether a picture belongs to these."""
-        return _fits(self, picture)
-
 
 class Count(Numbers):
     """A number of objects drawn for each frame."""
@@ -342,7 +330,7 @@ class Count(Numbers):
 
     def of_flight(self, picture: Capture) -> Numbers:
         """Return the numbers for a picture."""
-        return next((numbers for numbers in self.by_flight if numbers.fits(picture)), self)
+        return of_flight(self.by_flight, picture) or self
 
 
 class PartOverride(Strict):
@@ -515,7 +503,7 @@ class PaperPlacement(Placement):
     """Reject placements that cover ignore regions (DontCare). The paper does not."""
 
 
-Quantiles = Annotated[tuple[float, float, float, float, float], BeforeValidator(_five), AfterValidator(_rising)]
+Quantiles = Annotated[tuple[float, ...], AfterValidator(_quantiles)]
 """5, 25, 50, 75 and 95 % quantiles."""
 
 
@@ -746,17 +734,11 @@ class PercentileMatching(GreyMatching):
     min_span: float = Field(0.35, ge=0, le=1)
     """Least span between the two ends, as a share of the full range; keeps objects visible on flat backgrounds."""
 
+    _in_order = in_order("low_percentile", "high_percentile")
+
     @property
     def percentiles(self) -> PercentileMatching:
         """Itself, for all frames."""
-        return self
-
-    @model_validator(mode="after")
-    def _in_order(self) -> PercentileMatching:
-        if self.low_percentile >= self.high_percentile:
-            raise ValueError(
-                f"low_percentile below high_percentile; found {self.low_percentile:g} and {self.high_percentile:g}"
-            )
         return self
 
 
@@ -835,8 +817,8 @@ class NoSensor(Strict):
     """`off`: no imitation; the render is blurred by `overlay.softness_px`."""
 
 
-class Sensor(Strict):
-    """Imitation of the background's own camera, for the inserts only. Strength 0 turns a step off, 1 is as measured."""
+class _Imitation(Strict):
+    """Fields of every imitation of the background's own camera."""
 
     needs_levels: ClassVar[bool] = True
     """Whether the range of grey levels of the whole dataset has to be known."""
@@ -850,6 +832,15 @@ class Sensor(Strict):
     motion_px: range_of(0, 40) = (0.0, 0.0)  # type: ignore[valid-type]
     """Length of the motion tail, pixels; its direction is drawn, too. HIT-UAV: 1 at 5 m/s and 100 m, 3 with a panning
     gimbal. Labels and scene give the mean position of the object."""
+
+    def profile_at(self, grey_unit_k: float | None) -> str | SensorProfile:
+        """Return the profile for pictures with this many kelvin per level; None for those without temperatures."""
+        return self.profile
+
+
+class Sensor(_Imitation):
+    """Imitation of the background's own camera, for the inserts only. Strength 0 turns a step off, 1 is as measured."""
+
     halo: float = Field(1.0, ge=0, le=2)
     """Detail enhancement: sharpens the inserts and adds a faint ring around them, as the camera's processing does."""
     noise: float = Field(1.0, ge=0, le=2)
@@ -863,10 +854,6 @@ class Sensor(Strict):
     codec: float = Field(1.0, ge=0, le=2)
     """Compression of the 8 px blocks that the inserts touch, by JPEG of quality 100 - codec * (100 - q), where q is
     the profile's quality. 8-bit images only."""
-
-    def profile_at(self, grey_unit_k: float | None) -> str | SensorProfile:
-        """Return the profile, whatever the kelvin per level (None for pictures without temperatures)."""
-        return self.profile
 
 
 class PaperSensor(Sensor):
@@ -882,25 +869,17 @@ class MetricSensor(Sensor):
     """Factor on the blur of objects that are nearer than the lens is focused."""
 
 
-class RadiometricSensor(Strict):
+class RadiometricSensor(_Imitation):
     """Imitation of a radiometric camera, in kelvin: optics and noise.
 
-    Such pictures have neither detail enhancement nor codec.
+    Such pictures have neither detail enhancement nor codec; those of the profile, and its grey levels, are not used.
     """
 
-    needs_levels: ClassVar[bool] = True
     halo: ClassVar[float] = 0.0
     codec: ClassVar[float] = 0.0
     clip: ClassVar[bool] = False
     headroom: ClassVar[float] = 0.0
 
-    profile: Annotated[Literal["hit-uav", "monet", "generic-640x512"] | SensorProfile, BeforeValidator(_known_profile)]
-    """The camera: the name of a shipped profile, the path of a profile's .json or .yaml, or its fields. Its optics are
-    used; its sharpening, codec and grey levels are not."""
-    optics: float = Field(1.0, ge=0, le=2)
-    """Factor on the blur, which is estimated from the edges of each background; 0: `overlay.softness_px` instead."""
-    motion_px: range_of(0, 40) = (0.0, 0.0)  # type: ignore[valid-type]
-    """Length of the motion tail, pixels; its direction is drawn, too."""
     noise: float = Field(1.0, ge=0, le=2)
     """Noise of the inserts, matched in strength and grain size to flat areas of each background."""
     netd_k: float = Field(0.05, gt=0, le=2)
@@ -910,12 +889,7 @@ class RadiometricSensor(Strict):
     """Factor on the blur of objects that are nearer than the lens is focused."""
 
     def profile_at(self, grey_unit_k: float | None) -> str | SensorProfile:
-        """Return the profile without sharpening and codec, with this camera's noise.
-
-        Args:
-            grey_unit_k: Kelvin per level of an 8-bit picture of the same range; None for pictures without temperatures,
-                which keep the profile.
-        """
+        """Return the profile without sharpening and codec, with this camera's noise."""
         if grey_unit_k is None:
             return self.profile
         noise = min(self.netd_k / grey_unit_k, 20.0)
@@ -1166,23 +1140,6 @@ class PhysicalSections(Strict):
     """How radiance becomes grey levels."""
 
 
-class RadiometricSections(MetricSections):
-    """Sections of `matching.mode: radiometric`."""
-
-    look: ClassVar[LookName] = "radiometric"
-
-    sensor: Annotated[
-        Annotated[NoSensor, Tag("off")] | Annotated[RadiometricSensor, Tag("on")], Discriminator(_sensor_tag)
-    ] = NoSensor()
-    """Imitation of the background's own camera."""
-    environment: RadiometricEnvironment = RadiometricEnvironment()
-    """The weather."""
-    appearance: PhysicalAppearance
-    """How temperature becomes radiance."""
-    matching: RadiometricMatching
-    """How radiance becomes temperature."""
-
-
 class PaperArtisticRecipe(ArtisticSections, PaperSections, _Sections):
     """A recipe with the paper's placement and its hand-tuned look."""
 
@@ -1199,8 +1156,21 @@ class MetricPhysicalRecipe(PhysicalSections, MetricGreySections, _Sections):
     """A recipe with metric placement and radiance in the thermal band."""
 
 
-class RadiometricRecipe(RadiometricSections, _Sections):
+class RadiometricRecipe(MetricSections, _Sections):
     """A recipe for 16-bit pictures with temperatures: metric placement, and radiance in the thermal band."""
+
+    look: ClassVar[LookName] = "radiometric"
+
+    sensor: Annotated[
+        Annotated[NoSensor, Tag("off")] | Annotated[RadiometricSensor, Tag("on")], Discriminator(_sensor_tag)
+    ] = NoSensor()
+    """Imitation of the background's own camera."""
+    environment: RadiometricEnvironment = RadiometricEnvironment()
+    """The weather."""
+    appearance: PhysicalAppearance
+    """How temperature becomes radiance."""
+    matching: RadiometricMatching
+    """How radiance becomes temperature."""
 
 
 PaperRecipe = PaperArtisticRecipe | PaperPhysicalRecipe

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from infrablend.core.strict_model import Strict, range_of
-from infrablend.core.validation_messages import field_problems
+from infrablend.core.validation_messages import read_model
 from infrablend.core.yaml_text import read_yaml
-from infrablend.errors import Problem, RecipeError
+from infrablend.errors import RecipeError
 
 PROFILE_SUFFIXES = (".json", ".yaml", ".yml")
 
@@ -125,24 +124,15 @@ def read_profile(path: Path) -> SensorProfile:
             f"sensor profile {path}: cannot be read ({error}); expected a file as `infrablend profile` writes it, or "
             f"one of the names {', '.join(PROFILES)}"
         ) from error
-    try:
-        # Through JSON, as for recipes: strict mode then accepts lists as tuples.
-        return SensorProfile.model_validate_json(json.dumps(data))
-    except ValidationError as error:
-        problems = field_problems(
-            error, data, SensorProfile, "profile", "see sensor.profile in docs/reference/recipe.md"
-        )
-    except (TypeError, ValueError) as error:
-        problems = [Problem(path.name, "profile-value", str(error), "plain numbers, texts, lists and mappings")]
-    raise RecipeError(f"sensor profile {path}: {len(problems)} field(s) are wrong", problems)
+    see = "see sensor.profile in docs/reference/recipe.md"
+    found = read_model(SensorProfile, data, path.name, "profile", see)
+    if isinstance(found, SensorProfile):
+        return found
+    raise RecipeError(f"sensor profile {path}: {len(found)} field(s) are wrong", found)
 
 
 def find_profile(profile: str | SensorProfile) -> SensorProfile:
-    """Return the shipped profile of that name; a `SensorProfile` is returned as it is.
-
-    Raises:
-        RecipeError: If no profile has that name.
-    """
+    """Return the shipped profile of that name, or a `SensorProfile` as it is; a `RecipeError` if there is none."""
     if isinstance(profile, SensorProfile):
         return profile
     if profile not in PROFILES:

@@ -48,10 +48,6 @@ def require_folder(name: str, path: str | Path) -> None:
 
     The message shows the scheme only, because an address may contain a password.
 
-    Args:
-        name: Name of the argument, for the message.
-        path: Value of the argument.
-
     Raises:
         ArgumentError: It is an address.
     """

@@ -1,4 +1,7 @@
-"""Checks of values that callers of the Python interface pass, before anything is started or written."""
+"""Checks of values that callers of the Python interface pass, before anything is started or written.
+
+Each raises an `ArgumentError` for another value.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +13,7 @@ from infrablend.errors import ArgumentError
 
 
 def require_names(where: str, value: Sequence[str] | None) -> None:
-    """Check that a value is a list of names, or None; a single text would be taken for a list of its letters.
-
-    Raises:
-        ArgumentError: It is something else.
-    """
+    """Check that a value is a list of names, or None; a single text would be taken for a list of its letters."""
     if value is None:
         return
     if isinstance(value, str):
@@ -24,32 +23,20 @@ def require_names(where: str, value: Sequence[str] | None) -> None:
 
 
 def require_choice(where: str, value: object, choices: Collection[str]) -> None:
-    """Check that a value is one of these names.
-
-    Raises:
-        ArgumentError: It is not.
-    """
+    """Check that a value is one of these names."""
     if not isinstance(value, str) or value not in choices:
         raise ArgumentError(f"{where}: found {value!r}, expected one of {', '.join(choices)}")
 
 
 def require_choices(where: str, value: Sequence[str] | None, choices: Collection[str]) -> None:
-    """Check that a value is a list of some of these names, or None.
-
-    Raises:
-        ArgumentError: It is not.
-    """
+    """Check that a value is a list of some of these names, or None."""
     require_names(where, value)
     for name in value or ():
         require_choice(where, name, choices)
 
 
 def require_whole(where: str, value: Any, least: int | None = None) -> None:
-    """Check that a value is a whole number, not below `least`.
-
-    Raises:
-        ArgumentError: It is not.
-    """
+    """Check that a value is a whole number, not below `least`."""
     if not isinstance(value, Integral) or isinstance(value, bool) or (least is not None and value < least):
         expected = "a whole number" if least is None else f"a whole number from {least} up"
         raise ArgumentError(f"{where}: found {value!r}, expected {expected}")

@@ -177,12 +177,6 @@ def clip_convex(polygon_xy: FloatArray, clip_xy: FloatArray) -> FloatArray:
     return polygon
 
 
-def frame_polygon(size_wh: tuple[int, int]) -> FloatArray:
-    """Return the (4, 2) corners of the frame, clockwise from the origin."""
-    w, h = size_wh
-    return np.array([[0, 0], [w, 0], [w, h], [0, h]], np.float64)
-
-
 def inside_convex(points_xy: FloatArray, polygon_xy: FloatArray) -> NDArray[np.bool_]:
     """Mark the (N,) points (N, 2) in the closed convex polygon (M, 2), clockwise."""
     edge = np.roll(polygon_xy, -1, axis=0) - polygon_xy

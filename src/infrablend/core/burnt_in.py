@@ -49,13 +49,10 @@ class _Glyph(NamedTuple):
 
 
 def find_burnt_in(picture: NDArray[np.float32], scale: float = 1.0) -> FloatArray:
-    """Return the (n, 4) boxes around text and other marks in a picture; none if it has no row of text.
+    """Return the (n, 4) boxes around text and other marks in a picture (h, w); none if it has no row of text.
 
-    Bright details of the scene may be among the marks of a picture that has text.
-
-    Args:
-        picture: (h, w) levels.
-        scale: Levels of the picture per 8-bit level.
+    Bright details of the scene may be among the marks of a picture that has text. `scale` is the number of levels per
+    8-bit level.
     """
     grey = np.asarray(picture, np.float32) / np.float32(scale)
     rows = [row for stroke in _STROKES_PX for glyphs in _glyphs(grey, stroke) for row in _rows(glyphs)]

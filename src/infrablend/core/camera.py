@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from infrablend.core.mesh import FloatArray
 
-BLENDER_FOCAL_LENGTH_MM = 50.0
-BLENDER_SENSOR_WIDTH_MM = 36.0
 STRAIGHT_DOWN_DEG = 90.0
 
 # Gimbals overshoot their stop: DJI reports up to -90.9 for a camera that looks straight down.
@@ -109,7 +107,8 @@ def pitch_of_gimbal(gimbal_deg: float) -> float:
     >>> pitch_of_gimbal(-90.0), pitch_of_gimbal(-30.5), pitch_of_gimbal(12.0)
     (90.0, 30.5, -12.0)
     """
-    return _without_overshoot(0.0 - gimbal_deg)
+    pitch_deg = 0.0 - gimbal_deg
+    return STRAIGHT_DOWN_DEG if STRAIGHT_DOWN_DEG < pitch_deg <= STRAIGHT_DOWN_DEG + _OVERSHOOT_DEG else pitch_deg
 
 
 def pitch_of_tilt(tilt_deg: float) -> float:
@@ -139,7 +138,3 @@ def is_plausible_roll(roll_deg: float, pitch_deg: float | None) -> bool:
     A larger roll at a flatter pitch leaves open whether the picture is upside down: some cameras turn it upright.
     """
     return abs(roll_deg) <= _MOST_ROLL_DEG or (pitch_deg is not None and pitch_deg >= _FROM_ABOVE_DEG)
-
-
-def _without_overshoot(pitch_deg: float) -> float:
-    return STRAIGHT_DOWN_DEG if STRAIGHT_DOWN_DEG < pitch_deg <= STRAIGHT_DOWN_DEG + _OVERSHOOT_DEG else pitch_deg

@@ -42,11 +42,7 @@ class Category:
 
 
 def finite(coordinates: Any) -> NDArray[np.float64]:
-    """Return coordinates as an array.
-
-    Raises:
-        ValueError: One is not a finite number.
-    """
+    """Return coordinates as an array; a `ValueError` if one is not a finite number."""
     found = np.array(coordinates, np.float64)
     if not np.isfinite(found).all():
         raise ValueError(f"coordinates {str(found.tolist())[:80]}, expected finite numbers")
@@ -115,11 +111,7 @@ class Instance:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Instance:
-        """Restore an instance from the values of `to_json`.
-
-        Raises:
-            LookupError, TypeError, ValueError: The values are damaged.
-        """
+        """Restore an instance from what `to_json` gave; a LookupError, TypeError or ValueError if that is damaged."""
         d = dict(data)
         d["box_xyxy"] = finite(d["box_xyxy"])
         if d["corners_xy"] is not None:
@@ -205,11 +197,7 @@ class Dataset:
         return f"<Dataset {self.root}: {self.format}, {len(self.images)} images, {objects} objects>"
 
     def category(self, name: str) -> Category:
-        """Return the category with this name.
-
-        Raises:
-            KeyError: There is no such category.
-        """
+        """Return the category with this name; a `KeyError` if there is none."""
         for c in self.categories:
             if c.name == name:
                 return c

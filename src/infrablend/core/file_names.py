@@ -136,11 +136,7 @@ def leaves_folder(path: Path, folder: Path | None = None) -> bool:
 
 
 def join_inside(folder: Path, name: str) -> Path:
-    """Return the path of a file below `folder` by a relative path from data; links are not followed.
-
-    Raises:
-        ValueError: The path leads out of the folder.
-    """
+    """Return the path of a file below `folder` by a relative path from data; a `ValueError` if it leads out of it."""
     if leaves(name):
         raise ValueError(f"{name!r} leads out of {folder}")
     return folder / name

@@ -33,39 +33,18 @@ NAME_TOO_LONG = "name-too-long"
 _MARK = 10  # digits of the digest in a temporary name
 
 
-def part_path(path: Path, number: int = 1) -> Path:
+def part_path(path: Path) -> Path:
     """Return the temporary path of a file while it is being written: hidden, in the same folder.
 
     The path keeps the suffix, which some writers require. It is always the same, so the next write replaces what a
     killed process left behind. A digest of the name is part of it, so that no file of somebody else is taken for that.
     Where the name would be too long for a file system, the digest alone is the stem.
-
-    Args:
-        path: The file.
-        number: Number of the path, where a folder has the usual one.
     """
     digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()
-    end = f".part{'' if number == 1 else f'-{number}'}{path.suffix}"
-    name = f".{path.stem}.{digest[:_MARK]}{end}"
+    name = f".{path.stem}.{digest[:_MARK]}.part{path.suffix}"
     if len(os.fsencode(name)) > MAX_NAME_BYTES:
-        name = f".{digest}{end}"
+        name = f".{digest}.part{path.suffix}"
     return path.with_name(name)
-
-
-def free_part(path: Path, wanted: Path | None = None) -> Path:
-    """Return a temporary path at which there is nothing; links, pipes and own leftovers are removed from it.
-
-    Args:
-        path: The file to write.
-        wanted: Temporary path that this process alone uses; None chooses one.
-    """
-    number, temporary = 1, wanted or part_path(path)
-    while temporary.is_dir() and not temporary.is_symlink():
-        number += 1
-        temporary = part_path(path, number)
-    # Writing would follow a link, and wait for a pipe.
-    temporary.unlink(missing_ok=True)
-    return temporary
 
 
 def sha256_of(path: Path, folder: Path | None = None) -> str:
@@ -109,10 +88,11 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         OutputError: The folder cannot be written or the disk is full; `path` is then unchanged.
     """
     require_folder("out", path.parent)
-    temporary = None
+    temporary = beside or part_path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = free_part(path, beside)
+        # An own leftover, or a link that writing would follow, or a pipe that it would wait for.
+        temporary.unlink(missing_ok=True)
         yield temporary
         if durable:
             flush(temporary)
@@ -120,7 +100,7 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         if durable:
             flush(path.parent)
     except BaseException as error:
-        if temporary is not None and not isinstance(error, FileExistsError):  # made by somebody else in this moment
+        if not isinstance(error, FileExistsError):  # made by somebody else in this moment
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
         if isinstance(error, OSError) and not isinstance(error, OutputError):
@@ -128,16 +108,12 @@ def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool 
         raise
 
 
-def require_still_there(paths: Iterable[Path], todo: str = "repeat the command") -> None:
-    """Check that files and folders which a command wrote have not been removed before its end.
-
-    Raises:
-        OutputError: One was; the message names it.
-    """
+def require_still_there(paths: Iterable[Path]) -> None:
+    """Check that files and folders which a command wrote are still there at its end; an `OutputError` if not."""
     gone = [str(p) for p in paths if not p.exists()]
     if gone:
         expected = "the file that was written before"
-        problems = [Problem(p, "output-removed", "no file", expected, todo) for p in gone]
+        problems = [Problem(p, "output-removed", "no file", expected, "repeat the command") for p in gone]
         raise OutputError("output was removed while the command was running", problems)
 
 
@@ -216,8 +192,8 @@ def open_regular(path: Path, folder: Path | None = None) -> Iterator[BufferedRea
     """
     if leaves_folder(path, folder):
         raise LinkOutError(errno.EPERM, LINK_OUT, str(path))
-    # A pipe would block here without O_NONBLOCK, which Windows does not have.
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    # A pipe would block here without O_NONBLOCK.
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     with os.fdopen(handle, "rb") as stream:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise NotRegularError(errno.EINVAL, "not a regular file", str(path))
@@ -293,22 +269,8 @@ def write_json(path: Path, data: Any, *, indent: int | None = 1, durable: bool =
     return write_text(path, text + "\n", durable=durable)
 
 
-def copy_new(source: Path, target: Path) -> None:
-    """Copy the content of a file to a new one.
-
-    Raises:
-        OSError: `target` exists, if only as a link; or the file cannot be copied.
-    """
-    with source.open("rb") as stream, target.open("xb") as new:
-        shutil.copyfileobj(stream, new, 1 << 20)
-
-
 def link_or_copy(source: Path, target: Path) -> Path:
-    """Make `target` a hard link to `source`, or a copy where links are impossible; atomic, creates folders.
-
-    Raises:
-        OutputError: Both failed.
-    """
+    """Make `target` a hard link to `source`, or a copy where links are impossible; atomic, creates folders."""
     try:
         real = Path(os.path.realpath(source))
         # Renaming one hard link over another of the same file does nothing, so handle this case first.
@@ -322,5 +284,6 @@ def link_or_copy(source: Path, target: Path) -> Path:
         except OSError as error:
             if error.errno not in _NO_LINK:
                 raise
-            copy_new(real, temporary)
+            with real.open("rb") as stream, temporary.open("xb") as new:
+                shutil.copyfileobj(stream, new, 1 << 20)
     return target

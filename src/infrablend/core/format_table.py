@@ -4,8 +4,8 @@ Recipes, the command line, readers, writers, the reference page and the tests ta
 format, write its file in `infrablend.formats`, add one row to `FORMATS`, add a sample to `tests/samples.py` with its
 tests, and describe it in `docs/formats/<page>.md`.
 
-Only names and facts are here, no code of any format: modules are given as dotted paths and loaded by
-`formats.base.FormatModule`, which lists what a module may offer.
+Only names and facts are here, no code of any format; `formats.base.FormatModule`, which loads modules, lists what they
+may offer.
 """
 
 from __future__ import annotations
@@ -48,7 +48,6 @@ class Writer:
 
     Attributes:
         name: Name in `--to` and `output.formats`.
-        reader: Name of the format that reads the result back; the row in which this writer stands.
         title: One line that describes what is written.
         lacks: What cannot be held: keys of `FIELDS`.
         facts: Facts of a picture that can be held, by the names of `Capture`.
@@ -61,22 +60,28 @@ class Writer:
             below a split; `shared`: one folder for all splits.
         table: Path of a picture in `metadata.csv`, for formats whose reader takes such a table; empty for the others.
         trains: Task for which Ultralytics trains on this format, if any.
-        page: Name of the page in `docs/formats`.
+        of: Name of the format that it is a variant of, if any.
+        own_page: Name of its page in `docs/formats`; that of the reader by default.
     """
 
     name: str
-    reader: str
     title: str
-    lacks: frozenset[str]
+    lacks: frozenset[str] = frozenset()
     fixed: Mapping[str, Any] = field(default_factory=dict)
     takes: frozenset[str] = frozenset()
     layout: Layout = "nested"
     table: str = ""
     trains: LabelTask | None = None
+    of: str = ""
     own_page: str = ""
     facts: frozenset[str] = frozenset(FACTS)
     derived: Mapping[str, frozenset[str]] = field(default_factory=dict)
     misread: tuple[str, ...] = ()
+
+    @property
+    def reader(self) -> str:
+        """Name of the format that reads the result back; the row in which this writer stands."""
+        return self.of or self.name
 
     @property
     def page(self) -> str:
@@ -90,7 +95,6 @@ class Format:
 
     Attributes:
         name: Name in `--format`, in reports and in run records.
-        module: Dotted path of the module or package with `detect`, `read` and, if there are writers, `write`.
         title: One line that describes the format.
         writers: Ways to write it; none if it is only read.
         any_camera: Whether it holds pictures of any camera, whose headers may state facts about the flight.
@@ -99,11 +103,15 @@ class Format:
     """
 
     name: str
-    module: str
     title: str
     writers: tuple[Writer, ...] = ()
     written_as: str = ""
     any_camera: bool = False
+
+    @property
+    def module(self) -> str:
+        """Dotted path of the module or package with `detect`, `read` and, if there are writers, `write`."""
+        return f"infrablend.formats.{self.name.replace('-', '_')}"
 
     @property
     def page(self) -> str:
@@ -111,190 +119,112 @@ class Format:
         return f"{self.name}.md"
 
 
-_ALL_BUT_BOXES = frozenset(FIELDS) - {"boxes", "fractions", "telemetry", "sequence"}
+def _set(names: str) -> frozenset[str]:
+    return frozenset(names.split())
+
+
+_PICTURES = _set("pictures")
 # Facts of a picture that names in HIT-UAV's grammar contain, too.
-_VIEW = frozenset({"pitch_deg", "altitude_m", "time_of_day"})
+_VIEW = _set("pitch_deg altitude_m time_of_day")
 # HIT-UAV's reader derives the flight from the date.
-_BY_DATE = {"date": frozenset({"sequence", "captured"})}
-# YOLO's readers, Ultralytics' among them, put `labels` in place of the last `images` of a picture's path, and ours
-# takes no pictures from `labels`.
-_MISREAD = ("images", "labels")
-_YOLO_TAKES = frozenset({"dont_care", "without_mask"})
+_BY_DATE = {"date": _set("sequence captured")}
 _YOLO_TABLE = "images/{split}/{name}"
 
+
+def _yolo(name: str, title: str, holds: str, task: str, trains: LabelTask) -> Writer:
+    # YOLO's readers, Ultralytics' among them, put `labels` in place of the last `images` of a picture's path, and ours
+    # takes no pictures from `labels`.
+    return Writer(
+        name, title, frozenset(FIELDS) - {holds, "fractions", "telemetry", "sequence"}, {"task": task},
+        _set("dont_care without_mask"), "stems", _YOLO_TABLE, trains, "yolo", f"{name}.md",
+        misread=("images", "labels"),
+    )  # fmt: skip
+
+
 FORMATS: tuple[Format, ...] = (
-    Format(
-        "hit-uav", "infrablend.formats.hit_uav", "HIT-UAV in any of its four annotation forms",
-        (
-            Writer(
-                "hit-uav", "hit-uav", "HIT-UAV's normal_json and rotate_json",
-                lacks=frozenset({
-                    "masks", "tracks", "visibility", "occlusion", "truncated", "fractions", "sequence", "temperature",
-                }),
-                fixed={"forms": ("normal_json", "rotate_json")}, takes=frozenset({"ids", "extra", "pictures"}),
-                layout="unique", facts=_VIEW, derived=_BY_DATE,
-            ),
-            Writer(
-                "hit-uav-xml", "hit-uav", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
-                lacks=frozenset({
-                    "masks", "tracks", "visibility", "occlusion", "fractions", "telemetry", "sequence", "temperature",
-                }),
-                fixed={"forms": ("normal_xml", "rotate_xml")}, takes=frozenset({"pictures"}), layout="shared",
-                facts=frozenset(), derived=_BY_DATE,
-            ),
+    Format("hit-uav", "HIT-UAV in any of its four annotation forms", (
+        Writer(
+            "hit-uav", "HIT-UAV's normal_json and rotate_json",
+            _set("masks tracks visibility occlusion truncated fractions sequence temperature"),
+            {"forms": ("normal_json", "rotate_json")}, _set("ids extra pictures"), "unique", facts=_VIEW,
+            derived=_BY_DATE,
         ),
-    ),
-    Format("shards", "infrablend.formats.shards", "a run in shards: tars in WebDataset form (`output.layout`)"),
-    Format(
-        "masks", "infrablend.formats.masks", "InfraBlend's own instance masks: 16-bit PNG files with tables",
-        (
-            Writer(
-                "masks", "masks", "a 16-bit PNG of instance numbers per picture, and a table",
-                lacks=frozenset({"temperature"}), takes=frozenset({"pictures"}), layout="stems",
-            ),
+        Writer(
+            "hit-uav-xml", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
+            _set("masks tracks visibility occlusion fractions telemetry sequence temperature"),
+            {"forms": ("normal_xml", "rotate_xml")}, _PICTURES, "shared", of="hit-uav", facts=_set(""),
+            derived=_BY_DATE,
         ),
-        any_camera=True,
-    ),
-    Format(
-        "huggingface", "infrablend.formats.huggingface", "Hugging Face's imagefolder with `metadata.jsonl`",
-        (
-            Writer(
-                "huggingface", "huggingface", "Hugging Face's imagefolder with `metadata.jsonl`",
-                lacks=frozenset(), takes=frozenset({"pictures"}),
-            ),
+    )),
+    Format("shards", "a run in shards: tars in WebDataset form (`output.layout`)"),
+    Format("masks", "InfraBlend's own instance masks: 16-bit PNG files with tables", any_camera=True, writers=(
+        Writer(
+            "masks", "a 16-bit PNG of instance numbers per picture, and a table", _set("temperature"), takes=_PICTURES,
+            layout="stems",
         ),
-    ),
-    Format(
-        "cvat", "infrablend.formats.cvat", "CVAT's own XML, `CVAT for images 1.1`",
-        (
-            Writer(
-                "cvat", "cvat", "CVAT's own XML, `CVAT for images 1.1`: rotated boxes, masks, attributes",
-                lacks=frozenset({"boxes", "occlusion", "temperature"}), takes=frozenset({"pictures"}),
-                table=_YOLO_TABLE,
-            ),
+    )),
+    Format("huggingface", "Hugging Face's imagefolder with `metadata.jsonl`", (
+        Writer("huggingface", "Hugging Face's imagefolder with `metadata.jsonl`", takes=_PICTURES),
+    )),
+    Format("cvat", "CVAT's own XML, `CVAT for images 1.1`", (
+        Writer(
+            "cvat", "CVAT's own XML, `CVAT for images 1.1`: rotated boxes, masks, attributes",
+            _set("boxes occlusion temperature"), takes=_PICTURES, table=_YOLO_TABLE,
         ),
-    ),
-    Format(
-        "label-studio", "infrablend.formats.label_studio", "Label Studio: tasks with rectangles, brushes, polygons",
-        (
-            Writer(
-                "label-studio", "label-studio", "Label Studio: tasks with rotated rectangles and brush masks",
-                lacks=frozenset({"boxes", "occlusion", "temperature"}), takes=frozenset({"pictures"}),
-                table=_YOLO_TABLE,
-            ),
+    )),
+    Format("label-studio", "Label Studio: tasks with rectangles, brushes, polygons", (
+        Writer(
+            "label-studio", "Label Studio: tasks with rotated rectangles and brush masks",
+            _set("boxes occlusion temperature"), takes=_PICTURES, table=_YOLO_TABLE,
         ),
-    ),
-    Format(
-        "birdsai", "infrablend.formats.birdsai", "BIRDSAI: one CSV of tracks per sequence, or bare frames",
-        (
-            Writer(
-                "birdsai", "birdsai", "BIRDSAI: one CSV of tracks per sequence",
-                lacks=frozenset(
-                    {
-                        "obb", "masks", "ignore", "visibility", "occlusion", "truncated", "difficult", "inserted",
-                        "temperature",
-                    }
-                ),
-                takes=frozenset({"dont_care", "pictures"}), facts=_VIEW | {"sequence", "captured", "frame"},
-            ),
+    )),
+    Format("birdsai", "BIRDSAI: one CSV of tracks per sequence, or bare frames", (
+        Writer(
+            "birdsai", "BIRDSAI: one CSV of tracks per sequence",
+            _set("obb masks ignore visibility occlusion truncated difficult inserted temperature"),
+            takes=_set("dont_care pictures"), facts=_VIEW | {"sequence", "captured", "frame"},
         ),
-    ),
-    Format(
-        "wisard", "infrablend.formats.wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"
-    ),
-    Format("wit-uas", "infrablend.formats.wit_uas", "WIT-UAS: runs with `.label` files beside the frames"),
-    Format(
-        "dut-anti-uav", "infrablend.formats.dut_anti_uav", "DUT-Anti-UAV: drones in visible light, VOC labels",
-        written_as="voc",
-    ),
-    Format(
-        "anti-uav", "infrablend.formats.anti_uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON per sequence",
-        written_as="coco",
-    ),
-    Format(
-        "halmstad", "infrablend.formats.halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels",
-        written_as="coco",
-    ),
-    Format(
-        "drone-vehicle", "infrablend.formats.drone_vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes",
-        written_as="dota",
-    ),
-    Format(
-        "bambi", "infrablend.formats.bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO",
-        written_as="coco",
-    ),
-    Format(
-        "dota", "infrablend.formats.dota", "DOTA text files: four corners in pixels",
-        (
-            Writer(
-                "dota", "dota", "DOTA text files: four corners in pixels",
-                lacks=frozenset(
-                    {
-                        "boxes", "masks", "tracks", "visibility", "occlusion", "truncated", "inserted", "temperature",
-                    }
-                ),
-                takes=frozenset({"pictures"}), layout="flat", table="{split}/images/{name}",
-            ),
+    )),
+    Format("wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"),
+    Format("wit-uas", "WIT-UAS: runs with `.label` files beside the frames"),
+    Format("dut-anti-uav", "DUT-Anti-UAV: drones in visible light, VOC labels", written_as="voc"),
+    Format("anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON per sequence", written_as="coco"),
+    Format("halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels", written_as="coco"),
+    Format("drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes", written_as="dota"),
+    Format("bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO", written_as="coco"),
+    Format("dota", "DOTA text files: four corners in pixels", any_camera=True, writers=(
+        Writer(
+            "dota", "DOTA text files: four corners in pixels",
+            _set("boxes masks tracks visibility occlusion truncated inserted temperature"), takes=_PICTURES,
+            layout="flat", table="{split}/images/{name}",
         ),
-        any_camera=True,
-    ),
-    Format(
-        "monet", "infrablend.formats.monet", "MONET: COCO JSON that contains the drone's telemetry",
-        (
-            Writer(
-                "monet", "monet", "MONET's layout: one COCO JSON per sequence, with telemetry",
-                lacks=frozenset({"temperature"}), takes=frozenset({"ids", "extra", "pictures"}),
-            ),
+    )),
+    Format("monet", "MONET: COCO JSON that contains the drone's telemetry", (
+        Writer(
+            "monet", "MONET's layout: one COCO JSON per sequence, with telemetry", _set("temperature"),
+            takes=_set("ids extra pictures"),
         ),
-    ),
-    Format(
-        "coco", "infrablend.formats.coco", "COCO JSON, one file per split",
-        (
-            Writer(
-                "coco", "coco", "COCO JSON per split, masks as run lengths",
-                lacks=frozenset(), takes=frozenset({"ids", "pictures"}),
-            ),
-            Writer(
-                "coco-tools", "coco", "COCO JSON for annotation tools: category ids from 1, no outline without a mask",
-                lacks=frozenset(), fixed={"without_mask": "omit", "from_one": True},
-                takes=frozenset({"ids", "pictures"}),
-            ),
+    )),
+    Format("coco", "COCO JSON, one file per split", any_camera=True, writers=(
+        Writer("coco", "COCO JSON per split, masks as run lengths", takes=_set("ids pictures")),
+        Writer(
+            "coco-tools", "COCO JSON for annotation tools: category ids from 1, no outline without a mask",
+            fixed={"without_mask": "omit", "from_one": True}, takes=_set("ids pictures"), of="coco",
         ),
-        any_camera=True,
-    ),
-    Format(
-        "yolo", "infrablend.formats.yolo", "Ultralytics YOLO with a `data.yaml`: detect, OBB or segment",
-        (
-            Writer(
-                "yolo", "yolo", "Ultralytics YOLO, axis-aligned boxes", _ALL_BUT_BOXES,
-                {"task": "detect"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "detect", misread=_MISREAD,
-            ),
-            Writer(
-                "yolo-obb", "yolo", "Ultralytics YOLO, oriented boxes", (_ALL_BUT_BOXES | {"boxes"}) - {"obb"},
-                {"task": "obb"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "obb", "yolo-obb.md", misread=_MISREAD,
-            ),
-            Writer(
-                "yolo-seg", "yolo", "Ultralytics YOLO, one polygon per object",
-                (_ALL_BUT_BOXES | {"boxes"}) - {"masks"},
-                {"task": "seg"}, _YOLO_TAKES, "stems", _YOLO_TABLE, "segment", "yolo-seg.md", misread=_MISREAD,
-            ),
+    )),
+    Format("yolo", "Ultralytics YOLO with a `data.yaml`: detect, OBB or segment", any_camera=True, writers=(
+        _yolo("yolo", "Ultralytics YOLO, axis-aligned boxes", "boxes", "detect", "detect"),
+        _yolo("yolo-obb", "Ultralytics YOLO, oriented boxes", "obb", "obb", "obb"),
+        _yolo("yolo-seg", "Ultralytics YOLO, one polygon per object", "masks", "seg", "segment"),
+    )),
+    Format("voc", "Pascal VOC: one XML file per picture", any_camera=True, writers=(
+        Writer(
+            "voc", "Pascal VOC: one XML file per picture",
+            _set("obb masks tracks visibility occlusion temperature"), takes=_PICTURES, layout="shared",
+            table="JPEGImages/{name}",
         ),
-        any_camera=True,
-    ),
-    Format(
-        "voc", "infrablend.formats.voc", "Pascal VOC: one XML file per picture",
-        (
-            Writer(
-                "voc", "voc", "Pascal VOC: one XML file per picture",
-                lacks=frozenset({"obb", "masks", "tracks", "visibility", "occlusion", "temperature"}),
-                takes=frozenset({"pictures"}), layout="shared", table="JPEGImages/{name}",
-            ),
-        ),
-        any_camera=True,
-    ),
-    Format(
-        "folder", "infrablend.formats.folder", "a plain folder of pictures, with or without labels", any_camera=True
-    ),
+    )),
+    Format("folder", "a plain folder of pictures, with or without labels", any_camera=True),
 )  # fmt: skip
 """All formats, in the order in which detection tries them: the most specific first."""
 
@@ -313,26 +243,16 @@ def written_names() -> tuple[str, ...]:
 
 
 def find_format(name: str) -> Format:
-    """Return the format of that name.
-
-    Raises:
-        UnknownFormatError: There is none.
-    """
-    for f in FORMATS:
-        if f.name == name:
-            return f
+    """Return the format of that name; an `UnknownFormatError` if there is none."""
+    if found := next((f for f in FORMATS if f.name == name), None):
+        return found
     raise UnknownFormatError(f"format {name!r}: expected one of {', '.join(f.name for f in FORMATS)}")
 
 
 def find_writer(name: str) -> Writer:
-    """Return the writer of that name.
-
-    Raises:
-        UnknownFormatError: There is none.
-    """
-    for w in WRITERS:
-        if w.name == name:
-            return w
+    """Return the writer of that name; an `UnknownFormatError` if there is none."""
+    if found := next((w for w in WRITERS if w.name == name), None):
+        return found
     expected = ", ".join((*written_names(), NATIVE))
     raise UnknownFormatError(f"format {name!r} cannot be written: expected one of {expected}")
 

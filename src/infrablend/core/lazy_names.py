@@ -1,4 +1,4 @@
-"""Names of a package that are imported on first use, and listed once: in the stub that type checkers read."""
+"""Imports by name on first use, so that heavy or optional modules are loaded only when they are needed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from infrablend.errors import MissingDependencyError
+
 
 def lazy_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return `__getattr__`, `__dir__` and `__all__` of a package.
+    """Return `__getattr__`, `__dir__` and `__all__` of a package whose names the stub for type checkers lists.
 
     Args:
         package: Name of the package.
@@ -33,3 +35,13 @@ def lazy_names(package: str, file: str) -> tuple[Callable[[str], Any], Callable[
         return sorted({*vars(sys.modules[package]), *modules})
 
     return get, names, sorted(modules)
+
+
+def resolve(dotted: str) -> Any:
+    """Return the object that `package.module:name` names; a `MissingDependencyError` if that cannot be imported."""
+    module, _, name = dotted.partition(":")
+    try:
+        return getattr(import_module(module), name)
+    except ImportError as error:
+        hint = "run `infrablend doctor`, which names the package to install"
+        raise MissingDependencyError(f"{module} cannot be imported: {error}; {hint}") from error

@@ -66,7 +66,10 @@ class DoneFrame:
 
 
 class Ledger:
-    """Open ledger of a run; close it, or use it in a `with` statement."""
+    """Open ledger of a run; close it, or use it in a `with` statement.
+
+    Every method raises an `OutputError` if the file is missing or damaged or cannot be written.
+    """
 
     def __init__(self, file: Path, connection: sqlite3.Connection) -> None:
         """Use `Ledger.create` or `Ledger.open`."""
@@ -77,11 +80,7 @@ class Ledger:
 
     @classmethod
     def create(cls, folder: Path, record: Mapping[str, Any]) -> Ledger:
-        """Start the ledger of a run with what is known before its first frame.
-
-        Raises:
-            OutputError: The file cannot be written.
-        """
+        """Start the ledger of a run with what is known before its first frame."""
         file = folder / LEDGER
         with _reported(file):
             file.unlink(missing_ok=True)
@@ -92,15 +91,7 @@ class Ledger:
 
     @classmethod
     def open(cls, folder: Path, *, write: bool = False) -> Ledger:
-        """Open the ledger of a run.
-
-        Args:
-            folder: Folder of the run, or of its workspace.
-            write: Whether to write, too; one process at a time does.
-
-        Raises:
-            OutputError: There is none, or it cannot be read.
-        """
+        """Open the ledger in the folder of a run or of its workspace; one process at a time may `write`."""
         file = folder / LEDGER
         if not file.is_file() or file.is_symlink():
             raise OutputError(
@@ -123,11 +114,7 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Commit what was added, and close the file; a second call does nothing.
-
-        Raises:
-            OutputError: The disk is full.
-        """
+        """Commit what was added, and close the file; a second call does nothing."""
         if self._closed:
             return
         self._closed = True
@@ -137,11 +124,7 @@ class Ledger:
             self._db.close()
 
     def commit(self) -> None:
-        """Put what was added on disk.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Put what was added on disk."""
         with _reported(self.file):
             self._db.commit()
         self._commit_at = time.monotonic() + _COMMIT_S
@@ -154,11 +137,7 @@ class Ledger:
         self.commit()
 
     def read_run(self) -> dict[str, Any]:
-        """Return the record of the run.
-
-        Raises:
-            OutputError: The file is damaged.
-        """
+        """Return the record of the run."""
         with _reported(self.file):
             (text,) = self._db.execute("SELECT value FROM facts WHERE name = 'run'").fetchone()
             record: dict[str, Any] = json.loads(text)
@@ -167,13 +146,7 @@ class Ledger:
     # -- frames ------------------------------------------------------------------------------------------------------
 
     def add(self, frame_id: str, frame: DoneFrame, record: str) -> None:
-        """Add a finished frame, whose picture is on disk.
-
-        Args:
-            frame_id: Id of the frame.
-            frame: Its picture.
-            record: Its record, see `FrameRecord.to_text`.
-        """
+        """Add a finished frame, whose picture is on disk, with its record (see `FrameRecord.to_text`)."""
         row = (frame_id, frame.image, frame.bytes, frame.sha256, frame.inserted, frame_id)
         self._write(
             "INSERT OR REPLACE INTO frames VALUES (?, ?, ?, ?, ?, NULL, "
@@ -192,9 +165,8 @@ class Ledger:
 
     def forget(self, frame_id: str) -> None:
         """Remove a frame that has to be made again."""
-        self._write("DELETE FROM frames WHERE frame_id = ?", frame_id)
-        self._write("DELETE FROM records WHERE frame_id = ?", frame_id)
-        self._write("DELETE FROM tracebacks WHERE frame_id = ?", frame_id)
+        for table in ("frames", "records", "tracebacks"):
+            self._write(f"DELETE FROM {table} WHERE frame_id = ?", frame_id)
 
     def done(self) -> dict[str, DoneFrame]:
         """Return the frames that have a picture, excluded ones too, by id."""
@@ -213,23 +185,14 @@ class Ledger:
         return {frame_id: Failure.from_json({**json.loads(text), "traceback": t or ""}) for frame_id, text, t in rows}
 
     def record_text(self, frame_id: str) -> str:
-        """Return the record of a frame as it was added.
-
-        Raises:
-            KeyError: There is no such frame.
-        """
+        """Return the record of a frame as it was added; a `KeyError` if there is no such frame."""
         row = next(self._rows("SELECT record FROM records WHERE frame_id = ?", frame_id), None)
         if row is None:
             raise KeyError(frame_id)
         return str(row[0])
 
     def record(self, frame_id: str) -> FrameRecord:
-        """Return the record of a frame.
-
-        Raises:
-            KeyError: There is no such frame.
-            OutputError: Its record is damaged.
-        """
+        """Return the record of a frame; a `KeyError` if there is no such frame."""
         text = self.record_text(frame_id)
         try:
             return FrameRecord.from_text(text)
@@ -294,7 +257,6 @@ _OF_THE_DISK = {sqlite3.SQLITE_FULL: errno.ENOSPC, sqlite3.SQLITE_IOERR: errno.E
 
 @contextlib.contextmanager
 def _reported(file: Path) -> Iterator[None]:
-    """Turn errors of SQLite into errors that say what to do."""
     try:
         yield
     except (sqlite3.Error, ValueError, TypeError) as error:

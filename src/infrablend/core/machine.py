@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import logging
 import os
 import platform
@@ -101,24 +102,22 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
-def take_core() -> int | None:
-    """Pin this process to a processor core that no other worker on this machine uses; return its number.
+def take_core() -> None:
+    """Pin this process to a processor core that no other worker on this machine uses.
 
     Measured: with one render thread, the main thread of Cycles waits by spinning and burns as much processor time as
     the render itself; on a single core it cannot. File locks, which end with the process, assign the cores. Without a
-    free core (more workers than cores) nothing is pinned and None is returned.
+    free core (more workers than cores) nothing is pinned.
     """
     if not hasattr(os, "sched_setaffinity"):
-        return None
-    import fcntl  # not available on every system
-
+        return
     folder = Path("/dev/shm" if Path("/dev/shm").is_dir() else "/tmp")
     for core in sorted(os.sched_getaffinity(0)):
         path = folder / f"infrablend_core_{core}_{os.getuid()}.lock"
         try:
             handle = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
         except OSError:
-            return None
+            return
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -126,6 +125,5 @@ def take_core() -> int | None:
             continue
         _CORE_LOCKS.append(handle)
         os.sched_setaffinity(0, {core})
-        return core
+        return
     log.info("no free core to pin this worker to")
-    return None

@@ -35,9 +35,7 @@ _APART_PX = 4
 def find_margin(picture: NDArray[np.uint8] | NDArray[np.uint16], scale: float = 1.0) -> NDArray[np.bool_] | None:
     """Return the (h, w) mask of a picture's margins and the pixels next to them; None if it has none.
 
-    Args:
-        picture: (h, w) levels.
-        scale: Levels of the picture per 8-bit level.
+    `scale` is the number of levels of the picture (h, w) per 8-bit level.
     """
     if _at_edge(picture).min() > _INSIDE * scale:
         return None

@@ -60,20 +60,12 @@ class Mesh:
         return np.asarray(np.ptp(self.vertices_m, axis=0))
 
 
-def make_mesh(
-    pieces: Sequence[tuple[str, FloatArray, IntArray, bool]],
-    part_order: Sequence[str] | None = None,
-    *,
-    closed: bool = False,
-) -> Mesh:
+def make_mesh(pieces: Sequence[tuple[str, FloatArray, IntArray, bool]], *, closed: bool = False) -> Mesh:
     """Join pieces `(part name, vertices (v, 3), triangles (t, 3), smooth)` into one mesh; names may repeat.
 
-    Args:
-        pieces: Pieces in order. Vertices are not merged across pieces.
-        part_order: Order of the part names; by default the order of first appearance.
-        closed: Whether the pieces are closed solids.
+    Vertices are not merged across pieces; `closed` says that the pieces are closed solids.
     """
-    names = list(part_order) if part_order is not None else list(dict.fromkeys(p[0] for p in pieces))
+    names = list(dict.fromkeys(p[0] for p in pieces))
     number = {name: n for n, name in enumerate(names)}
     corners = np.array([len(v) for _, v, _, _ in pieces])
     faces = [len(t) for _, _, t, _ in pieces]

@@ -1,25 +1,22 @@
-"""Checks of the places that commands write to, before anything is written."""
+"""Checks of the places that commands write to, before anything is written; each raises an `OutputError`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from infrablend.core.file_names import real_path
+from infrablend.core.file_names import can_exist, real_path
+from infrablend.core.files import read_object
+from infrablend.core.format_table import NATIVE, written_names
+from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE
+from infrablend.core.workspace import CONVERT_FILE, SPLIT_FILE
 from infrablend.errors import OutputError, Problem
+
+_OF_RUN = {IMAGES, EIGHT_BIT, EXCLUDED, NATIVE, *written_names()}
 
 
 def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:
-    """Check that a command may write this file: it does not exist, or an earlier call of the command wrote it.
-
-    Args:
-        path: File to write.
-        noun: Name of what the command writes, for the message.
-        ours: Whether the file, if it exists, carries the command's mark.
-
-    Raises:
-        OutputError: The path is a folder, or a file that the command did not write.
-    """
+    """Check that a command may write this file: it does not exist, or has the mark of the command (`ours`)."""
     if path.is_dir():
         raise OutputError(f"{path}: is a folder; expected the name of a file")
     if not ours and (path.exists() or path.is_symlink()):
@@ -29,18 +26,7 @@ def require_replaceable(path: Path, noun: str, *, ours: bool) -> None:
 
 
 def require_no_foreign(foreign: Sequence[Path], out: Path, what: str, expected: str, option: str) -> None:
-    """Refuse to replace files in a folder which InfraBlend did not write.
-
-    Args:
-        foreign: Such files, in the place of what the command writes.
-        out: The folder.
-        what: What the command writes, for the message.
-        expected: What a file in its place may be.
-        option: Option that names the folder.
-
-    Raises:
-        OutputError: There are some; the problems name them.
-    """
+    """Refuse to replace files in a folder which InfraBlend did not write, in the place of what the command writes."""
     if foreign:
         todo = f"move it away, or give another folder with {option}"
         raise OutputError(
@@ -50,11 +36,7 @@ def require_no_foreign(foreign: Sequence[Path], out: Path, what: str, expected: 
 
 
 def require_apart(data: Path, out: Path) -> None:
-    """Check that a command does not write into the data it reads.
-
-    Raises:
-        OutputError: `out` is the data folder, contains it, or is inside it.
-    """
+    """Check that a command does not write into the data it reads."""
     a, b = real_path(data), real_path(out)
     if a == b or b in a.parents:
         raise OutputError(f"--out {out}: is or contains the data folder {data}; choose a separate folder")
@@ -63,3 +45,32 @@ def require_apart(data: Path, out: Path) -> None:
             f"--out {out}: is inside the data folder {data}, which is never written to (and a later run would "
             "use its images as backgrounds); choose a folder outside it"
         )
+
+
+def require_outside_datasets(run: Path, out: Path, data: Path | None = None) -> None:
+    """Check that a picture of a run is written neither into its backgrounds nor among the files of a dataset.
+
+    Readers would take it for a frame.
+
+    Args:
+        run: Folder of the run.
+        out: Picture to write.
+        data: Folder of the backgrounds, if it has moved.
+
+    Raises:
+        OutputError: It would be.
+    """
+    recorded = (read_object(run / RUN_FILE) or {}).get("data")
+    root = recorded.get("root") if isinstance(recorded, dict) else None
+    for folder in (data, Path(root) if isinstance(root, str) and can_exist(root) else None):
+        if folder is not None:
+            require_apart(folder, out)
+    place = real_path(out)
+    for parent in place.parents:
+        first, *deeper = place.relative_to(parent).parts
+        of_run = first in _OF_RUN and (parent / RUN_FILE).is_file()
+        if deeper and (of_run or any((parent / name).is_file() for name in (CONVERT_FILE, SPLIT_FILE))):
+            raise OutputError(
+                f"--out {out}: is inside {first}/ of the dataset {parent}, where it would be taken for a file of the "
+                "dataset; choose a place outside it"
+            )

@@ -161,11 +161,7 @@ class PlacedScene:
 
 
 def place(spec: SceneSpec, meshes: Sequence[Mesh]) -> PlacedScene:
-    """Place the meshes (object coordinates, unscaled) of a scene's objects.
-
-    Raises:
-        ValueError: The numbers of objects and meshes differ.
-    """
+    """Place the meshes (object coordinates, unscaled) of a scene's objects; a `ValueError` if their numbers differ."""
     n = len(spec.objects)
     if len(meshes) != n:
         raise ValueError(f"{spec.frame_id}: {n} objects need {n} meshes, got {len(meshes)}")

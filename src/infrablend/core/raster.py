@@ -23,6 +23,9 @@ from infrablend.core.mesh import FloatArray, IntArray
 BoolArray = NDArray[np.bool_]
 
 NEAR_M = 0.05
+# Samples along the longer side of an object's box for its share in the frame, and along a pixel's side of a silhouette.
+_LONGEST = 256
+_SUPERSAMPLE = 8
 
 
 @dataclass(frozen=True)
@@ -80,19 +83,17 @@ class ProjectedTriangles:
         return ProjectedTriangles(self.xy[keep], self.inverse_depth[keep], self.source[keep], self.cut)
 
 
-def project_triangles(
-    camera: CameraSpec, vertices_world_m: FloatArray, triangles: IntArray, near_m: float = NEAR_M
-) -> ProjectedTriangles:
-    """Project triangles (T, 3), indices into world vertices (V, 3), cut at depth `near_m`."""
+def project_triangles(camera: CameraSpec, vertices_world_m: FloatArray, triangles: IntArray) -> ProjectedTriangles:
+    """Project triangles (T, 3), indices into world vertices (V, 3), cut at depth `NEAR_M`."""
     xyz = camera.to_camera(vertices_world_m)
     centre = np.array(camera.size_wh) / 2
-    if float(xyz[:, 2].min()) >= near_m:
+    if float(xyz[:, 2].min()) >= NEAR_M:
         inverse = 1.0 / xyz[:, 2]
         xy = xyz[:, :2] * inverse[:, None] * camera.focal_px + centre
         return ProjectedTriangles(xy[triangles], inverse[triangles], np.arange(len(triangles)), False)
     corners = xyz[triangles]
-    cut = bool((corners[:, :, 2] < near_m).any())
-    corners, source = clip_triangles_near(corners, near_m)
+    cut = bool((corners[:, :, 2] < NEAR_M).any())
+    corners, source = clip_triangles_near(corners, NEAR_M)
     inverse = 1.0 / corners[:, :, 2]
     xy = corners[:, :, :2] * inverse[:, :, None] * camera.focal_px + centre
     return ProjectedTriangles(xy, inverse, source, cut)
@@ -169,47 +170,10 @@ def share_per_pixel(samples: BoolArray, supersample: int) -> NDArray[np.float32]
     return np.asarray(cv2.resize(samples.astype(np.float32), size_wh, interpolation=cv2.INTER_AREA))
 
 
-def silhouette(
-    triangles_xy: FloatArray, offset_xy: tuple[int, int], size_wh: tuple[int, int], supersample: int = 8
-) -> NDArray[np.float32]:
-    """Return the (h, w) share of each pixel covered by the union of triangles (T, 3, 2), from point samples.
-
-    Args:
-        triangles_xy: Corners in pixels of the frame.
-        offset_xy: Column and row of the crop's top left pixel.
-        size_wh: Size of the crop.
-        supersample: Samples along a pixel's side.
-    """
-    grid = SampleGrid.over_pixels(offset_xy, size_wh, supersample)
-    return share_per_pixel(covered_samples(triangles_xy, grid), supersample)
-
-
-def _fragments(
-    triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid
-) -> tuple[NDArray[np.int64], FloatArray, NDArray[np.intp]]:
-    """Flat sample index, 1 / depth there, and triangle, of every sample of every triangle."""
-    corners = grid.to_samples(triangles_xy)
-    spans = _spans(corners, grid.shape_hw)
-    # 1/z is linear in the image. Gradients of slivers are wild, so values are held within the corners' range.
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    ab, ac = b - a, c - a
-    za = inverse_depth[:, 0]
-    zab, zac = inverse_depth[:, 1] - za, inverse_depth[:, 2] - za
-    twice_area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    safe = np.where(twice_area == 0, 1.0, twice_area)
-    slope_x = np.where(twice_area == 0, 0.0, (zab * ac[:, 1] - zac * ab[:, 1]) / safe)
-    slope_y = np.where(twice_area == 0, 0.0, (zac * ab[:, 0] - zab * ac[:, 0]) / safe)
-    t = spans.triangle
-    low, high = (reach[t, 0] for reach in reach_of_triangles(inverse_depth[:, :, None]))
-    base = za[t] + slope_y[t] * (spans.row + 0.5 - a[t, 1]) - slope_x[t] * a[t, 0]
-    z_start = np.clip(base + slope_x[t] * (spans.start + 0.5), low, high)
-    z_last = np.clip(base + slope_x[t] * (spans.stop - 0.5), low, high)
-    length = spans.stop - spans.start
-    z_step = (z_last - z_start) / np.maximum(length - 1, 1)
-    which = np.repeat(np.arange(len(t)), length)
-    along = np.arange(len(which)) - np.repeat(np.cumsum(length) - length, length)
-    index = (spans.row * grid.shape_hw[1] + spans.start)[which] + along
-    return index, z_start[which] + along * z_step[which], t[which]
+def silhouette(triangles_xy: FloatArray, offset_xy: tuple[int, int], size_wh: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the (h, w) share of each pixel of a crop covered by the union of triangles (T, 3, 2) in the frame."""
+    grid = SampleGrid.over_pixels(offset_xy, size_wh, _SUPERSAMPLE)
+    return share_per_pixel(covered_samples(triangles_xy, grid), _SUPERSAMPLE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,8 +199,28 @@ def fragments_of(
     triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid, chosen: NDArray[np.intp]
 ) -> Fragments:
     """Return the fragments of chosen triangles, among (T, 3, 2) in pixels, with 1 / depth (T, 3) at the corners."""
-    index, z, triangle = _fragments(triangles_xy[chosen], inverse_depth[chosen], grid)
-    return Fragments(index, z, chosen[triangle])
+    corners, inverse_depth = grid.to_samples(triangles_xy[chosen]), inverse_depth[chosen]
+    spans = _spans(corners, grid.shape_hw)
+    # 1/z is linear in the image. Gradients of slivers are wild, so values are held within the corners' range.
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac = b - a, c - a
+    za = inverse_depth[:, 0]
+    zab, zac = inverse_depth[:, 1] - za, inverse_depth[:, 2] - za
+    twice_area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    safe = np.where(twice_area == 0, 1.0, twice_area)
+    slope_x = np.where(twice_area == 0, 0.0, (zab * ac[:, 1] - zac * ab[:, 1]) / safe)
+    slope_y = np.where(twice_area == 0, 0.0, (zac * ab[:, 0] - zab * ac[:, 0]) / safe)
+    t = spans.triangle
+    low, high = (reach[t, 0] for reach in reach_of_triangles(inverse_depth[:, :, None]))
+    base = za[t] + slope_y[t] * (spans.row + 0.5 - a[t, 1]) - slope_x[t] * a[t, 0]
+    z_start = np.clip(base + slope_x[t] * (spans.start + 0.5), low, high)
+    z_last = np.clip(base + slope_x[t] * (spans.stop - 0.5), low, high)
+    length = spans.stop - spans.start
+    z_step = (z_last - z_start) / np.maximum(length - 1, 1)
+    which = np.repeat(np.arange(len(t)), length)
+    along = np.arange(len(which)) - np.repeat(np.cumsum(length) - length, length)
+    index = (spans.row * grid.shape_hw[1] + spans.start)[which] + along
+    return Fragments(index, z_start[which] + along * z_step[which], chosen[t[which]])
 
 
 def nearest_fragments(fragments: Fragments, grid: SampleGrid) -> tuple[Fragments, FloatArray]:
@@ -244,8 +228,7 @@ def nearest_fragments(fragments: Fragments, grid: SampleGrid) -> tuple[Fragments
 
     Of fragments at the same depth the first triangle's counts.
     """
-    rows, columns = grid.shape_hw
-    nearest = np.zeros(rows * columns)
+    nearest = np.zeros(math.prod(grid.shape_hw))
     np.maximum.at(nearest, fragments.index, fragments.inverse_depth)
     best = np.flatnonzero(fragments.inverse_depth >= nearest[fragments.index])
     if len(best) > np.count_nonzero(nearest):
@@ -258,32 +241,10 @@ def nearest_fragments(fragments: Fragments, grid: SampleGrid) -> tuple[Fragments
 
 def nearest_inverse_depth(triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid) -> FloatArray:
     """Return the (rows, columns) largest 1 / depth of the triangles at each sample, 0 where there is none."""
-    rows, columns = grid.shape_hw
-    nearest = np.zeros(rows * columns)
-    if len(triangles_xy):
-        index, z, _ = _fragments(triangles_xy, inverse_depth, grid)
-        np.maximum.at(nearest, index, z)
-    return nearest.reshape(rows, columns)
-
-
-def nearest_owner(
-    triangles_xy: FloatArray, inverse_depth: FloatArray, owner: NDArray[np.integer[Any]], grid: SampleGrid
-) -> IntArray:
-    """Return the (rows, columns) int32 `owner` (T,) of the nearest triangle at each sample, -1 for none.
-
-    Of triangles at the same depth the one with the smallest owner counts.
-    """
-    rows, columns = grid.shape_hw
-    result = np.full(rows * columns, -1, np.int32)
-    if len(triangles_xy):
-        index, z, triangle = _fragments(triangles_xy, inverse_depth, grid)
-        nearest = np.zeros(rows * columns)
-        np.maximum.at(nearest, index, z)
-        wins = z >= nearest[index]
-        index, owners = index[wins], owner[triangle[wins]].astype(np.int32)
-        result[index] = np.iinfo(np.int32).max
-        np.minimum.at(result, index, owners)
-    return result.reshape(rows, columns)
+    nearest = np.zeros(math.prod(grid.shape_hw))
+    found = fragments_of(triangles_xy, inverse_depth, grid, np.arange(len(triangles_xy)))
+    np.maximum.at(nearest, found.index, found.inverse_depth)
+    return nearest.reshape(grid.shape_hw)
 
 
 def visible(
@@ -300,16 +261,18 @@ def visible(
     Args:
         triangles_xy: (T, 3, 2) corners in pixels of the frame.
         inverse_depth: (T, 3) 1 / depth of the corners.
-        owner: (T,) object or part of each triangle; a negative one or one >= n hides but is not returned.
+        owner: (T,) object or part of each triangle; a negative one or one >= n hides but is not returned. Of triangles
+            at the same depth the one with the smallest owner counts.
         owner_count: n.
         offset_xy: Column and row of the crop's top left pixel.
         size_wh: Size of the crop.
         supersample: Samples along a pixel's side.
     """
     grid = SampleGrid.over_pixels(offset_xy, size_wh, supersample)
-    # -1 means nobody in `nearest_owner`.
-    owner = np.where(owner < 0, owner_count, owner)
-    nearest = nearest_owner(triangles_xy, inverse_depth, owner, grid)
+    order = np.argsort(owner, kind="stable")
+    found, _ = nearest_fragments(fragments_of(triangles_xy, inverse_depth, grid, order), grid)
+    nearest = np.full(grid.shape_hw, -1)
+    nearest.flat[found.index] = owner[found.triangle]
     layers = [share_per_pixel(nearest == k, supersample) for k in range(owner_count)]
     return np.stack(layers) if layers else np.zeros((0, size_wh[1], size_wh[0]), np.float32)
 
@@ -362,18 +325,13 @@ def inside_fraction(
     camera: CameraSpec,
     vertices_world_m: FloatArray,
     triangles: IntArray,
-    *,
-    near_m: float = NEAR_M,
-    longest: int = 256,
 ) -> tuple[float, float]:
     """Return the share of an object's projected area inside the frame, and the smallest depth of its vertices.
 
     Args:
         camera: The camera.
         vertices_world_m: (V, 3) in the world.
-        triangles: (T, 3) indices; vertices that no triangle uses count nowhere if T covers all, else they do.
-        near_m: What is nearer is cut away before projecting.
-        longest: Samples along the longer side of the object's box.
+        triangles: (T, 3) indices; what is nearer than `NEAR_M` is cut away before projecting.
 
     Returns:
         The share in [0, 1], exactly 1 if the object is wholly inside and ahead, 0 if wholly outside or
@@ -384,10 +342,10 @@ def inside_fraction(
     depth = xyz[:, 2]
     min_depth = float(depth.min())
     w, h = camera.size_wh
-    if float(depth.max()) < near_m:
+    if float(depth.max()) < NEAR_M:
         return 0.0, min_depth
     centre = np.array([w, h]) / 2
-    if min_depth >= near_m:
+    if min_depth >= NEAR_M:
         xy = xyz[:, :2] * (camera.focal_px / depth)[:, None] + centre
         x0, y0, x1, y1 = box_of_points(xy)
         if x0 >= 0 and y0 >= 0 and x1 <= w and y1 <= h:
@@ -396,14 +354,14 @@ def inside_fraction(
             return 0.0, min_depth
         corners = xy[triangles]
     else:
-        clipped, _ = clip_triangles_near(xyz[triangles], near_m)
+        clipped, _ = clip_triangles_near(xyz[triangles], NEAR_M)
         if not len(clipped):
             return 0.0, min_depth
         corners = clipped[:, :, :2] * (camera.focal_px / clipped[:, :, 2:]) + centre
     box = box_of_points(corners.reshape(-1, 2))
     if (box[2:] <= 0).any() or (box[:2] >= (w, h)).any():
         return 0.0, min_depth
-    grid = SampleGrid.over_box(box, longest)
+    grid = SampleGrid.over_box(box, _LONGEST)
     covered = covered_samples(corners, grid)
     total = int(covered.sum())
     if not total:  # thinner than the samples' pitch everywhere: the box's centre decides

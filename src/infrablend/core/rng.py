@@ -21,6 +21,6 @@ def stream(seed: int, *key: str | int) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(int.from_bytes(digest[:16], "big")))
 
 
-def integer_seed(seed: int, *key: str | int, bits: int = 31) -> int:
-    """Return a non-negative integer below 2**bits, derived as in `stream`."""
-    return int(stream(seed, *key).integers(0, 2**bits))
+def integer_seed(seed: int, *key: str | int) -> int:
+    """Return a non-negative integer below 2**31, derived as in `stream`."""
+    return int(stream(seed, *key).integers(0, 2**31))

@@ -21,7 +21,6 @@ EIGHT_BIT = "8bit"
 PICTURE_TABLES = tuple(f"{IMAGES}/{split}/metadata.jsonl" for split in SPLITS)
 """Tables with the labels of the pictures beside them, as Hugging Face's `imagefolder` reads them."""
 EXCLUDED = "excluded"
-REPORT_FILE = "report.html"
 WORKERS_LOG = "workers.log"
 """Output of the workers, kept while a run is unfinished or if a frame failed."""
 DERIVED = ("preview.png", "ground.png", "realism")
@@ -34,7 +33,7 @@ SHARDS_FILE = "shards.json"
 class RunFolder:
     """Folder of a run.
 
-    A path that leads out of the folder is a `ValueError`.
+    A path that leads out of the folder is a `ValueError`; reading what is no finished run is an `OutputError`.
 
     Attributes:
         root: The folder, or the workspace of an unfinished run.
@@ -50,7 +49,7 @@ class RunFolder:
     @property
     def report_file(self) -> Path:
         """Report of the run, a page for browsers."""
-        return self.root / REPORT_FILE
+        return self.root / "report.html"
 
     def image(self, relative: str) -> Path:
         """Return an image by its path below `images/`, e.g. `train/a_c0.jpg`."""
@@ -74,39 +73,23 @@ class RunFolder:
         return self.labels("coco") / f"{split}.json"
 
     def ledger(self) -> Ledger:
-        """Open the ledger of the run for reading.
-
-        Raises:
-            OutputError: The folder is not a finished run.
-        """
+        """Open the ledger of the run for reading."""
         if not (self.root / LEDGER).is_file():
             raise OutputError(f"{self.root}: {self._what_it_is()}")
         return Ledger.open(self.root)
 
     def read_run(self) -> Mapping[str, Any]:
-        """Return the record of the run.
-
-        Raises:
-            OutputError: The folder is not a finished run.
-        """
+        """Return the record of the run."""
         with self.ledger() as ledger:
             return ledger.read_run()
 
     def records(self) -> Iterator[FrameRecord]:
-        """Yield the records of all frames of the finished run that are not left out, by id.
-
-        Raises:
-            OutputError: The folder is not a finished run.
-        """
+        """Yield the records of all frames of the finished run that are not left out, by id."""
         with self.ledger() as ledger:
             yield from ledger.records()
 
     def record(self, frame_id: str) -> FrameRecord:
-        """Return the record of a frame.
-
-        Raises:
-            OutputError: The folder is not a finished run, or has no such frame.
-        """
+        """Return the record of a frame; an `OutputError` if the run has no such frame."""
         with self.ledger() as ledger:
             try:
                 return ledger.record(frame_id)
@@ -117,7 +100,6 @@ class RunFolder:
         raise OutputError(f"{self.root}: no finished frame {frame_id!r}; expected the id of a frame{hint}")
 
     def _what_it_is(self) -> str:
-        """Return what a folder is that has no ledger, and what to do."""
         if (left := unfinished(self.root)) is not None:
             return f"not finished; {left}"
         if os.path.lexists(self.root / SHARDS_FILE):

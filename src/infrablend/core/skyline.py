@@ -47,12 +47,7 @@ class Skyline:
 
 
 def find_skyline(picture: NDArray[np.float32], scale: float = 1.0) -> Skyline:
-    """Find the sky of a picture.
-
-    Args:
-        picture: (h, w) levels, hot is bright.
-        scale: Levels of the picture per 8-bit level.
-    """
+    """Find the sky of a picture (h, w) in which hot is bright, with `scale` levels per 8-bit level."""
     height, width = picture.shape
     grey = np.asarray(picture, np.float32) / np.float32(scale)
     soft = cv2.GaussianBlur(grey, (0, 0), _SMOOTH_PX)

@@ -1,4 +1,4 @@
-"""Sequence that keeps its first items in memory and the others in a temporary file that nobody else sees."""
+"""Sequences that need not fit into memory: of any items, and of the images of a dataset in their order."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ import pickle
 import tempfile
 import weakref
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Generic, TypeVar, overload
 
+from infrablend.core.dataset import SPLITS, ImageRecord
 from infrablend.core.files import output_error
 
 Item = TypeVar("Item")
@@ -20,7 +23,7 @@ IN_MEMORY = 1000
 
 
 class Spool(Sequence[Item], Generic[Item]):
-    """Sequence of any length in little memory; items from the file are new objects each time.
+    """Sequence that keeps its first items in memory and the others in a file; those are new objects each time.
 
     The file has no name, so nothing of it remains however the process ends.
     """
@@ -39,18 +42,15 @@ class Spool(Sequence[Item], Generic[Item]):
         self._file: int | None = None
 
     def append(self, item: Item) -> None:
-        """Add an item.
-
-        Raises:
-            OutputError: The file cannot be written, for example because the disk is full.
-        """
+        """Add an item; an `OutputError` if the file cannot be written, for example because the disk is full."""
         if len(self._first) < self._limit:
             self._first.append(item)
             return
         data = pickle.dumps(item, protocol=pickle.HIGHEST_PROTOCOL)
         try:
             if self._file is None:
-                self._file = _nameless_file(self._folder)
+                with tempfile.TemporaryFile(dir=self._folder) as stream:
+                    self._file = os.dup(stream.fileno())
                 weakref.finalize(self, os.close, self._file)
             _write_all(self._file, data)
         except OSError as error:
@@ -84,13 +84,59 @@ class Spool(Sequence[Item], Generic[Item]):
         return (self[n] for n in range(len(self)))
 
 
-def _nameless_file(folder: Path) -> int:
-    """Return a handle of a new file that is gone when the handle is closed."""
-    with tempfile.TemporaryFile(dir=folder) as stream:
-        return os.dup(stream.fileno())
-
-
 def _write_all(handle: int, data: bytes) -> None:
     view = memoryview(data)
     while view:
         view = view[os.write(handle, view) :]
+
+
+@dataclass(frozen=True, eq=False)
+class StoredImages(Sequence[ImageRecord]):
+    """Images by (split order, id), the order of a `Dataset`; each is read when it is needed.
+
+    Attributes:
+        stored: The images in any order.
+        order: Their indices in the order of this sequence.
+        names: New names of pictures by index in `stored`.
+    """
+
+    stored: Sequence[ImageRecord]
+    order: Sequence[int]
+    names: Mapping[int, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """Return the number of images."""
+        return len(self.order)
+
+    @overload
+    def __getitem__(self, index: int) -> ImageRecord: ...
+    @overload
+    def __getitem__(self, index: slice) -> StoredImages: ...
+    def __getitem__(self, index: int | slice) -> ImageRecord | StoredImages:
+        """Return an image, or a part of the images that shares their storage."""
+        if isinstance(index, slice):
+            return replace(self, order=self.order[index])
+        n = self.order[index]
+        image = self.stored[n]
+        return replace(image, file_name=self.names[n]) if n in self.names else image
+
+    def __iter__(self) -> Iterator[ImageRecord]:
+        """Yield all images in order."""
+        return (self[n] for n in range(len(self)))
+
+    def renamed(self, names: Mapping[int, str]) -> StoredImages:
+        """Return the images with new names of pictures, by index in this sequence."""
+        return replace(self, names={**self.names, **{self.order[n]: name for n, name in names.items()}})
+
+
+def store_images(images: Iterable[ImageRecord], folder: Path) -> StoredImages:
+    """Return the images sorted; all but the first are on the disk of `folder`, see `Spool`."""
+    stored: Spool[ImageRecord] = Spool(folder)
+    keys: list[tuple[int, str]] = []
+    for image in images:
+        keys.append((SPLITS.index(image.split), image.id))
+        stored.append(image)
+    order: Sequence[int] = range(len(keys))
+    if any(a > b for a, b in pairwise(keys)):
+        order = sorted(order, key=keys.__getitem__)
+    return StoredImages(stored, order)

@@ -1,10 +1,10 @@
-"""Strict pydantic base class for schemas of users' YAML, and the type of a range of numbers."""
+"""Strict pydantic base class for schemas of users' YAML, and the types and checks of ranges of numbers."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 class Strict(BaseModel):
@@ -24,6 +24,18 @@ def range_of(low: float, high: float) -> Any:
     """Return the type of a range `[lo, hi]` with both ends in [low, high]; a single number `n` means `[n, n]`."""
     end = Annotated[float, Field(ge=low, le=high, allow_inf_nan=False)]
     return Annotated[tuple[end, end], BeforeValidator(_pair), AfterValidator(_ordered)]
+
+
+def in_order(low: str, high: str) -> Any:
+    """Return a validator of a model, which refuses a field `low` that is not below the field `high`."""
+
+    def check(model: BaseModel) -> BaseModel:
+        a, b = (getattr(model, name) for name in (low, high))
+        if a >= b:
+            raise ValueError(f"{low} below {high}; found {a:g} and {b:g}")
+        return model
+
+    return model_validator(mode="after")(check)
 
 
 def _pair(value: Any) -> Any:

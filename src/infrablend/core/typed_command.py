@@ -86,20 +86,12 @@ def recorded_command(record: Mapping[str, Any] | None, root: Path, shard: str | 
     return f"cd {shlex.quote(folder)} && {line}" if away else line
 
 
-def run_command(record: Mapping[str, Any], recipe: str, data: str, out: str, *, folders: bool = True) -> list[str]:
-    """Return the words of the command that makes a run with this record from a recipe with its settings.
-
-    Args:
-        record: Record of the run.
-        recipe: Recipe to name.
-        data: Folder of the backgrounds to name.
-        out: Folder of the run to name.
-        folders: Whether to name the folder of a table, too.
-    """
+def run_command(record: Mapping[str, Any], recipe: str, data: str, out: str) -> list[str]:
+    """Return the words of the command that makes a run with this record, with these names in place of its own."""
     words = ["infrablend", "generate", recipe, "--data", data, "--out", out, "--seed", str(record.get("seed", 0))]
     request = record.get("request") or {}
     reading, selection = request.get("reading", {}), request.get("selection", {})
-    words += reading_words(reading, folders=folders)
+    words += reading_words(reading, folders=False)
     words += [w for name in ("limit", "sample") if name in selection for w in (f"--{name}", str(selection[name]))]
     if frames := selection.get("frames"):
         words += ["--frames", ",".join(frames)]

@@ -7,7 +7,7 @@ import re
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails
 from infrablend.errors import Problem
 
 Path = tuple[int | str, ...]
+Model = TypeVar("Model", bound=BaseModel)
 
 # Pydantic's own messages speak of JSON where the user wrote YAML.
 _EXPECTED = {
@@ -58,24 +59,41 @@ def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from models_in(inner)
 
 
-def field_problems(
+def read_model(
+    model: type[Model],
+    data: Any,
+    where: str,
+    code: str,
+    see: str,
+    explain: Callable[[Path], tuple[str, str] | None] = lambda path: None,
+) -> Model | list[Problem]:
+    """Return the model that plain values of a YAML file describe, or one problem per wrong field, sorted.
+
+    Args:
+        model: Class of the model.
+        data: Plain values.
+        where: Name of the file, for values that JSON cannot hold.
+        code: Start of the problems' codes: `recipe` gives `recipe-value` and `recipe-unknown-key`.
+        see: Remedy for an unknown key that resembles no known one.
+        explain: Returns the cause and the remedy of an unknown key at a path, or None for the default message.
+    """
+    try:
+        # Through JSON: strict mode then takes lists for tuples, and still refuses "640" or true for a number.
+        return model.model_validate_json(json.dumps(data))
+    except ValidationError as error:
+        return _field_problems(error, data, model, code, see, explain)
+    except (TypeError, ValueError) as error:
+        return [Problem(where, f"{code}-value", str(error), "plain numbers, texts, lists and mappings")]
+
+
+def _field_problems(
     error: ValidationError,
     data: Any,
     model: type[BaseModel],
     code: str,
     see: str,
-    explain: Callable[[Path], tuple[str, str] | None] = lambda path: None,
+    explain: Callable[[Path], tuple[str, str] | None],
 ) -> list[Problem]:
-    """Return one problem per wrong field, sorted.
-
-    Args:
-        error: Error that validation raised.
-        data: Plain values that were validated.
-        model: Class that they were validated against.
-        code: Start of the problems' codes: `recipe` gives `recipe-value` and `recipe-unknown-key`.
-        see: Remedy for an unknown key that resembles no known one.
-        explain: Returns the cause and the remedy of an unknown key at a path, or None for the default message.
-    """
     alternatives: dict[Path, dict[str, list[tuple[Path, ErrorDetails]]]] = {}
     found: list[Problem] = []
 
@@ -208,7 +226,6 @@ def _mapping_text(model: type[BaseModel], path: Path) -> str:
 
 
 def _known_names(model: type[BaseModel], path: Path) -> set[str]:
-    """Return the names of the fields at the parent of `path`."""
     return {name for m in _parents(model, path) for name in m.model_fields}
 
 

@@ -86,11 +86,7 @@ class Workspace:
         return partial_of(self.out)
 
     def finish(self, facts: Mapping[str, Any]) -> None:
-        """Write the record, the last file; the folder gets its name at the end of the `with` block.
-
-        Args:
-            facts: Fields of the record, JSON values.
-        """
+        """Write the record with these facts, the last file; the folder gets its name at the end of the `with` block."""
         (self.folder / self.record).unlink(missing_ok=True)
         left_out = {*_OWN, *self.foreign}
         names = sorted({*(p.name for p in self.folder.iterdir()), self.record} - left_out)
@@ -99,11 +95,7 @@ class Workspace:
         write_json(self.folder / self.record, data, indent=2, durable=True)
 
     def reopen(self) -> None:
-        """Make a workspace of a finished folder again, in order to change it; its record has to be written again.
-
-        Raises:
-            OutputError: It cannot be renamed.
-        """
+        """Make a workspace of a finished folder again, in order to change it; its record has to be written again."""
         if self.state != "complete":
             return
         own = (read_object(self.out / self.record) or {}).get(CONTENTS, {}).get("names", ())
@@ -124,11 +116,7 @@ class Workspace:
         return frozenset((read_object(self.partial / NOTE) or {}).get("foreign", ()))
 
     def clear(self, keep: Iterable[str]) -> None:
-        """Delete what is in the workspace but for these names and foreign ones.
-
-        Raises:
-            OutputError: It cannot be deleted.
-        """
+        """Delete what is in the workspace but for these names and foreign ones."""
         names = {p.name for p in sorted(self.folder.iterdir())} - {*keep, *self.foreign, NOTE}
         with _reported(self.folder):
             for name in sorted(names):
@@ -229,11 +217,7 @@ def replacing(overwrite: bool) -> Existing:
 
 
 def require_existing(existing: Existing) -> None:
-    """Check that a value is one of `Existing`.
-
-    Raises:
-        OutputError: It is not.
-    """
+    """Check that a value is one of `Existing`; an `OutputError` if not."""
     if existing not in get_args(Existing):
         raise OutputError(f"existing: found {existing!r}, expected refuse, resume or overwrite")
 
@@ -278,11 +262,7 @@ def is_being_written(out: Path) -> bool:
 
 
 def _require_own(space: Workspace, *, replaced: bool) -> None:
-    """Check that the folder has the record of this command and, if it is to be replaced, nothing that others put there.
-
-    Raises:
-        OutputError: It has no record of this command, or something was added to it.
-    """
+    """Check that the folder has the record of this command and, if it is replaced, nothing that others put there."""
     root, noun = space.out, space.noun
     found = read_object(root / space.record) or {}
     contents = found.get(CONTENTS)
@@ -305,11 +285,6 @@ def _require_own(space: Workspace, *, replaced: bool) -> None:
 
 
 def _open(space: Workspace, existing: Existing, keep: bool) -> None:
-    """Look at what is there, and prepare the workspace.
-
-    Raises:
-        OutputError: What is there may not be replaced.
-    """
     root, partial = space.out, space.partial
     entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
     left = sorted(p.name for p in partial.iterdir())
@@ -342,11 +317,7 @@ def _refused(space: Workspace, entries: list[str], keep: bool) -> OutputError:
 
 @contextlib.contextmanager
 def _lock(folder: Path, noun: str, *, make: bool = False) -> Iterator[None]:
-    """Lock a folder until the end of the block; the lock is on the folder itself and leaves no file.
-
-    Raises:
-        OutputError: Another process has locked it, or it cannot be created.
-    """
+    """Lock a folder until the end of the block; the lock is on the folder itself and leaves no file."""
     while True:
         try:
             if make:
@@ -375,7 +346,6 @@ def _lock(folder: Path, noun: str, *, make: bool = False) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _reported(path: Path) -> Iterator[None]:
-    """Turn a failed rename or deletion into an error that says what to do."""
     try:
         yield
     except OSError as error:

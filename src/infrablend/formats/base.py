@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.stored_images import StoredImages
+from infrablend.core.spool import StoredImages
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.losses import Written
 

@@ -28,7 +28,7 @@ from infrablend.core.format_table import (
     find_writer,
     written_names,
 )
-from infrablend.core.stored_images import StoredImages
+from infrablend.core.spool import StoredImages
 from infrablend.errors import Problem
 from infrablend.formats.base import FormatModule, in_order, sort_images
 from infrablend.formats.capture import facts_from_name, fits_table

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from infrablend.core.registry import resolve
+from infrablend.core.lazy_names import resolve
 
 if TYPE_CHECKING:
     from infrablend.core.render import Renderer

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from infrablend.config.recipe import StatedHeights
+from infrablend.config.recipe import StatedHeights, of_flight
 from infrablend.core.camera import CameraSpec
 from infrablend.core.capture import Capture
 from infrablend.core.class_names import KnownClass, known_class
@@ -57,8 +57,7 @@ the relief between there and here is unknown, or from the laser range finder."""
 def prior_of(heights: StatedHeights, picture: Capture) -> HeightPrior:
     """Return the prior of a picture's height from a table, as the recipe states it for its dataset."""
     factor, spread = heights.factor, heights.spread
-    flight = next((flight for flight in heights.by_flight if flight.fits(picture)), None)
-    if flight is not None:
+    if (flight := of_flight(heights.by_flight, picture)) is not None:
         factor, spread = flight.factor, flight.spread or spread
     low, high = (bound * (factor / NOMINAL_FACTOR) for bound in FACTOR_BOUNDS)
     return HeightPrior(factor, spread, (low, high), heights.references, heights.box_looseness)

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import clip_boxes, clip_convex, frame_polygon, smallest_rectangle_inside
+from infrablend.core.boxes import clip_boxes, clip_convex, corners_of_box, smallest_rectangle_inside
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.files import replace_atomically
 from infrablend.core.masks import Mask
@@ -72,7 +72,7 @@ class Tile:
         if corners is not None:
             corners = corners - shift
             if not np.allclose(cut, box, rtol=0, atol=1e-9):
-                inside = clip_convex(corners, frame_polygon(size_wh))
+                inside = clip_convex(corners, corners_of_box(np.array([0, 0, *size_wh], np.float64)))
                 if len(inside) < 3:
                     return None
                 corners = smallest_rectangle_inside(inside, size_wh)

@@ -18,7 +18,7 @@ def merge(
     original: list[Instance], new: list[Instance], settings: MergeSettings | None = None
 ) -> tuple[tuple[Instance, ...], tuple[Removal, ...]]:
     """The labels of the image, originals first, and the removed ones."""
-    found = merging.merge(original, new, settings)
+    found = merging.merge(original, new, settings or MergeSettings())
     return (*(original[n] for n in found.kept), *found.inserted), found.removed
 
 
@@ -128,11 +128,6 @@ def test_label_selection_accounts_for_every_label(labels: str, expected: list[st
     assert len(kept) + len(removed) == 3
     if labels == "original":
         assert [(r.reason, r.inserted) for r in removed] == [("covered", False), ("labels", True)]
-
-
-def test_removal_can_be_turned_off() -> None:
-    kept, _ = merge([original((11, 11, 15, 15))], [drone(10, 10, 20, 20)], MergeSettings(cover_share=None))
-    assert len(kept) == 2
 
 
 def test_a_new_label_without_mask_is_refused() -> None:

@@ -2,39 +2,27 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from infrablend.annotation.labels import annotate
-from infrablend.annotation.occluded import label_occluded
+from infrablend.annotation.labels import annotate, label_occluded
 from infrablend.core.boxes import box_of_points
-from infrablend.core.camera import CameraSpec
-from infrablend.core.mesh import make_mesh
 from infrablend.core.placed import PlacedScene, place
 from infrablend.core.render import RenderResult
-from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
-
-WH = (640, 512)
+from tests.unit.annotation.test_labels import camera, plate, rendered, scene, thing
 
 
 def plate_20_by_10() -> PlacedScene:
     """A plate of 20 x 10 px in the middle of the frame, from (310, 251) to (330, 261)."""
-    camera = CameraSpec(10.0, 0.0, 0.0, 50.0, 36.0, WH)
-    x, z = (n * camera.distance_m / camera.focal_px / 2 for n in (20, 10))
-    vertices = np.array([[-x, 0, -z], [x, 0, -z], [x, 0, z], [-x, 0, z]])
-    mesh = make_mesh([("body", vertices, np.array([[0, 1, 2], [0, 2, 3]], np.int32), False)])
-    spec = ObjectSpec("test", "deer", {}, {"body": PartState(300.0, 0.9)}, (0.0, 0.0, 0.0), math.radians(10))
-    return place(SceneSpec("test/a_c0", "a", "test", 0, camera, (spec,), 290.0, Appearance(), 0, 0), [mesh])
+    return place(scene(camera(), thing(yaw_deg=10, category="deer")), [plate(20, 10, camera())])
 
 
 def seen_from_column(first: int) -> RenderResult:
     """What is visible with everything to the left of a column (counted from 310) hidden."""
     coverage = np.zeros((1, 10, 20), np.float32)
     coverage[0, :, first:] = 1
-    return RenderResult((310, 251), WH, coverage[0].copy(), coverage[0].copy(), coverage)
+    return rendered(coverage, (310, 251))
 
 
 @pytest.mark.parametrize("written", ["visible", "amodal"])

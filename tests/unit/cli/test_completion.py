@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import pytest
 import typer
 
 from infrablend.assets.catalogue import list_models
@@ -17,63 +17,52 @@ from infrablend.config.loading import list_recipes
 from infrablend.core.format_table import FORMATS, NATIVE, written_names
 from infrablend.formats.sources import SOURCES
 
-# Runs the program as the shell does for the tab key, then refuses if that loaded something heavy (Typer itself loads
+# Completes lines as the shell does for the tab key, then refuses if that loaded something heavy (Typer itself loads
 # pydantic).
 PROGRAM = """
-import sys
+import contextlib, io, json, os, sys
 from infrablend.cli import main
-code = main([])
+for line in json.loads(sys.argv[1]):
+    os.environ |= {"COMP_WORDS": line, "COMP_CWORD": str(len(line.split(" ")) - 1)}
+    with contextlib.redirect_stdout(io.StringIO()) as offered:
+        assert main([]) == 0
+    print(json.dumps(offered.getvalue().split()))
 heavy = {"numpy", "infrablend.config", "cv2", "PIL", "bpy", "torch", "ruamel.yaml"} & set(sys.modules)
-sys.exit(f"loaded {sorted(heavy)}" if heavy else code)
+sys.exit(f"loaded {sorted(heavy)}" if heavy else 0)
 """
 
 
-def complete(line: str, folder: Path) -> list[str]:
-    """Return what bash would offer for the last word of `line`."""
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        cwd=folder,
-        env={
-            **os.environ,
-            "PYTHONPATH": os.pathsep.join(sys.path),
-            "_INFRABLEND_COMPLETE": "complete_bash",
-            "COMP_WORDS": line,
-            "COMP_CWORD": str(len(line.split(" ")) - 1),
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+def complete(folder: Path, *lines: str) -> list[list[str]]:
+    """Return what bash would offer for the last word of each line."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "_INFRABLEND_COMPLETE": "complete_bash"}
+    words = [sys.executable, "-c", PROGRAM, json.dumps(lines)]
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout.split()
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
-@pytest.mark.parametrize(
-    ("line", "names"),
-    [
-        ("infrablend generate ", list_recipes()),
-        ("infrablend recipes show monet", [r for r in list_recipes() if r.startswith("monet")]),
-        ("infrablend experiment ", list_experiments()),
-        ("infrablend models show ", list_models()),
-        ("infrablend models describe d", [m for m in list_models() if m.startswith("d")]),
-        ("infrablend fetch ", [s.name for s in SOURCES]),
-        ("infrablend check data --format ", sorted(f.name for f in FORMATS)),
-        ("infrablend convert a b --to ", [*sorted(written_names()), NATIVE]),
-        ("infrablend generate r --to coco,yolo-", ["coco,yolo-obb", "coco,yolo-seg"]),
-    ],
-)
-def test_names_are_completed_without_loading_a_heavy_library(line: str, names: list[str], tmp_path: Path) -> None:
-    assert complete(line, tmp_path) == names
+def test_names_are_completed_without_loading_a_heavy_library(tmp_path: Path) -> None:
+    offered = {
+        "generate ": list_recipes(),
+        "recipes show monet": [r for r in list_recipes() if r.startswith("monet")],
+        "experiment ": list_experiments(),
+        "models show ": list_models(),
+        "models describe d": [m for m in list_models() if m.startswith("d")],
+        "fetch ": [s.name for s in SOURCES],
+        "check data --format ": sorted(f.name for f in FORMATS),
+        "convert a b --to ": [*sorted(written_names()), NATIVE],
+        "generate r --to coco,yolo-": ["coco,yolo-obb", "coco,yolo-seg"],
+    }
+    assert complete(tmp_path, *(f"infrablend {line}" for line in offered)) == list(offered.values())
 
 
 def test_own_files_are_completed_beside_shipped_names(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     for name in ("hit-mine.yaml", "hit.txt", "mine/one.yml"):
         (tmp_path / name).touch()
-    offered = complete("infrablend generate hit", tmp_path)
-    assert offered == [*(r for r in list_recipes() if r.startswith("hit")), "hit-mine.yaml"]
-    assert complete("infrablend generate mi", tmp_path) == ["mine/"]
-    assert complete("infrablend models show mine/", tmp_path) == ["mine/one.yml"]
+    lines = ("infrablend generate hit", "infrablend generate mi", "infrablend models show mine/")
+    recipes = [r for r in list_recipes() if r.startswith("hit")]
+    assert complete(tmp_path, *lines) == [[*recipes, "hit-mine.yaml"], ["mine/"], ["mine/one.yml"]]
 
 
 def test_every_command_reads_with_format_and_writes_with_to() -> None:

@@ -11,7 +11,7 @@ from click.testing import Result
 from typer.testing import CliRunner
 
 from infrablend import api
-from infrablend.cli.options import Fields, FieldsOf, attribute_texts, with_options
+from infrablend.cli.options import Fields, attribute_texts, with_options
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def test_wrong_values_name_their_option(words: str, message: str) -> None:
 def test_a_field_of_a_request_that_needs_more_is_in_a_dictionary() -> None:
     found = []
 
-    def command(some: Annotated[dict[str, Any], FieldsOf(Order, "kind loud")], ctx: typer.Context) -> None:
+    def command(some: Annotated[dict[str, Any], Fields("kind loud", request=Order)], ctx: typer.Context) -> None:
         found.append((some, ctx.params))
 
     app = typer.Typer(add_completion=False)

@@ -31,35 +31,31 @@ FLAT = Execution(renderer="flat", in_process=True)
 
 DRONE = "name: d\nobjects: [{model: drone}]\n"
 OF_ONE_MODE = {
-    "camera.distance_m=5": ("placement.mode paper", "metric"),
-    "objects.0.x_m=5": ("placement.mode paper", "metric"),
-    "objects.0.y_m=5": ("placement.mode paper", "metric"),
-    "placement.on_miss=keep": ("placement.mode paper", "metric"),
-    "camera.altitude={fixed_m: 50}": ("placement.mode metric", "paper"),
-    "camera.calibrate=false": ("placement.mode metric", "paper"),
-    "objects.0.range_m=20": ("placement.mode metric", "paper"),
-    "objects.0.group={share: 0.5}": ("placement.mode metric", "paper"),
-    "placement.clear_of_labels=true": ("placement.mode metric", "paper"),
-    "placement.max_relief_grey=3": ("placement.mode metric", "paper"),
-    "appearance.cold_below_air_k=5": ("appearance.mode artistic", "physical"),
-    "appearance.hot_above_air_k=5": ("appearance.mode artistic", "physical"),
-    "appearance.surroundings_below_air_k=5": ("appearance.mode artistic", "physical"),
-    "matching.low_percentile=5": ("appearance.mode artistic", "physical"),
-    "matching.high_percentile=95": ("appearance.mode artistic", "physical"),
-    "matching.min_span=0.5": ("appearance.mode artistic", "physical"),
-    "environment.dew_point_below_air_k=5": ("appearance.mode physical", "artistic"),
-    "environment.clear_share=0.5": ("appearance.mode physical", "artistic"),
-    "environment.ground_above_air_day_k=5": ("appearance.mode physical", "artistic"),
-    "environment.ground_above_air_night_k=5": ("appearance.mode physical", "artistic"),
-    "matching.gain_grey_per_k=5": ("appearance.mode physical", "artistic"),
-    "matching.gain_prior_grey_per_k=5": ("appearance.mode physical", "artistic"),
-    "matching.gain_prior_day_grey_per_k=5": ("appearance.mode physical", "artistic"),
-    "matching.gain_prior_spread=0.5": ("appearance.mode physical", "artistic"),
-    "matching.clothing_above_air_k=5": ("appearance.mode physical", "artistic"),
-    "matching.local_share=0.5": ("appearance.mode physical", "artistic"),
-    "sensor.optics=1": ("a camera in sensor.profile", "off"),
-    "sensor.motion_px=3": ("a camera in sensor.profile", "off"),
-}
+    setting: (needs, has)
+    for needs, has, settings in (
+        ("placement.mode paper", "metric", [
+            "camera.distance_m=5", "objects.0.x_m=5", "objects.0.y_m=5", "placement.on_miss=keep",
+        ]),
+        ("placement.mode metric", "paper", [
+            "camera.altitude={fixed_m: 50}", "camera.calibrate=false", "objects.0.range_m=20",
+            "objects.0.group={share: 0.5}", "placement.clear_of_labels=true", "placement.max_relief_grey=3",
+        ]),
+        ("appearance.mode artistic", "physical", [
+            "appearance.cold_below_air_k=5", "appearance.hot_above_air_k=5", "appearance.surroundings_below_air_k=5",
+            "matching.low_percentile=5", "matching.high_percentile=95", "matching.min_span=0.5",
+        ]),
+        ("appearance.mode physical", "artistic", [
+            "environment.dew_point_below_air_k=5", "environment.clear_share=0.5",
+            "environment.ground_above_air_day_k=5", "environment.ground_above_air_night_k=5",
+            "matching.gain_grey_per_k=5", "matching.gain_prior_grey_per_k=5", "matching.gain_prior_day_grey_per_k=5",
+            "matching.gain_prior_spread=0.5", "matching.clothing_above_air_k=5", "matching.local_share=0.5",
+        ]),
+        ("a camera in sensor.profile", "off", [
+            "sensor.optics=1", "sensor.motion_px=3",
+        ]),
+    )
+    for setting in settings
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("setting", OF_ONE_MODE)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from infrablend.config.loading import list_recipes, load_recipe, parse_recipe
+from infrablend.config.loading import load_recipe, parse_recipe
 from infrablend.config.recipe import FixedPitch, RandomPitch
 from infrablend.errors import RecipeError
 
@@ -57,28 +57,13 @@ def test_a_lens_of_the_settings_counts_more_than_what_the_file_says_of_the_pictu
 
 
 def test_every_wrong_field_is_named_at_once():
-    settings = [
-        "output.image=gif",
-        "camera.distance_m=[5, 1]",
-        "objects.0.yaw_deg=true",
-        "colour=blue",
-        "objects.0.count=-1",
-        "nothing",
-        "objects.7.model=deer",
-    ]
+    settings = ["output.image=gif", "camera.distance_m=[5, 1]", "objects.0.yaw_deg=true", "colour=blue"]
+    settings += ["objects.0.count=-1", "nothing", "objects.7.model=deer"]
     with pytest.raises(RecipeError) as caught:
         load_recipe("hit-uav-drone", settings)
-    text = str(caught.value)
-    for name in (
-        "output.image",
-        "camera.distance_m",
-        "objects.0.yaw_deg",
-        "colour",
-        "objects.0.count",
-        "nothing",
-        "objects.7",
-    ):
-        assert name in text, name
+    for setting in settings:
+        name = setting.split("=")[0].removesuffix(".model")
+        assert name in str(caught.value), name
 
 
 def test_a_number_stands_for_a_range_and_a_word_can_become_a_mapping():
@@ -110,12 +95,6 @@ def test_unknown_recipe_names_the_shipped_ones():
         load_recipe("zzz")
 
 
-def test_recipe_survives_json():
-    for name in list_recipes():
-        r = load_recipe(name)
-        assert type(r).model_validate_json(r.model_dump_json()) == r
-
-
 def test_model_paths_are_relative_to_the_recipe(tmp_path):
     (tmp_path / "r.yaml").write_text("name: r\nobjects: [{model: fox.yaml}]")
     assert load_recipe(tmp_path / "r.yaml").objects[0].model == str(tmp_path / "fox.yaml")
@@ -127,30 +106,16 @@ def test_a_model_set_in_a_shipped_recipe_is_relative_to_the_current_folder(tmp_p
     assert recipe.objects[0].model == str(tmp_path / "models" / "fox.yaml")  # whole, for the record of the run
 
 
-def test_an_unquoted_off_is_the_sensors_off():
-    assert load_recipe("hit-uav-person", ["sensor.profile=off"]).sensor.profile == "off"
-
-
-@pytest.mark.parametrize(
-    ("settings", "match"),
-    [
-        (["overlay.flat=true"], r"overlay\.flat needs sensor\.profile: off"),
-        (
-            ["placement.mode=paper", "objects.0.group={share: 0.5}"],
-            r"objects\.0\.group: this field has a meaning only with placement\.mode metric; this recipe has paper",
-        ),
-    ],
-)
-def test_incompatible_options_are_reported(settings, match):
-    with pytest.raises(RecipeError, match=match):
-        load_recipe("hit-uav-person", settings)
+def test_incompatible_options_are_reported():
+    with pytest.raises(RecipeError, match=r"overlay\.flat needs sensor\.profile: off"):
+        load_recipe("hit-uav-person", ["overlay.flat=true"])
 
 
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        ("{method: plateau}", "a mapping with mode"),
-        ("{mode: foo}", "mode as one of linear, plateau, fixed"),
+        ("{method: x}", "a mapping with mode"),
+        ("{mode: x}", "mode as one of linear, plateau, fixed"),
         ("3", "a mapping"),
     ],
 )

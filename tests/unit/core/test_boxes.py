@@ -69,7 +69,7 @@ def test_iou_of_a_square_and_itself_turned_by_45_degrees() -> None:
 
 def test_clipping_a_triangle_to_the_frame() -> None:
     triangle = np.array([[-10.0, 5], [10, -5], [10, 15]])
-    clipped = boxes.clip_convex(triangle, boxes.frame_polygon((8, 9)))
+    clipped = boxes.clip_convex(triangle, boxes.corners_of_box(np.array([0.0, 0, 8, 9])))
     # On x = 0 it spans y 0..10, and the frame lies within from there on: all 8 x 9 are covered.
     assert boxes.polygon_area(clipped) == pytest.approx(72)
 
@@ -166,7 +166,7 @@ def test_rectangle_at_the_frames_edge_turns_until_its_corner_touches() -> None:
 
 
 def test_a_body_cut_by_the_frame_has_only_the_upright_rectangle() -> None:
-    bar = boxes.clip_convex(tilted(5, 200, 60, 10, 30), boxes.frame_polygon((640, 512)))
+    bar = boxes.clip_convex(tilted(5, 200, 60, 10, 30), boxes.corners_of_box(np.array([0.0, 0, 640, 512])))
     held = boxes.smallest_rectangle_inside(bar, (640, 512))
     assert_allclose(held, boxes.corners_of_box(boxes.box_of_points(bar)), atol=1e-9)
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from infrablend.assets.shapes import box
 from infrablend.core import raster
 from infrablend.core.boxes import (
     clip_convex,
     convex_hull,
     corners_of_box,
     corners_of_cxcywha,
-    frame_polygon,
     polygon_area,
 )
 from infrablend.core.camera import CameraSpec
@@ -30,11 +30,8 @@ def camera(distance_m: float = 10.0, pitch_deg: float = 0.0, roll_deg: float = 0
 
 
 def cube(size_m: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    x = np.array([-0.5, 0.5]) * size_m
-    vertices = np.array([[a, b, c] for a in x for b in x for c in x])
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
-    return vertices, np.array(triangles, np.int32)
+    solid = box((size_m,) * 3, 0.0)
+    return solid.vertices, solid.triangles
 
 
 def exact_coverage(polygon: np.ndarray, w: int, h: int) -> np.ndarray:
@@ -46,7 +43,7 @@ def exact_coverage(polygon: np.ndarray, w: int, h: int) -> np.ndarray:
 
 
 def test_a_rectangle_on_pixel_edges_is_covered_exactly() -> None:
-    coverage = raster.silhouette(fan(corners_of_box(np.array([2.0, 1, 5, 3]))), (0, 0), (7, 5), 4)
+    coverage = raster.silhouette(fan(corners_of_box(np.array([2.0, 1, 5, 3]))), (0, 0), (7, 5))
     expected = np.zeros((5, 7), np.float32)
     expected[1:3, 2:5] = 1
     assert_array_equal(coverage, expected)
@@ -59,7 +56,7 @@ def test_coverage_of_a_tilted_rectangle_has_no_bias(size: float) -> None:
     for _ in range(12):
         box = np.array([15 + rng.uniform(), 14 + rng.uniform(), size, size / 2, rng.uniform(0, 3)])
         polygon = corners_of_cxcywha(box)
-        coverage = raster.silhouette(fan(polygon), (0, 0), (30, 28), 8)
+        coverage = raster.silhouette(fan(polygon), (0, 0), (30, 28))
         error.append(coverage - exact_coverage(polygon, 30, 28))
         area_error.append(coverage.sum() / (size * size / 2) - 1)
     # One sample of 64 per pixel that an edge crosses is the worst, and the mean error cancels.
@@ -69,8 +66,8 @@ def test_coverage_of_a_tilted_rectangle_has_no_bias(size: float) -> None:
 
 def test_crop_and_whole_frame_agree() -> None:
     triangles = fan(corners_of_cxcywha(np.array([30.3, 20.8, 17, 9, 0.4])))
-    whole = raster.silhouette(triangles, (0, 0), (64, 48), 8)
-    assert_array_equal(raster.silhouette(triangles, (25, 15), (10, 8), 8), whole[15:23, 25:35])
+    whole = raster.silhouette(triangles, (0, 0), (64, 48))
+    assert_array_equal(raster.silhouette(triangles, (25, 15), (10, 8)), whole[15:23, 25:35])
 
 
 def test_triangles_sharing_edges_leave_no_gap_and_overlap_nowhere() -> None:
@@ -111,7 +108,7 @@ def test_projected_cube_has_the_cameras_pixels_and_depths() -> None:
 
 def test_geometry_at_the_near_plane_is_cut_there() -> None:
     vertices, triangles = cube(4.0)
-    projected = raster.project_triangles(camera(1.0), vertices, triangles, near_m=0.05)
+    projected = raster.project_triangles(camera(1.0), vertices, triangles)
     assert projected.cut
     assert np.isfinite(projected.xy).all()
     assert (1 / projected.inverse_depth).min() == pytest.approx(0.05)
@@ -195,7 +192,9 @@ def test_share_of_a_cube_at_the_frames_corner_is_that_of_its_outline() -> None:
     vertices, triangles = cube(0.6)
     vertices = vertices @ view.world_to_camera + view.position_m + view.world_to_camera.T @ [1.7, 1.4, 5.0]
     outline = convex_hull(view.project(vertices)[0])
-    exact = polygon_area(clip_convex(outline, frame_polygon(view.size_wh))) / polygon_area(outline)
+    exact = polygon_area(clip_convex(outline, corners_of_box(np.array([0.0, 0, *view.size_wh])))) / polygon_area(
+        outline
+    )
     assert 0.1 < exact < 0.9
     assert raster.inside_fraction(view, vertices, triangles)[0] == pytest.approx(exact, abs=0.004)
 

@@ -42,29 +42,15 @@ def test_a_folder_appears_whole(tmp_path: Path) -> None:
     assert sorted(p.name for p in out.parent.iterdir()) == ["out"]
 
 
-@pytest.mark.parametrize("keep", [False, True])
-def test_a_failure_leaves_nothing_or_what_can_be_resumed(tmp_path: Path, keep: bool) -> None:
+@pytest.mark.parametrize(("keep", "written"), [(False, True), (True, True), (True, False)])
+def test_a_failure_leaves_nothing_or_what_can_be_resumed(tmp_path: Path, keep: bool, written: bool) -> None:
     out = tmp_path / "out"
     with pytest.raises(RuntimeError), workspace(out, "thing", RECORD, keep=keep) as space:
-        (space.folder / "file.txt").write_text("x")
+        if written:
+            (space.folder / "file.txt").write_text("x")
         raise RuntimeError
-    assert not out.exists()
-    assert partial_of(out).exists() == keep
-    assert (unfinished(out) is not None) == keep
-
-
-def test_a_call_that_was_killed_at_its_note_is_no_hindrance(tmp_path: Path) -> None:
-    partial = partial_of(tmp_path / "out")
-    partial.mkdir()
-    (partial / NOTE).write_text("{")
-    write(tmp_path / "out")
-    assert names(tmp_path) == ["out/deep/file.txt", f"out/{RECORD}"]
-
-
-def test_an_empty_workspace_is_not_kept(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError), workspace(tmp_path / "out", "thing", RECORD, keep=True):
-        raise RuntimeError
-    assert list(tmp_path.iterdir()) == []
+    assert [p.name for p in tmp_path.iterdir()] == ([partial_of(out).name] if keep and written else [])
+    assert (unfinished(out) is not None) == (keep and written)
 
 
 def test_resume_goes_on_with_what_was_left(tmp_path: Path) -> None:
@@ -79,13 +65,14 @@ def test_resume_goes_on_with_what_was_left(tmp_path: Path) -> None:
     assert names(out) == ["deep/file.txt", RECORD]
 
 
-def test_what_cannot_be_resumed_starts_again(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    (tmp_path / ".out.partial").mkdir()
-    (tmp_path / ".out.partial" / ".workspace.json").write_text('{"noun": "thing"}')
-    (tmp_path / ".out.partial" / "old.txt").write_text("of a killed call")
-    write(out)
-    assert names(out) == ["deep/file.txt", RECORD]
+@pytest.mark.parametrize("note", ['{"noun": "thing"}', "{"])  # the latter was killed at its note
+def test_what_cannot_be_resumed_starts_again(tmp_path: Path, note: str) -> None:
+    partial = partial_of(tmp_path / "out")
+    partial.mkdir()
+    (partial / NOTE).write_text(note)
+    (partial / "old.txt").write_text("of a killed call")
+    write(tmp_path / "out")
+    assert names(tmp_path) == ["out/deep/file.txt", f"out/{RECORD}"]
 
 
 def test_a_foreign_folder_with_the_name_of_a_workspace_is_not_touched(tmp_path: Path) -> None:

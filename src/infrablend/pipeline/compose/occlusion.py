@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from infrablend.annotation.labels import LabelReport, annotate
-from infrablend.annotation.occluded import label_occluded
+from infrablend.annotation.labels import LabelReport, annotate, label_occluded
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyImage
 from infrablend.compositing.occlusion import Occluder, Scenery, Share, Wanted, front_matte

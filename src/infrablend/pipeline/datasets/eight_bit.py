@@ -12,8 +12,7 @@ from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import join_inside
 from infrablend.core.files import write_bytes
-from infrablend.core.spool import Spool
-from infrablend.core.stored_images import StoredImages
+from infrablend.core.spool import Spool, StoredImages
 from infrablend.formats.images import load_background, png_bytes
 
 

@@ -19,8 +19,7 @@ from infrablend.core.files import sha256_of
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import LEDGER, Ledger
 from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
-from infrablend.core.spool import Spool
-from infrablend.core.stored_images import store_images
+from infrablend.core.spool import Spool, store_images
 from infrablend.core.workspace import NOTE, Workspace
 from infrablend.errors import OutputError, Problem
 from infrablend.formats import huggingface, writing

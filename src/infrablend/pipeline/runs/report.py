@@ -55,7 +55,7 @@ def _run_facts(
         recipe=str(recipe.get("name", "")),
         description=str(recipe.get("description") or ""),
         settings=recipe_yaml(recorded_recipe(record)),
-        command=shlex.join(run_command(record, "recipe.yaml", "DATA", "RUN", folders=False)),  # of no machine
+        command=shlex.join(run_command(record, "recipe.yaml", "DATA", "RUN")),  # of no machine
         version=str(record["infrablend"]),
         made=(
             ("backgrounds", f"{data.get('backgrounds', 0)} pictures, format {data.get('format', 'unknown')}"),

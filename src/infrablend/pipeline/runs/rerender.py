@@ -15,8 +15,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.machine import take_core
-from infrablend.core.output import require_replaceable
-from infrablend.core.picture_place import require_outside_datasets
+from infrablend.core.output import require_outside_datasets, require_replaceable
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.core.workspace import partial_of

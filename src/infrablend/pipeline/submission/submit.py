@@ -26,7 +26,7 @@ def submission_text(job: Submission, to: Scheduler) -> str:
     return slurm_script(job) if to == "slurm" else kubernetes_manifest(job)
 
 
-def submit_jobs(job: Submission, to: Scheduler) -> str:
+def submit(job: Submission, to: Scheduler) -> str:
     """Submit a run in shards from this machine; return what the scheduler's client says.
 
     Raises:
