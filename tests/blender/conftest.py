@@ -16,7 +16,7 @@ def blender() -> Iterator[object]:
 
     renderer = BlenderRenderer()
     yield renderer
-    renderer._folder.cleanup()
+    renderer._stage.close()
 
 
 def box_mesh(size=(1.0, 0.6, 0.4), part="body") -> Mesh:

@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from infrablend.assets import shapes
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray
 from infrablend.world.setting import Draws, Weather
@@ -83,13 +82,7 @@ def building(b: Building) -> Surface:
         (-hx, 0, 0.35, 2 * hy),
         (hx, 0, 0.35, 2 * hy),
     ):
-        p.add(
-            shapes.moved(shapes.box((lx, ly, 0.75), 0.02), (x, y, z + 0.2)),
-            0.5 * (b.wall_k + b.roof_k),
-            WALL,
-            b.solar_k,
-            0.3,
-        )
+        p.box((lx, ly, 0.75), 0.02, (x, y, z + 0.2), 0.5 * (b.wall_k + b.roof_k), WALL, b.solar_k, 0.3)
     for x in np.arange(-hx + 1.2, hx - 0.5, float(rng.uniform(1.8, 3.2))):  # seams of the roofing felt
         p.add(
             quad((x, -hy, z - 0.08), (x + 0.09, -hy, z - 0.08), (x + 0.09, hy, z - 0.08), (x, hy, z - 0.08)),
@@ -109,26 +102,16 @@ def building(b: Building) -> Surface:
                         GLASS,
                         b.solar_k * 0.5,
                     )
-                    p.add(
-                        shapes.capsule((x + 1.7, y, z + 1.3), (x + 1.7, y + 1.8, z + 1.3), 0.24, n=6),
-                        b.wall_k + 4.0,
-                        PAINT,
-                    )
+                    p.bar((x + 1.7, y, z + 1.3), (x + 1.7, y + 1.8, z + 1.3), 0.24, b.wall_k + 4.0, PAINT)
     else:
         for _ in range(int(rng.integers(2, 7))):
             size = rng.uniform((0.8, 0.8, 0.6), (2.4, 1.8, 1.5))
             x, y = (float(v) for v in rng.uniform(-1, 1, 2) * np.maximum((hx - 2, hy - 2), 0))
             warm = float(rng.uniform(4, 14)) if rng.random() < 0.35 else float(rng.uniform(-0.5, 2))
-            p.add(shapes.moved(shapes.box(size, 0.05), (x, y, z + size[2] / 2)), b.roof_k + warm, PAINT, b.solar_k, 0.3)
+            p.box(size, 0.05, (x, y, z + size[2] / 2), b.roof_k + warm, PAINT, b.solar_k, 0.3)
         if rng.random() < 0.6:  # the stairs' head
             x = float(rng.uniform(-0.6, 0.6)) * max(hx - 3, 0.0)
-            p.add(
-                shapes.moved(shapes.box((3.4, 2.8, 2.5), 0.05), (x, hy * 0.3, z + 1.2)),
-                0.6 * b.wall_k + 0.4 * b.roof_k,
-                WALL,
-                b.solar_k,
-                0.3,
-            )
+            p.box((3.4, 2.8, 2.5), 0.05, (x, hy * 0.3, z + 1.2), 0.6 * b.wall_k + 0.4 * b.roof_k, WALL, b.solar_k, 0.3)
     return p.surface()
 
 
@@ -184,6 +167,4 @@ def _gable(p: SurfaceBuilder, b: Building) -> None:
             np.array([(x, -wy, z - 0.1), (x, wy, z - 0.1), (x, 0.0, z + rise - 0.15)]), np.array([[0, 1, 2]], np.int32)
         )
         p.add(tri, b.wall_k, WALL, b.solar_k, 0.4)
-    p.add(
-        shapes.moved(shapes.box((2 * hx, 0.35, 0.14), 0.03), (0, 0, z + rise + 0.03)), b.roof_k + 1.5, WALL, b.solar_k
-    )
+    p.box((2 * hx, 0.35, 0.14), 0.03, (0, 0, z + rise + 0.03), b.roof_k + 1.5, WALL, b.solar_k)
