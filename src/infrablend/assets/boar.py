@@ -419,10 +419,7 @@ _BACK = tuple(PART_NAMES.index(n) for n in ("back", "flank", "mane"))
 def _bent(vertices: FloatArray, bend_rad: float, head_rad: float) -> FloatArray:
     """Return the vertices with the spine bent to the left.
 
-    Args:
-        vertices: (V, 3) positions of a straight boar.
-        bend_rad: Angle between the directions of rump and shoulders.
-        head_rad: Further turn of the neck.
+    `bend_rad` is the angle between the directions of rump and shoulders, `head_rad` a further turn of the neck.
     """
     s = np.linspace(-1.0, 1.6, 261)
     angle = bend_rad * np.clip(s / 1.1, -0.6, 0.6) + head_rad * smoothstep((s - 0.38) / 0.35)

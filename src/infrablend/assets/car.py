@@ -654,10 +654,10 @@ def _add_on_roof(out: _Pieces, plan: _Plan, edge: FloatArray) -> None:
         out.add_both_sides("trim", shapes.sweep(np.stack([x, y, z], axis=1), 0.02, 0.018, n=8, round_ends=True))
 
 
-def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int, proud: float = 0.012) -> Solid:
+def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int) -> Solid:
     """Return a bar that follows nose or tail from one share of the half width to another."""
     y = plan.half * np.linspace(*share, 9)
-    x = plan.end_x(y, z, end) - end * (0.03 - proud)
+    x = plan.end_x(y, z, end) - end * 0.018
     path = np.stack([x, y, np.full(9, z)], axis=1)
     return shapes.sweep(path, 0.03, half_height, n=16, exponent=5.0)
 

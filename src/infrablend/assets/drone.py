@@ -57,10 +57,6 @@ PARTS: Mapping[str, PartRange] = {
     **DISC_PARTS,
 }
 
-# Parts left out of the bounding box whose centre is the origin: thin parts that stick out, and propellers, whose extent
-# changes with their angle.
-OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
-
 CHOICES: Mapping[str, tuple[Any, ...]] = {
     "layout": ("x", "h", "plus", "deadcat"),
     "body": ("shell", "plate", "industrial"),

@@ -41,11 +41,7 @@ class SunResponse:
 def sun_response(kind: str, shade_k: Range, surface: str, absorptivity: Range | None = None) -> SunResponse:
     """Return the response of a part of a material to sunlight.
 
-    Args:
-        kind: Name in `materials.SUNLIT`.
-        shade_k: (low, high) surface minus air temperature without sunlight.
-        surface: Name shared by the parts of one surface.
-        absorptivity: (low, high) share of sunlight that is absorbed; by default that of the material.
+    `shade_k` is surface minus air temperature without sunlight; absorptivity is by default that of the material.
     """
     sunlit = SUNLIT[kind]
     low, high = absorptivity or sunlit.absorptivity
@@ -160,10 +156,7 @@ class ObjectModel:
 def warmed_by_sun(parts: Mapping[str, PartRange], sun_k: Range, shares: Mapping[str, float]) -> dict[str, PartRange]:
     """Return the thermal roles of a coat in the sun.
 
-    Args:
-        parts: Roles in the shade.
-        sun_k: Rise of the back, kelvin, for scenes without a sun.
-        shares: Share of that rise that a part reaches; parts that are not named keep their role.
+    `sun_k` is the rise of the back, kelvin, for scenes without a sun; parts without a share of it keep their role.
     """
     low, high = sun_k
     warmed = dict(parts)

@@ -158,10 +158,7 @@ class Guess:
 def guess_roles(groups: Sequence[GroupFacts], category: str | None, chosen: Mapping[str, str]) -> Guess:
     """Guess the role of every piece of a file.
 
-    Args:
-        groups: Pieces of the file.
-        category: Class of the labels, if known; it may tell the family.
-        chosen: Roles that the user chose, by the name of an object or a material.
+    The class of the labels may tell the family; `chosen` has roles by the name of an object or a material.
     """
     told = _family_of(category)
     specific = [chosen.get(g.object) or chosen.get(g.material) or _of_names(g, told) for g in groups]

@@ -38,9 +38,7 @@ class BlenderRenderer:
     def __init__(self, device: Device = "cpu", *, whole_frame: bool = False) -> None:
         """Start from an empty Blender scene.
 
-        Args:
-            device: Device that Cycles computes on.
-            whole_frame: Render every pixel of the frame instead of a crop; for measurements.
+        `whole_frame` renders every pixel of the frame instead of a crop; for measurements.
         """
         self._whole_frame = whole_frame
         self._stage = session.Stage(device)

@@ -52,6 +52,13 @@ class GreyMapping:
     places: tuple[Place, ...] = ()
     scale: TemperatureScale | None = None
 
+    @classmethod
+    def around(
+        cls, places: Sequence[Place], limits: tuple[float, float] | None = None, scale: TemperatureScale | None = None
+    ) -> GreyMapping:
+        """Return the mapping around inserts, at least one."""
+        return cls(places[0].dark, places[0].bright, limits, tuple(places) if len(places) > 1 else (), scale)
+
     def apply(
         self, radiance: NDArray[np.float32], alpha: NDArray[np.float32], offset_xy: tuple[int, int] = (0, 0)
     ) -> NDArray[np.float32]:

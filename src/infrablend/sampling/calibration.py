@@ -115,13 +115,8 @@ def calibrate(
     """Calibrate the camera's height with the annotated boxes of one image.
 
     The median size ratio of each class (sitting people and half-hidden cars are outliers) is weighted against the
-    nominal correction by the spread of its readings.
-
-    Args:
-        camera: The camera at the stated height (see `at_height`).
-        stated_m: The stated height.
-        labels: The image's own objects; those cut by the frame's edge and crowds are left out.
-        prior: What is known about the stated height.
+    nominal correction by the spread of its readings. `camera` is at the stated height (see `at_height`). Labels cut by
+    the frame's edge and crowds are left out.
     """
     ratios: dict[KnownClass, list[float]] = {}
     for label in labels:

@@ -37,7 +37,7 @@ from infrablend.sampling.placement import (
     examine,
     is_covered,
 )
-from infrablend.sampling.placer import Arrangement, Streams
+from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.real_ground import draw_aim, ground_around
 from infrablend.sampling.site import Hiding, Site
 from infrablend.sampling.volume import volume_of
@@ -64,8 +64,8 @@ _ROW_TURN_DEG = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class MetricPlacer:
-    """Implements `placement.Placer` for `placement.mode: metric`."""
+class MetricPlacer(Placer):
+    """The placement of `placement.mode: metric`."""
 
     recipe: MetricRecipe
 
@@ -187,12 +187,12 @@ class _Search:
             beside = mates if attempt < _IN_COMPANY * attempts else []
             pose = self._draw_beside(item, beside) if beside else self._draw(item)
             if isinstance(pose, str):
-                self._tally.reject(pose)
+                self._tally.rejected[pose] += 1
             elif hiding is not None and not self._has_structure(hiding, item, pose):
-                self._tally.reject("no_occluder")
+                self._tally.rejected["no_occluder"] += 1
             # Before the exact checks, which cost far more.
             elif aim is not None and hiding is None and not aim(pose, attempt / attempts, bool(beside)):
-                self._tally.reject("unlike_real_ground")
+                self._tally.rejected["unlike_real_ground"] += 1
             else:
                 examined += 1
                 reason = self._misfit(item, pose, hiding, bool(beside))
@@ -200,8 +200,8 @@ class _Search:
                     self._missed[id(item.kind)] = 0
                     self._placed.append((item, pose))
                     return pose
-                self._tally.reject(reason)
-        self._tally.leave_out("no_place")
+                self._tally.rejected[reason] += 1
+        self._tally.absent["no_place"] += 1
         self._missed[id(item.kind)] = in_a_row + 1
         return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -80,16 +81,8 @@ class DrawStatistics:
 
     attempts: int = 0
     first_distance_m: float | None = None
-    rejected: dict[str, int] = field(default_factory=dict)
-    absent: dict[str, int] = field(default_factory=dict)
-
-    def reject(self, reason: str) -> None:
-        """Count a rejected draw."""
-        self.rejected[reason] = self.rejected.get(reason, 0) + 1
-
-    def leave_out(self, reason: str, count: int = 1) -> None:
-        """Count objects without a place."""
-        self.absent[reason] = self.absent.get(reason, 0) + count
+    rejected: Counter[str] = field(default_factory=Counter)
+    absent: Counter[str] = field(default_factory=Counter)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""

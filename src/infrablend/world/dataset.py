@@ -61,14 +61,8 @@ def write_world(
 ) -> None:
     """Write a background dataset of the virtual world; the same request gives the same bytes.
 
-    `world.json` lists the camera, the place and every object of each frame.
-
-    Args:
-        out: Folder to write.
-        request: Frames of the dataset.
-        source: Renders the frames.
-        progress: Called with (finished frames, all frames) after each frame.
-        overwrite: Replace an earlier world in `out`.
+    `world.json` lists the camera, the place and every object of each frame. `progress` is called with (finished frames,
+    all frames) after each frame; `overwrite` replaces an earlier world.
 
     Raises:
         RecipeError: The number of frames is out of range.

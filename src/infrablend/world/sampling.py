@@ -38,13 +38,8 @@ def sample_world(
 ) -> WorldPlan:
     """Draw the plan of a scene.
 
-    Args:
-        rng: Random stream of the frame.
-        pitch_deg: Camera depression angle in [10, 90], so that neither horizon nor sky shows; 90 looks straight down.
-        altitude_m: Camera height above the ground.
-        time_of_day: `day` has the sun up; at night a clear sky cools what faces it.
-        kind: Kind of place; drawn from `TOWN` if None.
-        size_wh: Image size in pixels.
+    Pitches are depression angles in [10, 90], so that neither horizon nor sky shows; 90 looks straight down. Without a
+    kind, one is drawn from `TOWN`.
     """
     if kind is None:
         kind = TOWN[int(rng.choice(len(TOWN), p=TOWN_SHARES))]

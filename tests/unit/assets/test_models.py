@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from infrablend.assets import car, deer, drone, person
+from infrablend.assets import boar, camera_quad, car, deer, drone, person
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
 from tests.meshes import digest, signed_volume
 
-MODELS = {"car": car.MODEL, "deer": deer.MODEL, "drone": drone.MODEL, "person": person.MODEL}
+MODELS = {name: load_model(name) for name in list_models()}
 # Parameters that a build needs; deer and person have a default for each.
 BASE: dict[str, Mapping[str, Any]] = {"car": car.NOMINAL, "deer": {}, "drone": drone.NOMINAL, "person": {}}
 DRAWS = {
@@ -24,7 +24,12 @@ DRAWS = {
     "deer": [deer.sample(stream(3, "deer"), {"pose": "walking", "antlers": True})],
     "person": [person.sample(stream(3, "person"), {"pose": "walking", "backpack": True, "top": "coat"})],
 }
+OTHERS = ("boar", "camera-quad", "drones", "fixed-wing", "hexacopter", "racer")
+DRAWS |= {name: [MODELS[name].sample(stream(7, name, 5), {})] for name in OTHERS}
+BASE["boar"] = DRAWS["boar"][0]
 CACHED_PIECES = {
+    "boar": (boar._shape,),
+    "camera-quad": (camera_quad._skin,),
     "deer": (deer._body,),
     "person": (person._upper, person._legs, person._skirt, person._shoes, person._head, person._hands,
                person._backpack),
@@ -33,9 +38,10 @@ CACHED_PIECES = {
 
 def test_the_catalogue_ships_them() -> None:
     assert list_models() == sorted(list_models())
-    assert set(MODELS) <= set(list_models())
     for name, model in MODELS.items():
         assert load_model(name) is model
+        category = name if name in ("boar", "car", "deer", "person") else "drone"
+        assert (model.name, model.category, model.stands) == (name, category, category != "drone")
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -52,6 +58,7 @@ def test_same_params_same_bytes_cached_or_not(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "other"),
     [
+        ("boar", {"mirror": True, "bend_rad": 0.3, "head_turn_rad": 0.4, "length_factor": 1.2}),
         ("deer", {"mirror": True, "neck_turn_rad": 0.5, "length_factor": 1.2}),
         (
             "person",
@@ -60,22 +67,23 @@ def test_same_params_same_bytes_cached_or_not(name: str) -> None:
     ],
 )
 def test_a_build_leaves_the_cached_pieces_alone(name: str, other: dict[str, object]) -> None:
-    build = MODELS[name].build
-    plain = digest(build({}))
-    build(other)
-    assert digest(build({})) == plain
+    build, base = MODELS[name].build, BASE[name]
+    plain = digest(build(base))
+    build({**base, **other})
+    assert digest(build(base)) == plain
 
 
 @pytest.mark.parametrize(
     ("name", "params"),
     [
+        ("boar", {"bend_rad": 0.6, "head_turn_rad": 0.4, "mirror": False}),
         ("deer", {"pose": "walking", "neck_turn_rad": 0.3}),
         ("person", {"pose": "walking", "head_turn_rad": 0.3, "arms": "call"}),
     ],
 )
 def test_mirror_is_a_mirror(name: str, params: dict[str, object]) -> None:
     build = MODELS[name].build
-    a, b = build(params), build({**params, "mirror": True})
+    a, b = (build({**BASE[name], **params, **turned}) for turned in ({}, {"mirror": True}))
     assert (b.vertices_m == a.vertices_m * [1, -1, 1]).all()
     assert signed_volume(b.vertices_m, b.triangles) == pytest.approx(signed_volume(a.vertices_m, a.triangles))
 
@@ -104,6 +112,11 @@ def test_draws_show_every_shape_and_are_json_and_repeatable(name: str, module: A
 
 
 BAD_OPTIONS: dict[str, list[tuple[dict[str, object], str]]] = {
+    "boar": [
+        ({"pose": "sitting"}, "boar model, option pose: found 'sitting'; expected one of standing, walking, rooting"),
+        ({"shoulder_height_m": 9}, "option shoulder_height_m: found 9; expected a number from 0.2 to 1.3"),
+        ({"colour": "grey"}, "option colour: found 'grey'; expected options pose, variant"),
+    ],
     "car": [
         ({"length": 4.4}, r"option length: found 4.4; expected options .*length_m"),
         ({"length_m": -1}, r"option length_m: found -1; expected a number from 3 to 6.5"),
@@ -170,6 +183,7 @@ def test_bad_options_name_the_option_and_what_was_expected(name: str, options: d
 
 
 BAD_PARAMS: dict[str, list[tuple[dict[str, object], str]]] = {
+    "boar": [({"build": "piglet"}, "parameter build: found 'piglet'; expected one of yearling")],
     "car": [
         ({"length_m": 0.0}, "parameter length_m: found 0.0"),
         ({"body": None}, "parameter body: found None"),

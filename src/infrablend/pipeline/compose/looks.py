@@ -16,7 +16,7 @@ from infrablend.compositing.local import LocalSettings, match_locally
 from infrablend.compositing.mapping import GreyImage, GreyMapping, PercentileSettings, percentile_mapping
 from infrablend.compositing.occlusion import Share
 from infrablend.compositing.picture import overlay
-from infrablend.compositing.radiometric import ThermalBackdrop, match_radiometric
+from infrablend.compositing.radiometric import match_radiometric
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.recipe import (
     LocalMatching,
@@ -154,9 +154,8 @@ class RadiometricLook(RecipeLook):
         scale = frame.as_read.capture.scale
         if not scene.objects or scale is None:
             return super().match(scene, frame, background)
-        thermal = ThermalBackdrop(background.pixels, frame.as_read.instances, scale)
         air = air_source(frame.key(background.size_wh), self._recipe.environment)
-        scene, mapping, facts = match_radiometric(scene, thermal, air)
+        scene, mapping, facts = match_radiometric(scene, background.pixels, frame.as_read.instances, scale, air)
         return Match(scene, mapping, {"matching": facts})
 
 
