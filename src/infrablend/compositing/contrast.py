@@ -152,8 +152,8 @@ def visible_change(
     """Return the change of an object's pixels by its insertion, 8-bit levels: the 90 % quantile within its mask.
 
     Means over 3 x 3 pixels are compared, because new grain changes every pixel even if nobody sees the object. Its mask
-    are the pixels that it covers by at least a half, or the most covered one of smaller objects; `coverage` is a crop
-    at `offset_xy`, `scale` the number of levels per 8-bit level.
+    is what `coverage`, a crop at `offset_xy`, has by at least a half, or the most covered pixel of a smaller object;
+    `scale` is the number of levels per 8-bit level.
     """
     x, y = offset_xy
     h, w = coverage.shape

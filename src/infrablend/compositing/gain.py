@@ -167,8 +167,8 @@ def find_anchors(
     """Read the anchors of a picture: people's clothes and, at night, car roofs, each known to 3 K.
 
     By day there are none: in the sun, one side of a person is 20 K warmer than the other. A person whose brightest part
-    is clipped gives a lower bound; clipped clothing gives no reading. `picture` has the levels of the backdrop, white-
-    hot; `free` are the pixels outside all labels' boxes. Car roofs are taken to look 8 K colder than the air, clothes
+    is clipped gives a lower bound; clipped clothing gives no reading. `picture` has the backdrop's levels, white-hot;
+    `free` are the pixels outside all labels' boxes. Car roofs are taken to look 8 K colder than the air, clothes
     `clothing_k` warmer. Without a `ground_grey`, anchors refer to their own surroundings.
     """
     found: list[Anchor] = []

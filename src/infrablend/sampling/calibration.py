@@ -94,7 +94,6 @@ class Calibration:
 
     Attributes:
         height_m: Corrected height above the ground.
-        stated_m: Height according to the metadata.
         factor: Corrected over stated height.
         sd: Standard deviation of the factor's logarithm.
         anchors: Number of annotated objects used, by class.
@@ -102,7 +101,6 @@ class Calibration:
     """
 
     height_m: float
-    stated_m: float
     factor: float
     sd: float
     anchors: Mapping[str, int]
@@ -136,7 +134,7 @@ def calibrate(
     low, high = prior.bounds
     factor = min(max(math.exp(total / weight), low), high)
     anchors: dict[str, int] = {k: len(v) for k, v in sorted(ratios.items())}
-    return Calibration(stated_m * factor, stated_m, factor, weight**-0.5, anchors, factor in (low, high))
+    return Calibration(stated_m * factor, factor, weight**-0.5, anchors, factor in (low, high))
 
 
 def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, reference: Reference) -> float | None:

@@ -16,10 +16,9 @@ from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
 from infrablend.sampling.metric import is_even, relief_of
-from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides
+from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides, volume_of
 from infrablend.sampling.scene import RecipeSampler, rebuild_scene, sample_scene
 from infrablend.sampling.site import FrameKey, Site
-from infrablend.sampling.volume import volume_of
 
 WH = (640, 512)
 

@@ -13,7 +13,7 @@ from typing import Any
 from infrablend.compositing.contrast import Least, real_least
 from infrablend.compositing.gain import Backdrop, GainPrior, SharePrior
 from infrablend.compositing.local import LocalSettings, match_locally
-from infrablend.compositing.mapping import GreyImage, GreyMapping, PercentileSettings, percentile_mapping
+from infrablend.compositing.mapping import GreyImage, GreyMapping, percentile_mapping
 from infrablend.compositing.occlusion import Share
 from infrablend.compositing.picture import overlay
 from infrablend.compositing.radiometric import match_radiometric
@@ -22,7 +22,6 @@ from infrablend.config.recipe import (
     LocalMatching,
     MetricPhysicalRecipe,
     PaperPhysicalRecipe,
-    PercentileMatching,
     Recipe,
 )
 from infrablend.core.capture import TimeOfDay
@@ -71,8 +70,7 @@ class RecipeLook:
 
     def match(self, scene: PlacedScene, frame: PlannedFrame, background: Background) -> Match:
         """Choose the grey levels of a scene."""
-        settings = percentile_settings(self._recipe.matching.percentiles)
-        return Match(scene, percentile_mapping(background.pixels, settings))
+        return Match(scene, percentile_mapping(background.pixels, self._recipe.matching.percentiles))
 
     def paint(
         self, match: Match, rendered: RenderResult, background: GreyImage, sensor: Sensor | None, front: Share | None
@@ -169,12 +167,6 @@ _LOOKS: Mapping[str, Callable[[Any, FrameSettings], RecipeLook]] = {
 def make_look(recipe: Recipe, settings: FrameSettings) -> RecipeLook:
     """Return the look of a run's frames."""
     return _LOOKS[recipe.look](recipe, settings)
-
-
-def percentile_settings(matching: PercentileMatching) -> PercentileSettings:
-    """Return the settings of matching by percentiles: of the artistic look, and of other frames without objects."""
-    m = matching
-    return PercentileSettings(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
 
 
 def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None, headroom: float = 0.0) -> LocalSettings:
