@@ -443,9 +443,6 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn,
     except that the height depends on the build.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     params = DIALS.sample(rng, options)
     if "shoulder_height_m" not in options:
@@ -456,11 +453,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
 
 def build(params: Params) -> Mesh:
-    """Build the mesh of a boar in metres, from parameters as `sample` draws them.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
+    """Build the mesh of a boar in metres, from parameters as `sample` draws them."""
     DIALS.require(params)
     variants = VARIANTS[params["pose"]]
     vertices, triangles, parts = _shape(

@@ -297,9 +297,6 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         rng: Random stream to draw from.
         options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a list
             to choose from with equal odds.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, (*NOMINAL, "time_of_day"))
     when = options.get("time_of_day")
@@ -713,11 +710,7 @@ def _add_wheels(out: _Pieces, plan: _Plan) -> None:
 
 
 def build_car(params: Params) -> Mesh:
-    """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
+    """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose."""
     _require_params(params)
     pieces = _build_pieces(params)
     closed = np.unique(np.concatenate([p for p, _, _, _ in pieces]))

@@ -729,9 +729,6 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn. The
     option `bend_deg` alone takes one more, after all others.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(12)]

@@ -125,8 +125,10 @@ class ObjectModel:
         origin: Position of the model's origin, in words.
         stands: Whether it stands on the ground, with its origin on the ground.
         parts: Thermal role of every part that `build` may name.
-        sample: Function that draws `params` (JSON values only) from a stream; `options` fixes some of them.
-        build: Function that builds the mesh of `params`, without randomness; equal params give equal arrays.
+        sample: Function that draws `params` (JSON values only) from a stream; `options` fixes some of them. ModelError
+            if an option is unknown or its value is invalid.
+        build: Function that builds the mesh of `params`, without randomness; equal params give equal arrays. ModelError
+            if a parameter is missing, unknown or out of range.
         options: Options that a recipe may set: name -> allowed values or range, in words.
         parts_for: Function that returns the thermal roles of the individual with given `params`, for models whose roles
             differ between individuals. It covers every part of the mesh with the same `label` as `parts`, which then

@@ -68,7 +68,7 @@ def look_behind(
     """Find ground, sky and skyline of a picture.
 
     `picture` has (h, w) levels, hot is bright; `free` are the pixels outside all labels' boxes, `scale` levels per
-    8-bit level. Without a camera, whose horizon is known, all is ground.
+    8-bit level. Without a camera whose horizon is known, all is ground.
     """
     everywhere = np.ones(picture.shape, np.bool_)
     level = _median(picture, free)

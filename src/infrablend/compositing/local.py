@@ -160,7 +160,7 @@ def local_mapping(
     Cameras apply different gains above and below the ground's temperature, so the gain of warm inserts comes mainly
     from warm anchors, that of cold ones from cold. The contrast between sky and land, if the picture shows both, is an
     anchor as well. The gain of warm inserts also holds in front of the sky, which is colder than everything else.
-    Without a camera, whose horizon is known, all is ground.
+    Without a camera whose horizon is known, all is ground.
     """
     low, high = backdrop.levels
     black_hot = settings.polarity == "black-hot"

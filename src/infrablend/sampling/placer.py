@@ -52,8 +52,8 @@ class Placer(ABC):
     ) -> Arrangement:
         """Draw the camera and a pose per object; rejections are counted by reason in `tally`.
 
-        `like` is the camera, apart from what is drawn; its roll is that of the background. Nothing is known of a site
-        of None.
+        `like` is the camera, apart from what is drawn; its roll is that of the background. `site` is None if nothing
+        is known of the background.
         """
 
     def arrange_again(
