@@ -109,13 +109,8 @@ def _bare(rng: np.random.Generator) -> Surface:
         for _ in range(3 if level < 3 else 2):
             turn = direction + rng.normal(0, 0.62, 3) + (0, 0, 0.12)
             turn /= np.linalg.norm(turn)
-            grow(
-                start + direction * length * float(rng.uniform(0.55, 1.0)),
-                turn,
-                length * float(rng.uniform(0.6, 0.85)),
-                radius * 0.6,
-                level + 1,
-            )
+            at = start + direction * length * float(rng.uniform(0.55, 1.0))
+            grow(at, turn, length * float(rng.uniform(0.6, 0.85)), radius * 0.6, level + 1)
 
     # Built 1 unit high and about 0.35 wide, then stretched to radius 1.
     grow(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.34, 0.014, 0)

@@ -120,12 +120,8 @@ def person(q: Person, seat_m: float | None = None) -> Surface:
     head = at(fwd * 1.15 + 0.02, 0, chest + 0.235)
     p.bar(at(fwd, 0, chest + 0.04), head, 0.058 * h, q.skin_k, SKIN)
     p.add(shapes.moved(shapes.ellipsoid((0.1 * h, 0.082 * h, 0.122 * h), 8, 6), head), q.skin_k, SKIN)
-    p.add(
-        shapes.moved(
-            shapes.ellipsoid((0.1 * h, 0.09 * h, 0.105 * h), 8, 6), (head[0] - 0.025 * h, 0, head[2] + 0.035 * h)
-        ),
-        q.hair_k, CLOTH, q.solar_k,
-    )  # fmt: skip
+    hair = shapes.ellipsoid((0.1 * h, 0.09 * h, 0.105 * h), 8, 6)
+    p.add(shapes.moved(hair, (head[0] - 0.025 * h, 0, head[2] + 0.035 * h)), q.hair_k, CLOTH, q.solar_k)
     return p.surface()
 
 
