@@ -16,7 +16,6 @@ from infrablend.compositing.mapping import GreyMapping, percentile_mapping
 from infrablend.compositing.overlay import blend, make_layer
 from infrablend.core.render import RenderResult
 from infrablend.formats.images import load_background
-from infrablend.pipeline.compose.looks import percentile_settings
 from infrablend.sampling.scene import sample_scene
 
 REFERENCE_SAMPLES = 2048
@@ -68,9 +67,7 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
         renderer.reference = False
         if not reference.alpha.any():
             continue
-        mapping, span = stretched(
-            percentile_mapping(background.pixels, percentile_settings(recipe.matching.percentiles)), reference
-        )
+        mapping, span = stretched(percentile_mapping(background.pixels, recipe.matching.percentiles), reference)
         spans.append(span)
         where = covered(reference)
         counts.append(int(where.sum()))

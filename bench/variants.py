@@ -33,7 +33,6 @@ from infrablend.core.render import RenderResult
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.pipeline.compose.looks import percentile_settings
 from infrablend.pipeline.compose.worker import FrameMaker
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.runs.exports import export_run
@@ -81,7 +80,7 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
             result = renderer.render(with_samples(scene, PAPER_SAMPLES))
             layer = make_layer(
                 result,
-                percentile_mapping(background.pixels, percentile_settings(recipe.matching.percentiles)),
+                percentile_mapping(background.pixels, recipe.matching.percentiles),
                 recipe.overlay.softness_px,
             )
             pixels = compose(background.pixels, layer)

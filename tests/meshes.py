@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
@@ -38,6 +40,21 @@ def digest(mesh: Mesh) -> tuple[bytes, ...]:
         mesh.smooth.tobytes(),
         repr(mesh.part_names).encode(),
     )
+
+
+def check_surface(mesh: Mesh, triangles: IntArray | None = None) -> None:
+    """Check that a mesh, or some of its triangles, consists of closed solids that each face outward."""
+    triangles = mesh.triangles if triangles is None else triangles
+    # Vertices are doubled at sharp edges: closed by position.
+    _, same = np.unique(mesh.vertices_m + 0.0, axis=0, return_inverse=True)
+    welded = same.reshape(-1)[triangles].astype(np.int64)
+    a, b = welded.ravel(), np.roll(welded, -1, axis=1).ravel()
+    edge, size = a != b, int(welded.max()) + 1
+    assert np.array_equal(np.sort((a * size + b)[edge]), np.sort((b * size + a)[edge]))
+    count, solid = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(size, size)), directed=False)
+    p, of_triangle = mesh.vertices_m[triangles], solid[welded[:, 0]]
+    volume = np.bincount(of_triangle, np.einsum("ij,ij->i", p[:, 0], np.cross(p[:, 1], p[:, 2])), count)
+    assert (volume[np.unique(of_triangle)] > 0).all()
 
 
 def check_pieces(pieces: Sequence[tuple[Any, Any, Any, Any]]) -> None:

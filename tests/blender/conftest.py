@@ -16,7 +16,7 @@ def blender() -> Iterator[object]:
 
     renderer = BlenderRenderer()
     yield renderer
-    renderer._folder.cleanup()
+    renderer._stage.close()
 
 
 def box_mesh(size=(1.0, 0.6, 0.4), part="body") -> Mesh:
@@ -25,6 +25,25 @@ def box_mesh(size=(1.0, 0.6, 0.4), part="body") -> Mesh:
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     t = np.array([q for a, b, c, d in quads for q in ((a, b, c), (a, c, d))], np.int32)
     return make_mesh([(part, v, t, False)])
+
+
+def ball_mesh() -> Mesh:
+    """A smooth sphere of 0.6 m radius."""
+    n = 48
+    t, p = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n, endpoint=False), indexing="ij")
+    v = 0.6 * np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij")
+    a, b = i * 2 * n + j, i * 2 * n + (j + 1) % (2 * n)
+    c, d = a + 2 * n, b + 2 * n
+    faces = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
+    return make_mesh([("body", v, faces.astype(np.int32), True)])
+
+
+def sheet(z: float, part: str, width: float = 1.6) -> tuple[str, np.ndarray, np.ndarray, bool]:
+    """A level square, as `make_mesh` takes it."""
+    x = width / 2
+    v = np.array([[-x, -x, z], [x, -x, z], [x, x, z], [-x, x, z]])
+    return part, v, np.array([[0, 1, 2], [0, 2, 3]], np.int32), False
 
 
 def scene(

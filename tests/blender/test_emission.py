@@ -14,7 +14,7 @@ from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, 
 from infrablend.rendering import emission
 from infrablend.rendering.emission import only_emits, render_emission
 
-from .conftest import box_mesh, scene, thing
+from .conftest import box_mesh, scene, sheet, thing
 
 SPAN_GREY = 200.0
 
@@ -73,12 +73,6 @@ def test_pictures_stay_within_the_limits(blender):
     pooled = np.concatenate(wrong)
     assert pooled.mean() < 0.5
     assert np.percentile(pooled, 99) < 4
-
-
-def sheet(z: float, part: str, width: float = 1.6) -> tuple[str, np.ndarray, np.ndarray, bool]:
-    x = width / 2
-    v = np.array([[-x, -x, z], [x, -x, z], [x, x, z], [-x, x, z]])
-    return part, v, np.array([[0, 1, 2], [0, 2, 3]], np.int32), False
 
 
 def layered() -> Mesh:

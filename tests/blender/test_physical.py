@@ -14,7 +14,7 @@ from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import sky_radiance
 from tests.thermal_reference import apparent_temperature, leaving_radiance
 
-from .conftest import box_mesh, paste, scene, thing
+from .conftest import ball_mesh, box_mesh, paste, scene, thing
 
 AIR_K = 283.15
 CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, AIR_K + 2)
@@ -97,15 +97,7 @@ def test_clouds_warm_what_mirrors_them(blender):
 
 def test_rough_surfaces_have_no_rim_and_smooth_ones_do(blender):
     """On a sphere towards the sky the smooth rim mirrors it, the rough one keeps its emissivity."""
-    n = 48
-    t, p = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n, endpoint=False), indexing="ij")
-    v = 0.6 * np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij")
-    a, b = i * 2 * n + j, i * 2 * n + (j + 1) % (2 * n)
-    tri = np.concatenate(
-        [np.stack([a, a + 2 * n, b], -1).reshape(-1, 3), np.stack([b, a + 2 * n, b + 2 * n], -1).reshape(-1, 3)]
-    )
-    ball = make_mesh([("body", v, tri.astype(np.int32), True)])
+    ball = ball_mesh()
     spread = {}
     for ior in (1.0, 1.5):
         kelvin = apparent_temperature(render(blender, AIR_K + 20, 0.96, ior, mesh=ball, pitch_rad=np.pi / 4))

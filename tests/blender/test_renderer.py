@@ -6,11 +6,12 @@ import numpy as np
 import psutil
 import pytest
 
+from infrablend.core.mesh import make_mesh
 from infrablend.core.placed import place
 from infrablend.core.scene import PartState
 from infrablend.rendering.flat import FlatRenderer
 
-from .conftest import box_mesh, paste, scene, thing
+from .conftest import ball_mesh, box_mesh, paste, scene, thing
 
 
 @pytest.fixture(params=["flat", "blender"])
@@ -136,8 +137,6 @@ def test_alpha_is_the_covered_area(blender):
 
 def test_parts_have_their_own_temperature(blender):
     a, b = box_mesh((0.5, 0.5, 0.5), "cold"), box_mesh((0.5, 0.5, 0.5), "hot")
-    from infrablend.core.mesh import make_mesh
-
     joined = make_mesh(
         [
             ("cold", a.vertices_m - [0.6, 0, 0], a.triangles, False),
@@ -159,16 +158,7 @@ def test_parts_have_their_own_temperature(blender):
 
 def test_smooth_surfaces_darken_to_the_rim(blender):
     """Fresnel: seen at a grazing angle a surface mirrors the (colder) surroundings."""
-    n = 48
-    t, p = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n, endpoint=False), indexing="ij")
-    v = 0.6 * np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], -1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij")
-    a, b = i * 2 * n + j, i * 2 * n + (j + 1) % (2 * n)
-    c, d = a + 2 * n, b + 2 * n
-    tri = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
-    from infrablend.core.mesh import make_mesh
-
-    ball = make_mesh([("body", v, tri.astype(np.int32), True)])
+    ball = ball_mesh()
 
     def profile(ior):
         r = blender.render(place(scene([thing(ior=ior)], samples=64), [ball]))

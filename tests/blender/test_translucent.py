@@ -17,7 +17,7 @@ from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import sky_radiance
 from tests.thermal_reference import leaving_radiance
 
-from .conftest import box_mesh, paste, scene, thing
+from .conftest import box_mesh, paste, scene, sheet, thing
 
 AIR_K = 283.15
 CLEAR = Weather(AIR_K, 276.15, 0.0, AIR_K - 7, AIR_K + 2)
@@ -25,10 +25,8 @@ SMALL = {"size_wh": (160, 128)}
 LEVEL = {"pitch_rad": np.pi / 2, "roll_rad": 0.0, **SMALL}
 
 
-def sheet(width=1.6, z=1.0, part="disc") -> Mesh:
-    x = width / 2
-    v = np.array([[-x, -x, z], [x, -x, z], [x, x, z], [-x, x, z]])
-    return make_mesh([(part, v, np.array([[0, 1, 2], [0, 2, 3]], np.int32), False)])
+def disc(width=1.6, z=1.0) -> Mesh:
+    return make_mesh([sheet(z, "disc", width)])
 
 
 def both(mode, blender, spec, meshes):
@@ -42,7 +40,7 @@ def test_over_the_background_alpha_is_the_opacity(blender, opacity):
     spec = scene([thing(kelvin=300.0, label=False, parts=("disc",), opacity=opacity, emissivity=0.9)], **LEVEL)
     full = scene([thing(kelvin=300.0, label=False, parts=("disc",), emissivity=0.9)], **LEVEL)
     for mode in ("artistic", "physical"):
-        thin, solid = (both(mode, blender, s, [sheet()]) for s in (spec, full))
+        thin, solid = (both(mode, blender, s, [disc()]) for s in (spec, full))
         inside = solid.alpha > 0.999
         assert inside.sum() > 1000
         np.testing.assert_allclose(thin.alpha, opacity * solid.alpha, atol=1e-5)
@@ -57,7 +55,7 @@ def test_ground_that_an_object_warms_adds_its_light_without_texture(blender):
     state = PartState(AIR_K + 3.0, 1.0, label=False, ior=1.0, opacity=0.4, glow=True)
     spec = scene([ObjectSpec("a", "a", {}, {"disc": state}, (0.0, 0.0, 0.0), 0.0)], **LEVEL)
     look = dataclasses.replace(spec.appearance, texture_k=4.0)
-    seen = both("physical", blender, dataclasses.replace(spec, appearance=look), [sheet()])
+    seen = both("physical", blender, dataclasses.replace(spec, appearance=look), [disc()])
     assert seen.ground_radiance == pytest.approx(float(band_radiance(AIR_K)))
     inside = seen.alpha > 0.399
     added = seen.radiance[inside] - np.float32(seen.ground_radiance) * seen.alpha[inside]
@@ -65,14 +63,14 @@ def test_ground_that_an_object_warms_adds_its_light_without_texture(blender):
     np.testing.assert_allclose(added, expected, rtol=0.02)
     propeller = PartState(AIR_K, 0.9, label=False, opacity=0.1)
     mixed = [ObjectSpec("a", "a", {}, {"disc": s}, (0.0, 0.0, 0.0), 0.0) for s in (state, propeller)]
-    assert both("physical", blender, scene(mixed, **LEVEL), [sheet(), sheet()]).ground_radiance is None
+    assert both("physical", blender, scene(mixed, **LEVEL), [disc(), disc()]).ground_radiance is None
 
 
 def test_a_thin_smooth_sheet_mirrors_the_sky_above_it(blender):
     for pitch, beyond in ((np.pi / 2, sky_radiance(AIR_K, CLEAR.dew_point_k, 0.07)), (-np.pi / 2, None)):
         surface = thing(kelvin=AIR_K, label=False, parts=("disc",), opacity=0.5, emissivity=0.6, ior=1.5)
         spec = scene([surface], pitch_rad=pitch, roll_rad=0.0, **SMALL)
-        seen = both("physical", blender, spec, [sheet(z=0.0)])
+        seen = both("physical", blender, spec, [disc(z=0.0)])
         mirrored = band_radiance(CLEAR.ground_k) if beyond is None else beyond
         expected = 0.5 * leaving_radiance(0.6, band_radiance(AIR_K), mirrored)
         assert float(np.median(seen.radiance[seen.alpha > 0.4999])) == pytest.approx(float(expected), rel=0.004)
@@ -84,7 +82,7 @@ def test_labels_look_through(blender, mode, opacity):
     """Mask, coverage and box of a body behind sheets of its own and of another object: as if they were not there."""
     body = make_mesh([("body", *(getattr(box_mesh(), n) for n in ("vertices_m", "triangles")), False)])
     own = make_mesh(
-        [(m.part_names[0], m.vertices_m, m.triangles, False) for m in (body, sheet(z=0.6), sheet(0.8, z=0.8))]
+        [(m.part_names[0], m.vertices_m, m.triangles, False) for m in (body, disc(z=0.6), disc(0.8, z=0.8))]
     )
     states = {"body": PartState(300.0, 0.9), "disc": PartState(290.0, 0.9, label=False, opacity=opacity)}
     covered = ObjectSpec("a", "a", {}, states, (0.0, 0.0, 0.0), 0.3)
@@ -94,7 +92,7 @@ def test_labels_look_through(blender, mode, opacity):
     with_sheets = scene([covered, above], **SMALL)
     # The other object: its sheet covers the body, its own body is off to the side.
     aside = make_mesh([("body", body.vertices_m + (3.0, 0, 0), body.triangles, False)])
-    other = make_mesh([(m.part_names[0], m.vertices_m, m.triangles, False) for m in (aside, sheet(2.0, z=0.3))])
+    other = make_mesh([(m.part_names[0], m.vertices_m, m.triangles, False) for m in (aside, disc(2.0, z=0.3))])
     without = scene([bare, dataclasses.replace(above, parts={"body": states["body"]})], **SMALL)
     a = both(mode, blender, with_sheets, [own, other])
     b = both(mode, blender, without, [body, aside])
@@ -115,8 +113,8 @@ def test_labels_look_through(blender, mode, opacity):
 
 
 def test_the_other_renderer_agrees_on_alpha_and_light(blender):
-    body, disc = box_mesh(), sheet()
-    mesh = make_mesh([(m.part_names[0], m.vertices_m, m.triangles, False) for m in (body, disc)])
+    body, veil = box_mesh(), disc()
+    mesh = make_mesh([(m.part_names[0], m.vertices_m, m.triangles, False) for m in (body, veil)])
     states = {"body": PartState(300.0, 1.0, True, 1.0), "disc": PartState(285.0, 1.0, False, 1.0, opacity=0.3)}
     spec = scene([ObjectSpec("a", "a", {}, states, (0.0, 0.0, 0.0), 0.3)])
     cycles, flat = (paste(r.render(place(spec, [mesh]))) for r in (blender, FlatRenderer()))
@@ -142,9 +140,13 @@ def drone(propellers, pitch_rad, size_px=200):
 @pytest.mark.parametrize("mode", ["artistic", "physical"])
 def test_a_drone_in_flight_has_the_labels_of_one_without_blades(blender, mode, pitch_deg):
     spec, mesh = drone("spinning", np.radians(pitch_deg))
-    disc = np.isin(np.array(mesh.part_names)[mesh.part_of_triangle], list(DISC_RINGS))
+    spinning = np.isin(np.array(mesh.part_names)[mesh.part_of_triangle], list(DISC_RINGS))
     bare = Mesh(
-        mesh.vertices_m, mesh.triangles[~disc], mesh.part_of_triangle[~disc], mesh.part_names, mesh.smooth[~disc]
+        mesh.vertices_m,
+        mesh.triangles[~spinning],
+        mesh.part_of_triangle[~spinning],
+        mesh.part_names,
+        mesh.smooth[~spinning],
     )
     flying, naked = (both(mode, blender, spec, [m]) for m in (mesh, bare))
     (a,), (b,) = (annotate(place(spec, [m]), r)[0] for m, r in ((mesh, flying), (bare, naked)))

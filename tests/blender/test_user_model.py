@@ -15,6 +15,7 @@ from infrablend.assets.user_model import description_digest, geometry_file, read
 from infrablend.errors import ModelError
 from infrablend.pipeline.plans import models
 from infrablend.pipeline.plans.models import import_geometry, ready_model
+from tests.meshes import signed_volume
 from tests.models_3d import write_gltf
 
 MAKE = """
@@ -138,18 +139,31 @@ parts:
 """
 
 
+def run_blender(script, argument):
+    subprocess.run([sys.executable, "-c", script, str(argument)], check=True, timeout=300, capture_output=True)
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
-    script = folder / "make.py"
-    script.write_text(MAKE)
-    subprocess.run([sys.executable, str(script), str(folder)], check=True, timeout=300, capture_output=True)
+    run_blender(MAKE, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def linked(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("linked")
+    run_blender(LINKED, folder)
     return folder
 
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
+
+
+def built(model):
+    return model.build(model.sample(np.random.default_rng(0), {}))
 
 
 def describe(files, tmp_path, suffix, extra=PARTS, file=None):
@@ -161,7 +175,7 @@ def describe(files, tmp_path, suffix, extra=PARTS, file=None):
 @pytest.mark.parametrize("suffix", ["obj", "glb", "fbx", "usdc", "blend"])
 def test_every_file_type_gives_the_same_shape(files, tmp_path, suffix):
     model = ready_model(describe(files, tmp_path, suffix))
-    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    mesh = built(model)
     assert set(mesh.part_names) == {"body", "head"}
     assert mesh.size_m == pytest.approx([1.5, 1.0, 1.3], abs=0.03)
     assert mesh.vertices_m[:, 2].min() == pytest.approx(0, abs=1e-9)
@@ -182,17 +196,15 @@ def test_infrared_effect_materials_need_no_parts(files, tmp_path):
 
 
 def test_subdivision_is_that_of_the_render(files, tmp_path):
-    model = ready_model(describe(files, tmp_path, "blend"))
-    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    mesh = built(ready_model(describe(files, tmp_path, "blend")))
     head = mesh.part_of_triangle == mesh.part_names.index("head")
     assert head.sum() > 10_000  # 960 triangles before two levels of subdivision
 
 
 def test_a_blend_is_read_as_a_render_shows_it(tmp_path):
     """What is hidden, which modifiers act, and the names of objects in instances of a collection."""
-    script, blend = tmp_path / "make.py", tmp_path / "rendered.blend"
-    script.write_text(RENDERED)
-    subprocess.run([sys.executable, str(script), str(blend)], check=True, timeout=300, capture_output=True)
+    blend = tmp_path / "rendered.blend"
+    run_blender(RENDERED, blend)
     import_geometry(blend)
     groups, arrays = read_geometry(geometry_file(blend), "here")
     triangles = dict(zip([g.object for g in groups], np.bincount(arrays["group_of_triangle"]).tolist(), strict=True))
@@ -204,8 +216,7 @@ def test_a_blend_is_read_as_a_render_shows_it(tmp_path):
 
 
 def test_heading_and_length(files, tmp_path):
-    model = ready_model(describe(files, tmp_path, "obj", PARTS + "heading: '-X'\nlength_m: 3.0\n"))
-    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    mesh = built(ready_model(describe(files, tmp_path, "obj", PARTS + "heading: '-X'\nlength_m: 3.0\n")))
     assert mesh.size_m.max() == pytest.approx(3.0)
     head = mesh.part_of_triangle == mesh.part_names.index("head")
     assert mesh.vertices_m[mesh.triangles[head]].reshape(-1, 3)[:, 0].mean() < 0
@@ -225,8 +236,7 @@ def test_an_obj_that_stands_on_z(files, tmp_path):
     turned.write_text("\n".join(turn(line) for line in text if not line.startswith("mtllib")))
     sizes = []
     for file, extra in ((files / "thing.obj", PARTS), (turned, PARTS + "up: Z\n")):
-        model = ready_model(describe(files, tmp_path, "", extra, file=file))
-        sizes.append(model.build(model.sample(np.random.default_rng(0), {})).size_m)
+        sizes.append(built(ready_model(describe(files, tmp_path, "", extra, file=file))).size_m)
     assert sizes[0] == pytest.approx(sizes[1], abs=1e-5)
     with pytest.raises(ModelError, match=r"up is set, but a \.fbx file records its vertical axis"):
         ready_model(describe(files, tmp_path, "fbx", PARTS + "up: Z\n"))
@@ -269,11 +279,9 @@ def test_a_gltf_with_z_up(tmp_path, up, size_m):
     """A GLB that another tool saved with Z up is upright if its YAML has `up: Z`."""
     z_up_glb(tmp_path / "z_up.glb")
     parts = "parts: {body: {match: [Body], delta_t_k: 1, emissivity: 0.9}}\n"
-    model = ready_model(describe(None, tmp_path, "", parts + up, file=tmp_path / "z_up.glb"))
-    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    mesh = built(ready_model(describe(None, tmp_path, "", parts + up, file=tmp_path / "z_up.glb")))
     assert mesh.size_m == pytest.approx(size_m, abs=1e-6)
-    a, b, c = (mesh.vertices_m[mesh.triangles[:, k]] for k in range(3))
-    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(1.0, abs=1e-6)  # turned, not mirrored
+    assert signed_volume(mesh.vertices_m, mesh.triangles) == pytest.approx(1.0, abs=1e-6)  # turned, not mirrored
 
 
 @pytest.mark.parametrize(
@@ -318,20 +326,10 @@ def test_a_glb_is_added_by_the_names_of_its_objects(files, tmp_path):
     }
     assert survey.file_size == pytest.approx((1.5, 1.0, 1.3), abs=0.03)
     answers = api.ModelAnswers("fox", 0.7, {"Head": "muzzle"})
-    model = ready_model(str(api.add_model(files / "thing.glb", answers, tmp_path)))
-    mesh = model.build(model.sample(np.random.default_rng(0), {}))
+    mesh = built(ready_model(str(api.add_model(files / "thing.glb", answers, tmp_path))))
     assert set(mesh.part_names) == {"fur", "muzzle"}
     assert mesh.size_m.max() == pytest.approx(0.7)
     assert mesh.vertices_m[:, 2].min() == pytest.approx(0, abs=1e-9)
-
-
-@pytest.fixture(scope="module")
-def linked(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("linked")
-    script = folder / "make.py"
-    script.write_text(LINKED)
-    subprocess.run([sys.executable, str(script), str(folder)], check=True, timeout=300, capture_output=True)
-    return folder
 
 
 def test_a_changed_buffer_is_another_model(tmp_path):
@@ -341,8 +339,7 @@ def test_a_changed_buffer_is_another_model(tmp_path):
     sizes, digests = [], set()
     for size in (0.5, 2.0):
         write_gltf(tmp_path, size)
-        model = ready_model(description)
-        sizes.append(model.build(model.sample(np.random.default_rng(0), {})).size_m.max())
+        sizes.append(built(ready_model(description)).size_m.max())
         digests.add(description_digest(Path(description)))
     assert sizes == pytest.approx([0.5, 2.0])
     assert len(digests) == 2

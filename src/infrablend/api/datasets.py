@@ -19,7 +19,8 @@ from infrablend.pipeline.datasets.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.split import SplitReport, split_dataset
 from infrablend.pipeline.plans.request import Execution
-from infrablend.world.dataset import Layout, WorldRequest
+from infrablend.world.dataset import WorldRequest
+from infrablend.world.frames import Layout
 
 if TYPE_CHECKING:
     from infrablend.pipeline.capture.clips import FlightFacts, FrameChoice

@@ -41,11 +41,8 @@ def smoothstep(x: FloatArray) -> FloatArray:
 def joint(a: FloatArray, b: FloatArray, bones: tuple[float, float], side: FloatArray) -> FloatArray:
     """Return the joint between two bones that connect two points.
 
-    Args:
-        a: Start of the first bone.
-        b: End of the second bone.
-        bones: Lengths of the two bones; they stretch if the points are too far apart.
-        side: Unit vector at right angles to b - a: the direction in which the joint bends.
+    The bones stretch if the points are too far apart. `side` is the unit vector, at right angles to b - a, in whose
+    direction the joint bends.
     """
     reach = b - a
     span = float(np.linalg.norm(reach))
@@ -103,10 +100,7 @@ def feet_centre(hooves: FloatArray) -> float:
 def withers_height(vertices: FloatArray, triangles: IntArray, withers_x: float) -> float:
     """Return the shoulder height of a standing animal: the highest point of its trunk over the forelegs.
 
-    Args:
-        vertices: (V, 3) positions, not yet moved along x.
-        triangles: (T, 3) triangles of the trunk.
-        withers_x: Position of the withers.
+    Vertices are not yet moved along x; triangles are those of the trunk.
     """
     v = vertices[np.unique(triangles)]
     return float(v[np.abs(v[:, 0] - withers_x) < 0.03, 2].max())

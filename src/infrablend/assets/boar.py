@@ -419,10 +419,7 @@ _BACK = tuple(PART_NAMES.index(n) for n in ("back", "flank", "mane"))
 def _bent(vertices: FloatArray, bend_rad: float, head_rad: float) -> FloatArray:
     """Return the vertices with the spine bent to the left.
 
-    Args:
-        vertices: (V, 3) positions of a straight boar.
-        bend_rad: Angle between the directions of rump and shoulders.
-        head_rad: Further turn of the neck.
+    `bend_rad` is the angle between the directions of rump and shoulders, `head_rad` a further turn of the neck.
     """
     s = np.linspace(-1.0, 1.6, 261)
     angle = bend_rad * np.clip(s / 1.1, -0.6, 0.6) + head_rad * smoothstep((s - 0.38) / 0.35)
@@ -446,9 +443,6 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn,
     except that the height depends on the build.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     params = DIALS.sample(rng, options)
     if "shoulder_height_m" not in options:
@@ -459,11 +453,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
 
 def build(params: Params) -> Mesh:
-    """Build the mesh of a boar in metres, from parameters as `sample` draws them.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
+    """Build the mesh of a boar in metres, from parameters as `sample` draws them."""
     DIALS.require(params)
     variants = VARIANTS[params["pose"]]
     vertices, triangles, parts = _shape(

@@ -16,12 +16,12 @@ import numpy as np
 
 from infrablend.assets import shapes
 from infrablend.assets.drone import PARTS as DRONE_PARTS
-from infrablend.assets.implicit import Body, ellipsoid, surface, tube
+from infrablend.assets.implicit import Body, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import Params, PartRange
 from infrablend.assets.params import Choice, Dials, Number
 from infrablend.assets.rotors import PROPELLERS, Pieces, Propeller, Rotors, multirotor
 from infrablend.assets.shapes import Solid
-from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.core.mesh import FloatArray
 
 _UNUSED = ("esc", "frame", "arm")
 PARTS: Mapping[str, PartRange] = {name: role for name, role in DRONE_PARTS.items() if name not in _UNUSED}
@@ -101,17 +101,7 @@ def _skin(form: str) -> dict[str, Solid]:
     hull = ellipsoid("shell", (0.0, 0.0, 0.0), (length, width, height))
     deck = ellipsoid("shell", (-0.03, 0.0, 0.25 * height), (0.8 * length, 0.75 * width, 0.9 * height), blend=0.05)
     vertices, triangles = surface(Body((hull, deck, *arms)), _CELL)
-    skin: dict[str, Solid] = {"shell": Solid(vertices, triangles)}
-    skin["motor_mount"] = _joined(ends)
-    return skin
-
-
-def _joined(solids: list[Solid]) -> Solid:
-    offsets = np.cumsum([0, *(len(s.vertices) for s in solids)])
-    triangles: IntArray = np.concatenate(
-        [s.triangles + np.int32(o) for s, o in zip(solids, offsets[:-1], strict=True)]
-    ).astype(np.int32)
-    return Solid(np.concatenate([s.vertices for s in solids]), triangles)
+    return {"shell": Solid(vertices, triangles), "motor_mount": Solid(*concatenate(ends))}
 
 
 def _add_fittings(out: Pieces, p: Params, height: float) -> None:

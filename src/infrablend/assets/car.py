@@ -297,9 +297,6 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         rng: Random stream to draw from.
         options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a list
             to choose from with equal odds.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, (*NOMINAL, "time_of_day"))
     when = options.get("time_of_day")
@@ -654,10 +651,10 @@ def _add_on_roof(out: _Pieces, plan: _Plan, edge: FloatArray) -> None:
         out.add_both_sides("trim", shapes.sweep(np.stack([x, y, z], axis=1), 0.02, 0.018, n=8, round_ends=True))
 
 
-def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int, proud: float = 0.012) -> Solid:
+def _bar(plan: _Plan, share: Range, z: float, half_height: ArrayLike, end: int) -> Solid:
     """Return a bar that follows nose or tail from one share of the half width to another."""
     y = plan.half * np.linspace(*share, 9)
-    x = plan.end_x(y, z, end) - end * (0.03 - proud)
+    x = plan.end_x(y, z, end) - end * 0.018
     path = np.stack([x, y, np.full(9, z)], axis=1)
     return shapes.sweep(path, 0.03, half_height, n=16, exponent=5.0)
 
@@ -713,11 +710,7 @@ def _add_wheels(out: _Pieces, plan: _Plan) -> None:
 
 
 def build_car(params: Params) -> Mesh:
-    """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
+    """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose."""
     _require_params(params)
     pieces = _build_pieces(params)
     closed = np.unique(np.concatenate([p for p, _, _, _ in pieces]))

@@ -522,7 +522,7 @@ def _antler(
         radius = float(np.interp(at, np.arange(len(line.path)), line.half_width))
         curve = tube("antler", [start, bow, start + reach], [0.8 * radius, 0.7 * radius, 0.005 * thick], steps=3)
         pieces.append(sweep(curve.path, curve.half_width, n=8, up=axes[1], round_ends=True))
-    return concatenate([(p.vertices, p.triangles) for p in pieces])
+    return concatenate(pieces)
 
 
 @lru_cache(maxsize=32)
@@ -729,13 +729,6 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn. The
     option `bend_deg` alone takes one more, after all others.
-
-    Args:
-        rng: Random stream to draw from.
-        options: See `OPTIONS`.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(12)]

@@ -57,10 +57,6 @@ PARTS: Mapping[str, PartRange] = {
     **DISC_PARTS,
 }
 
-# Parts left out of the bounding box whose centre is the origin: thin parts that stick out, and propellers, whose extent
-# changes with their angle.
-OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
-
 CHOICES: Mapping[str, tuple[Any, ...]] = {
     "layout": ("x", "h", "plus", "deadcat"),
     "body": ("shell", "plate", "industrial"),
@@ -155,9 +151,6 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         rng: Random stream to draw from.
         options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a
             list to choose from with equal odds. `propeller_angle_deg` also accepts four angles.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, tuple(NOMINAL))
     dice = {name: float(rng.random()) for name in CHOICES}
@@ -713,11 +706,7 @@ def _add_antennas(out: Pieces, plan: _Plan) -> None:
 
 
 def build_drone(params: Params) -> Mesh:
-    """Build the mesh of one drone: origin at the centre of its bounding box without propellers and antennas.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
-    """
+    """Build the mesh of one drone: origin at the centre of its bounding box without propellers and antennas."""
     _require_params(params)
     discs = _rotors(_plan(params)).discs()
     return assembled(_build_pieces(params), discs, attitude=np.eye(3), size=float(params["size_m"]))

@@ -66,11 +66,7 @@ OPTIONS: Mapping[str, str] = {
 
 
 def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
-    """Draw the parameters of one drone of any shape, JSON values only.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
-    """
+    """Draw the parameters of one drone of any shape, JSON values only."""
     _CHECKS.known("option", options, tuple(OPTIONS))
     odds = [shape.odds for shape in SHAPES.values()]
     name = _CHECKS.choose("shape", options, tuple(SHAPES), odds, float(rng.random()))
@@ -87,9 +83,6 @@ def build(params: Params) -> Mesh:
     """Build the mesh of one drone.
 
     Its origin is the centre of its bounding box without propellers and antennas, before it is tilted.
-
-    Raises:
-        ModelError: A parameter is missing, unknown or out of range.
     """
     shape = _shape(params)
     mesh = shape.model.build(_own(params))

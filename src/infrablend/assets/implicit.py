@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,24 +18,7 @@ from infrablend.core.mesh import FloatArray, IntArray
 
 BLOCK = 4  # grid nodes per side of a block of the coarse grid
 FAR = 1e3
-
-
-class Primitive(Protocol):
-    """A solid given by its signed distance: negative inside, close to the true distance near the surface."""
-
-    @property
-    def part(self) -> str:
-        """Name of the part that its surface belongs to."""
-
-    @property
-    def blend(self) -> float:
-        """Width of the smooth joint with the primitives before it; 0 for a sharp one."""
-
-    def distance(self, points: FloatArray) -> FloatArray:
-        """Return the (N,) signed distances of (N, 3) points."""
-
-    def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Return the lowest and highest corner (3,) of a box around the solid."""
+_ATTEMPTS = 8  # positions of the grid that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +178,10 @@ class Ellipsoid:
         return self.centre - reach, self.centre + reach
 
 
+# A solid given by its signed distance: negative inside, close to the true one near the surface.
+Primitive = Tube | Ellipsoid
+
+
 def ellipsoid(
     part: str, centre: ArrayLike, half: ArrayLike, *, axes: ArrayLike | None = None, blend: float = 0.0
 ) -> Ellipsoid:
@@ -224,13 +210,6 @@ class Body:
 
     primitives: tuple[Primitive, ...]
     floor: bool = False
-
-    def distance(self, points: FloatArray) -> FloatArray:
-        """Return the (N,) signed distances of (N, 3) points."""
-        d = np.full(len(points), FAR)
-        for p in self.primitives:
-            d = smooth_minimum(d, p.distance(points), p.blend)
-        return np.maximum(d, -points[:, 2]) if self.floor else d
 
     def parts(self, points: FloatArray, names: Sequence[str]) -> IntArray:
         """Return the (N,) part of each point near the surface, that of its nearest primitive, as index into `names`."""
@@ -302,16 +281,16 @@ class Body:
         return np.ascontiguousarray(grid.reshape(*(blocks * BLOCK))), low
 
 
-def surface(body: Body, cell: float, attempts: int = 8) -> tuple[FloatArray, IntArray]:
+def surface(body: Body, cell: float) -> tuple[FloatArray, IntArray]:
     """Return the closed surface of a body: (V, 3) vertices and (T, 3) triangles, counter-clockwise seen from outside.
 
     Where a cell contains a thin handle or gap, an edge can get four triangles; the grid is then shifted by a fraction
-    of a cell and the surface extracted again, at most `attempts` times.
+    of a cell and the surface extracted again.
 
     Raises:
         ValueError: No grid position gives a closed surface: `cell` is too coarse for the body.
     """
-    for attempt in range(attempts):
+    for attempt in range(_ATTEMPTS):
         grid, low = body.sample_grid(cell, 0.381966 * attempt % 1.0)
         vertices, triangles = surface_nets(grid, cell, low)
         if is_closed(triangles):
@@ -364,10 +343,7 @@ _SHEET, _SHEETS = _sheets_table()
 def surface_nets(grid: FloatArray, cell: float, low: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the surface of (X, Y, Z) signed distances: (V, 3) vertices and (T, 3) triangles, facing outwards.
 
-    Args:
-        grid: Signed distances, positive on all outer faces.
-        cell: Distance between nodes of the grid.
-        low: (3,) position of node (0, 0, 0).
+    Distances are positive on all outer faces; `low` is the position of node (0, 0, 0).
     """
     inside = grid < 0
     nx, ny, nz = grid.shape

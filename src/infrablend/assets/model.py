@@ -41,11 +41,7 @@ class SunResponse:
 def sun_response(kind: str, shade_k: Range, surface: str, absorptivity: Range | None = None) -> SunResponse:
     """Return the response of a part of a material to sunlight.
 
-    Args:
-        kind: Name in `materials.SUNLIT`.
-        shade_k: (low, high) surface minus air temperature without sunlight.
-        surface: Name shared by the parts of one surface.
-        absorptivity: (low, high) share of sunlight that is absorbed; by default that of the material.
+    `shade_k` is surface minus air temperature without sunlight; absorptivity is by default that of the material.
     """
     sunlit = SUNLIT[kind]
     low, high = absorptivity or sunlit.absorptivity
@@ -129,8 +125,10 @@ class ObjectModel:
         origin: Position of the model's origin, in words.
         stands: Whether it stands on the ground, with its origin on the ground.
         parts: Thermal role of every part that `build` may name.
-        sample: Function that draws `params` (JSON values only) from a stream; `options` fixes some of them.
-        build: Function that builds the mesh of `params`, without randomness; equal params give equal arrays.
+        sample: Function that draws `params` (JSON values only) from a stream; `options` fixes some of them. ModelError
+            if an option is unknown or its value is invalid.
+        build: Function that builds the mesh of `params`, without randomness; equal params give equal arrays. ModelError
+            if a parameter is missing, unknown or out of range.
         options: Options that a recipe may set: name -> allowed values or range, in words.
         parts_for: Function that returns the thermal roles of the individual with given `params`, for models whose roles
             differ between individuals. It covers every part of the mesh with the same `label` as `parts`, which then
@@ -160,10 +158,7 @@ class ObjectModel:
 def warmed_by_sun(parts: Mapping[str, PartRange], sun_k: Range, shares: Mapping[str, float]) -> dict[str, PartRange]:
     """Return the thermal roles of a coat in the sun.
 
-    Args:
-        parts: Roles in the shade.
-        sun_k: Rise of the back, kelvin, for scenes without a sun.
-        shares: Share of that rise that a part reaches; parts that are not named keep their role.
+    `sun_k` is the rise of the back, kelvin, for scenes without a sun; parts without a share of it keep their role.
     """
     low, high = sun_k
     warmed = dict(parts)

@@ -91,12 +91,7 @@ class Checks:
     ) -> T:
         """Return one of the allowed values, or of those that the option lists.
 
-        Args:
-            name: Name of the option.
-            options: All options given; values that it lists have equal odds.
-            allowed: All values.
-            odds: Odds of the values if the option is not given.
-            share: Random number in [0, 1) that selects the value.
+        Values that an option lists have equal odds; `share` in [0, 1) selects the value.
         """
         if name not in options:
             return pick(allowed, odds, share)

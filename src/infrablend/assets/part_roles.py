@@ -158,15 +158,15 @@ class Guess:
 def guess_roles(groups: Sequence[GroupFacts], category: str | None, chosen: Mapping[str, str]) -> Guess:
     """Guess the role of every piece of a file.
 
-    Args:
-        groups: Pieces of the file.
-        category: Class of the labels, if known; it may tell the family.
-        chosen: Roles that the user chose, by the name of an object or a material.
+    The class of the labels may tell the family; `chosen` has roles by the name of an object or a material.
     """
-    told = _family_of(category)
-    specific = [chosen.get(g.object) or chosen.get(g.material) or _of_names(g, told) for g in groups]
-    family = told or _family_of_roles(specific)
-    roles = tuple(role or _of_family(g, family) for g, role in zip(groups, specific, strict=True))
+    told = next((family for family, words in _CATEGORIES.items() if _matches(category or "", words)), "")
+    known = [(entry.words, role) for role, entry in ROLES.items() if entry.fits(told)]
+    specific = [chosen.get(g.object) or chosen.get(g.material) or _role_of(g, known) for g in groups]
+    families = Counter(ROLES[r].family for r in specific if r is not None and ROLES[r].family)
+    family = told or next((family for family, _ in families.most_common(1)), "")
+    general = _GENERAL.get(family, ())
+    roles = tuple(role or _role_of(g, general) for g, role in zip(groups, specific, strict=True))
     return Guess(roles, family)
 
 
@@ -199,20 +199,10 @@ def _shortened(own: Sequence[str], every: set[str]) -> list[str]:
     return found
 
 
-def _of_names(group: GroupFacts, family: str) -> str | None:
-    for name in (group.object, group.material):
-        for role, entry in ROLES.items():
-            if entry.fits(family) and _matches(name, entry.words):
-                return role
-    return None
-
-
-def _of_family(group: GroupFacts, family: str) -> str | None:
-    for name in (group.object, group.material):
-        for words, role in _GENERAL.get(family, ()):
-            if _matches(name, words):
-                return role
-    return None
+def _role_of(group: GroupFacts, table: Sequence[tuple[Sequence[str], str]]) -> str | None:
+    """Return the role of the first words that the name of the object has, else of those of the material's name."""
+    found = (role for name in (group.object, group.material) for words, role in table if _matches(name, words))
+    return next(found, None)
 
 
 def _matches(name: str, words: Sequence[str]) -> bool:
@@ -221,14 +211,3 @@ def _matches(name: str, words: Sequence[str]) -> bool:
     parts = {p.lower() for p in re.findall(r"[A-Za-z]+", spaced)}
     whole = "".join(re.findall(r"[a-z]+", name.lower()))
     return any(w in parts or f"{w}s" in parts or (len(w) >= 5 and w in whole) for w in words)
-
-
-def _family_of(category: str | None) -> str:
-    """Return the family that the class of the labels tells; empty if it tells none."""
-    return next((family for family, words in _CATEGORIES.items() if _matches(category or "", words)), "")
-
-
-def _family_of_roles(roles: Sequence[str | None]) -> str:
-    """Return the family of most roles; empty if they tell none."""
-    told = Counter(ROLES[r].family for r in roles if r is not None and ROLES[r].family)
-    return told.most_common(1)[0][0] if told else ""

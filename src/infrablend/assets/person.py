@@ -317,7 +317,7 @@ def _skin(body: Body, cell: float) -> Piece:
 
 
 def _one_part(part: str, *solids: Solid) -> Piece:
-    v, t = concatenate([(s.vertices, s.triangles) for s in solids])
+    v, t = concatenate(solids)
     return v, t, np.full(len(t), _NUMBER[part], np.int32)
 
 
@@ -830,13 +830,6 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn
     (as far as pose and clothes allow).
-
-    Args:
-        rng: Random stream to draw from.
-        options: See `OPTIONS`.
-
-    Raises:
-        ModelError: An option is unknown or its value is invalid.
     """
     _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(18)]

@@ -107,19 +107,15 @@ class Propeller:
         solid.vertices[:, 2] += 0.03 * solid.vertices[:, 0] ** 2 / R
         return solid
 
-    def disc_roles(self) -> dict[str, PartRange]:
-        """Return the thermal role of each ring of the disc, with its own opacity."""
-        roles = {}
-        for name, (inner, outer) in DISC_RINGS.items():
-            t = np.linspace(inner, outer, 21)
-            covered = float((self.blades * self.chord_at(t)).sum() / (2 * math.pi * t).sum())
-            roles[name] = replace(DISC_PARTS[name], opacity=round(covered, 4))
-        return roles
-
     def roles_among(self, parts: Mapping[str, PartRange]) -> dict[str, PartRange]:
         """Return an aircraft's roles with those of this propeller's discs, or without discs if it is still."""
         roles = {name: role for name, role in parts.items() if name not in DISC_RINGS}
-        return {**roles, **self.disc_roles()} if self.spinning else roles
+        if self.spinning:
+            for name, (inner, outer) in DISC_RINGS.items():
+                t = np.linspace(inner, outer, 21)
+                covered = float((self.blades * self.chord_at(t)).sum() / (2 * math.pi * t).sum())
+                roles[name] = replace(DISC_PARTS[name], opacity=round(covered, 4))
+        return roles
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,11 +238,8 @@ def with_discs(mesh: Mesh, discs: Sequence[FloatArray]) -> Mesh:
 def assembled(pieces: Pieces, discs: Sequence[FloatArray], *, attitude: FloatArray, size: float) -> Mesh:
     """Return the mesh of an aircraft; its origin is the centre of its bounding box, see `OUTSIDE_ORIGIN_BOX`.
 
-    Args:
-        pieces: Closed solids of the level aircraft.
-        discs: Vertices of the discs of spinning propellers, level as well.
-        attitude: (3, 3) rotation from level to the attitude in flight.
-        size: Scale.
+    `discs` are the vertices of the discs of spinning propellers, level as the pieces; `attitude` turns both to that in
+    flight.
     """
     turned = Pieces()
     turned.add_all(pieces, attitude)
@@ -266,13 +259,8 @@ def multirotor(
 ) -> ObjectModel:
     """Return the model of an aircraft that leans forward by `lean_deg`.
 
-    Args:
-        name: Name of the model.
-        description: What it is.
-        parts: Thermal role of every part.
-        dials: Its parameters, with `size_m` and `lean_deg`.
-        rotors: Returns the motors for parameters.
-        pieces: Returns the closed solids of the level aircraft for parameters, for a diagonal of 1.
+    Its dials have `size_m` and `lean_deg`; `pieces` returns the closed solids of the level aircraft, for a diagonal of
+    1.
     """
 
     def roles(params: Params) -> dict[str, PartRange]:

@@ -98,13 +98,7 @@ def object_material(
     Attributes per face corner: `temperature_c`, `emissivity`, `ior` and `label`; in the physical look also `roughness`
     and `metal`; for translucent objects also `opacity`. Custom properties of the object: `cold_c`, `hot_c` and
     `surroundings_c` in the artistic look; those listed in `physical.SKY` in the physical look. The material writes
-    `label` to the AOV `coverage_<slot>`.
-
-    Args:
-        slot: Number of the object in the scene.
-        physical: Whether the scene has the physical look.
-        translucent: Whether the object has translucent parts.
-        two_sided: Whether the backs of faces look like their fronts.
+    `label` to the AOV `coverage_<slot>`. `two_sided` makes the backs of faces look like their fronts.
     """
     name = (
         f"{'physical' if physical else 'artistic'}_{slot}"

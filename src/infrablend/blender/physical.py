@@ -126,14 +126,7 @@ def emission_alone(nodes: Nodes, celsius: Any, emissivity: Any, ior: Any, sky: M
     """Return the shader of a translucent surface, which emits its own radiance and the reflection of sky and ground.
 
     A scattering shader mixed with a Transparent node is sampled at random, which makes alpha and coverage noisy; an
-    emission is exact. Reflections of other parts are missing.
-
-    Args:
-        nodes: Nodes of the material.
-        celsius: Socket of the temperature, degrees Celsius.
-        emissivity: Socket of the emissivity at normal incidence.
-        ior: Socket of the refractive index.
-        sky: Socket for each name of `sky_values`.
+    emission is exact. Reflections of other parts are missing. `sky` holds a socket for each name of `sky_values`.
     """
     geometry = nodes.new("ShaderNodeNewGeometry")
     incoming, normal = geometry.outputs["Incoming"], geometry.outputs["Normal"]

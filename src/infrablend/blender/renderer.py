@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import bpy
-import mathutils
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from infrablend.blender import session
 from infrablend.blender.materials import aov_name, object_material
 from infrablend.blender.physical import UNIT_W_M2_SR, set_world, sky_values
 from infrablend.blender.quality import sampling_for
-from infrablend.core.camera import CameraSpec
 from infrablend.core.machine import Device
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.render import RenderResult, empty_result
@@ -41,42 +35,14 @@ class BlenderRenderer:
     Scenes without a given number of samples, in which surfaces only emit, need no path tracing: `rendering.emission`.
     """
 
-    def __init__(
-        self,
-        device: Device = "cpu",
-        threads: int = 1,
-        scratch: Path | None = None,
-        *,
-        whole_frame: bool = False,
-    ) -> None:
+    def __init__(self, device: Device = "cpu", *, whole_frame: bool = False) -> None:
         """Start from an empty Blender scene.
 
-        Args:
-            device: Device that Cycles computes on.
-            threads: CPU threads of one render; workers run in parallel, so 1 gives the best throughput.
-            scratch: Folder for the render's float file; by default $TMPDIR, else memory (/dev/shm) where it exists.
-            whole_frame: Render every pixel of the frame instead of a crop; for measurements.
+        `whole_frame` renders every pixel of the frame instead of a crop; for measurements.
         """
         self._whole_frame = whole_frame
-        session.return_large_blocks()
-        self._scene = session.reset()
-        self.device = session.use_device(self._scene, device, threads)
-        shm = "/dev/shm" if Path("/dev/shm").is_dir() else None
-        # Workers get a TMPDIR in memory that their parent removes, so a killed one leaves nothing behind.
-        self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=scratch or os.environ.get("TMPDIR") or shm)
-        self._file = Path(self._folder.name) / "render.exr"
-        s = self._scene
-        camera = bpy.data.cameras.new("camera")
-        self._camera = bpy.data.objects.new("camera", camera)
-        s.collection.objects.link(self._camera)
-        s.camera = self._camera
-        settings = s.render.image_settings
-        settings.file_format = "OPEN_EXR_MULTILAYER"
-        settings.color_mode = "RGBA"
-        settings.color_depth = "32"
-        settings.exr_codec = "NONE"
-        s.render.use_file_extension = False
-        s.render.filepath = str(self._file)
+        self._stage = session.Stage(device)
+        self._scene = self._stage.scene
 
     def render(self, scene: PlacedScene) -> RenderResult:
         """Render a scene, cropped to what its objects cover; a scene without objects gives an empty crop."""
@@ -89,7 +55,7 @@ class BlenderRenderer:
         if crop is None:
             return empty_result((w, h), len(objects))
         x0, y0, x1, y1 = crop
-        self._set_camera(spec.camera)
+        self._stage.set_camera(spec.camera, (0.01, 10_000.0))
         self._set_crop(crop, (w, h))
         self._set_sampling(spec.samples, spec.render_seed)
         self._set_aovs(len(objects))
@@ -98,11 +64,7 @@ class BlenderRenderer:
             for slot, placed in enumerate(objects):
                 stack.enter_context(self._object(slot, placed, spec))
             built = time.perf_counter()
-            self._file.unlink(missing_ok=True)
-            try:
-                bpy.ops.render.render(write_still=True)
-            except RuntimeError as error:
-                raise RenderError(f"{spec.frame_id}: Cycles failed: {error}") from error
+            self._stage.render(spec.frame_id)
         rendered = time.perf_counter()
         radiance, alpha, coverage = self._read(len(objects), (y1 - y0, x1 - x0), spec.frame_id)
         if spec.weather is not None:
@@ -116,21 +78,8 @@ class BlenderRenderer:
 
     def close(self) -> None:
         """Remove the scratch folder and empty the scene."""
-        self._folder.cleanup()
+        self._stage.close()
         bpy.ops.wm.read_factory_settings(use_empty=True)
-
-    def _set_camera(self, camera: CameraSpec) -> None:
-        data = self._camera.data
-        session.set_lens(data, camera)
-        data.clip_start, data.clip_end = 0.01, 10_000.0
-        # Blender's camera looks along -Z with +Y up; ours along +z with +y down.
-        axes = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
-        matrix = np.eye(4)
-        matrix[:3, :3] = axes
-        matrix[:3, 3] = camera.position_m
-        self._camera.matrix_world = mathutils.Matrix(matrix.tolist())
-        r = self._scene.render
-        r.resolution_x, r.resolution_y = camera.size_wh
 
     def _set_crop(self, crop: tuple[int, int, int, int], size_wh: tuple[int, int]) -> None:
         x0, y0, x1, y1 = crop
@@ -196,18 +145,13 @@ class BlenderRenderer:
     def _read(
         self, objects: int, shape_hw: tuple[int, int], frame_id: str
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        if not self._file.is_file():
-            raise RenderError(f"{frame_id}: Cycles wrote no picture")
-        with OpenEXR.File(str(self._file), separate_channels=True) as exr:
-            channels = {k.lower(): np.array(v.pixels, np.float32) for k, v in exr.channels().items()}
+        channels = self._stage.channels()
 
         def named(*endings: str) -> NDArray[np.float32]:
-            for name, pixels in channels.items():
-                if name.endswith(endings):
-                    if pixels.shape != shape_hw:
-                        raise RenderError(f"{frame_id}: Cycles returned {pixels.shape} pixels for a crop of {shape_hw}")
-                    return pixels
-            raise RenderError(f"{frame_id}: channel {endings[0]} is missing; found {sorted(channels)}")
+            pixels = session.channel(channels, frame_id, *endings)
+            if pixels.shape != shape_hw:
+                raise RenderError(f"{frame_id}: Cycles returned {pixels.shape} pixels for a crop of {shape_hw}")
+            return pixels
 
         coverage = [np.clip(named(f"{aov_name(k)}.v", f"{aov_name(k)}.x", aov_name(k)), 0, 1) for k in range(objects)]
         return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
@@ -220,14 +164,8 @@ def _bounces(scene: PlacedScene) -> int:
 
 
 def _fill_mesh(data: bpy.types.Mesh, placed: PlacedObject, scene: SceneSpec) -> None:
-    mesh, world_m = placed.mesh, placed.world_m
-    count = len(mesh.triangles)
-    data.vertices.add(len(world_m))
-    data.vertices.foreach_set("co", np.ascontiguousarray(world_m, np.float32).ravel())
-    data.loops.add(3 * count)
-    data.loops.foreach_set("vertex_index", np.ascontiguousarray(mesh.triangles).ravel())
-    data.polygons.add(count)
-    data.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    mesh = placed.mesh
+    session.fill_mesh(data, placed.world_m, mesh.triangles)
     data.polygons.foreach_set("use_smooth", np.ascontiguousarray(mesh.smooth))
     for name, values in surface_values(placed, scene).items():
         data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)

@@ -7,16 +7,21 @@ dither, denoising, sample clamping, soft pixel filter) would falsify thermal dat
 from __future__ import annotations
 
 import ctypes
-import logging
+import os
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import bpy
+import mathutils
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.machine import Device
-from infrablend.errors import MissingDependencyError
-
-log = logging.getLogger(__name__)
+from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.errors import MissingDependencyError, RenderError
 
 # `auto` tries them in this order.
 GPU_BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
@@ -28,14 +33,102 @@ _LARGE_BLOCK_BYTES = 2**20
 _KEPT_BYTES = 2**26
 
 
-def reset() -> bpy.types.Scene:
-    """Empty the scene, discard user preferences and pin all settings that affect pixels."""
-    # Factory settings also guarantee that scripts in .blend files stay off (use_scripts_auto_execute).
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.context.preferences.filepaths.use_scripts_auto_execute = False
-    scene = bpy.context.scene
-    pin_settings(scene)
-    return scene
+class Stage:
+    """The scene of the process, emptied, with a camera, and the float file that it is rendered to.
+
+    Attributes:
+        scene: The scene, with all settings pinned that affect pixels.
+    """
+
+    def __init__(self, device: Device) -> None:
+        """Empty the scene and discard user preferences; render on a device, see `use_device`."""
+        return_large_blocks()
+        # Factory settings also guarantee that scripts in .blend files stay off (use_scripts_auto_execute).
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.context.preferences.filepaths.use_scripts_auto_execute = False
+        s = self.scene = bpy.context.scene
+        pin_settings(s)
+        use_device(s, device)
+        shm = "/dev/shm" if Path("/dev/shm").is_dir() else None
+        # Workers get a TMPDIR in memory that their parent removes, so a killed one leaves nothing behind.
+        self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=os.environ.get("TMPDIR") or shm)
+        self._file = Path(self._folder.name) / "render.exr"
+        self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+        s.collection.objects.link(self._camera)
+        s.camera = self._camera
+        settings = s.render.image_settings
+        settings.file_format = "OPEN_EXR_MULTILAYER"
+        settings.color_mode = "RGBA"
+        settings.color_depth = "32"
+        settings.exr_codec = "NONE"
+        s.render.use_file_extension = False
+        s.render.filepath = str(self._file)
+
+    def close(self) -> None:
+        """Remove the float file."""
+        self._folder.cleanup()
+
+    def set_camera(self, camera: CameraSpec, clip_m: tuple[float, float], oversample: int = 1) -> None:
+        """Set the camera, with its near and far limit, and the size of renders in samples per pixel and direction.
+
+        Blender raises a focal length or sensor width below 1 mm to 1 mm. Only their ratio counts, so both are scaled
+        up.
+        """
+        data = self._camera.data
+        scale = max(1.0, 1 / min(camera.sensor_width_mm, camera.focal_length_mm))
+        data.sensor_fit = "HORIZONTAL"
+        data.sensor_width = scale * camera.sensor_width_mm
+        data.lens = scale * camera.focal_length_mm
+        data.clip_start, data.clip_end = clip_m
+        # Blender's camera looks along -Z with +Y up; ours along +z with +y down.
+        matrix = np.eye(4)
+        matrix[:3, :3] = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
+        matrix[:3, 3] = camera.position_m
+        self._camera.matrix_world = mathutils.Matrix(matrix.tolist())
+        r, (w, h) = self.scene.render, camera.size_wh
+        r.resolution_x, r.resolution_y = w * oversample, h * oversample
+
+    def render(self, what: str) -> None:
+        """Render the scene to the file; `what` is shown in errors.
+
+        Raises:
+            RenderError: Cycles failed.
+        """
+        self._file.unlink(missing_ok=True)
+        try:
+            bpy.ops.render.render(write_still=True)
+        except RuntimeError as error:
+            raise RenderError(f"{what}: Cycles failed: {error}") from error
+        if not self._file.is_file():
+            raise RenderError(f"{what}: Cycles wrote no picture; is the disk full?")
+
+    def channels(self) -> dict[str, NDArray[np.float32]]:
+        """Return the (h, w) channels of the file, by their names in lower case."""
+        with OpenEXR.File(str(self._file), separate_channels=True) as exr:
+            return {name.lower(): np.array(c.pixels, np.float32) for name, c in exr.channels().items()}
+
+
+def channel(channels: dict[str, NDArray[np.float32]], what: str, *endings: str) -> NDArray[np.float32]:
+    """Return the first channel whose name has one of these endings; `what` is shown in errors.
+
+    Raises:
+        RenderError: There is none.
+    """
+    for name, pixels in channels.items():
+        if name.endswith(endings):
+            return pixels
+    raise RenderError(f"{what}: channel {endings[0]} is missing; found {sorted(channels)}")
+
+
+def fill_mesh(data: bpy.types.Mesh, vertices_m: FloatArray, triangles: IntArray) -> None:
+    """Give an empty mesh its (V, 3) vertices and (T, 3) triangles."""
+    count = len(triangles)
+    data.vertices.add(len(vertices_m))
+    data.vertices.foreach_set("co", np.ascontiguousarray(vertices_m, np.float32).ravel())
+    data.loops.add(3 * count)
+    data.loops.foreach_set("vertex_index", np.ascontiguousarray(triangles).ravel())
+    data.polygons.add(count)
+    data.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
 
 
 def return_large_blocks() -> None:
@@ -90,34 +183,18 @@ def pin_settings(scene: bpy.types.Scene) -> None:
     view.use_curve_mapping = False
 
 
-def set_lens(data: bpy.types.Camera, camera: CameraSpec) -> None:
-    """Set the horizontal field of view of a Blender camera.
-
-    Blender raises a focal length or sensor width below 1 mm to 1 mm. Only their ratio counts, so both are scaled up.
-    """
-    scale = max(1.0, 1 / min(camera.sensor_width_mm, camera.focal_length_mm))
-    data.sensor_fit = "HORIZONTAL"
-    data.sensor_width = scale * camera.sensor_width_mm
-    data.lens = scale * camera.focal_length_mm
-
-
-def use_device(scene: bpy.types.Scene, device: Device, threads: int = 0) -> str:
-    """Set the device that Cycles renders on and return its name, e.g. `cpu` or `cuda`.
-
-    Args:
-        scene: Scene to change.
-        device: Device to use; `auto` takes a GPU if there is one, else the CPU.
-        threads: CPU threads per render; 0 lets Blender decide.
+def use_device(scene: bpy.types.Scene, device: Device) -> None:
+    """Set the device that Cycles renders on; `auto` takes a GPU if there is one, else the CPU.
 
     Raises:
         MissingDependencyError: No device of the requested GPU backend was found.
     """
-    if threads:
-        scene.render.threads_mode = "FIXED"
-        scene.render.threads = threads
+    # Workers run in parallel, so one thread each gives the best throughput.
+    scene.render.threads_mode = "FIXED"
+    scene.render.threads = 1
+    scene.cycles.device = "CPU"
     if device == "cpu":
-        scene.cycles.device = "CPU"
-        return "cpu"
+        return
     found = gpu_devices()
     wanted = GPU_BACKENDS if device == "auto" else (device.upper(),)
     for backend in wanted:
@@ -127,10 +204,9 @@ def use_device(scene: bpy.types.Scene, device: Device, threads: int = 0) -> str:
             for d in preferences.devices:
                 d.use = d.type == backend
             scene.cycles.device = "GPU"
-            return backend.lower()
+            return
     if device == "auto":
-        scene.cycles.device = "CPU"
-        return "cpu"
+        return
     names = sorted(k.lower() for k, v in found.items() if v)
     raise MissingDependencyError(
         f"--device {device}: Blender finds no such device here; found {', '.join(names) or 'no GPU at all'}. "

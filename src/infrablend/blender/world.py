@@ -7,19 +7,13 @@ have four samples per pixel.
 
 from __future__ import annotations
 
-import contextlib
-import os
-import sys
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import bpy
 import mathutils
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from infrablend.blender import session
@@ -28,7 +22,6 @@ from infrablend.core.camera import CameraSpec
 from infrablend.core.machine import take_core
 from infrablend.core.mesh import FloatArray, IntArray
 from infrablend.core.tasks import Task
-from infrablend.errors import RenderError
 from infrablend.world.buildings import building
 from infrablend.world.fixtures import TREE_KINDS, Tree, furniture, tree_matrix, tree_prototype
 from infrablend.world.frame_files import FinishedFrame, make_frame
@@ -45,45 +38,22 @@ ATTRIBUTES = ("kelvin", "mirror", "solar_k", "grain_k")
 
 
 class WorldRenderer:
-    """Renderer of plans, one after the other; owns the Blender scene of the process. A context manager."""
+    """Renderer of plans, one after the other; owns the Blender scene of the process."""
 
-    def __init__(self, threads: int = 0) -> None:
-        """Start from an empty Blender scene; `threads` 0 uses all cores (the image does not depend on it)."""
-        self._scene = session.reset()
-        session.use_device(self._scene, "cpu", threads)
-        shm = Path("/dev/shm")
-        self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=shm if shm.is_dir() else None)
-        self._file = Path(self._folder.name) / "world.exr"
-        s = self._scene
+    def __init__(self) -> None:
+        """Start from an empty Blender scene."""
+        self._stage = session.Stage("cpu")
+        s = self._scene = self._stage.scene
         s.render.film_transparent = False
-        s.render.use_file_extension = False
-        s.render.filepath = str(self._file)
         s.cycles.samples = SAMPLES
         s.cycles.seed = 0
         s.view_layers[0].use_pass_object_index = True
-        settings = s.render.image_settings
-        settings.file_format = "OPEN_EXR_MULTILAYER"
-        settings.color_mode = "RGBA"
-        settings.color_depth = "32"
-        settings.exr_codec = "NONE"
-        camera = bpy.data.cameras.new("world camera")
-        self._camera = bpy.data.objects.new("world camera", camera)
-        s.collection.objects.link(self._camera)
-        s.camera = self._camera
         self._thing_material = thing_material()
         self._ground_material = ground_material()
         self._prototypes: dict[tuple[str, int], bpy.types.Mesh] = {}
         self._objects: list[bpy.types.Object] = []
         self._meshes: list[bpy.types.Mesh] = []
         self._image: bpy.types.Image | None = None
-
-    def __enter__(self) -> WorldRenderer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Remove from Blender everything that this renderer created."""
@@ -94,7 +64,7 @@ class WorldRenderer:
         if self._image is not None:
             bpy.data.images.remove(self._image)
             self._image = None
-        self._folder.cleanup()
+        self._stage.close()
 
     def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
         """Return the (h, w) float32 temperatures of a frame in kelvin, and a label for every thing with a class."""
@@ -153,13 +123,7 @@ class WorldRenderer:
 
     def _mesh(self, name: str, s: Surface, vertices_m: FloatArray) -> bpy.types.Mesh:
         mesh = bpy.data.meshes.new(name)
-        v, t = len(vertices_m), len(s.triangles)
-        mesh.vertices.add(v)
-        mesh.vertices.foreach_set("co", np.ascontiguousarray(vertices_m, np.float32).ravel())
-        mesh.loops.add(3 * t)
-        mesh.loops.foreach_set("vertex_index", s.triangles.ravel())
-        mesh.polygons.add(t)
-        mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * t, 3, dtype=np.int32))
+        session.fill_mesh(mesh, vertices_m, s.triangles)
         for attribute in ATTRIBUTES:
             mesh.attributes.new(attribute, "FLOAT", "FACE").data.foreach_set("value", getattr(s, attribute))
         mesh.update(calc_edges=True)
@@ -210,31 +174,11 @@ class WorldRenderer:
     # Rendering ------------------------------------------------------------------------------------------------
 
     def _render(self, camera: CameraSpec) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        w, h = camera.size_wh
-        s = self._scene
-        s.render.resolution_x, s.render.resolution_y = w * OVERSAMPLE, h * OVERSAMPLE
-        data: Any = self._camera.data
-        session.set_lens(data, camera)
-        data.clip_start, data.clip_end = 1.0, 10 * camera.distance_m
-        # Blender's camera looks along its -Z with +Y up.
-        axes = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = axes, camera.position_m
-        self._camera.matrix_world = mathutils.Matrix(pose.tolist())
-        self._file.unlink(missing_ok=True)
-        try:
-            with _silenced():
-                bpy.ops.render.render(write_still=True)
-        except RuntimeError as error:
-            raise RenderError(f"Cycles failed to render the virtual world: {error}") from error
-        if not self._file.is_file():
-            raise RenderError(f"{self._file}: Blender wrote no image of the virtual world; is the disk full?")
-        with OpenEXR.File(str(self._file), separate_channels=True) as exr:
-            channels = exr.channels()
-            names = sorted(channels)
-            kelvin = np.array(channels[_channel(names, ".Combined.", "R")].pixels, np.float32)
-            ids = np.array(channels[_channel(names, ".IndexOB.", "X")].pixels)
-        return kelvin, np.round(ids).astype(np.int32)
+        self._stage.set_camera(camera, (1.0, 10 * camera.distance_m), OVERSAMPLE)
+        self._stage.render("virtual world")
+        channels = self._stage.channels()
+        ids = session.channel(channels, "virtual world", ".indexob.x")
+        return session.channel(channels, "virtual world", ".combined.r"), np.round(ids).astype(np.int32)
 
     def _clear(self) -> None:
         for thing in self._objects:
@@ -259,28 +203,6 @@ class WorldRenderer:
         x1, y1 = np.clip(np.ceil(np.nanmax(xy, axis=0) * OVERSAMPLE).astype(int) + 1, 0, (w, h))
         visible = VisibleSamples(ids[y0:y1, x0:x1] == index, (int(x0), int(y0)), OVERSAMPLE)
         return label_object(category, camera, vertices_m, triangles, visible, upright=category == "Person")
-
-
-@contextlib.contextmanager
-def _silenced() -> Iterator[None]:
-    """Discard the C library's standard output, to which Blender reports every render."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(nowhere, 1)
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(nowhere)
-
-
-def _channel(names: list[str], middle: str, end: str) -> str:
-    for name in names:
-        if middle in name and name.upper().endswith("." + end):
-            return name
-    raise RenderError(f"Blender's image has no channel like *{middle}{end}, only {', '.join(names)}")
 
 
 def thing_material() -> bpy.types.Material:
@@ -336,10 +258,10 @@ def ground_material() -> bpy.types.Material:
 class WorldWorker:
     """Renders frames of one virtual dataset; owns the Blender scene of its process."""
 
-    def __init__(self, seed: int, folder: Path, threads: int) -> None:
-        """Start Blender with `threads` render threads (0: one per core); images go to `folder`/<split>/."""
+    def __init__(self, seed: int, folder: Path) -> None:
+        """Start Blender; images go to `folder`/<split>/."""
         self._seed, self._folder = seed, folder
-        self._renderer = WorldRenderer(threads)
+        self._renderer = WorldRenderer()
 
     def __call__(self, task: Task) -> FinishedFrame:
         """Render the `FrameFacts` in the payload of a task."""
@@ -351,6 +273,6 @@ class WorldWorker:
 
 
 def make_world_worker(settings: Mapping[str, Any]) -> WorldWorker:
-    """Create a worker from `seed` and `folder`; it uses one render thread, since workers run in parallel."""
+    """Create a worker from `seed` and `folder`."""
     take_core()
-    return WorldWorker(settings["seed"], Path(settings["folder"]), 1)
+    return WorldWorker(settings["seed"], Path(settings["folder"]))

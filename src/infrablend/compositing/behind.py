@@ -67,12 +67,8 @@ def look_behind(
 ) -> Behind:
     """Find ground, sky and skyline of a picture.
 
-    Args:
-        picture: (h, w) levels, hot is bright.
-        free: (h, w) pixels outside all labels' boxes.
-        scale: Levels of the picture per 8-bit level.
-        camera: The picture's own camera; None if its horizon is unknown, then all is ground.
-        weather: Air and sky.
+    `picture` has (h, w) levels, hot is bright; `free` are the pixels outside all labels' boxes, `scale` levels per
+    8-bit level. Without a camera whose horizon is known, all is ground.
     """
     everywhere = np.ones(picture.shape, np.bool_)
     level = _median(picture, free)

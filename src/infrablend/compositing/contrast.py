@@ -19,7 +19,7 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
-from infrablend.core.rings import MIN_RING_PX, ring_levels
+from infrablend.core.rings import ring_levels
 
 # Boxes nearer to the frame's edge are not measured.
 EDGE_PX = 3
@@ -108,21 +108,16 @@ def measure_contrast(
     box_xyxy: NDArray[np.float64],
     others: Sequence[NDArray[np.float64]] = (),
     scale: float = 1.0,
-    min_ring_px: int = MIN_RING_PX,
 ) -> Contrast | None:
     """Measure the contrast of the object in a box against the ring around it.
 
-    Args:
-        picture: (h, w) levels.
-        box_xyxy: (4,) box of the object, pixels; taken as its integer hull.
-        others: Boxes of other objects, which are left out of the ring.
-        scale: Levels of the picture per 8-bit level.
-        min_ring_px: Least width of the ring.
+    The box is taken as its integer hull; those of other objects are left out of the ring. `scale` is the number of
+    levels per 8-bit level.
 
     Returns:
         The contrast; None if the box is empty or too few pixels of the ring are free.
     """
-    around = ring_levels(picture, box_xyxy, others, min_ring_px)
+    around = ring_levels(picture, box_xyxy, others)
     if around is None:
         return None
     ring = around / scale
@@ -156,15 +151,9 @@ def visible_change(
 ) -> float:
     """Return the change of an object's pixels by its insertion, 8-bit levels: the 90 % quantile within its mask.
 
-    Means over 3 x 3 pixels are compared, because new grain changes every pixel even if nobody sees the object.
-
-    Args:
-        before: (h, w) background.
-        after: (h, w) finished picture.
-        coverage: (ch, cw) share of each pixel of a crop that the object covers; its mask is at least a half, or the
-            most covered pixel of objects smaller than that.
-        offset_xy: Column and row of the crop in the picture.
-        scale: Levels of the picture per 8-bit level.
+    Means over 3 x 3 pixels are compared, because new grain changes every pixel even if nobody sees the object. Its mask
+    is what `coverage`, a crop at `offset_xy`, has by at least a half, or the most covered pixel of a smaller object;
+    `scale` is the number of levels per 8-bit level.
     """
     x, y = offset_xy
     h, w = coverage.shape

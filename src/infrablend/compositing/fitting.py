@@ -76,10 +76,7 @@ class Survey:
     def add(self, picture: GreyImage, free: NDArray[np.bool_] | None, jpeg_quality: int | None) -> None:
         """Measure one picture.
 
-        Args:
-            picture: (h, w) grey levels.
-            free: (h, w) false on annotated objects; None if there are none.
-            jpeg_quality: Quality of the JPEG file; None for other files.
+        `free` is false on annotated objects; only JPEG files have a quality.
         """
         self.read += 1
         profiles, _ = edge_profiles(picture, self.scale, free)

@@ -166,17 +166,10 @@ def find_anchors(
 ) -> tuple[Anchor, ...]:
     """Read the anchors of a picture: people's clothes and, at night, car roofs, each known to 3 K.
 
-    By day there are none: in the sun, one side of a person is 20 K warmer than the other.
-    A person whose brightest part is clipped gives a lower bound; clipped clothing gives no reading.
-
-    Args:
-        picture: (h, w) levels of the backdrop, white-hot.
-        free: (h, w) pixels outside all labels' boxes.
-        backdrop: The background.
-        air_k: Air temperature. Car roofs are taken to look 8 K colder.
-        clothing_k: Assumed excess of clothes over the air temperature.
-        ground_grey: Level of the picture's ground; that of each anchor's surroundings if None.
-        reach: Width of the ring around each anchor, see `ring_level`.
+    By day there are none: in the sun, one side of a person is 20 K warmer than the other. A person whose brightest part
+    is clipped gives a lower bound; clipped clothing gives no reading. `picture` has the backdrop's levels, white-hot;
+    `free` are the pixels outside all labels' boxes. Car roofs are taken to look 8 K colder than the air, clothes
+    `clothing_k` warmer. Without a `ground_grey`, anchors refer to their own surroundings.
     """
     found: list[Anchor] = []
     scale, levels = backdrop.grey_unit, backdrop.levels
@@ -218,14 +211,7 @@ def draw_share(
 ) -> tuple[float, dict[str, Any]]:
     """Draw the local share from its posterior, whatever gain and offset are.
 
-    Args:
-        anchors: Readings of the picture.
-        air_k: Air temperature.
-        reference: Radiance of the ground.
-        scale: Levels of the picture per 8-bit level.
-        prior: The share expected beforehand.
-        gain: The gain expected beforehand.
-        rng: Draws the share, if it is not exact.
+    `reference` is the radiance of the ground, `scale` the number of levels per 8-bit level.
 
     Returns:
         The share, 0 to 1; its posterior, and the number of anchors used.
@@ -256,15 +242,8 @@ def draw_gain(
 ) -> tuple[float, float, dict[str, Any]]:
     """Draw the gain, levels per W m^-2 sr^-1, from its posterior given the local share.
 
-    Args:
-        anchors: Readings of the picture.
-        air_k: Air temperature.
-        reference: Radiance of the ground.
-        scale: Levels of the picture per 8-bit level.
-        prior: The gain expected beforehand.
-        warm: Whether the gain is for inserts warmer than the reference; anchors on the other side get less weight.
-        rng: Draws the gain.
-        share: The local share.
+    `reference` is the radiance of the ground, `scale` the number of levels per 8-bit level. The gain is for inserts
+    warmer or colder than the reference; anchors on the other side get less weight.
 
     Returns:
         The gain; the expected offset of the ground, in levels of the picture; the posterior that the gain was drawn
@@ -367,11 +346,8 @@ class _Readings:
 def _doubts(centre: float, bounds: Sequence[float], off: float, residuals: NDArray[np.float64]) -> list[str]:
     """Return the reasons in `DOUBTS` that hold for a posterior.
 
-    Args:
-        centre: Its mean.
-        bounds: The smallest and the largest gain.
-        off: Distance of the anchors' mean level from the priors', in standard deviations.
-        residuals: (n,) rest of each anchor's level, in units of its noise.
+    `off` is the distance of the anchors' mean level from the priors', in standard deviations; `residuals` are in units
+    of the noise.
     """
     found = {
         "gain_negative": centre <= 0,

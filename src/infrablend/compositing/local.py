@@ -120,14 +120,7 @@ class LocalMatch:
 def match_locally(
     scene: PlacedScene, backdrop: Backdrop, settings: LocalSettings, rng: np.random.Generator
 ) -> LocalMatch:
-    """Match the objects of a scene (at least one) to the ground around each of them.
-
-    Args:
-        scene: A scene with weather.
-        backdrop: The background.
-        settings: Prior, polarity and clothing.
-        rng: Draws share and gain from their posteriors.
-    """
+    """Match the objects of a scene (at least one) to the ground around each of them."""
     weather = scene.spec.weather
     if weather is None:
         raise ValueError(f"{scene.spec.frame_id}: local matching needs the weather")
@@ -167,14 +160,7 @@ def local_mapping(
     Cameras apply different gains above and below the ground's temperature, so the gain of warm inserts comes mainly
     from warm anchors, that of cold ones from cold. The contrast between sky and land, if the picture shows both, is an
     anchor as well. The gain of warm inserts also holds in front of the sky, which is colder than everything else.
-
-    Args:
-        backdrop: The background.
-        inserts: At least one.
-        weather: Air, sky and ground temperature.
-        settings: Prior, polarity, clothing and local share.
-        rng: Draws share and gains from their posteriors.
-        camera: The picture's own camera; None if its horizon is unknown, then all is ground.
+    Without a camera whose horizon is known, all is ground.
     """
     low, high = backdrop.levels
     black_hot = settings.polarity == "black-hot"
@@ -197,8 +183,7 @@ def local_mapping(
         x, y = ((insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2).tolist()
         places.append(Place((x, y), dark, dark + span))
     beyond = settings.headroom * (high - low)
-    limits = (low - beyond, high + beyond)
-    mapping = GreyMapping(places[0].dark, places[0].bright, limits, tuple(places) if len(places) > 1 else ())
+    mapping = GreyMapping.around(places, (low - beyond, high + beyond))
 
     def shown(level: float | None) -> float | None:
         """Return a level as the picture has it, rounded."""
@@ -265,16 +250,7 @@ def _estimate(
     settings: LocalSettings,
     rng: np.random.Generator,
 ) -> _Curve:
-    """Draw share, gains and offsets of a picture from their posteriors.
-
-    Args:
-        on_ground: Anchors in front of the ground.
-        anchors: All anchors.
-        unit: Levels of the picture per 8-bit level.
-        weather: Air, sky and ground temperature.
-        settings: Priors, and what to do with gains that cannot be trusted.
-        rng: Draws share and gains.
-    """
+    """Draw share, gains and offsets of a picture from their posteriors."""
     of_ground, prior = float(band_radiance(weather.ground_k)), settings.prior
     share, share_facts = draw_share(on_ground, weather.air_k, of_ground, unit, settings.local_share, prior, rng)
     gains: dict[Side, float] = {}
@@ -377,12 +353,6 @@ def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_gre
     Each part is assumed to reflect the ground or the zenith, and to have its coldest or its warmest temperature,
     whichever gives more contrast. The result is an upper estimate: an object that is too faint here is certainly too
     faint in the picture.
-
-    Args:
-        placed: The object.
-        place: The mapping there.
-        ring_grey: Level of its background there.
-        weather: Sky and ground.
     """
     around = (_zenith(weather), float(band_radiance(weather.ground_k)))
     found = []
@@ -410,7 +380,7 @@ def _zenith(weather: Weather) -> float:
     return float(sky_radiance(weather.air_k, weather.dew_point_k, 0.0, weather.cloud, weather.cloud_base_k))
 
 
-def _through_air(insert: Insert, weather: Weather, kind: Kind = "ground") -> tuple[float, float]:
+def _through_air(insert: Insert, weather: Weather, kind: Kind) -> tuple[float, float]:
     """Return the factors on radiance and air's path radiance of an object, relative to its background's contrast.
 
     With tau(d) of the object's path and tau(R) of the ground's, grey is ground + gain / tau(R) * (tau(d) L +

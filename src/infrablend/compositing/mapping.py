@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.config.recipe import PercentileMatching
 from infrablend.core.temperature import TemperatureScale
 
 GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
@@ -51,6 +52,13 @@ class GreyMapping:
     limits: tuple[float, float] | None = None
     places: tuple[Place, ...] = ()
     scale: TemperatureScale | None = None
+
+    @classmethod
+    def around(
+        cls, places: Sequence[Place], limits: tuple[float, float] | None = None, scale: TemperatureScale | None = None
+    ) -> GreyMapping:
+        """Return the mapping around inserts, at least one."""
+        return cls(places[0].dark, places[0].bright, limits, tuple(places) if len(places) > 1 else (), scale)
 
     def apply(
         self, radiance: NDArray[np.float32], alpha: NDArray[np.float32], offset_xy: tuple[int, int] = (0, 0)
@@ -91,42 +99,29 @@ class GreyMapping:
         return cls(data["dark"], data["bright"], None if limits is None else (limits[0], limits[1]), places, scale)
 
 
-@dataclass(frozen=True)
-class PercentileSettings:
-    """Settings of percentile matching.
-
-    Attributes:
-        low: Percentile of the background that cold surfaces get, 0 to 100.
-        high: Percentile of the background that hot surfaces get, 0 to 100.
-        min_span: Smallest distance of the two levels as a share of the type's range (8 bit) or of the background's
-            own range (16 bit, whose full range means nothing); a smaller one is widened about its middle.
-        polarity: Polarity of the background; `black-hot` swaps the two levels.
-    """
-
-    low: float = 1.0
-    high: float = 99.5
-    min_span: float = 0.35
-    polarity: Literal["white-hot", "black-hot"] = "white-hot"
-
-
 # Percentiles between which a 16-bit picture's own range lies.
 _RANGE_OF_16_BIT = (0.05, 99.95)
 
 
-def percentile_mapping(background: GreyImage, settings: PercentileSettings) -> GreyMapping:
-    """Return the mapping that shows cold and hot surfaces at two percentiles of the background itself."""
-    dark, bright = (float(v) for v in np.percentile(background, [settings.low, settings.high]))
+def percentile_mapping(background: GreyImage, matching: PercentileMatching) -> GreyMapping:
+    """Return the mapping that shows cold and hot surfaces at two percentiles of the background itself.
+
+    The least span is a share of the type's range (8 bit) or of the background's own range (16 bit, whose full range
+    means nothing); a smaller one is widened about its middle.
+    """
+    percentiles = [matching.low_percentile, matching.high_percentile]
+    dark, bright = (float(v) for v in np.percentile(background, percentiles))
     if background.dtype == np.uint8:
         top, bottom = 255.0, 0.0
     else:
         # Not the extremes: a dead or hot pixel may be far from the scene.
         bottom, top = (float(v) for v in np.percentile(background, _RANGE_OF_16_BIT))
-    span = max(settings.min_span * (top - bottom), 1.0)
+    span = max(matching.min_span * (top - bottom), 1.0)
     if bright - dark < span:
         middle = (dark + bright) / 2
         middle = min(max(middle, bottom + span / 2), top - span / 2)
         dark, bright = middle - span / 2, middle + span / 2
-    return GreyMapping(dark, bright) if settings.polarity == "white-hot" else GreyMapping(bright, dark)
+    return GreyMapping(dark, bright) if matching.polarity == "white-hot" else GreyMapping(bright, dark)
 
 
 def measure_levels(backgrounds: Sequence[GreyImage]) -> tuple[float, float]:

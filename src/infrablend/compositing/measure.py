@@ -71,12 +71,8 @@ def edge_profiles(
     """Return the profiles across the clean edges of a picture, and their heights.
 
     Canny detects the edges on a slightly blurred copy. A profile is the mean of three parallel lines that reach 8 px to
-    both sides. Clean edges are steps of more than 35 eight-bit levels between two flat sides.
-
-    Args:
-        picture: (h, w) grey levels.
-        scale: Levels of the picture per 8-bit level.
-        free: (h, w) pixels where edges may be; everywhere by default.
+    both sides. Clean edges are steps of more than 35 eight-bit levels between two flat sides. `scale` is the number of
+    levels per 8-bit level; `free` are the pixels where edges may be.
 
     Returns:
         (n, 65) profiles, 0 on the dark and 1 on the bright side, four samples per pixel; (n,) heights in levels.

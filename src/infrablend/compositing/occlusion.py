@@ -290,12 +290,8 @@ def front_matte(
 ) -> Share:
     """Return the (h, w) share of each pixel of the picture that stays in front of the inserted objects.
 
-    Args:
-        occluders: Occluder of each partly hidden object, by its number.
-        scenery: The background.
-        coverage: (n, ch, cw) share of each pixel of a crop that each object covers. Where another object covers a pixel
-            more, the occluder is not in front.
-        offset_xy: Column and row of the crop in the picture.
+    `coverage` (n, ch, cw) is that of a crop at `offset_xy`. Where another object covers a pixel more, the occluder is
+    not in front.
     """
     front = np.zeros(scenery.pixels.shape, np.float32)
     (x, y), (h, w) = offset_xy, coverage.shape[1:]

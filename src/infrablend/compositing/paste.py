@@ -58,12 +58,7 @@ def cut_out(
 
     The matte is 1 where the picture differs from the ring around the box by much more than the ring's noise, 0 where it
     does not, and fades within `FEATHER_PX` around the box. Only the part that holds together with the largest
-    difference is kept.
-
-    Args:
-        picture: (h, w) levels of an 8-bit picture.
-        box_xyxy: (4,) box of the object, pixels.
-        others: Boxes of other objects, which are left out of the ring.
+    difference is kept. Other objects' boxes are left out of the ring.
 
     Returns:
         The object; None if it is cut by the frame, if too few pixels around it are free, or if it does not stand out.
@@ -122,13 +117,7 @@ def paste(
     """Return a picture with a cut-out over it.
 
     Its difference is added to the level around its new place where it hides the background, and to the background
-    elsewhere.
-
-    Args:
-        background: (h, w) levels; stays unchanged.
-        cut: Object to paste.
-        offset_xy: Column and row of the cut-out's upper left corner; see `fits`.
-        others: Boxes of other objects, which are left out of the ring.
+    elsewhere. The offset is that of the upper left corner, see `fits`; other objects' boxes are left out of the ring.
     """
     (x, y), (w, h) = offset_xy, cut.size_wh
     part = (slice(y, y + h), slice(x, x + w))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,39 +61,12 @@ def temperature_of(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.interp(radiance, table, kelvin))
 
 
-@dataclass(frozen=True, eq=False)
-class ThermalBackdrop:
-    """A background with temperatures.
-
-    Attributes:
-        pixels: (h, w) counts.
-        labels: The background's own annotated objects, which are not ground.
-        scale: Scale of the counts.
-    """
-
-    pixels: GreyImage
-    labels: Sequence[Instance]
-    scale: TemperatureScale
-
-    @property
-    def kelvin(self) -> NDArray[np.float32]:
-        """(h, w) apparent temperatures at the sensor."""
-        return np.asarray(self.scale.kelvin(self.pixels), np.float32)
-
-    def free(self) -> NDArray[np.bool_]:
-        """Mark the (h, w) pixels outside all labels' boxes."""
-        return ~boxes_mask((i.box_xyxy for i in self.labels), self.pixels.shape)
-
-
 def match_radiometric(
-    scene: PlacedScene, backdrop: ThermalBackdrop, air_source: str
+    scene: PlacedScene, counts: GreyImage, labels: Sequence[Instance], scale: TemperatureScale, air_source: str
 ) -> tuple[PlacedScene, GreyMapping, dict[str, Any]]:
     """Give a scene the ground of its picture, and its objects the air in front of them.
 
-    Args:
-        scene: A scene with weather, a real camera and at least one object.
-        backdrop: The background.
-        air_source: Where the temperature of the air comes from.
+    The scene has weather, a real camera and at least one object; labels are not ground.
 
     Returns:
         The scene whose weather has the picture's ground; the mapping to radiance at the sensor; and the facts.
@@ -103,7 +76,8 @@ def match_radiometric(
     if weather is None or view is None:
         raise ValueError(f"{spec.frame_id}: radiometric matching needs the weather and the real camera")
     inserts = [describe_insert(placed, weather, view) for placed in scene.objects]
-    picture, free = backdrop.kelvin, backdrop.free()
+    picture = np.asarray(scale.kelvin(counts), np.float32)
+    free = ~boxes_mask((i.box_xyxy for i in labels), counts.shape)
     rings = [ring_level(picture, i.box_xyxy, free) for i in inserts]
     ground_k, source = _ground(inserts, rings, picture, free, spec.camera, view.ground_z_m, weather)
     weather = replace(weather, ground_k=ground_k)
@@ -116,13 +90,10 @@ def match_radiometric(
         dark = (1 - tau) * of_air
         places.append(Place((x, y), dark, dark + tau))
         through.append(tau)
-    first = places[0]
-    mapping = GreyMapping(
-        first.dark, first.bright, None, tuple(places) if len(places) > 1 else (), scale=backdrop.scale
-    )
+    mapping = GreyMapping.around(places, scale=scale)
     facts = {
         "mode": "radiometric",
-        "scale": backdrop.scale.to_json(),
+        "scale": scale.to_json(),
         "air_k": round(weather.air_k, 3),
         "air": air_source,
         "ground_k": round(ground_k, 3),
@@ -180,11 +151,8 @@ def compose_radiance(
 ) -> GreyImage:
     """Lay a layer of radiance over a picture of temperatures; untouched pixels keep their counts to the bit.
 
-    Args:
-        background: (h, w) counts.
-        layer: Radiance at the sensor, premultiplied, after the optics' blur.
-        scale: Scale of the counts.
-        sensor: The camera's chain, of which the noise is applied, in counts; None for none.
+    The layer is radiance at the sensor after the optics' blur. Only the noise of the sensor's chain is applied, in
+    counts.
     """
     (x0, y0), (rows, columns) = layer.offset_xy, layer.alpha.shape
     picture = background.copy()

@@ -27,14 +27,6 @@ def place_by_hand(
 
     The other objects keep their drawn poses: all are drawn as if nothing were placed by hand.
 
-    Args:
-        frame_id: Id of the frame.
-        recipe: The recipe.
-        wanted: Objects of the frame.
-        drawn: Drawn pose of each object.
-        camera: Camera of the frame.
-        view: The ground below the camera; None with the paper's placement.
-
     Raises:
         RecipeError: A place does not exist, or there are more entries than objects.
     """

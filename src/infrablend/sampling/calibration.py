@@ -93,7 +93,6 @@ class Calibration:
 
     Attributes:
         height_m: Corrected height above the ground.
-        stated_m: Height according to the metadata.
         factor: Corrected over stated height.
         sd: Standard deviation of the factor's logarithm.
         anchors: Number of annotated objects used, by class.
@@ -101,7 +100,6 @@ class Calibration:
     """
 
     height_m: float
-    stated_m: float
     factor: float
     sd: float
     anchors: Mapping[str, int]
@@ -114,13 +112,8 @@ def calibrate(
     """Calibrate the camera's height with the annotated boxes of one image.
 
     The median size ratio of each class (sitting people and half-hidden cars are outliers) is weighted against the
-    nominal correction by the spread of its readings.
-
-    Args:
-        camera: The camera at the stated height (see `at_height`).
-        stated_m: The stated height.
-        labels: The image's own objects; those cut by the frame's edge and crowds are left out.
-        prior: What is known about the stated height.
+    nominal correction by the spread of its readings. `camera` is at the stated height (see `at_height`). Labels cut by
+    the frame's edge and crowds are left out.
     """
     ratios: dict[KnownClass, list[float]] = {}
     for label in labels:
@@ -140,7 +133,7 @@ def calibrate(
     low, high = prior.bounds
     factor = min(max(math.exp(total / weight), low), high)
     anchors: dict[str, int] = {k: len(v) for k, v in sorted(ratios.items())}
-    return Calibration(stated_m * factor, stated_m, factor, weight**-0.5, anchors, factor in (low, high))
+    return Calibration(stated_m * factor, factor, weight**-0.5, anchors, factor in (low, high))
 
 
 def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, reference: Reference) -> float | None:

@@ -36,11 +36,11 @@ from infrablend.sampling.placement import (
     collides,
     examine,
     is_covered,
+    volume_of,
 )
-from infrablend.sampling.placer import Arrangement, Streams
+from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.real_ground import draw_aim, ground_around
 from infrablend.sampling.site import Hiding, Site
-from infrablend.sampling.volume import volume_of
 
 # A flying object is at most at this share of the way to the ground.
 _BEFORE_GROUND = 0.9
@@ -64,8 +64,8 @@ _ROW_TURN_DEG = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class MetricPlacer:
-    """Implements `placement.Placer` for `placement.mode: metric`."""
+class MetricPlacer(Placer):
+    """The placement of `placement.mode: metric`."""
 
     recipe: MetricRecipe
 
@@ -118,7 +118,7 @@ class MetricPlacer:
         stated = c.height_m(site.altitude_m, float(rng.random()))
         roll = like.roll_rad + math.radians(rng.uniform(*c.roll_deg))
         camera = at_height(replace(like, roll_rad=roll), stated)
-        found = Calibration(stated, stated, 1.0, 0.0, {})
+        found = Calibration(stated, 1.0, 0.0, {})
         # A height stated by the recipe is taken literally; only the metadata's height is nominal.
         if c.calibrate and c.needs_height:
             found = calibrate(camera, stated, site.labels, site.height_prior)
@@ -187,12 +187,12 @@ class _Search:
             beside = mates if attempt < _IN_COMPANY * attempts else []
             pose = self._draw_beside(item, beside) if beside else self._draw(item)
             if isinstance(pose, str):
-                self._tally.reject(pose)
+                self._tally.rejected[pose] += 1
             elif hiding is not None and not self._has_structure(hiding, item, pose):
-                self._tally.reject("no_occluder")
+                self._tally.rejected["no_occluder"] += 1
             # Before the exact checks, which cost far more.
             elif aim is not None and hiding is None and not aim(pose, attempt / attempts, bool(beside)):
-                self._tally.reject("unlike_real_ground")
+                self._tally.rejected["unlike_real_ground"] += 1
             else:
                 examined += 1
                 reason = self._misfit(item, pose, hiding, bool(beside))
@@ -200,8 +200,8 @@ class _Search:
                     self._missed[id(item.kind)] = 0
                     self._placed.append((item, pose))
                     return pose
-                self._tally.reject(reason)
-        self._tally.leave_out("no_place")
+                self._tally.rejected[reason] += 1
+        self._tally.absent["no_place"] += 1
         self._missed[id(item.kind)] = in_a_row + 1
         return None
 
@@ -219,7 +219,8 @@ class _Search:
         """
         if self._real is None or not item.model.stands:
             return None
-        aim, outline = draw_aim(self._real, self._rng), _outline(item)
+        aim, vertices = draw_aim(self._real, self._rng), item.labelled_vertices_m
+        outline = vertices[:: max(len(vertices) // _ROUGH_VERTICES, 1)]
 
         def accepts(pose: Pose, tried: float, beside: bool) -> bool:
             box = _rough_box(self._camera, pose, outline, item.scale)
@@ -327,14 +328,8 @@ def _kind(item: PlacementRequest) -> MetricObject:
     return cast(MetricObject, item.kind)
 
 
-def _outline(item: PlacementRequest) -> FloatArray:
-    """Return some (k, 3) vertices of an object's labelled parts, in object coordinates, unscaled."""
-    vertices = item.labelled_vertices_m
-    return vertices[:: max(len(vertices) // _ROUGH_VERTICES, 1)]
-
-
 def _rough_box(camera: CameraSpec, pose: Pose, outline_m: FloatArray, scale: float) -> FloatArray:
-    """Return the (4,) box around an object's outline, cut to the frame; empty if a vertex is behind the camera."""
+    """Return the (4,) box around vertices of an object, cut to the frame; empty if one is behind the camera."""
     xy, depth_m = camera.project(object_to_world(outline_m, pose[:3], pose[3], scale))
     if (depth_m <= 0).any():
         return np.zeros(4)

@@ -11,10 +11,7 @@ import numpy as np
 
 from infrablend.config.recipe import PaperObject, PaperRecipe
 from infrablend.core.camera import CameraSpec
-from infrablend.core.dataset import ImageRecord
 from infrablend.core.margin import on_margin
-from infrablend.core.scene import SceneSpec
-from infrablend.sampling.calibration import FROM_TABLE, HeightPrior
 from infrablend.sampling.placement import (
     DrawStatistics,
     PlacementRequest,
@@ -24,19 +21,15 @@ from infrablend.sampling.placement import (
     examine,
     is_covered,
 )
-from infrablend.sampling.placer import Arrangement, Streams
+from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.site import Site
 
 
 @dataclass(frozen=True, eq=False)
-class PaperPlacer:
-    """Implements `placer.Placer` for `placement.mode: paper`."""
+class PaperPlacer(Placer):
+    """The placement of `placement.mode: paper`; objects that are too faint keep their places, or are left out."""
 
     recipe: PaperRecipe
-
-    def height_prior(self, image: ImageRecord) -> HeightPrior:
-        """Return a prior that nothing uses: the camera is virtual."""
-        return FROM_TABLE
 
     def arrange(
         self,
@@ -82,24 +75,12 @@ class PaperPlacer:
                 if reason is None:
                     accepted = True
                     break
-                tally.reject(reason)
+                tally.rejected[reason] += 1
             if not accepted:
-                tally.leave_out("no_place")
+                tally.absent["no_place"] += 1
             missed[id(item.kind)] = 0 if accepted else in_a_row + 1
             poses.append(pose if accepted else None)
         return Arrangement(camera, None, poses)
-
-    def arrange_again(
-        self,
-        spec: SceneSpec,
-        wanted: Sequence[PlacementRequest],
-        others: Sequence[tuple[PlacementRequest, Pose]],
-        site: Site,
-        attempt: int,
-        streams: Streams,
-        tally: DrawStatistics,
-    ) -> None:
-        """Return None: objects keep their places, or are left out."""
 
     def _camera(self, like: CameraSpec, rng: np.random.Generator) -> CameraSpec:
         c = self.recipe.camera

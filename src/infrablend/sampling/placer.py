@@ -1,17 +1,17 @@
-"""The interface of placements: from a recipe and a background to a camera and the poses of objects."""
+"""The base of placements: from a recipe and a background to a camera and the poses of objects."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.scene import SceneSpec, View
-from infrablend.sampling.calibration import HeightPrior
+from infrablend.sampling.calibration import FROM_TABLE, HeightPrior
 from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose
 from infrablend.sampling.site import Site
 
@@ -34,13 +34,14 @@ class Arrangement:
     poses: list[Pose | None]
 
 
-class Placer(Protocol):
+class Placer(ABC):
     """One way to place objects; there is a class for each `placement.mode`. The same streams give the same result."""
 
     def height_prior(self, image: ImageRecord) -> HeightPrior:
-        """Return what is known about a picture's stated height before any object of known size is looked at."""
-        ...
+        """Return what is known about a picture's stated height; by default one that nothing uses."""
+        return FROM_TABLE
 
+    @abstractmethod
     def arrange(
         self,
         like: CameraSpec,
@@ -51,14 +52,9 @@ class Placer(Protocol):
     ) -> Arrangement:
         """Draw the camera and a pose per object; rejections are counted by reason in `tally`.
 
-        Args:
-            like: The camera, apart from what is drawn; its roll is that of the background.
-            wanted: Objects to place.
-            site: The background; None if nothing is known of it.
-            streams: Random streams of the frame.
-            tally: Counts to add to.
+        `like` is the camera, apart from what is drawn; its roll is that of the background. `site` is None if nothing
+        is known of the background.
         """
-        ...
 
     def arrange_again(
         self,
@@ -70,15 +66,8 @@ class Placer(Protocol):
         streams: Streams,
         tally: DrawStatistics,
     ) -> list[Pose | None] | None:
-        """Draw other poses for some objects of a scene; None if they are not to be moved (again).
+        """Draw other poses for some objects of a scene; None, as by default, if they are not to be moved (again).
 
-        Args:
-            spec: The scene.
-            wanted: Objects to place.
-            others: Objects that keep their places.
-            site: The background.
-            attempt: Number of the attempt, from 1.
-            streams: Random streams of the frame.
-            tally: Counts to add to.
+        The `others` keep their places; attempts are numbered from 1.
         """
-        ...
+        return None

@@ -63,10 +63,8 @@ class GroundAim:
     def accepts(self, ground: Ground, tried: float, beside: bool) -> bool:
         """Return whether an object may stand there.
 
-        Args:
-            ground: Ground around the object's box.
-            tried: Share of the attempts that have been made, 0 to 1.
-            beside: Whether the place is beside an object that has found its ground.
+        `tried` is the share of the attempts that have been made; `beside` whether the place is beside an object that
+        has found its ground.
         """
         if not self.possible[0] <= ground.level <= self.possible[1]:
             return False

@@ -48,13 +48,7 @@ class RecipeSampler:
     """
 
     def __init__(self, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int) -> None:
-        """Choose the placement.
-
-        Args:
-            recipe: Distributions to draw from.
-            models: The recipe's models, by the name used in the recipe.
-            seed: The run's seed.
-        """
+        """Choose the placement."""
         self._recipe, self._models, self._seed = recipe, models, seed
         self.placer = _PLACERS[recipe.placement.mode](recipe)
 
@@ -64,9 +58,7 @@ class RecipeSampler:
     def sample(self, frame: FrameKey, site: Site | None = None) -> PlacedScene:
         """Draw the scene of one frame.
 
-        Args:
-            frame: Key of the frame.
-            site: The background; needed by metric placement and to keep clear of ignore regions.
+        Metric placement needs the background, as does keeping clear of ignore regions.
         """
         recipe, streams, tally = self._recipe, self._streams(frame.frame_id), DrawStatistics()
         world = streams("world")
@@ -81,7 +73,7 @@ class RecipeSampler:
         unfit = "no_horizon" if pitch_deg is None else site.unfit if site is not None else None
         wanted = asked if unfit is None else []
         if unfit is not None:
-            tally.leave_out(unfit, len(asked))
+            tally.absent[unfit] += len(asked)
         like = _camera_of(frame, recipe, 0.0 if pitch_deg is None else pitch_deg)
         found = self.placer.arrange(like, wanted, site, streams, tally)
         poses, by_hand = place_by_hand(frame.frame_id, recipe, wanted, found.poses, found.camera, found.view)
@@ -183,12 +175,6 @@ class RecipeSampler:
 
         Shapes and temperatures stay; the other objects stay where they are. An object without another place is left
         out. None if the placement does not move objects (again).
-
-        Args:
-            scene: A scene that the sampler drew.
-            numbers: Objects to move.
-            site: The background.
-            attempt: Number of the attempt, from 1.
         """
         spec, moved, tally = scene.spec, sorted(numbers), DrawStatistics()
         requests, occupied = [], []
@@ -217,7 +203,7 @@ class RecipeSampler:
         draws["attempts"] += tally.attempts
         draws["moved"] = draws.get("moved", 0) + len(moved)
         for name, counts in (("rejected", tally.rejected), ("absent", tally.absent)):
-            merged = Counter(draws[name]) + Counter(counts)
+            merged = Counter(draws[name]) + counts
             draws[name] = dict(sorted(merged.items()))
         return PlacedScene(replace(spec, objects=tuple(o.spec for o in objects), draws=draws), tuple(objects))
 
@@ -263,11 +249,6 @@ class _Light:
         """Draw the state of every part in an object's mesh.
 
         One draw sets the temperature level of the whole object; a second one per part varies it.
-
-        Args:
-            kind: The recipe's entry, which may set temperatures and emissivities.
-            roles: Thermal roles of the parts.
-            mesh: The object's mesh.
         """
         heat = self._heat.random()
         absorbs: dict[str, float] = {}
@@ -325,7 +306,7 @@ def _before_camera(
     for item, pose in zip(wanted, poses, strict=True):
         behind = pose is not None and not (camera.project(item.in_world(pose))[1] > 0).any()
         if behind:
-            tally.leave_out("behind_camera")
+            tally.absent["behind_camera"] += 1
         kept.append(None if behind else pose)
     return kept
 

@@ -27,13 +27,7 @@ _LOWEST_RAD = math.radians(15)
 
 
 def in_shade(camera: CameraSpec, world_m: FloatArray, site: Site) -> bool:
-    """Return whether the ground around the feet of a standing object is as dark as shade; not if it is not in view.
-
-    Args:
-        camera: The background's own camera.
-        world_m: (V, 3) vertices of the object in the world.
-        site: The background, taken by day.
-    """
+    """Return whether the ground around the feet of a standing object is as dark as shade; not if it is not in view."""
     x0, y0, x1, y1 = feet_box(camera, world_m)
     if math.isnan(x0):
         return False

@@ -11,9 +11,8 @@ from infrablend.config.recipe import Environment, SkyEnvironment
 from infrablend.core.rng import stream
 from infrablend.core.scene import Sun, Weather
 from infrablend.sampling.site import FrameKey
+from infrablend.thermal.radiometry import ZERO_C_K
 from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
-
-ZERO_C_K = 273.15
 
 
 def draw_air_k(frame: FrameKey, environment: Environment, rng: np.random.Generator) -> float:
@@ -67,14 +66,8 @@ def draw_weather(frame: FrameKey, e: SkyEnvironment, air_k: float, seed: int) ->
 def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float, cloud: float) -> Sun:
     """Return the sun over a frame.
 
-    Its azimuth is relative to the camera's heading, which no dataset states, and is therefore always drawn.
-
-    Args:
-        frame: Key of the frame.
-        environment: Range of the elevation, or the place.
-        share: Drawn number in [0, 1) that sets the elevation within its range.
-        turn: Drawn number in [0, 1) that sets the azimuth.
-        cloud: Share of the sky that clouds cover.
+    Its azimuth is relative to the camera's heading, which no dataset states, and is therefore always drawn. `share` and
+    `turn` are drawn numbers in [0, 1) that set elevation and azimuth; `cloud` is the share that clouds cover.
     """
     low, high = environment.sun_elevation_deg
     elevation = math.radians(low + (high - low) * share)

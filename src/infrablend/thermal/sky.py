@@ -58,15 +58,8 @@ def sky_radiance(
     """Return the 8-14 um radiance of the sky, W m^-2 sr^-1, at angles from the zenith.
 
     A clear sky at angle z has (1 - t^(1 / cos z)) L(Ta) with t = `window_transmittance`; this never exceeds L(Ta), the
-    radiance of the horizon. At the zenith it is uncertain by about 15 K of apparent temperature, which is 1 K on a
-    roof of emissivity 0.95.
-
-    Args:
-        air_k: Air temperature, K.
-        dew_point_k: Dew point, K; at most the air temperature.
-        zenith_rad: Angle from the zenith: 0 is up, pi/2 and more is the horizon.
-        cloud: Share of the sky that clouds cover, 0 to 1.
-        cloud_base_k: Temperature of the clouds; by default 7 K below the air.
+    radiance of the horizon. At the zenith it is uncertain by about 15 K of apparent temperature, which is 1 K on a roof
+    of emissivity 0.95. The horizon is at pi/2. Clouds are by default 7 K colder than the air.
 
     Raises:
         ValueError: The dew point is above the air temperature, or the cover outside [0, 1].
@@ -86,11 +79,6 @@ def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array
 
     Valid for 0 to about 1000 m, -20 to 40 degrees Celsius. tau(0) = 1; it falls with distance, humidity and warmth,
     down to a floor of 0.2 that only air above 33 degrees reaches.
-
-    Args:
-        distance_m: Path length, m.
-        air_k: Air temperature, K.
-        humidity: Relative humidity, 0 to 1.
     """
     if not 0 <= humidity <= 1:
         raise ValueError(f"humidity {humidity:g} must lie in [0, 1] (it is not a percentage)")
@@ -124,12 +112,7 @@ def dew_point(air_k: float, humidity: float) -> float:
 
 
 def irradiance(elevation_rad: float, cloud: float = 0.0) -> tuple[float, float]:
-    """Return direct irradiance at right angles to the rays, and diffuse irradiance of level ground, W m^-2.
-
-    Args:
-        elevation_rad: Elevation of the sun above the horizon.
-        cloud: Share of the sky that clouds cover, 0 to 1.
-    """
+    """Return direct irradiance at right angles to the rays, and diffuse irradiance of level ground, W m^-2."""
     up = math.sin(elevation_rad)
     if up <= 0:
         return 0.0, 0.0
@@ -141,10 +124,7 @@ def irradiance(elevation_rad: float, cloud: float = 0.0) -> tuple[float, float]:
 def sun_position(when: datetime, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
     """Return azimuth (clockwise from north) and elevation of the sun, radians; refraction is left out.
 
-    Args:
-        when: Time with its time zone.
-        latitude_deg: Latitude, north positive.
-        longitude_deg: Longitude, east positive.
+    North and east are positive.
 
     Raises:
         ValueError: The time has no time zone.

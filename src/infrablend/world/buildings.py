@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from infrablend.assets import shapes
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray
 from infrablend.world.setting import Draws, Weather
@@ -69,13 +68,7 @@ def building(b: Building) -> Surface:
     if b.roof == "gable":
         _gable(p, b)
         return p.surface()
-    p.add(
-        quad((-hx, -hy, z - 0.1), (hx, -hy, z - 0.1), (hx, hy, z - 0.1), (-hx, hy, z - 0.1)),
-        b.roof_k,
-        ROOF,
-        b.solar_k,
-        0.5,
-    )
+    p.add(_level(-hx, hx, hy, z - 0.1), b.roof_k, ROOF, b.solar_k, 0.5)
     # Parapet: concrete that keeps warmer than the felt.
     for x, y, lx, ly in (
         (0, -hy, 2 * hx + 0.4, 0.35),
@@ -83,53 +76,32 @@ def building(b: Building) -> Surface:
         (-hx, 0, 0.35, 2 * hy),
         (hx, 0, 0.35, 2 * hy),
     ):
-        p.add(
-            shapes.moved(shapes.box((lx, ly, 0.75), 0.02), (x, y, z + 0.2)),
-            0.5 * (b.wall_k + b.roof_k),
-            WALL,
-            b.solar_k,
-            0.3,
-        )
+        p.box((lx, ly, 0.75), 0.02, (x, y, z + 0.2), 0.5 * (b.wall_k + b.roof_k), WALL, b.solar_k, 0.3)
     for x in np.arange(-hx + 1.2, hx - 0.5, float(rng.uniform(1.8, 3.2))):  # seams of the roofing felt
-        p.add(
-            quad((x, -hy, z - 0.08), (x + 0.09, -hy, z - 0.08), (x + 0.09, hy, z - 0.08), (x, hy, z - 0.08)),
-            b.roof_k + 0.9,
-            ROOF,
-            b.solar_k * 0.9,
-        )
+        p.add(_level(x, x + 0.09, hy, z - 0.08), b.roof_k + 0.9, ROOF, b.solar_k * 0.9)
     if b.roof == "arrays":  # rows of solar heaters: tilted glass, a warm tank on top
         for x in np.arange(-hx + 1.5, hx - 2.2, 2.6):
             for y in np.arange(-hy + 1.0, hy - 2.0, 2.2):
                 if rng.random() < 0.85:
-                    p.add(
-                        quad(
-                            (x, y, z + 0.1), (x, y + 1.8, z + 0.1), (x + 1.6, y + 1.8, z + 1.2), (x + 1.6, y, z + 1.2)
-                        ),
-                        b.roof_k - 0.5,
-                        GLASS,
-                        b.solar_k * 0.5,
-                    )
-                    p.add(
-                        shapes.capsule((x + 1.7, y, z + 1.3), (x + 1.7, y + 1.8, z + 1.3), 0.24, n=6),
-                        b.wall_k + 4.0,
-                        PAINT,
-                    )
+                    low = (x, y, z + 0.1), (x, y + 1.8, z + 0.1)
+                    high = (x + 1.6, y + 1.8, z + 1.2), (x + 1.6, y, z + 1.2)
+                    p.add(quad(*low, *high), b.roof_k - 0.5, GLASS, b.solar_k * 0.5)
+                    p.bar((x + 1.7, y, z + 1.3), (x + 1.7, y + 1.8, z + 1.3), 0.24, b.wall_k + 4.0, PAINT)
     else:
         for _ in range(int(rng.integers(2, 7))):
             size = rng.uniform((0.8, 0.8, 0.6), (2.4, 1.8, 1.5))
             x, y = (float(v) for v in rng.uniform(-1, 1, 2) * np.maximum((hx - 2, hy - 2), 0))
             warm = float(rng.uniform(4, 14)) if rng.random() < 0.35 else float(rng.uniform(-0.5, 2))
-            p.add(shapes.moved(shapes.box(size, 0.05), (x, y, z + size[2] / 2)), b.roof_k + warm, PAINT, b.solar_k, 0.3)
+            p.box(size, 0.05, (x, y, z + size[2] / 2), b.roof_k + warm, PAINT, b.solar_k, 0.3)
         if rng.random() < 0.6:  # the stairs' head
             x = float(rng.uniform(-0.6, 0.6)) * max(hx - 3, 0.0)
-            p.add(
-                shapes.moved(shapes.box((3.4, 2.8, 2.5), 0.05), (x, hy * 0.3, z + 1.2)),
-                0.6 * b.wall_k + 0.4 * b.roof_k,
-                WALL,
-                b.solar_k,
-                0.3,
-            )
+            p.box((3.4, 2.8, 2.5), 0.05, (x, hy * 0.3, z + 1.2), 0.6 * b.wall_k + 0.4 * b.roof_k, WALL, b.solar_k, 0.3)
     return p.surface()
+
+
+def _level(x0: float, x1: float, hy: float, z: float) -> Solid:
+    """Return a level face from x0 to x1, `hy` to either side."""
+    return quad((x0, -hy, z), (x1, -hy, z), (x1, hy, z), (x0, hy, z))
 
 
 def _windows(p: SurfaceBuilder, b: Building, rng: np.random.Generator, a: FloatArray, c: FloatArray) -> None:
@@ -152,12 +124,8 @@ def _windows(p: SurfaceBuilder, b: Building, rng: np.random.Generator, a: FloatA
             s0 = (span - 3.0 * columns) / 2 + 3.0 * k + 0.65
             lit = rng.random() < b.lit_share
             p.add(face(s0 - 0.12, s0 + 1.82, z0 - 0.12, z0 + 1.62, 0.025), b.wall_k + 0.7, WALL, b.solar_k)
-            p.add(
-                face(s0, s0 + 1.7, z0, z0 + 1.5, 0.03),
-                b.window_k + (3.5 if lit else float(rng.normal(0, 0.5))),
-                GLASS,
-                0.2 * b.solar_k,
-            )
+            glass_k = b.window_k + (3.5 if lit else float(rng.normal(0, 0.5)))
+            p.add(face(s0, s0 + 1.7, z0, z0 + 1.5, 0.03), glass_k, GLASS, 0.2 * b.solar_k)
 
 
 def _gable(p: SurfaceBuilder, b: Building) -> None:
@@ -167,23 +135,13 @@ def _gable(p: SurfaceBuilder, b: Building) -> None:
     for side in (-1, 1):
         p.add(quad((-hx, side * hy, z - 0.1), (hx, side * hy, z - 0.1), ridge1, ridge0), b.roof_k, ROOF, b.solar_k, 0.6)
         for x in np.arange(-hx + 0.8, hx, 1.1):  # the sheets' ribs
-            p.add(
-                quad(
-                    (x, side * hy, z - 0.06),
-                    (x + 0.08, side * hy, z - 0.06),
-                    (x + 0.08, 0, z + rise + 0.04),
-                    (x, 0, z + rise + 0.04),
-                ),
-                b.roof_k + 1.2,
-                ROOF,
-                b.solar_k,
-            )
+            low, high = z - 0.06, z + rise + 0.04
+            rib = quad((x, side * hy, low), (x + 0.08, side * hy, low), (x + 0.08, 0, high), (x, 0, high))
+            p.add(rib, b.roof_k + 1.2, ROOF, b.solar_k)
     wx, wy = b.length_m / 2, b.width_m / 2
     for x in (-wx, wx):
         tri = Solid(
             np.array([(x, -wy, z - 0.1), (x, wy, z - 0.1), (x, 0.0, z + rise - 0.15)]), np.array([[0, 1, 2]], np.int32)
         )
         p.add(tri, b.wall_k, WALL, b.solar_k, 0.4)
-    p.add(
-        shapes.moved(shapes.box((2 * hx, 0.35, 0.14), 0.03), (0, 0, z + rise + 0.03)), b.roof_k + 1.5, WALL, b.solar_k
-    )
+    p.box((2 * hx, 0.35, 0.14), 0.03, (0, 0, z + rise + 0.03), b.roof_k + 1.5, WALL, b.solar_k)

@@ -109,13 +109,8 @@ def _bare(rng: np.random.Generator) -> Surface:
         for _ in range(3 if level < 3 else 2):
             turn = direction + rng.normal(0, 0.62, 3) + (0, 0, 0.12)
             turn /= np.linalg.norm(turn)
-            grow(
-                start + direction * length * float(rng.uniform(0.55, 1.0)),
-                turn,
-                length * float(rng.uniform(0.6, 0.85)),
-                radius * 0.6,
-                level + 1,
-            )
+            at = start + direction * length * float(rng.uniform(0.55, 1.0))
+            grow(at, turn, length * float(rng.uniform(0.6, 0.85)), radius * 0.6, level + 1)
 
     # Built 1 unit high and about 0.35 wide, then stretched to radius 1.
     grow(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.34, 0.014, 0)
@@ -160,20 +155,20 @@ def furniture(q: Furniture) -> Surface:
     p = SurfaceBuilder()
     h = q.height_m
     if q.kind == "lamp":
-        p.add(shapes.capsule((0, 0, 0), (0, 0, h), 0.1, 0.06, n=6), q.pole_k, METAL)
-        p.add(shapes.capsule((0, 0, h), (q.length_m, 0, h + 0.25), 0.05, n=4), q.pole_k, METAL)
-        p.add(shapes.moved(shapes.box((0.75, 0.32, 0.14), 0.04), (q.length_m + 0.2, 0, h + 0.24)), q.head_k, METAL)
+        p.bar((0, 0, 0), (0, 0, h), (0.1, 0.06), q.pole_k, METAL)
+        p.bar((0, 0, h), (q.length_m, 0, h + 0.25), 0.05, q.pole_k, METAL, n=4)
+        p.box((0.75, 0.32, 0.14), 0.04, (q.length_m + 0.2, 0, h + 0.24), q.head_k, METAL)
     elif q.kind == "hoop":
-        p.add(shapes.moved(shapes.box((1.5, 0.9, 0.4), 0.05), (-0.4, 0, 0.2)), q.pole_k, PAINT)
-        p.add(shapes.capsule((0, 0, 0.3), (0.5, 0, h - 0.3), 0.11, n=6), q.pole_k, METAL)
-        p.add(shapes.capsule((0.5, 0, h - 0.35), (q.length_m, 0, h - 0.2), 0.07, n=6), q.pole_k, METAL)
-        p.add(shapes.moved(shapes.box((0.06, 1.8, 1.05), 0.01), (q.length_m, 0, h)), q.head_k, GLASS)
+        p.box((1.5, 0.9, 0.4), 0.05, (-0.4, 0, 0.2), q.pole_k, PAINT)
+        p.bar((0, 0, 0.3), (0.5, 0, h - 0.3), 0.11, q.pole_k, METAL)
+        p.bar((0.5, 0, h - 0.35), (q.length_m, 0, h - 0.2), 0.07, q.pole_k, METAL)
+        p.box((0.06, 1.8, 1.05), 0.01, (q.length_m, 0, h), q.head_k, GLASS)
         ring = shapes.lathe([(0.22, -0.02), (0.25, -0.02), (0.25, 0.02), (0.22, 0.02)], 12, wrap=True)
         p.add(shapes.moved(ring, (q.length_m + 0.35, 0, h - 0.4)), q.pole_k, METAL)
     elif q.kind == "fence":
         half = q.length_m / 2
         for x in np.arange(-half, half + 0.1, 3.0):
-            p.add(shapes.capsule((x, 0, 0), (x, 0, h), 0.045, n=4), q.pole_k, METAL)
+            p.bar((x, 0, 0), (x, 0, h), 0.045, q.pole_k, METAL, n=4)
         for z in (0.15, h / 2, h):
             p.add(shapes.sweep([(-half, 0, z), (half, 0, z)], 0.03, n=4), q.pole_k, METAL)
     elif q.kind == "bin":
@@ -181,5 +176,5 @@ def furniture(q: Furniture) -> Surface:
     elif q.kind == "bollard":
         p.add(shapes.cylinder(0.1, 0, h, 6), q.pole_k, PAINT)
     else:
-        p.add(shapes.moved(shapes.box((q.length_m, 0.5, 0.1), 0.02), (0, 0, h)), q.pole_k, CLOTH)
+        p.box((q.length_m, 0.5, 0.1), 0.02, (0, 0, h), q.pole_k, CLOTH)
     return p.surface()

@@ -6,8 +6,7 @@ As the radiometric JPEG file of a camera, a frame is part of a made-up flight of
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -29,9 +28,14 @@ from infrablend.world.frames import FrameFacts, telemetry_of
 from infrablend.world.labels import Label
 from infrablend.world.plan import WorldPlan
 from infrablend.world.sampling import sample_world
-from infrablend.world.thermal_image import jpeg_bytes, optics, radiometric_frame, thermal_frame, tiff_bytes
-
-CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
+from infrablend.world.thermal_image import (
+    CENTIKELVIN,
+    jpeg_bytes,
+    optics,
+    radiometric_frame,
+    thermal_frame,
+    tiff_bytes,
+)
 
 # Scale of the made-up DJI counts. Real cameras do not state theirs.
 DJI_SCALE = TemperatureScale(0.02, -20.0)
@@ -49,7 +53,6 @@ class PlanRenderer(Protocol):
 
     def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
         """Return the (h, w) temperatures of a frame in kelvin, and a label for every thing that has a class."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +63,11 @@ class FinishedFrame:
         number: Number of the frame in the dataset, from 0.
         image: Record of the image with its labels.
         facts: Entry of the frame in `world.json`.
-        dropped: Number of objects without a label per reason.
     """
 
     number: int
     image: ImageRecord
     facts: dict[str, Any]
-    dropped: Mapping[str, int]
 
 
 def make_frame(frame: FrameFacts, seed: int, renderer: PlanRenderer, folder: Path) -> FinishedFrame:
@@ -85,13 +86,16 @@ def make_frame(frame: FrameFacts, seed: int, renderer: PlanRenderer, folder: Pat
             write_bytes(path, camera_file(frame, plan, kelvin, grey, counts))
         else:
             write_bytes(path, jpeg_bytes(grey) if frame.sequence is None else png_bytes(grey))
-    record = _monet_record if frame.sequence is not None else _hit_uav_record if frame.maker is None else _bare_record
-    dropped = Counter(label.dropped for label in labels if label.dropped)
-    image = record(frame, plan, labels, path, seed)
-    return FinishedFrame(frame.number, image, _facts(frame, plan, labels), dict(dropped))
+    facts = _facts(frame, plan, labels)
+    if frame.sequence is not None:
+        return FinishedFrame(frame.number, _monet_record(frame, plan, labels, path, seed), facts)
+    if frame.maker is not None:
+        # What the file of a camera states is in its header, and it has no labels.
+        return FinishedFrame(frame.number, ImageRecord(path.stem, path, frame.split, plan.camera.size_wh, ()), facts)
+    return FinishedFrame(frame.number, _hit_uav_record(frame, plan, labels, path), facts)
 
 
-def _hit_uav_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], path: Path, _: int) -> ImageRecord:
+def _hit_uav_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], path: Path) -> ImageRecord:
     instances = tuple(
         Instance(
             category=label.category,
@@ -119,11 +123,6 @@ def _hit_uav_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label],
         ),
         extra={"weather": "0"},
     )
-
-
-def _bare_record(frame: FrameFacts, plan: WorldPlan, _labels: Sequence[Label], path: Path, _seed: int) -> ImageRecord:
-    """Return the record of a camera's file: what it states is in its header, and it has no labels."""
-    return ImageRecord(path.stem, path, frame.split, plan.camera.size_wh, ())
 
 
 def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], path: Path, seed: int) -> ImageRecord:
@@ -174,8 +173,7 @@ def camera_file(
     rng: np.random.Generator,
 ) -> bytes:
     """Return the radiometric JPEG of a frame: its picture, its temperatures as raw counts, and how it was taken."""
-    if frame.maker is None:
-        raise ValueError(f"{frame.name}: no maker of a camera")
+    assert frame.maker is not None
     camera = plan.camera
     w, h = camera.size_wh
     captured = _START + timedelta(seconds=_STEP_S * frame.number)

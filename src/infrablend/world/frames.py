@@ -5,17 +5,19 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
-from typing import Any
+from typing import Any, Literal
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import SPLITS, Category, Split
 from infrablend.core.rng import stream
 from infrablend.errors import Problem, RecipeError
-from infrablend.formats.rjpeg.writing import Maker
+from infrablend.formats.rjpeg.writing import MAKERS, Maker
 from infrablend.world.plan import PlaceKind
 from infrablend.world.setting import SIZE_WH
+
+Layout = Literal["hit-uav", "monet", "radiometric", "dji", "flir"]
 
 PITCHES_DEG = (30, 40, 50, 60, 70, 80, 90)
 ALTITUDES_M = (60, 70, 80, 90, 100, 110, 120, 130)
@@ -81,103 +83,56 @@ class FrameFacts:
         return f"{night}_{self.altitude_m}_{self.pitch_deg}_0_{self.number:05d}.{'tiff' if self.radiometric else 'jpg'}"
 
 
-def plan_frames(
-    count: int,
-    seed: int,
-    splits: Mapping[Split, float] = SPLIT_SHARES,
-    pitches_deg: Sequence[int] = PITCHES_DEG,
-    altitudes_m: Sequence[int] = ALTITUDES_M,
-) -> tuple[FrameFacts, ...]:
-    """Return the facts of `count` frames in HIT-UAV's layout.
+def plan_frames(count: int, seed: int, layout: Layout = "hit-uav") -> tuple[FrameFacts, ...]:
+    """Return the facts of `count` frames; frame k does not depend on how many follow.
 
-    Pitches, altitudes and splits come in shuffled rounds, so a few frames already cover the range.
+    Pitches, altitudes and splits come in shuffled rounds, so a few frames already cover the range. The frames of a
+    camera are one flight at night.
 
     Raises:
-        RecipeError: A value is out of range; the error lists all of them.
+        RecipeError: The number is out of range.
     """
-    problems = [
-        *_check(count >= 1, "count", str(count), "at least 1"),
-        *_check(count <= 100_000, "count", str(count), "at most 100000, the names have five digits"),
-        *_check(bool(splits) and set(splits) <= set(SPLITS), "splits", str(sorted(splits)), "train, val or test"),
-        *_check(
-            all(v >= 0 for v in splits.values()) and sum(splits.values()) > 0,
-            "splits", str(dict(splits)), "shares of at least 0, not all 0",
-        ),
-        *_check(
-            bool(pitches_deg) and all(10 <= p <= 90 and p == int(p) for p in pitches_deg),
-            "pitches_deg", str(list(pitches_deg)), "whole degrees in [10, 90]",
-        ),
-        *_check(
-            bool(altitudes_m) and all(10 <= a <= 1000 and a == int(a) for a in altitudes_m),
-            "altitudes_m", str(list(altitudes_m)), "whole metres in [10, 1000]",
-        ),
-    ]  # fmt: skip
-    if problems:
-        raise RecipeError("the virtual world cannot be rendered with these values", problems)
-    names = [s for s in SPLITS if splits.get(s, 0) > 0]
-    total = sum(splits[s] for s in names)
+    if not 1 <= count <= 100_000:
+        expected = "1 to 100000: names of files have five digits"
+        problem = Problem("count", "world-value", f"found {count}", expected, "correct the value")
+        raise RecipeError("the virtual world cannot be rendered with these values", [problem])
+    altitudes = MONET_ALTITUDES_M if layout == "monet" else ALTITUDES_M
+    total = sum(SPLIT_SHARES.values())
     given: Counter[Split] = Counter()
     frames = []
     for k in range(count):
-        # The split that is furthest behind its share gets the frame.
-        split = max(names, key=lambda s: (splits[s] / total * (k + 1) - given[s], -SPLITS.index(s)))
-        given[split] += 1
-        rng = stream(seed, "world", k, "facts")
-        frames.append(
-            FrameFacts(
-                k,
-                split,
-                int(_round_robin(pitches_deg, k, seed, "pitch")),
-                int(_round_robin(altitudes_m, k, seed, "altitude")),
-                "night" if rng.random() < NIGHT_SHARE else "day",
-            )
-        )
+        pitch, altitude = _of_round(PITCHES_DEG, k, seed, "pitch"), _of_round(altitudes, k, seed, "altitude")
+        if layout == "monet":
+            frames.append(_of_sequence(k, seed, pitch, altitude))
+        elif layout in MAKERS:
+            frames.append(FrameFacts(k, "train", pitch, altitude, "night", maker=layout))
+        else:
+            # The split that is furthest behind its share gets the frame.
+            split = max(SPLITS, key=lambda s: (SPLIT_SHARES[s] / total * (k + 1) - given[s], -SPLITS.index(s)))
+            given[split] += 1
+            night = stream(seed, "world", k, "facts").random() < NIGHT_SHARE
+            radiometric = layout == "radiometric"
+            frames.append(FrameFacts(k, split, pitch, altitude, "night" if night else "day", radiometric=radiometric))
     return tuple(frames)
 
 
-def plan_flight(
-    count: int, seed: int, maker: Maker, pitches_deg: Sequence[int], altitudes_m: Sequence[int]
-) -> tuple[FrameFacts, ...]:
-    """Return the facts of the frames of one flight at night, in the files of a camera.
-
-    Raises:
-        RecipeError: A value is out of range; the error lists all of them.
-    """
-    frames = plan_frames(count, seed, {"train": 1.0}, pitches_deg, altitudes_m)
-    return tuple(replace(f, time_of_day="night", maker=maker) for f in frames)
-
-
-def _check(good: bool, where: str, found: str, expected: str) -> list[Problem]:
-    return [] if good else [Problem(where, "world-value", f"found {found}", expected, "correct the value")]
-
-
-def _round_robin(values: Sequence[int], k: int, seed: int, what: str) -> int:
+def _of_round(values: Sequence[int], k: int, seed: int, what: str) -> int:
     """Return value number k of a sequence of shuffled rounds through `values`."""
     turn, at = divmod(k, len(values))
     return values[int(stream(seed, "world", what, turn).permutation(len(values))[at])]
 
 
-def plan_sequences(
-    count: int, seed: int, pitches_deg: Sequence[int] = PITCHES_DEG, altitudes_m: Sequence[int] = MONET_ALTITUDES_M
-) -> tuple[FrameFacts, ...]:
-    """Return `count` frames spread over MONET's sequences; pitch and altitude vary a little around the given values.
-
-    Raises:
-        RecipeError: A value is out of range; the error lists all of them.
-    """
-    base = plan_frames(count, seed, {"train": 1.0}, pitches_deg, altitudes_m)
-    frames = []
-    for f in base:
-        split, name, telemetry = SEQUENCES[f.number % len(SEQUENCES)]
-        index = f.number // len(SEQUENCES)
-        rng = stream(seed, "world", "monet", f.number)
-        of_day: TimeOfDay = "night" if stream(seed, "world", "monet", name).random() < NIGHT_SHARE else "day"
-        kind: PlaceKind = "runway" if name.startswith("runway") else "dirtroad"
-        pitch = round(min(90.0, max(10.0, f.pitch_deg + rng.uniform(-4, 4))), 1)
-        altitude = round(max(10.0, f.altitude_m + rng.uniform(-5, 5)), 1)
-        recorded = telemetry and not (name == _LOSSY and index % 10 == _LOST)
-        frames.append(FrameFacts(f.number, split, pitch, altitude, of_day, kind, MONET_SIZE_WH, name, index, recorded))
-    return tuple(frames)
+def _of_sequence(number: int, seed: int, pitch_deg: float, altitude_m: float) -> FrameFacts:
+    """Return a frame of MONET's sequences; its pitch and altitude vary a little around the given values."""
+    split, name, telemetry = SEQUENCES[number % len(SEQUENCES)]
+    index = number // len(SEQUENCES)
+    rng = stream(seed, "world", "monet", number)
+    of_day: TimeOfDay = "night" if stream(seed, "world", "monet", name).random() < NIGHT_SHARE else "day"
+    kind: PlaceKind = "runway" if name.startswith("runway") else "dirtroad"
+    pitch = round(min(90.0, max(10.0, pitch_deg + rng.uniform(-4, 4))), 1)
+    altitude = round(max(10.0, altitude_m + rng.uniform(-5, 5)), 1)
+    recorded = telemetry and not (name == _LOSSY and index % 10 == _LOST)
+    return FrameFacts(number, split, pitch, altitude, of_day, kind, MONET_SIZE_WH, name, index, recorded)
 
 
 def telemetry_of(frame: FrameFacts, seed: int) -> dict[str, Any]:

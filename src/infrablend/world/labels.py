@@ -87,13 +87,8 @@ def label_object(
 ) -> Label:
     """Return the label of one object.
 
-    Args:
-        category: Class of the object.
-        camera: Camera of the frame.
-        vertices_m: (V, 3) vertices in the world.
-        triangles: (T, 3) vertex indices.
-        visible: Samples of the id pass that show the object.
-        upright: Align the oriented box with the image axes, as HIT-UAV does for people.
+    `vertices_m` are (V, 3) in the world; `upright` aligns the oriented box with the image axes, as HIT-UAV does for
+    people.
     """
     w, h = camera.size_wh
     xy, depth = camera.project(vertices_m)

@@ -35,10 +35,7 @@ class Person:
     legs_k: float
     solar_k: float
 
-    @property
-    def category(self) -> str:
-        """Class of the label."""
-        return "Person"
+    category = "Person"
 
 
 def draw_person(draws: Draws, weather: Weather, x: float, y: float, heading: float, pose: Pose) -> Person:
@@ -89,19 +86,16 @@ def person(q: Person, seat_m: float | None = None) -> Surface:
         else:
             knee = (0.38, 0.13 * side, hip - 0.05)
             foot = (0.36, 0.13 * side, hip - 0.45)
-        p.add(
-            shapes.capsule(at(0, 0.095 * side, hip), at(*knee), 0.085 * g * h, 0.062 * h, n=6),
-            q.legs_k,
+        p.bar(at(0, 0.095 * side, hip), at(*knee), (0.085 * g * h, 0.062 * h), q.legs_k, CLOTH, q.solar_k, 0.4)
+        p.bar(at(*knee), at(*foot), (0.06 * h, 0.048 * h), q.legs_k - 0.6, CLOTH, q.solar_k, 0.4)
+        p.bar(
+            at(foot[0] - 0.05, foot[1], 0.045 if seat_m is None else foot[2]),
+            at(foot[0] + 0.15, foot[1], 0.04 if seat_m is None else foot[2]),
+            0.05 * h,
+            q.legs_k - 3.5,
             CLOTH,
             q.solar_k,
-            0.4,
         )
-        p.add(shapes.capsule(at(*knee), at(*foot), 0.06 * h, 0.048 * h, n=6), q.legs_k - 0.6, CLOTH, q.solar_k, 0.4)
-        p.add(
-            shapes.capsule(at(foot[0] - 0.05, foot[1], 0.045 if seat_m is None else foot[2]),
-                           at(foot[0] + 0.15, foot[1], 0.04 if seat_m is None else foot[2]), 0.05 * h, n=6),
-            q.legs_k - 3.5, CLOTH, q.solar_k,
-        )  # fmt: skip
         # Arms swing against the legs; `spread` lifts them sideways, "reach" above the head.
         shoulder = (fwd, 0.215 * g * side, chest)
         if q.pose == "reach":
@@ -120,20 +114,14 @@ def person(q: Person, seat_m: float | None = None) -> Surface:
             )
             bend = 1.1 if q.pose == "run" else 0.25
             hand = (elbow[0] + 0.25 * math.sin(b + bend), elbow[1] + 0.03 * side, elbow[2] - 0.25 * math.cos(b + bend))
-        p.add(
-            shapes.capsule(at(*shoulder), at(*elbow), arm * h, 0.052 * g * h, n=6), q.top_k - 0.8, CLOTH, q.solar_k, 0.4
-        )
-        p.add(shapes.capsule(at(*elbow), at(*hand), 0.05 * g * h, 0.04 * h, n=6), q.top_k - 1.0, CLOTH, q.solar_k, 0.4)
+        p.bar(at(*shoulder), at(*elbow), (arm * h, 0.052 * g * h), q.top_k - 0.8, CLOTH, q.solar_k, 0.4)
+        p.bar(at(*elbow), at(*hand), (0.05 * g * h, 0.04 * h), q.top_k - 1.0, CLOTH, q.solar_k, 0.4)
         p.add(shapes.moved(shapes.ellipsoid((0.052 * h, 0.045 * h, 0.052 * h), 6, 4), at(*hand)), q.skin_k - 1.5, SKIN)
     head = at(fwd * 1.15 + 0.02, 0, chest + 0.235)
-    p.add(shapes.capsule(at(fwd, 0, chest + 0.04), head, 0.058 * h, n=6), q.skin_k, SKIN)
+    p.bar(at(fwd, 0, chest + 0.04), head, 0.058 * h, q.skin_k, SKIN)
     p.add(shapes.moved(shapes.ellipsoid((0.1 * h, 0.082 * h, 0.122 * h), 8, 6), head), q.skin_k, SKIN)
-    p.add(
-        shapes.moved(
-            shapes.ellipsoid((0.1 * h, 0.09 * h, 0.105 * h), 8, 6), (head[0] - 0.025 * h, 0, head[2] + 0.035 * h)
-        ),
-        q.hair_k, CLOTH, q.solar_k,
-    )  # fmt: skip
+    hair = shapes.ellipsoid((0.1 * h, 0.09 * h, 0.105 * h), 8, 6)
+    p.add(shapes.moved(hair, (head[0] - 0.025 * h, 0, head[2] + 0.035 * h)), q.hair_k, CLOTH, q.solar_k)
     return p.surface()
 
 
@@ -152,10 +140,7 @@ class Cycle:
     cover: bool
     rider: Person | None
 
-    @property
-    def category(self) -> str:
-        """Class of the label."""
-        return "Bicycle"
+    category = "Bicycle"
 
 
 def draw_cycle(draws: Draws, weather: Weather, x: float, y: float, heading: float, ridden: bool) -> Cycle:
@@ -196,17 +181,17 @@ def cycle(c: Cycle) -> Surface:
             [(-0.78, 0, 0.62), (-0.45, 0, 0.6), (-0.02, 0, 0.52)], [0.13, 0.2, 0.15], [0.1, 0.17, 0.15], n=8
         )
         p.add(rear, c.body_k, PAINT, c.solar_k)
-        p.add(shapes.moved(shapes.box((0.72, 0.34, 0.12), 0.06), (-0.4, 0, 0.79)), c.seat_k, CLOTH, c.solar_k)
-        p.add(shapes.moved(shapes.box((0.5, 0.32, 0.12), 0.03), (0.18, 0, 0.3)), c.body_k, PAINT, c.solar_k)
-        p.add(shapes.moved(shapes.box((0.3, 0.16, 0.2), 0.03), (-0.45, 0, 0.36)), c.motor_k, PAINT)
+        p.box((0.72, 0.34, 0.12), 0.06, (-0.4, 0, 0.79), c.seat_k, CLOTH, c.solar_k)
+        p.box((0.5, 0.32, 0.12), 0.03, (0.18, 0, 0.3), c.body_k, PAINT, c.solar_k)
+        p.box((0.3, 0.16, 0.2), 0.03, (-0.45, 0, 0.36), c.motor_k, PAINT)
         shield = shapes.sweep(
             [(0.46, 0, 0.32), (0.42, 0, 0.7), (0.34, 0, 1.0)], [0.2, 0.25, 0.14], [0.06, 0.1, 0.12], n=8, up=(1, 0, 0)
         )
         p.add(shield, c.body_k, PAINT, c.solar_k)
         if c.cover:  # the padded wind guard that hangs before the rider's legs in winter
-            p.add(shapes.moved(shapes.box((0.16, 0.74, 0.6), 0.06), (0.3, 0, 0.78)), c.body_k + 0.6, CLOTH, c.solar_k)
+            p.box((0.16, 0.74, 0.6), 0.06, (0.3, 0, 0.78), c.body_k + 0.6, CLOTH, c.solar_k)
         elif c.rider is None:  # a box on the carrier
-            p.add(shapes.moved(shapes.box((0.3, 0.34, 0.28), 0.04), (-0.88, 0, 0.9)), c.body_k - 0.2, PAINT, c.solar_k)
+            p.box((0.3, 0.34, 0.28), 0.04, (-0.88, 0, 0.9), c.body_k - 0.2, PAINT, c.solar_k)
         bar_z, bar_x = 1.04, 0.32
     else:
         joints = {
@@ -224,18 +209,14 @@ def cycle(c: Cycle) -> Surface:
             ("seat", "head"),
             ("head", "front"),
         ):
-            p.add(shapes.capsule(joints[a_], joints[b_], 0.025, n=4), c.body_k, METAL, c.solar_k)
-        p.add(shapes.moved(shapes.box((0.26, 0.16, 0.07), 0.02), (-0.26, 0, 0.92)), c.seat_k, CLOTH, c.solar_k)
-        p.add(shapes.moved(shapes.box((0.3, 0.34, 0.24), 0.02), (0.6, 0, 0.9)), c.body_k, METAL, c.solar_k)
+            p.bar(joints[a_], joints[b_], 0.025, c.body_k, METAL, c.solar_k, n=4)
+        p.box((0.26, 0.16, 0.07), 0.02, (-0.26, 0, 0.92), c.seat_k, CLOTH, c.solar_k)
+        p.box((0.3, 0.34, 0.24), 0.02, (0.6, 0, 0.9), c.body_k, METAL, c.solar_k)
         bar_z, bar_x = 1.0, 0.36
-    p.add(shapes.capsule((bar_x, -0.33, bar_z), (bar_x, 0.33, bar_z), 0.035, n=6), c.body_k, RUBBER, c.solar_k)
+    p.bar((bar_x, -0.33, bar_z), (bar_x, 0.33, bar_z), 0.035, c.body_k, RUBBER, c.solar_k)
     for side in (-1, 1):
         if scooter:
-            p.add(
-                shapes.moved(shapes.box((0.03, 0.13, 0.09), 0.01), (bar_x, 0.36 * side, bar_z + 0.2)),
-                c.body_k - 1,
-                GLASS,
-            )
+            p.box((0.03, 0.13, 0.09), 0.01, (bar_x, 0.36 * side, bar_z + 0.2), c.body_k - 1, GLASS)
     if c.rider is not None:
         r = person(c.rider, seat_m=0.84 if scooter else 0.95)
         v = r.vertices_m - (0.3, 0.0, 0.0)

@@ -191,13 +191,8 @@ def _basketball(
 ) -> None:
     """Add one court with its middle at a point: its lines and hoops, and a game around one hoop, or nobody.
 
-    Args:
-        site: Site to fill.
-        at: Gives the place on the site for a point along and across all courts.
-        middle: Point along and across.
-        h: Heading of the court.
-        size_m: Length and width.
-        line: Temperature of the lines minus that of the ground, kelvin.
+    `at` gives the place on the site of a point along and across all courts; lines are `line` kelvin warmer than the
+    ground.
     """
     draws, weather = site.draws, site.weather
     u = draws.uniform

@@ -72,19 +72,8 @@ def cold_mark(site: Site, x: float, y: float, heading: float) -> None:
     """Add the mark of a car that left recently: its shade kept the ground cold by day, and still shows at night."""
     draws, weather = site.draws, site.weather
     amount = draws.uniform(-3.2, -1.2) if weather.night else draws.uniform(-5, -2)
-    site.patches.append(
-        Patch(
-            "rect",
-            x,
-            y,
-            heading,
-            draws.uniform(3.9, 4.6),
-            draws.uniform(1.6, 1.9),
-            None,
-            amount,
-            draws.uniform(0.3, 0.9),
-        )
-    )
+    length, width, soft = draws.uniform(3.9, 4.6), draws.uniform(1.6, 1.9), draws.uniform(0.3, 0.9)
+    site.patches.append(Patch("rect", x, y, heading, length, width, None, amount, soft))
 
 
 def walkers(site: Site, road: Road, count: int) -> None:

@@ -38,21 +38,9 @@ def sample_world(
 ) -> WorldPlan:
     """Draw the plan of a scene.
 
-    Args:
-        rng: Random stream of the frame.
-        pitch_deg: Camera depression angle in [10, 90]; 90 looks straight down.
-        altitude_m: Camera height above the ground.
-        time_of_day: `day` has the sun up; at night a clear sky cools what faces it.
-        kind: Kind of place; drawn from `TOWN` if None.
-        size_wh: Image size in pixels.
-
-    Raises:
-        ValueError: `pitch_deg` or `altitude_m` is out of range.
+    Pitches are depression angles in [10, 90], so that neither horizon nor sky shows; 90 looks straight down. Without a
+    kind, one is drawn from `TOWN`.
     """
-    if not 10 <= pitch_deg <= 90:
-        raise ValueError(f"pitch_deg {pitch_deg} not in [10, 90]: the horizon or the sky would be in the image")
-    if not altitude_m > 0:
-        raise ValueError(f"altitude_m {altitude_m} must be positive")
     if kind is None:
         kind = TOWN[int(rng.choice(len(TOWN), p=TOWN_SHARES))]
     draws = Draws(rng)

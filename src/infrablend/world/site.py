@@ -129,17 +129,6 @@ class Site:
             return True
         self.buildings.append(draw_building(self.draws, self.weather, x, y, heading, (length, width, height)))
         # Walls keep the ground in front of them warmer, because they block its view of the sky.
-        self.patches.append(
-            Patch(
-                "rect",
-                x,
-                y,
-                heading,
-                length + 1.5,
-                width + 1.5,
-                None,
-                self.draws.uniform(0.8, 2.0) if self.weather.night else -2.0,
-                2.5,
-            )
-        )
+        amount = self.draws.uniform(0.8, 2.0) if self.weather.night else -2.0
+        self.patches.append(Patch("rect", x, y, heading, length + 1.5, width + 1.5, None, amount, 2.5))
         return True

@@ -37,11 +37,7 @@ _SHAPES: Mapping[str, tuple[tuple[float, float], ...]] = {
 def write_sky_pictures(out: Path, count: int, seed: int, classes: Sequence[str]) -> None:
     """Write a COCO dataset of pictures that show one object each, and `world.json`.
 
-    Args:
-        out: Folder to write; it must be empty or not exist.
-        count: Number of pictures; seven in ten are train, one in ten val, the others test, but at least one of each.
-        seed: Seed of everything random.
-        classes: Classes of the objects, in turn.
+    Seven in ten pictures are train, one in ten val, the others test, but at least one of each; classes come in turn.
 
     Raises:
         OutputError: The folder is not empty or cannot be written.

@@ -65,6 +65,21 @@ class SurfaceBuilder:
         )
         self.count += len(solid.vertices)
 
+    def box(
+        self, size_m: ArrayLike, bevel_m: float, at_m: ArrayLike, kelvin: float, mirror: float, solar_k: float = 0.0,
+        grain_k: float = 0.2, corner: float | None = None,
+    ) -> None:  # fmt: skip
+        """Add a bevelled box with its middle at a point, see `shapes.box`."""
+        self.add(shapes.moved(shapes.box(size_m, bevel_m, corner=corner), at_m), kelvin, mirror, solar_k, grain_k)
+
+    def bar(
+        self, a_m: ArrayLike, b_m: ArrayLike, radii_m: float | tuple[float, float], kelvin: float, mirror: float,
+        solar_k: float = 0.0, grain_k: float = 0.2, n: int = 6,
+    ) -> None:  # fmt: skip
+        """Add a round bar between two points, of one radius or with one for each end, see `shapes.capsule`."""
+        radius_a, radius_b = radii_m if isinstance(radii_m, tuple) else (radii_m, radii_m)
+        self.add(shapes.capsule(a_m, b_m, radius_a, radius_b, n), kelvin, mirror, solar_k, grain_k)
+
     def surface(self) -> Surface:
         """Return everything added so far as one surface."""
         v = np.concatenate(self.values)

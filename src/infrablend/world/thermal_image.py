@@ -17,6 +17,7 @@ LOW_GREY, HIGH_GREY, MEAN_GREY = 16.0, 235.0, 126.0
 HEADROOM_GREY = 95.0
 # Noise equivalent temperature difference of uncooled cameras at f/1.0, by their data sheets.
 NETD_K = 0.05
+CENTIKELVIN = TemperatureScale(0.01, 0.0, "centikelvin")
 
 
 def optics(kelvin: Field, sigma_px: float) -> Field:
@@ -67,9 +68,7 @@ def vignette(shape_hw: tuple[int, int], depth_grey: float) -> Field:
 
 def codec(grey: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     """Return a frame after lossy video coding."""
-    buffer = io.BytesIO()
-    Image.fromarray(grey).save(buffer, "JPEG", quality=quality)
-    return np.asarray(Image.open(buffer), np.uint8).copy()
+    return np.asarray(Image.open(io.BytesIO(jpeg_bytes(grey, quality))), np.uint8).copy()
 
 
 def thermal_frame(
@@ -89,7 +88,7 @@ def radiometric_frame(kelvin: Field, rng: np.random.Generator) -> NDArray[np.uin
     """Return the (h, w) centikelvin that a radiometric camera stores: optics and noise, neither gain nor codec."""
     seen = optics(kelvin, float(rng.uniform(0.45, 0.6)))
     seen = seen + (rng.standard_normal(kelvin.shape) * NETD_K).astype(np.float32)
-    return TemperatureScale(0.01, 0.0, "centikelvin").counts(seen)
+    return CENTIKELVIN.counts(seen)
 
 
 def tiff_bytes(counts: NDArray[np.uint16]) -> bytes:
@@ -99,8 +98,8 @@ def tiff_bytes(counts: NDArray[np.uint16]) -> bytes:
     return buffer.getvalue()
 
 
-def jpeg_bytes(grey: NDArray[np.uint8]) -> bytes:
-    """Encode a frame as HIT-UAV stores it: 8-bit grey JPEG of quality 95."""
+def jpeg_bytes(grey: NDArray[np.uint8], quality: int = 95) -> bytes:
+    """Encode a frame as HIT-UAV stores it: 8-bit grey JPEG."""
     buffer = io.BytesIO()
-    Image.fromarray(grey).save(buffer, "JPEG", quality=95)
+    Image.fromarray(grey).save(buffer, "JPEG", quality=quality)
     return buffer.getvalue()

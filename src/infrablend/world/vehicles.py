@@ -161,10 +161,7 @@ def _car_cabin(p: SurfaceBuilder, v: Vehicle, rise: float) -> None:
     _warm_flanks(kelvin, cabin, v)
     p.add(cabin, kelvin, np.where(glass, GLASS, PAINT), np.where(glass, 0.25, 1.0) * v.solar_k)
     for side in (-1, 1):  # mirrors
-        p.add(
-            shapes.moved(shapes.box((0.1, 0.16, 0.1), 0.02), (0.2 * length, side * (half + 0.02), belt + 0.02)),
-            v.paint_k, PAINT, v.solar_k,
-        )  # fmt: skip
+        p.box((0.1, 0.16, 0.1), 0.02, (0.2 * length, side * (half + 0.02), belt + 0.02), v.paint_k, PAINT, v.solar_k)
 
 
 def _warm_flanks(kelvin: FloatArray, solid: Solid, v: Vehicle) -> None:
@@ -190,46 +187,34 @@ def _cabin_outline(ends: tuple[float, float], half: float, length: float) -> Flo
 def _large_vehicle(p: SurfaceBuilder, v: Vehicle) -> None:
     length, width, height = v.length_m, v.width_m, v.height_m
     if v.kind == "bus":
-        p.add(
-            shapes.moved(shapes.box((length, width, 0.75), 0.06, corner=0.2), (0, 0, 0.7)), v.paint_k, PAINT, v.solar_k
+        p.box((length, width, 0.75), 0.06, (0, 0, 0.7), v.paint_k, PAINT, v.solar_k, corner=0.2)
+        p.box(
+            (length - 0.06, width - 0.06, height - 2.0),
+            0.02,
+            (0, 0, height / 2 + 0.1),
+            v.glass_k,
+            GLASS,
+            0.2 * v.solar_k,
+            corner=0.2,
         )
-        p.add(
-            shapes.moved(
-                shapes.box((length - 0.06, width - 0.06, height - 2.0), 0.02, corner=0.2), (0, 0, height / 2 + 0.1)
-            ),
-            v.glass_k, GLASS, 0.2 * v.solar_k,
-        )  # fmt: skip
-        p.add(
-            shapes.moved(shapes.box((length, width, 0.9), 0.12, corner=0.25), (0, 0, height - 0.45)),
-            v.paint_k,
-            PAINT,
-            v.solar_k,
-        )
+        p.box((length, width, 0.9), 0.12, (0, 0, height - 0.45), v.paint_k, PAINT, v.solar_k, corner=0.25)
         for fx, warm in ((0.22, 1.2), (-0.18, 0.4)):
-            p.add(
-                shapes.moved(shapes.box((2.0, 1.5, 0.24), 0.05), (fx * length, 0, height + 0.1)),
-                v.paint_k + warm,
-                PAINT,
-                v.solar_k,
-            )
+            p.box((2.0, 1.5, 0.24), 0.05, (fx * length, 0, height + 0.1), v.paint_k + warm, PAINT, v.solar_k)
         # The engine sits at the rear.
-        p.add(shapes.moved(shapes.box((0.16, width - 0.4, 0.9), 0.03), (-length / 2 - 0.01, 0, 0.9)), v.bonnet_k, PAINT)
+        p.box((0.16, width - 0.4, 0.9), 0.03, (-length / 2 - 0.01, 0, 0.9), v.bonnet_k, PAINT)
         return
     cab = 2.0
-    p.add(shapes.moved(shapes.box((length, 0.9, 0.3), 0.03), (0, 0, 0.75)), v.under_k, RUBBER)
+    p.box((length, 0.9, 0.3), 0.03, (0, 0, 0.75), v.under_k, RUBBER)
     front = length / 2 - cab / 2
-    p.add(shapes.moved(shapes.box((cab, width - 0.1, 1.0), 0.08), (front, 0, 1.0)), v.paint_k, PAINT, v.solar_k)
-    p.add(shapes.moved(shapes.box((cab - 0.25, width - 0.2, 0.65), 0.06), (front - 0.1, 0, 1.75)), v.glass_k, GLASS)
-    p.add(
-        shapes.moved(shapes.box((cab - 0.3, width - 0.25, 0.15), 0.05), (front - 0.12, 0, 2.12)),
-        v.paint_k,
+    p.box((cab, width - 0.1, 1.0), 0.08, (front, 0, 1.0), v.paint_k, PAINT, v.solar_k)
+    p.box((cab - 0.25, width - 0.2, 0.65), 0.06, (front - 0.1, 0, 1.75), v.glass_k, GLASS)
+    p.box((cab - 0.3, width - 0.25, 0.15), 0.05, (front - 0.12, 0, 2.12), v.paint_k, PAINT, v.solar_k)
+    p.box((0.1, width - 0.6, 0.5), 0.03, (length / 2 + 0.01, 0, 0.85), v.bonnet_k, PAINT)
+    p.box(
+        (length - cab - 0.25, width, height - 0.95),
+        0.04,
+        (-(cab + 0.25) / 2, 0, (height + 0.95) / 2),
+        v.paint_k + 0.4,
         PAINT,
         v.solar_k,
     )
-    p.add(shapes.moved(shapes.box((0.1, width - 0.6, 0.5), 0.03), (length / 2 + 0.01, 0, 0.85)), v.bonnet_k, PAINT)
-    p.add(
-        shapes.moved(
-            shapes.box((length - cab - 0.25, width, height - 0.95), 0.04), (-(cab + 0.25) / 2, 0, (height + 0.95) / 2)
-        ),
-        v.paint_k + 0.4, PAINT, v.solar_k,
-    )  # fmt: skip

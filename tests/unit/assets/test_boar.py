@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 import pytest
 
 from infrablend.assets import boar
-from infrablend.assets.catalogue import load_model
 from infrablend.assets.implicit import is_closed
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
-from infrablend.errors import ModelError
-from tests.meshes import signed_volume
+from tests.meshes import areas, signed_volume, vertices_of
 
 SHAPES = [(pose, k + 1) for pose in boar.POSES for k in range(len(boar.VARIANTS[pose]))]
 PLAIN: dict[str, Any] = {
@@ -39,16 +36,6 @@ def drawn(k: int, **options: object) -> dict[str, Any]:
     return boar.sample(stream(7, "boar", k), options)
 
 
-def points(mesh: Mesh, *parts: str) -> np.ndarray:
-    wanted = [i for i, name in enumerate(mesh.part_names) if name in parts]
-    return mesh.vertices_m[np.unique(mesh.triangles[np.isin(mesh.part_of_triangle, wanted)])]
-
-
-def areas(mesh: Mesh) -> np.ndarray:
-    a, b, c = (mesh.vertices_m[mesh.triangles[:, i]] for i in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
 @pytest.mark.parametrize(("pose", "variant"), SHAPES)
 @pytest.mark.parametrize("kind", boar.BUILDS)
 def test_every_shape_is_closed_oriented_and_on_the_ground(pose: str, variant: int, kind: str) -> None:
@@ -67,11 +54,11 @@ def test_every_shape_is_closed_oriented_and_on_the_ground(pose: str, variant: in
 @pytest.mark.parametrize(("pose", "variant"), [s for s in SHAPES if s[0] != "lying"])
 def test_origin_is_between_the_feet_and_the_withers_have_the_height_asked_for(pose: str, variant: int) -> None:
     mesh = build(pose=pose, variant=variant, shoulder_height_m=0.8)
-    hooves = points(mesh, "hoof")
+    hooves = vertices_of(mesh, "hoof")
     feet = [hooves[((hooves[:, 0] > 0) == fore) & ((hooves[:, 1] > 0) == left)] for fore in (1, 0) for left in (1, 0)]
     assert sum(f[:, 2].min() < 0.005 for f in feet) >= 3  # walking lifts one
     assert np.abs(np.mean([f[:, :2].mean(axis=0) for f in feet], axis=0)).max() < 0.06
-    trunk = points(mesh, "back", "flank", "mane")
+    trunk = vertices_of(mesh, "back", "flank", "mane")
     assert trunk[:, 2].max() == pytest.approx(0.8, abs=0.04)
 
 
@@ -79,22 +66,22 @@ def test_it_is_built_like_a_boar() -> None:
     mesh = build()
     # Longer than high, legs less than half of the height, highest and broadest at the shoulders.
     assert 1.6 < mesh.size_m[0] < 1.95
-    trunk = points(mesh, "back", "flank", "belly", "mane", "shoulder", "haunch")
+    trunk = vertices_of(mesh, "back", "flank", "belly", "mane", "shoulder", "haunch")
     assert 0.33 < trunk[np.abs(trunk[:, 0] - 0.2) < 0.1, 2].min() < 0.45
 
     def section(low: float, high: float) -> np.ndarray:
-        body = points(mesh, "back", "flank", "belly", "mane", "neck", "head", "snout")
+        body = vertices_of(mesh, "back", "flank", "belly", "mane", "neck", "head", "snout")
         return body[(body[:, 0] > low) & (body[:, 0] < high)]
 
     shoulders, loins, snout = section(0.25, 0.45), section(-0.5, -0.3), section(0.95, 1.2)
     assert shoulders[:, 2].max() > loins[:, 2].max() + 0.05
     assert np.ptp(shoulders[:, 1]) > np.ptp(loins[:, 1]) > 2 * np.ptp(snout[:, 1])
-    head = points(mesh, "head", "snout", "nose")
+    head = vertices_of(mesh, "head", "snout", "nose")
     assert 0.45 < np.ptp(head[:, 0]) < 0.65  # a third of head and body
-    assert points(mesh, "nose")[:, 0].max() == pytest.approx(mesh.vertices_m[:, 0].max())  # +X is the heading
-    assert points(build(pose="rooting"), "nose")[:, 2].min() < 0.12
-    assert points(build(pose="lying"), "back")[:, 2].max() < 0.65
-    yearling, tusker = (points(build(build=kind), "mane", "back") for kind in ("yearling", "tusker"))
+    assert vertices_of(mesh, "nose")[:, 0].max() == pytest.approx(mesh.vertices_m[:, 0].max())  # +X is the heading
+    assert vertices_of(build(pose="rooting"), "nose")[:, 2].min() < 0.12
+    assert vertices_of(build(pose="lying"), "back")[:, 2].max() < 0.65
+    yearling, tusker = (vertices_of(build(build=kind), "mane", "back") for kind in ("yearling", "tusker"))
     assert np.ptp(tusker[:, 1]) > np.ptp(yearling[:, 1])
 
 
@@ -106,28 +93,13 @@ def test_factors_and_height_scale() -> None:
 def test_spine_bends_and_keeps_its_length() -> None:
     straight, bent = build(), build(bend_rad=0.6, head_turn_rad=0.4)
     assert is_closed(bent.triangles) and areas(bent).min() > 1e-9
-    assert points(bent, "nose")[:, 1].mean() > points(straight, "nose")[:, 1].mean() + 0.3
-    assert points(bent, "tail")[:, 1].mean() > points(straight, "tail")[:, 1].mean() + 0.04
-    spine = [points(m, "mane") for m in (straight, bent)]
+    assert vertices_of(bent, "nose")[:, 1].mean() > vertices_of(straight, "nose")[:, 1].mean() + 0.3
+    assert vertices_of(bent, "tail")[:, 1].mean() > vertices_of(straight, "tail")[:, 1].mean() + 0.04
+    spine = [vertices_of(m, "mane") for m in (straight, bent)]
     length = [np.abs(np.diff(v[np.argsort(v[:, 0])][::20, :2], axis=0)).sum() for v in spine]
     assert length[0] > 0.6
     volume = [signed_volume(m.vertices_m, m.triangles) for m in (straight, bent)]
     assert volume[1] == pytest.approx(volume[0], rel=0.03)
-    mirrored = build(bend_rad=0.6, head_turn_rad=0.4, mirror=True)
-    assert (mirrored.vertices_m == bent.vertices_m * [1, -1, 1]).all()
-    assert signed_volume(mirrored.vertices_m, mirrored.triangles) == pytest.approx(volume[1])
-
-
-def test_same_params_same_bytes_cached_or_not() -> None:
-    params = drawn(3)
-    first = boar.build(params)
-    boar._shape.cache_clear()
-    second = boar.build(json.loads(json.dumps(params)))
-    assert first.part_names == second.part_names
-    for a, b in ((first.vertices_m, second.vertices_m), (first.triangles, second.triangles)):
-        assert a.tobytes() == b.tobytes()
-    build(mirror=True, bend_rad=0.3)
-    assert boar.build(params).vertices_m.tobytes() == first.vertices_m.tobytes()
 
 
 def test_draws_vary_and_heights_follow_the_build() -> None:
@@ -144,21 +116,6 @@ def test_draws_vary_and_heights_follow_the_build() -> None:
     assert set(boar.OPTIONS) == set(free)
 
 
-@pytest.mark.parametrize(
-    ("options", "match"),
-    [
-        ({"pose": "sitting"}, "boar model, option pose: found 'sitting'; expected one of standing, walking, rooting"),
-        ({"shoulder_height_m": 9}, "option shoulder_height_m: found 9; expected a number from 0.2 to 1.3"),
-        ({"colour": "grey"}, "option colour: found 'grey'; expected options pose, variant"),
-    ],
-)
-def test_bad_options_are_named(options: dict[str, object], match: str) -> None:
-    with pytest.raises(ModelError, match=match):
-        boar.sample(stream(0, "b"), options)
-    with pytest.raises(ModelError, match="parameter build: found 'piglet'; expected one of yearling"):
-        build(build="piglet")
-
-
 def test_thermal_roles() -> None:
     mean = {name: sum(role.delta_t_k) / 2 for name, role in boar.PARTS.items()}
     assert mean["mane"] < mean["back"] < mean["flank"] < mean["belly"]
@@ -169,8 +126,3 @@ def test_thermal_roles() -> None:
     assert night == boar.PARTS
     assert day["back"].delta_t_k == (night["back"].delta_t_k[0] + 5, night["back"].delta_t_k[1] + 20)
     assert day["eye"] == night["eye"]
-
-
-def test_catalogue_ships_it() -> None:
-    model = load_model("boar")
-    assert (model.name, model.category, model.stands) == ("boar", "boar", True)

@@ -1,14 +1,22 @@
-"""Parts that models call closed are: every edge belongs to two triangles in opposite directions, outside in front."""
+"""Closed solids: what models call closed, and each piece that a model is made of."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
+from infrablend.assets import camera_quad, car, drone, fixed_wing, hexacopter, racer
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.core.rng import stream
+from tests.meshes import check_pieces, check_surface
+
+PIECES: dict[str, Any] = {
+    "car": car._build_pieces,
+    "drone": lambda p: drone._build_pieces(p).items,
+    **{m.MODEL.name: lambda p, m=m: m.build_pieces(p).items for m in (camera_quad, hexacopter, racer, fixed_wing)},
+}
 
 
 @pytest.mark.parametrize("name", list_models())
@@ -18,15 +26,16 @@ def test_closed_parts_are_closed_and_face_outward(name: str) -> None:
         mesh = model.build(model.sample(stream(3, "closed", name, number), {}))
         chosen = np.array([n in mesh.closed_parts for n in mesh.part_names])[mesh.part_of_triangle]
         assert chosen.any()
-        # Vertices at sharp edges exist twice.
-        _, same = np.unique(mesh.vertices_m + 0.0, axis=0, return_inverse=True)
-        triangles = same.reshape(-1)[mesh.triangles[chosen]].astype(np.int64)
-        a, b = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-        edge = a != b
-        size = int(triangles.max()) + 1
-        assert np.array_equal(np.sort((a * size + b)[edge]), np.sort((b * size + a)[edge]))
-        count, solid = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(size, size)), directed=False)
-        p = mesh.vertices_m[mesh.triangles[chosen]]
-        volume = np.einsum("ij,ij->i", p[:, 0], np.cross(p[:, 1], p[:, 2]))
-        used = np.unique(solid[triangles[:, 0]])
-        assert (np.bincount(solid[triangles[:, 0]], volume, count)[used] > 0).all()
+        check_surface(mesh, mesh.triangles[chosen])
+
+
+@pytest.mark.parametrize("name", PIECES)
+def test_every_piece_is_closed_and_faces_outward(name: str) -> None:
+    model = load_model(name)
+    options: dict[str, Any] = {"sheltered": False} if name == "car" else {}
+    for k in range(12):
+        params = model.sample(stream(7, name, k), options)
+        found = PIECES[name](params)
+        assert len(found) > 20
+        assert sum(len(t) for _, _, t, _ in found) == len(model.build(params).triangles)
+        check_pieces(found)

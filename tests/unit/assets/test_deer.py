@@ -188,7 +188,9 @@ def test_sparse_grid_equals_the_full_distance_near_the_surface() -> None:
     cell = 0.03
     grid, low = body.sample_grid(cell, 0.0)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    full = body.distance(low + index * cell)
+    full = np.full(len(index), implicit.FAR)
+    for primitive in body.primitives:
+        full = implicit.smooth_minimum(full, primitive.distance(low + index * cell), primitive.blend)
     assert (np.sign(grid.ravel()) == np.sign(full)).all()
     near = np.abs(full) < 1.5 * cell
     assert np.abs(grid.ravel() - full)[near].max() < 1e-12

@@ -10,15 +10,14 @@ from infrablend.assets.drone import CHOICES, MODEL, NOMINAL
 from infrablend.assets.rotors import DISC_RINGS, OUTSIDE_ORIGIN_BOX
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
-from tests.meshes import check_pieces
+from tests.meshes import areas, vertices_of
 
 DRAWS = [MODEL.sample(stream(7, "drone", k), {}) for k in range(24)]
 
 
 def measured_motors_m(mesh: Mesh) -> np.ndarray:
     """Return the (4, 2) centres of the stators in the mesh."""
-    rows = mesh.triangles[mesh.part_of_triangle == mesh.part_names.index("winding")]
-    xy = mesh.vertices_m[np.unique(rows)][:, :2]
+    xy = vertices_of(mesh, "winding")[:, :2]
     return np.array([(c.min(axis=0) + c.max(axis=0)) / 2 for c in np.split(xy, 4)])
 
 
@@ -31,23 +30,12 @@ def test_drawn_drone_is_sound(k: int) -> None:
     counts = np.bincount(mesh.part_of_triangle, minlength=len(mesh.part_names))
     assert (counts > 0).all()
 
-    corners = mesh.vertices_m[mesh.triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    assert area.min() > 1e-8 * params["size_m"] ** 2
+    assert areas(mesh).min() > 1e-8 * params["size_m"] ** 2
 
-    body = ~np.isin(np.array(mesh.part_names)[mesh.part_of_triangle], sorted(OUTSIDE_ORIGIN_BOX))
-    v = mesh.vertices_m[np.unique(mesh.triangles[body])]
+    v = vertices_of(mesh, *(set(mesh.part_names) - OUTSIDE_ORIGIN_BOX))
     assert v.min(axis=0) + v.max(axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
     assert (mesh.size_m < 2.0 * params["size_m"]).all()
     assert mesh.size_m[2] > 0.15 * params["size_m"]
-
-
-@pytest.mark.parametrize("params", DRAWS[::2])
-def test_every_piece_is_closed_and_faces_outward(params: dict[str, object]) -> None:
-    found = drone._build_pieces(params).items
-    assert len(found) > 60
-    assert sum(len(t) for _, _, t, _ in found) == len(MODEL.build(params).triangles)
-    check_pieces(found)
 
 
 @pytest.mark.parametrize(
@@ -100,8 +88,7 @@ def test_motor_positions_are_those_of_the_mesh() -> None:
 def test_a_propeller_turns_by_its_angle() -> None:
     def blades(angle: float) -> np.ndarray:
         mesh = MODEL.build({**NOMINAL, "propeller_angle_deg": [angle, 0.0, 0.0, 0.0]})
-        rows = mesh.triangles[mesh.part_of_triangle == mesh.part_names.index("propeller")]
-        v = mesh.vertices_m[np.unique(rows)]
+        v = vertices_of(mesh, "propeller")
         centre = measured_motors_m(mesh)[0]
         reach = np.linalg.norm(v[:, :2] - centre, axis=1) / NOMINAL["size_m"]
         # Of this motor's propeller, without its hub, which is round.

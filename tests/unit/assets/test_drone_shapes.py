@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from types import ModuleType
 from typing import Any
 
@@ -10,13 +9,11 @@ import numpy as np
 import pytest
 
 from infrablend.assets import camera_quad, drones, fixed_wing, hexacopter, racer
-from infrablend.assets.catalogue import load_model
 from infrablend.assets.params import Choice, Number
 from infrablend.assets.rotors import DISC_RINGS, OUTSIDE_ORIGIN_BOX
-from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
-from tests.meshes import check_pieces
+from tests.meshes import areas, vertices_of
 
 SHAPES = (camera_quad, hexacopter, racer, fixed_wing)
 NAMES = [module.MODEL.name for module in SHAPES]
@@ -27,20 +24,6 @@ def drawn(module: ModuleType, k: int, **options: object) -> dict[str, object]:
     return module.MODEL.sample(stream(7, module.MODEL.name, k), options)  # type: ignore[no-any-return]
 
 
-def points(mesh: Mesh, *parts: str, without: tuple[str, ...] = ()) -> np.ndarray:
-    wanted = [i for i, n in enumerate(mesh.part_names) if (n in parts if parts else n not in without)]
-    return mesh.vertices_m[np.unique(mesh.triangles[np.isin(mesh.part_of_triangle, wanted)])]
-
-
-@each_shape
-@pytest.mark.parametrize("k", range(12))
-def test_every_piece_is_closed_and_faces_outward(module: ModuleType, k: int) -> None:
-    params = drawn(module, k)
-    found = module.build_pieces(params).items
-    assert sum(len(t) for _, _, t, _ in found) == len(module.MODEL.build(params).triangles)
-    check_pieces(found)
-
-
 @each_shape
 @pytest.mark.parametrize("k", range(12))
 def test_drawn_mesh_is_sound_and_centred(module: ModuleType, k: int) -> None:
@@ -49,10 +32,8 @@ def test_drawn_mesh_is_sound_and_centred(module: ModuleType, k: int) -> None:
     assert 2_000 <= len(mesh.triangles) <= 14_000
     assert set(mesh.part_names) <= set(module.MODEL.roles(params)) <= set(module.PARTS)
     assert (np.bincount(mesh.part_of_triangle, minlength=len(mesh.part_names)) > 0).all()
-    corners = mesh.vertices_m[mesh.triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    assert area.min() > 1e-8 * size**2
-    box = points(mesh, without=tuple(OUTSIDE_ORIGIN_BOX))
+    assert areas(mesh).min() > 1e-8 * size**2
+    box = vertices_of(mesh, *(set(mesh.part_names) - OUTSIDE_ORIGIN_BOX))
     assert box.min(axis=0) + box.max(axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
     assert (mesh.size_m < 2.0 * size).all()
 
@@ -68,13 +49,13 @@ def test_size_is_the_motor_diagonal_or_the_wingspan() -> None:
             params = drawn(module, 1, **{option: value}, size_m=0.5, lean_deg=0)
             if "arm_rise_deg" in params:
                 params["arm_rise_deg"] = 0.0
-            stators = np.split(points(module.MODEL.build(params), "winding"), count)
+            stators = np.split(vertices_of(module.MODEL.build(params), "winding"), count)
             xy = np.array([(s.min(axis=0) + s.max(axis=0))[:2] / 2 for s in stators])
             for a, b in zip(xy[: count // 2], xy[count // 2 :], strict=True):
                 assert np.linalg.norm(a - b) == pytest.approx(0.5, rel=1e-6)
     for layout in ("tail", "boom", "flying-wing"):
         params = drawn(fixed_wing, 2, layout=layout, size_m=1.6, bank_deg=0, climb_deg=0)
-        assert np.ptp(points(fixed_wing.MODEL.build(params), "wing")[:, 1]) == pytest.approx(1.6, rel=1e-6)
+        assert np.ptp(vertices_of(fixed_wing.MODEL.build(params), "wing")[:, 1]) == pytest.approx(1.6, rel=1e-6)
 
 
 @pytest.mark.parametrize("module", SHAPES[:3], ids=NAMES[:3])
@@ -88,15 +69,17 @@ def test_propellers_clear_one_another(module: ModuleType) -> None:
 def test_lean_lowers_the_nose_and_bank_lowers_the_right_wing() -> None:
     for module in SHAPES[:3]:
         level, leaning = (module.MODEL.build(drawn(module, 3, lean_deg=a)) for a in (0, 30))
-        front = [points(m, "winding") for m in (level, leaning)]
+        front = [vertices_of(m, "winding") for m in (level, leaning)]
         slope = [np.polyfit(v[:, 0], v[:, 2], 1)[0] for v in front]
         assert slope[1] < slope[0] - 0.3
     banked = fixed_wing.MODEL.build(drawn(fixed_wing, 3, bank_deg=30, climb_deg=0))
-    wing = points(banked, "wing")
+    wing = vertices_of(banked, "wing")
     assert wing[wing[:, 1].argmin(), 2] < wing[wing[:, 1].argmax(), 2]
     climbing = fixed_wing.MODEL.build(drawn(fixed_wing, 3, bank_deg=0, climb_deg=20, layout="tail"))
-    assert points(climbing, "motor")[:, 2].mean() > points(climbing, "tail")[:, 2].mean()
-    assert points(climbing, "motor")[:, 0].mean() > points(climbing, "tail")[:, 0].mean() + 0.5  # +X is the heading
+    assert vertices_of(climbing, "motor")[:, 2].mean() > vertices_of(climbing, "tail")[:, 2].mean()
+    assert (
+        vertices_of(climbing, "motor")[:, 0].mean() > vertices_of(climbing, "tail")[:, 0].mean() + 0.5
+    )  # +X is the heading
 
 
 @each_shape
@@ -107,24 +90,14 @@ def test_spinning_propellers_are_discs_that_labels_do_not_count(module: ModuleTy
         roles = module.MODEL.roles({**params, "propellers": "spinning"})
         assert not set(module.MODEL.roles(params)) & set(DISC_RINGS)
         assert set(spinning.part_names) == set(still.part_names) | set(DISC_RINGS)
-        assert np.array_equal(points(still, "motor"), points(spinning, "motor"))
+        assert np.array_equal(vertices_of(still, "motor"), vertices_of(spinning, "motor"))
         assert [roles[n].opacity for n in DISC_RINGS] == sorted((roles[n].opacity for n in DISC_RINGS), reverse=True)
         assert not any(roles[n].label or module.MODEL.parts[n].label for n in DISC_RINGS)
         # The discs cover the circle that the blades sweep.
-        disc, blades = points(spinning, *DISC_RINGS), points(still, "propeller")
+        disc, blades = vertices_of(spinning, *DISC_RINGS), vertices_of(still, "propeller")
         tolerance = 0.05 * float(params["size_m"])  # type: ignore[arg-type]
         assert (disc.max(axis=0) > blades.max(axis=0) - tolerance).all()
         assert (disc.min(axis=0) < blades.min(axis=0) + tolerance).all()
-
-
-@each_shape
-def test_same_params_same_bytes_after_a_json_round_trip(module: ModuleType) -> None:
-    params = drawn(module, 5)
-    a, b = module.MODEL.build(params), module.MODEL.build(json.loads(json.dumps(params)))
-    assert a.part_names == b.part_names
-    assert all(
-        getattr(a, n).tobytes() == getattr(b, n).tobytes() for n in ("vertices_m", "triangles", "part_of_triangle")
-    )
 
 
 @each_shape
@@ -193,7 +166,7 @@ def test_mixed_model_tilts_the_level_quadrotors() -> None:
     params = drones.MODEL.sample(stream(1, "tilt"), {"shape": "folding-quad"})
     assert -4 <= params["lean_deg"] <= 18 and -10 <= params["bank_deg"] <= 10
     level, leaning, banked = (
-        points(drones.MODEL.build({**params, "lean_deg": lean, "bank_deg": bank}), "winding")
+        vertices_of(drones.MODEL.build({**params, "lean_deg": lean, "bank_deg": bank}), "winding")
         for lean, bank in ((0.0, 0.0), (20.0, 0.0), (0.0, 20.0))
     )
     assert np.ptp(level[:, 2]) < 0.02 < np.ptp(leaning[:, 2])
@@ -220,9 +193,3 @@ def test_mixed_model_takes_a_shape_a_size_and_the_state_of_the_propellers() -> N
         drones.MODEL.sample(rng, {"layout": "x"})
     with pytest.raises(ModelError, match="parameter shape: is missing"):
         drones.MODEL.build({})
-
-
-@pytest.mark.parametrize("name", ["drones", *NAMES])
-def test_catalogue_ships_it_as_a_drone(name: str) -> None:
-    model = load_model(name)
-    assert (model.name, model.category, model.stands) == (name, "drone", False)

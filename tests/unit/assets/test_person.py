@@ -8,34 +8,16 @@ import numpy as np
 import pytest
 
 from infrablend.assets import person
-from infrablend.assets.implicit import is_closed
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
-from tests.meshes import areas, signed_volume, vertices_of
+from tests.meshes import areas, check_surface, signed_volume, vertices_of
 
 SHAPES = [(pose, variant) for pose in person.POSES for variant in person.VARIANTS[pose]]
 STANDING = [s for s in SHAPES if s[0] == "standing"]
 
 
-def check_surface(mesh: Mesh) -> None:
-    # Lofts carry the vertices of sharp edges twice: closed by position.
-    vertices, same = np.unique(mesh.vertices_m, axis=0, return_inverse=True)
-    welded = same.reshape(-1)[mesh.triangles].astype(np.int32)
-    assert is_closed(welded)
-    # Every shell by itself faces outward.
-    shell = np.arange(len(vertices))
-    while True:
-        low = shell[welded].min(axis=1)
-        new = shell.copy()
-        for i in range(3):
-            np.minimum.at(new, welded[:, i], low)
-        new = new[new]
-        if (new == shell).all():
-            break
-        shell = new
-    of_triangle = shell[welded[:, 0]]
-    for s in np.unique(of_triangle):
-        assert signed_volume(vertices, welded[of_triangle == s]) > 0
+def check(mesh: Mesh) -> None:
+    check_surface(mesh)
     assert areas(mesh).min() > 1e-9
 
 
@@ -44,7 +26,7 @@ def check_surface(mesh: Mesh) -> None:
 def test_every_pose_in_every_top_is_closed_oriented_and_on_the_ground(pose: str, variant: str, top: str) -> None:
     for bottom, build in zip(person.BOTTOMS, ("slim", "heavy"), strict=True):
         mesh = person.build({"pose": pose, "variant": variant, "top": top, "bottom": bottom, "build": build})
-        check_surface(mesh)
+        check(mesh)
         assert mesh.vertices_m[:, 2].min() == pytest.approx(0.0, abs=1e-12)
         assert vertices_of(mesh, "shoe")[:, 2].min() < 0.02
         assert len(mesh.triangles) < 20_000
@@ -60,7 +42,7 @@ def test_every_pose_in_every_top_is_closed_oriented_and_on_the_ground(pose: str,
 def test_every_head_shows_a_face_and_has_the_height_asked_for(headwear: str, hair: str) -> None:
     for height in (1.5, 1.95):
         mesh = person.build({"headwear": headwear, "hair": hair, "height_m": height})
-        check_surface(mesh)
+        check(mesh)
         assert mesh.size_m[2] == pytest.approx(height, rel=0.01)
     names = set(mesh.part_names)
     assert {"face", "nose", "hand"} <= names
@@ -74,7 +56,7 @@ def test_every_head_shows_a_face_and_has_the_height_asked_for(headwear: str, hai
 def test_arms_of_every_pose(pose: str) -> None:
     for arms, top, build in product(person.ARMS[pose], person.TOPS, ("slim", "heavy")):
         mesh = person.build({"pose": pose, "arms": arms, "top": top, "build": build, "backpack": True})
-        check_surface(mesh)
+        check(mesh)
         assert ("hand" in mesh.part_names) == (arms != "pockets")
         assert {"backpack", "strap"} <= set(mesh.part_names)
     phone = vertices_of(person.build({"arms": "phone"}), "hand")
@@ -96,7 +78,7 @@ def test_height_is_what_was_asked_for(pose: str, variant: str, build: str) -> No
 def test_short_sleeves_and_trousers_leave_the_skin_below_elbows_and_knees_bare(pose: str, variant: str) -> None:
     given = {"pose": pose, "variant": variant, "clothing": "light"}
     dressed, bare = (person.build({**given, "sleeves": n, "legs": n}) for n in person.LENGTHS)
-    check_surface(bare)
+    check(bare)
     assert {*bare.part_names} - {*dressed.part_names} == {"forearm", "shin"}
     forearms, shins = vertices_of(bare, "forearm"), vertices_of(bare, "shin")
     assert 0.1 < np.ptp(np.vstack([forearms, vertices_of(bare, "hand")])[:, :3], axis=0).max() < 1.1
@@ -187,7 +169,7 @@ def test_turning_the_head_moves_the_head_and_nothing_else() -> None:
         assert vertices_of(turned, part) == pytest.approx(vertices_of(still, part), abs=1e-9)
     assert vertices_of(turned, "nose")[:, 1].mean() > vertices_of(still, "nose")[:, 1].mean() + 0.06
     assert vertices_of(turned, "nose")[:, 2].mean() < vertices_of(still, "nose")[:, 2].mean() - 0.01
-    check_surface(person.build({"head_turn_rad": -1.2, "head_nod_rad": 0.7, "arms": "phone", "hair": "long"}))
+    check(person.build({"head_turn_rad": -1.2, "head_nod_rad": 0.7, "arms": "phone", "hair": "long"}))
 
 
 def test_draws_vary_and_build() -> None:
@@ -202,7 +184,7 @@ def test_draws_vary_and_build() -> None:
     assert 1.66 < heights.mean() < 1.77
     assert 0.05 < heights.std() < 0.12
     for d in drawn[:15]:
-        check_surface(person.build(d))
+        check(person.build(d))
 
 
 def test_options_fix_what_they_name_and_nothing_else() -> None:

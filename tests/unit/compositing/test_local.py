@@ -320,6 +320,15 @@ def camera(pitch_deg):
     return CameraSpec(100.0, np.radians(pitch_deg), 0.0, 84.69, 36.0, (320, 256))
 
 
+# The horizon is at row 190: 62 px below the middle at a focal length of 752.8 px.
+UP = camera(-np.degrees(np.arctan(62 / 752.8)))
+
+
+def in_front_of_sky(picture, inserts, settings=None, seed=0, seen=UP, labels=(), time=None):
+    backdrop = Backdrop(picture, labels, time, (0.0, 255.0))
+    return local_mapping(backdrop, inserts, WEATHER, settings or LocalSettings(), np.random.default_rng(seed), seen)
+
+
 def sky_picture(row=190, sky=97.0, land=230.0):
     rng = np.random.default_rng(0)
     levels = np.where(np.arange(256)[:, None] < row, sky, land) + rng.normal(0, 1, (256, 320))
@@ -333,21 +342,17 @@ def test_in_front_of_the_sky_the_reference_is_the_sky():
     """
     picture = sky_picture()
     inserts = [Insert(np.array([100.0, 60, 116, 70]), range_m=40.0), Insert(np.array([100.0, 220, 116, 230]))]
-    backdrop = Backdrop(picture, [], None, (0.0, 255.0))
-    prior = GainPrior(9.0, 5.4, 2.0, 30.0)
-    settings = LocalSettings(prior)
-    # The horizon is at row 190: 62 px below the middle at a focal length of 752.8 px.
-    up = camera(-np.degrees(np.arctan(62 / 752.8)))
+    settings = LocalSettings(GainPrior(9.0, 5.4, 2.0, 30.0))
     air = []
     for seed in range(40):
-        m, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(seed), up)
+        m, facts = in_front_of_sky(picture, inserts, settings, seed)
         assert facts["behind"] == ["sky", "ground"]
         assert facts["gain"]["warm"]["anchors_used"] == 1
         assert set(facts["gain"]) == {"warm"}
         place = m.places[0]
         air.append(place.dark + (place.bright - place.dark) * float(band_radiance(AIR_K)))
     assert np.mean(air) == pytest.approx(230, abs=25)
-    blind, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(0))
+    blind, facts = in_front_of_sky(picture, inserts, settings, seen=None)
     assert facts["behind"] == ["ground", "ground"]
     place = blind.places[0]
     assert place.dark + (place.bright - place.dark) * float(band_radiance(WEATHER.ground_k)) == pytest.approx(97, abs=2)
@@ -355,20 +360,17 @@ def test_in_front_of_the_sky_the_reference_is_the_sky():
 
 def test_people_and_the_skyline_agree_on_one_gain():
     """Annotated people inform the gain in front of the sky, and the skyline that of objects on the ground."""
-    up = camera(-np.degrees(np.arctan(62 / 752.8)))
     # The land is 133 levels above a sky that is some 14 K colder.
-    picture, prior = sky_picture(), GainPrior(3.0, 3.0, 1.0, 30.0)
-    settings, insert = LocalSettings(prior), [Insert(np.array([100.0, 220, 116, 230]))]
+    picture, settings = sky_picture(), LocalSettings(GainPrior(3.0, 3.0, 1.0, 30.0))
+    insert = [Insert(np.array([100.0, 220, 116, 230]))]
     box = np.array([200.0, 200, 212, 224])
     picture[200:224, 200:212] = 245
     labels = [Instance("Person", box)]
 
     def posterior(labels, camera):
-        backdrop = Backdrop(picture, labels, "night", (0.0, 255.0))
-        rng = np.random.default_rng(0)
-        return local_mapping(backdrop, insert, WEATHER, settings, rng, camera)[1]["gain"]["warm"]
+        return in_front_of_sky(picture, insert, settings, 0, camera, labels, "night")[1]["gain"]["warm"]
 
-    alone, both = posterior([], up), posterior(labels, up)
+    alone, both = posterior([], UP), posterior(labels, UP)
     assert (alone["anchors_used"], both["anchors_used"]) == (1, 2)
     assert alone["posterior"][0] > 5 and alone["doubts"] == []
     assert both["posterior"][1] < alone["posterior"][1]
@@ -382,11 +384,9 @@ def test_pixels_in_the_box_decide_between_sky_and_what_stands_above_the_horizon(
     picture[150:190, 100:260] = 200  # trees
     picture[60:66, 100:260] = 150  # cloud
     picture[60:150, 100:104] = 200  # mast
-    backdrop = Backdrop(picture, [], None, (0.0, 255.0))
-    up = camera(-np.degrees(np.arctan(62 / 752.8)))
     inserts = [Insert(np.array([180.0, y, 196, y + 10]), range_m=40.0) for y in (100, 165)]
     settings = LocalSettings(local_share=SharePrior(reach=reach))
-    _, facts = local_mapping(backdrop, inserts, WEATHER, settings, np.random.default_rng(0), up)
+    _, facts = in_front_of_sky(picture, inserts, settings)
     assert facts["behind"] == ["sky", "skyline"]
     assert facts["ring_grey"] == [pytest.approx(97, abs=2), pytest.approx(200, abs=2)]
 
@@ -403,10 +403,8 @@ def test_headroom_widens_the_levels_before_the_optics(headroom):
 def test_trees_above_the_horizon_are_neither_sky_nor_ground():
     picture = sky_picture()
     picture[120:190, 140:260] = 200
-    backdrop = Backdrop(picture, [], None, (0.0, 255.0))
-    up = camera(-np.degrees(np.arctan(62 / 752.8)))
     insert = [Insert(np.array([190.0, 140, 206, 150]), range_m=40.0)]
-    m, facts = local_mapping(backdrop, insert, WEATHER, LocalSettings(), np.random.default_rng(0), up)
+    m, facts = in_front_of_sky(picture, insert)
     assert facts["behind"] == ["skyline"]
     assert m.dark + (m.bright - m.dark) * float(band_radiance(AIR_K)) == pytest.approx(200, abs=2)
 

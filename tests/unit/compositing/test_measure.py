@@ -25,7 +25,8 @@ from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
 from infrablend.formats.images import encode_image, load_background
 from infrablend.pipeline.compose.frame import nearest_range_m
-from tests.run_files import records
+
+from .conftest import generate, overshoot, slanted_alpha
 
 LEVELS = (16.0, 235.0)
 GREY = GreyMapping(0.0, 255.0, (0.0, 255.0))
@@ -39,12 +40,9 @@ def rendered(shape=(20, 24), at=(100, 90), frame=(260, 240), level=0.7):
     return RenderResult(at, frame, alpha * np.float32(level), alpha, alpha[None].copy())
 
 
-def half_plane(size=256, degrees=8.0, low=60.0, high=140.0):
-    """A slanted step that fills the frame, area-sampled from 4x, on a flat ground."""
-    fine = 4
-    y, x = (np.mgrid[: size * fine, : size * fine] + 0.5) / fine - size / 2
-    side = (x * math.cos(math.radians(degrees)) + y * math.sin(math.radians(degrees)) > 0).astype(np.float32)
-    alpha = cv2.resize(side, (size, size), interpolation=cv2.INTER_AREA)
+def half_plane(size=256, low=60.0, high=140.0):
+    """A slanted step that fills the frame, on a flat ground."""
+    alpha = slanted_alpha(size)
     result = RenderResult((0, 0), (size, size), alpha * np.float32(high / 255), alpha, alpha[None].copy())
     noise = grain((size, size), 1.5, 1.05, 11)
     return np.clip(np.rint(low + noise), 0, 255).astype(np.uint8), result
@@ -194,11 +192,6 @@ def through_all(tmp_path, *, halo=1.0, codec=1.0, motion=(0.0, 0.0)):
     return np.array(Image.open(io.BytesIO(data))), Image.open(io.BytesIO(data)).quantization[0]
 
 
-def overshoot(picture):
-    mean = edge_profiles(picture)[0].mean(axis=0)
-    return mean.max() - 1, -mean.min()
-
-
 def test_a_dead_pixel_hides_no_edges():
     """Levels above 255 over the darkest pixel were clipped before the search for edges."""
     stripes = np.where(np.arange(320) // 40 % 2, 22000, 20000).astype(np.uint16)
@@ -303,23 +296,11 @@ def test_a_run_draws_and_records_the_motion(tmp_path):
         grey = np.clip(np.rint(90 + grain((240, 320), 1.7, 1.05, n)), 0, 255).astype(np.uint8)
         Image.fromarray(grey).save(folder / f"{n}.png")
 
-    def generate(out, **settings):
-        fields = {"camera.pitch": {"fixed_deg": 40}, **{k.replace("_", ".", 1): v for k, v in settings.items()}}
-        api.generate(
-            "hit-uav-drone",
-            folder,
-            out,
-            seed=3,
-            execution=api.Execution(renderer="flat", in_process=True),
-            settings=fields,
-        )
-        return records(out)
-
-    still = generate(tmp_path / "still", sensor_profile="hit-uav")
-    moving = generate(tmp_path / "moving", sensor_profile="hit-uav", sensor_motion_px=[2, 6])
-    off = generate(tmp_path / "off")
+    still = generate(folder, tmp_path / "still", sensor_profile="hit-uav")
+    moving = generate(folder, tmp_path / "moving", sensor_profile="hit-uav", sensor_motion_px=[2, 6])
+    off = generate(folder, tmp_path / "off")
     with pytest.raises(RecipeError, match=r"sensor\.motion_px: .* only with a camera in sensor\.profile"):
-        generate(tmp_path / "none", sensor_motion_px=[2, 6])
+        generate(folder, tmp_path / "none", sensor_motion_px=[2, 6])
     drawn = [r.scene.motion_px for r in moving]
     assert all(2 <= math.hypot(*m) <= 6 for m in drawn)
     assert len(set(drawn)) == len(drawn) == 4

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from infrablend.compositing.mapping import GreyMapping, PercentileSettings, percentile_mapping
+from infrablend.compositing.mapping import GreyMapping, percentile_mapping
 from infrablend.compositing.overlay import blend, blur_radius_px, compose, flat_layer, make_layer
+from infrablend.config.recipe import PercentileMatching
 from infrablend.core.render import RenderResult
 
 
@@ -57,15 +58,17 @@ def test_blur_conserves_light_away_from_the_edge():
 def test_black_hot_is_the_mirror_of_white_hot():
     rng = np.random.default_rng(1)
     background = rng.integers(30, 220, (64, 64), dtype=np.uint8)
-    white = percentile_mapping(background, PercentileSettings(1, 99))
-    black = percentile_mapping(background, PercentileSettings(1, 99, polarity="black-hot"))
+    white = percentile_mapping(background, PercentileMatching(low_percentile=1, high_percentile=99))
+    black = percentile_mapping(
+        background, PercentileMatching(low_percentile=1, high_percentile=99, polarity="black-hot")
+    )
     assert (white.dark, white.bright) == (black.bright, black.dark)
     assert white.dark < white.bright
 
 
 def test_flat_background_still_shows_objects():
     for level in (0, 128, 255):
-        m = percentile_mapping(np.full((10, 10), level, np.uint8), PercentileSettings(min_span=0.35))
+        m = percentile_mapping(np.full((10, 10), level, np.uint8), PercentileMatching(min_span=0.35))
         assert m.bright - m.dark >= 0.35 * 255 - 1e-9
         assert m.dark >= -1e-9
         assert m.bright <= 255 + 1e-9
@@ -134,5 +137,7 @@ def test_one_odd_pixel_of_a_16_bit_picture_does_not_spread_its_levels(odd):
     picture = np.random.default_rng(0).uniform(28500, 30500, (512, 640)).astype(np.uint16)
     spoilt = picture.copy()
     spoilt[100, 100] = odd
-    one, other = (percentile_mapping(p, PercentileSettings(40, 60)) for p in (picture, spoilt))
+    one, other = (
+        percentile_mapping(p, PercentileMatching(low_percentile=40, high_percentile=60)) for p in (picture, spoilt)
+    )
     assert (other.dark, other.bright) == (pytest.approx(one.dark, abs=5), pytest.approx(one.bright, abs=5))

@@ -16,10 +16,9 @@ from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
 from infrablend.sampling.metric import is_even, relief_of
-from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides
-from infrablend.sampling.scene import RecipeSampler, rebuild_scene, sample_scene
+from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides, volume_of
+from infrablend.sampling.scene import RecipeSampler, rebuild_scene
 from infrablend.sampling.site import FrameKey, Site
-from infrablend.sampling.volume import volume_of
 
 WH = (640, 512)
 
@@ -135,10 +134,18 @@ def test_loose_boxes_do_not_make_the_camera_lower():
 FLAT = np.full((512, 640), 120, np.uint8)
 
 
+def sampler_of(recipe):
+    return RecipeSampler(recipe, {o.model: load_model(o.model) for o in recipe.objects}, 0)
+
+
+def key(number, pitch=60.0, time_of_day="night"):
+    name = f"{int(time_of_day == 'night')}_80_{pitch:g}_0_{number:05d}"
+    return FrameKey(name, "train", 0, WH, Capture(pitch_deg=pitch, time_of_day=time_of_day))
+
+
 def draw(recipe, pixels=FLAT, labels=(), pitch=60.0, number=0, ignored=("DontCare",), altitude=80.0):
-    models = {o.model: load_model(o.model) for o in recipe.objects}
-    key = FrameKey(f"1_80_{pitch:g}_0_{number:05d}", "train", 0, WH, Capture(pitch_deg=pitch, time_of_day="night"))
-    return sample_scene(key, recipe, models, 0, Site(pixels, tuple(labels), frozenset(ignored), altitude)).spec
+    site = Site(pixels, tuple(labels), frozenset(ignored), altitude)
+    return sampler_of(recipe).sample(key(number, pitch), site).spec
 
 
 def test_crowds_do_not_correct_the_height():
@@ -330,15 +337,13 @@ def test_no_car_stands_inside_another():
 def test_a_moved_car_keeps_out_of_those_that_stay():
     group = "objects.0.group={share: 1, apart_m: [2.2, 2.6], in_row: true, max_overlap: 1}"
     recipe = load_recipe("hit-uav-car", ["objects.0.count=8", "placement.max_relief_grey=0", group])
-    models = {o.model: load_model(o.model) for o in recipe.objects}
+    sampler, rejected = sampler_of(recipe), 0
     # Ground for few cars, all else is covered: moved cars must stand close to the others.
     ignored = [Instance("DontCare", np.array(b, np.float64)) for b in ([0, 0, 640, 150], [0, 350, 640, 512])]
     site = Site(FLAT, tuple(ignored), frozenset({"DontCare"}), 80.0)
-    rejected = 0
     for n in range(4):
-        key = FrameKey(f"1_80_60_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day="night"))
-        scene = sample_scene(key, recipe, models, 0, site)
-        moved = RecipeSampler(recipe, models, 0).move(scene, range(0, len(scene.objects), 2), site, 1).spec
+        scene = sampler.sample(key(n), site)
+        moved = sampler.move(scene, range(0, len(scene.objects), 2), site, 1).spec
         rejected += moved.draws["rejected"].get("in_another", 0)
         assert not any(a.intersects(b) for a, b in itertools.combinations(volumes(moved), 2))
     assert rejected
@@ -423,12 +428,8 @@ def test_cars_stand_along_the_view_by_day_only():
     align = "objects.0.align={share: 1, along: view, turn_deg: 20, spread_deg: 2, time_of_day: day}"
     plain = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
     aligned = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0", align])
-    models = {o.model: load_model(o.model) for o in aligned.objects}
-    day = Site(FLAT, (), frozenset(), 80.0, time_of_day="day")
-    keys = [
-        FrameKey(f"0_80_60_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day="day")) for n in range(24)
-    ]
-    by_day = [sample_scene(key, aligned, models, 0, day).spec for key in keys]
+    day, sampler = Site(FLAT, (), frozenset(), 80.0, time_of_day="day"), sampler_of(aligned)
+    by_day = [sampler.sample(key(n, time_of_day="day"), day).spec for n in range(24)]
     # One direction per picture, about that of +Y, in which the camera looks; either end may be in front.
     for s in by_day:
         assert off_deg(s, math.degrees(s.objects[0].yaw_rad), 180).max() < 14
@@ -437,8 +438,7 @@ def test_cars_stand_along_the_view_by_day_only():
     noses = [math.sin(o.yaw_rad) > 0 for s in by_day for o in s.objects]
     assert 0.3 < np.mean(noses) < 0.7
     night = Site(FLAT, (), frozenset(), 80.0, time_of_day="night")
-    key = FrameKey("1_80_60_0_00001", "train", 0, WH, Capture(pitch_deg=60.0, time_of_day="night"))
-    drawn, unaligned = (sample_scene(key, recipe, models, 0, night).spec for recipe in (aligned, plain))
+    drawn, unaligned = (sampler_of(recipe).sample(key(1), night).spec for recipe in (aligned, plain))
     assert drawn.objects == unaligned.objects
 
 
@@ -450,13 +450,10 @@ def test_flying_objects_have_headings_of_their_own():
 
 def test_a_moved_car_stands_along_the_others():
     settings = ["objects.0.count=4", "placement.max_relief_grey=0", "objects.0.align={share: 1, spread_deg: 2}"]
-    recipe = load_recipe("hit-uav-car", settings)
-    models = {o.model: load_model(o.model) for o in recipe.objects}
-    site = Site(lined(20), (), frozenset(), 80.0)
+    sampler, site = sampler_of(load_recipe("hit-uav-car", settings)), Site(lined(20), (), frozenset(), 80.0)
     for n in range(4):
-        key = FrameKey(f"1_80_90_0_{n:05d}", "train", 0, WH, Capture(pitch_deg=90.0, time_of_day="night"))
-        scene = sample_scene(key, recipe, models, 0, site)
-        moved = RecipeSampler(recipe, models, 0).move(scene, range(4), site, 1).spec
+        scene = sampler.sample(key(n, 90.0), site)
+        moved = sampler.move(scene, range(4), site, 1).spec
         first = math.degrees(scene.spec.objects[0].yaw_rad)
         assert moved.objects and off_deg(moved, first, 180).max() < 12
         assert [o.position_m for o in moved.objects] != [o.position_m for o in scene.spec.objects]

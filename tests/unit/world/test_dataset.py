@@ -18,7 +18,7 @@ from infrablend.world.frame_files import FinishedFrame, make_frame
 from infrablend.world.frames import FrameFacts
 from tests.killing import run_until_killed
 
-REQUEST = WorldRequest(2, 3, splits={"train": 1.0})
+REQUEST = WorldRequest(2, 3)
 
 
 class Even:
@@ -56,7 +56,7 @@ def test_a_world_is_replaced_only_if_asked_for(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="not empty"):
         write_world(out, REQUEST, frames)
     assert tree(out) == before
-    write_world(out, WorldRequest(1, 3, splits={"train": 1.0}), frames, overwrite=True)
+    write_world(out, WorldRequest(1, 3), frames, overwrite=True)
     assert len(json.loads((out / "world.json").read_text())["frames"]) == 1
 
 

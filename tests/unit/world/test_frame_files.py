@@ -11,15 +11,15 @@ from infrablend.core.rng import stream
 from infrablend.formats.rjpeg.facts import read_facts
 from infrablend.formats.rjpeg.temperatures import read_temperatures
 from infrablend.formats.rjpeg.writing import MAKERS, Maker
-from infrablend.world import sample_world
-from infrablend.world.dataset import WorldRequest
 from infrablend.world.frame_files import DJI_SCALE, camera_file
+from infrablend.world.frames import plan_frames
+from infrablend.world.sampling import sample_world
 from infrablend.world.setting import FOCAL_PX
 
 
 @pytest.mark.parametrize("maker", MAKERS)
 def test_a_frame_holds_its_camera_and_its_temperatures(maker: Maker, tmp_path: Path) -> None:
-    frame = WorldRequest(2, 0, maker).frames()[1]
+    frame = plan_frames(2, 0, maker)[1]
     plan = sample_world(stream(0, "plan"), frame.pitch_deg, frame.altitude_m, frame.time_of_day)
     w, h = plan.camera.size_wh
     kelvin = np.linspace(265.0, 305.0, w * h, dtype=np.float32).reshape(h, w)

@@ -52,7 +52,7 @@ def test_the_radiometric_world_states_its_scale_air_and_camera(tmp_path: Path) -
 
 
 def test_the_air_in_the_metadata_goes_before_that_of_the_recipe(tmp_path: Path) -> None:
-    write_world(tmp_path / "flight", WorldRequest(1, 3, "radiometric", altitudes_m=(60,)), even_frames)
+    write_world(tmp_path / "flight", WorldRequest(1, 3, "radiometric"), even_frames)
     (image,) = detection.read(tmp_path / "flight").images
     settings = {"matching.mode": "radiometric", "camera.calibrate": False, "placement.min_contrast": "off"}
     execution = api.Execution(renderer="flat", in_process=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from infrablend.core.tasks import OnProgress, Task, WorkerSpec, paced
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
-from infrablend.world.dataset import WorldReport, WorldRequest, write_world
+from infrablend.world.dataset import WorldRequest, write_world
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import FrameFacts
 
@@ -21,11 +21,11 @@ def make_world(
     on_progress: OnProgress | None = None,
     *,
     overwrite: bool = False,
-) -> WorldReport:
+) -> None:
     """Render a background dataset of the virtual world; the bytes do not depend on the number of workers.
 
     Raises:
-        RecipeError: A value of `request` is out of range.
+        RecipeError: The number of frames is out of range.
         OutputError: `out` has something that may not be replaced, or cannot be written.
         RenderError: Blender failed on a frame.
         Interrupted: The user stopped the run; nothing is left behind.
@@ -39,4 +39,4 @@ def make_world(
                 raise result.failure.to_exception()
             yield result.value
 
-    return write_world(out, request, rendered, paced(on_progress), overwrite=overwrite)
+    write_world(out, request, rendered, paced(on_progress), overwrite=overwrite)

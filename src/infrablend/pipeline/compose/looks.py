@@ -13,16 +13,15 @@ from typing import Any
 from infrablend.compositing.contrast import Least, real_least
 from infrablend.compositing.gain import Backdrop, GainPrior, SharePrior
 from infrablend.compositing.local import LocalSettings, match_locally
-from infrablend.compositing.mapping import GreyImage, GreyMapping, PercentileSettings, percentile_mapping
+from infrablend.compositing.mapping import GreyImage, GreyMapping, percentile_mapping
 from infrablend.compositing.occlusion import Share
 from infrablend.compositing.picture import overlay
-from infrablend.compositing.radiometric import ThermalBackdrop, match_radiometric
+from infrablend.compositing.radiometric import match_radiometric
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.recipe import (
     LocalMatching,
     MetricPhysicalRecipe,
     PaperPhysicalRecipe,
-    PercentileMatching,
     Recipe,
 )
 from infrablend.core.capture import TimeOfDay
@@ -73,8 +72,7 @@ class ArtisticLook:
 
     def match(self, scene: PlacedScene, frame: PlannedFrame, background: Background) -> Match:
         """Choose the grey levels of a scene."""
-        settings = percentile_settings(self._recipe.matching.percentiles)
-        return Match(scene, percentile_mapping(background.pixels, settings))
+        return Match(scene, percentile_mapping(background.pixels, self._recipe.matching.percentiles))
 
     def paint(
         self, match: Match, rendered: RenderResult, background: GreyImage, sensor: Sensor | None, front: Share | None
@@ -151,9 +149,8 @@ class RadiometricLook(ArtisticLook):
         scale = frame.as_read.capture.scale
         if not scene.objects or scale is None:
             return super().match(scene, frame, background)
-        thermal = ThermalBackdrop(background.pixels, frame.as_read.instances, scale)
         air = air_source(frame.key(background.size_wh), self._recipe.environment)
-        scene, mapping, facts = match_radiometric(scene, thermal, air)
+        scene, mapping, facts = match_radiometric(scene, background.pixels, frame.as_read.instances, scale, air)
         return Match(scene, mapping, {"matching": facts})
 
 
@@ -167,12 +164,6 @@ _LOOKS: Mapping[str, Callable[[Any, FrameSettings], ArtisticLook]] = {
 def make_look(recipe: Recipe, settings: FrameSettings) -> ArtisticLook:
     """Return the look of a run's frames."""
     return _LOOKS[recipe.look](recipe, settings)
-
-
-def percentile_settings(matching: PercentileMatching) -> PercentileSettings:
-    """Return the settings of matching by percentiles: of the artistic look, and of other frames without objects."""
-    m = matching
-    return PercentileSettings(m.low_percentile, m.high_percentile, m.min_span, m.polarity)
 
 
 def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None, headroom: float = 0.0) -> LocalSettings:
