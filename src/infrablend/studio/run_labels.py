@@ -48,10 +48,6 @@ class RunLabels:
                 self._found = dict(_from_tables(self._layout)) or dict(_from_coco(self._layout))
         return self._found.get(image, ())
 
-    def originals(self, image: str) -> tuple[RunLabel, ...]:
-        """Return the labels of original objects in an image."""
-        return tuple(label for label in self.of(image) if not label.inserted)
-
 
 def _from_tables(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
     for split, name in zip(SPLITS, PICTURE_TABLES, strict=True):

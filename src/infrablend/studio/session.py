@@ -39,7 +39,6 @@ class Session:
         self._tuning: Tuning | None = None
         self._opening = threading.Lock()
         self.comparison: Comparison | None = None
-        self._second: RunFrames | None = None
         try:
             if request.data is not None:
                 self.open_tuning()
@@ -68,8 +67,7 @@ class Session:
         if self.run is not None and folder.is_dir():
             if folder.samefile(self.run.layout.root):
                 raise ArgumentError(f"--compare {second}: the run of --run itself; expected another run")
-            self._second = RunFrames(folder)
-            return RunComparison(self.run, self._second)
+            return RunComparison(self.run, RunFrames(folder))
         if self._tuning is None:
             raise ArgumentError(
                 f"--compare {second}: no such folder; expected that of a second run. To compare recipes, give the "

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
 from nicegui import ui
 from nicegui.element import Element
-from nicegui.events import GenericEventArguments, KeyEventArguments
+from nicegui.events import KeyEventArguments
 
 from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.runs.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages.layout import error_text, key_button, tell, when_read
-from infrablend.studio.pages.routes import run_picture
+from infrablend.studio.pages.layout import error_text, is_pressed, key_button, show_choice, tell, when_read
 from infrablend.studio.verdicts import REASONS
 
 _WORDS = {"accept": "accepted", "reject": "rejected"}
@@ -39,45 +39,38 @@ class FrameGrid(Element, component="components/frame_grid.js"):  # type: ignore[
         self.update()
 
 
-def build(run: OpenedRun, query: Mapping[str, str]) -> None:
-    """Show the grid; `query` has the view, and `frame` the number of a frame to open."""
-    ReviewPage(run, View.from_query(query)).build(query.get("frame", ""))
-
-
 class ReviewPage:
     """The review in one browser tab."""
 
-    def __init__(self, run: OpenedRun, view: View) -> None:
-        """Begin with a view; nothing is built yet."""
+    def __init__(self, run: OpenedRun, query: Mapping[str, str]) -> None:
+        """Build the page; `query` has the view, and `frame` the number of a frame to open."""
         self._run = run
-        self._view = view
+        self._view = View.from_query(query)
         self._order: list[int] = []
         self._number: int | None = None
         self._shown: FrameRow | None = None
         self._boxes = True
         self._originals = False
         self._advance = True
-
-    def build(self, frame: str = "") -> None:
-        """Build the page; open the frame with this number."""
         self._list = ui.column().classes("w-full gap-2")
         with self._list:
             when_read(self._run, self._build_filters)
             self._counted = ui.label().props("role=status")
             self._count_frames()
             self._grid = FrameGrid(self._source())
-            self._grid.on("open", self._opened)
+            self._grid.on("open", lambda e: self._show(int(e.args["n"])))
         self._detail = ui.column().classes("w-full gap-2")
         self._detail.set_visibility(False)
         ui.keyboard(self._key, ignore=["input", "select", "textarea"])
+        frame = query.get("frame", "")
         if frame.isdecimal() and int(frame) < len(self._run.reading.ids):
             self._show(int(frame))
 
     # ---- the list
 
     def _build_filters(self) -> None:
-        rows, view = self._run.rows, self._view
-        classes = sorted({name for row in rows for name in row.classes})
+        view = self._view
+        classes = sorted({name for row in self._run.rows for name in row.classes})
         with ui.element("div").classes("studio-row"):
             sorts = {k: v for k, v in SORTS.items() if k != "disagreement" or self._run.evaluation is not None}
             self._select("Sort by", sorts, view.sort, "sort")
@@ -94,17 +87,13 @@ class ReviewPage:
             with ui.expansion("Limits").props("dense"), ui.element("div").classes("studio-row"):
                 for name, title in _LIMITS.items():
                     for end, word in enumerate(("least", "most")):
-                        box = ui.number(
-                            f"{title}, {word}", on_change=lambda e, n=name, k=end: self._limit(n, k, e.value)
-                        )
+                        box = ui.number(f"{title}, {word}")
+                        box.on_value_change(lambda e, n=name, k=end: self._limit(n, k, e.value))
                         box.props("dense outlined debounce=250").classes("w-44")
 
     def _select(self, title: str, options: Mapping[str, str], value: str, field: str) -> None:
-        chosen = ui.select(
-            dict(options), label=title, value=value if value in options else next(iter(options)),
-            on_change=lambda e: self._change(**{field: e.value}),
-        )  # fmt: skip
-        chosen.props(f'dense outlined options-dense aria-label="{title}"').classes("min-w-32")
+        value = value if value in options else next(iter(options))
+        show_choice(title, options, value, lambda v: self._change(**{field: v}), classes="min-w-32")
 
     def _limit(self, name: str, end: int, value: float | None) -> None:
         limits = {n: [low, high] for n, low, high in self._view.limits}
@@ -127,9 +116,6 @@ class ReviewPage:
         self._counted.set_text(
             f"{len(self._order)} of {len(rows)} frames shown; {counts['accept']} accepted, {counts['reject']} rejected"
         )
-
-    def _opened(self, event: GenericEventArguments) -> None:
-        self._show(int(event.args["n"]))
 
     # ---- one frame
 
@@ -156,7 +142,7 @@ class ReviewPage:
             ui.switch("Boxes", value=self._boxes, on_change=lambda e: self._draw_boxes(e.value)).tooltip("B")
             shown = ui.switch("Original objects", value=self._originals)
             shown.on_value_change(lambda e: self._draw_originals(e.value)).tooltip("O")
-            ui.switch("Next after a verdict", value=self._advance, on_change=lambda e: self._set_advance(e.value))
+            ui.switch("Next after a verdict", value=self._advance).bind_value_to(self, "_advance")
         with ui.element("div").classes("frame-view"):
             with ui.element("div"):
                 self._picture = ui.element("img").classes("picture")
@@ -178,7 +164,7 @@ class ReviewPage:
         ui.html("<h2>Verdict</h2>", sanitize=False)
         verdict = self._run.review.of(row.id)
         word = "none yet" if verdict is None else _WORDS[verdict.word]
-        reason = f": {verdict.reason}" if verdict is not None and verdict.reason else ""
+        reason = f": {verdict.reason}" if verdict and verdict.reason else ""
         shown = ui.label(word + reason).classes("verdict").props("role=status")
         shown.props["data-verdict"] = "" if verdict is None else verdict.word
         shown.props["data-frame"] = row.id
@@ -189,7 +175,7 @@ class ReviewPage:
         ui.html("<h3>Reject because it is</h3>", sanitize=False)
         with ui.element("div").classes("studio-row"):
             for k, text in enumerate(REASONS, 1):
-                key_button(text, lambda t=text: self._decide(Verdict("reject", t)), str(k))
+                key_button(text, partial(self._decide, Verdict("reject", text)), str(k))
         own = ui.input("Another reason").props("dense outlined").classes("w-full mt-2")
         own.on("keydown.enter", lambda: self._decide(Verdict("reject", (own.value or "").strip())))
 
@@ -233,7 +219,7 @@ class ReviewPage:
     def _explain(self, number: int) -> None:
         """Show in words why the picture of a frame cannot be shown."""
         try:
-            run_picture(self._run, number, self._boxes, self._originals)
+            self._run.picture(number, boxes=self._boxes, originals=self._originals)
         except InfraBlendError as error:
             self._problem.set_text(error_text(error))
             self._problem.set_visibility(True)
@@ -253,9 +239,6 @@ class ReviewPage:
     def _draw_originals(self, on: bool) -> None:
         self._originals = on
         self._draw_boxes(self._boxes)
-
-    def _set_advance(self, on: bool) -> None:
-        self._advance = on
 
     def _back(self) -> None:
         number, self._number = self._number, None
@@ -317,24 +300,21 @@ class ReviewPage:
         ui.notify(f"Undone: {frame_id}", timeout=900)
 
     def _key(self, event: KeyEventArguments) -> None:
-        held = event.modifiers
-        if not event.action.keydown or held.ctrl or held.meta or held.alt or self._number is None:
+        if not is_pressed(event) or self._number is None:
             return
-        name = event.key.name.lower() if len(event.key.name) == 1 else event.key.name
-        actions = {
+        actions: dict[str, Callable[[], None]] = {
             "a": lambda: self._decide(Verdict("accept")),
             "r": lambda: self._decide(Verdict("reject")),
             "u": self._undo,
             "b": lambda: self._draw_boxes(not self._boxes),
             "o": lambda: self._draw_originals(not self._originals),
-            "ArrowRight": lambda: self._step(1),
-            "ArrowLeft": lambda: self._step(-1),
-            "Escape": self._back,
+            "arrowright": lambda: self._step(1),
+            "arrowleft": lambda: self._step(-1),
+            "escape": self._back,
+            **{str(k): partial(self._decide, Verdict("reject", text)) for k, text in enumerate(REASONS, 1)},
         }
-        for k, text in enumerate(REASONS, 1):
-            actions[str(k)] = lambda t=text: self._decide(Verdict("reject", t))  # type: ignore[misc]
-        if name in actions:
-            actions[name]()
+        if (action := actions.get(event.key.name.lower())) is not None:
+            action()
 
 
 def _with_unit(value: float | None, unit: str) -> str | None:
