@@ -222,11 +222,9 @@ def find_provenance(dataset: Dataset) -> Provenance:
 def _licence_file(root: Path) -> tuple[str, bytes] | None:
     for name in (*_LICENCE_NAMES, LICENCE_COPY, f"../{LICENCE_COPY}"):
         path = real_path(root) / name
-        try:
+        with contextlib.suppress(OSError):
             if path.is_file() and path.stat().st_size <= _LICENCE_BYTES:
                 return name, path.read_bytes()
-        except OSError:
-            continue
     return None
 
 

@@ -375,28 +375,19 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
     if count is not None:
         require_whole("count", count, 1)
     layout = RunFolder(run)
-    documents = [(s, layout.coco_file(s)) for s in SPLITS]
-    entries = [e for split, path in documents if path.is_file() for e in _coco_entries(run, split, path)]
-    if not entries:
-        entries = [_Entry(r.frame_id.split("/")[0], layout.image(r.image), r.inserted) for r in layout.records()]
-    if not entries:
+    found = [entry for split in SPLITS if layout.coco_file(split).is_file() for entry in _coco_entries(layout, split)]
+    if not found:
+        found = [(r.frame_id.split("/")[0], layout.image(r.image), r.inserted) for r in layout.records()]
+    if not found:
         raise DatasetError(f"{run}: a run without frames; expected at least one")
-    entries = [e for e in entries if any(i.inserted for i in e.instances)] or entries
-    chosen = [entries[n] for n in spread(len(entries), len(entries) if count is None else count)]
-    expected = "a frame of the run. Run `generate --resume`"
-    return [
-        PreviewFrame(_title(run, e), decode_picture(e.path, expected, run), e.instances, f"{e.split}/{e.path.stem}")
-        for e in chosen
-    ]
-
-
-@dataclass(frozen=True, eq=False)
-class _Entry:
-    """A frame of a run before its picture is read."""
-
-    split: str
-    path: Path
-    instances: tuple[Instance, ...]
+    found = [entry for entry in found if any(i.inserted for i in entry[2])] or found
+    frames = []
+    for n in spread(len(found), len(found) if count is None else count):
+        split, path, instances = found[n]
+        frame_id = f"{split}/{path.stem}"
+        pixels = decode_picture(path, "a frame of the run. Run `generate --resume`", run)
+        frames.append(PreviewFrame(_title(layout, frame_id), pixels, instances, frame_id))
+    return frames
 
 
 def spread(count: int, wanted: int) -> list[int]:
@@ -404,7 +395,8 @@ def spread(count: int, wanted: int) -> list[int]:
     return list(range(count)) if count <= wanted else [(2 * k + 1) * count // (2 * wanted) for k in range(wanted)]
 
 
-def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
+def _coco_entries(layout: RunFolder, split: str) -> list[tuple[str, Path, tuple[Instance, ...]]]:
+    path = layout.coco_file(split)
     try:
         document = load_json(path)
         names = {int(c["id"]): str(c["name"]) for c in document["categories"]}
@@ -413,8 +405,7 @@ def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
         for a in document["annotations"]:
             by_image.setdefault(a["image_id"], []).append(_instance(a, names, sizes[a["image_id"]]))
         images = sorted(document["images"], key=lambda i: str(i["file_name"]))
-        picture = RunFolder(run).image
-        return [_Entry(split, picture(f"{split}/{i['file_name']}"), tuple(by_image.get(i["id"], ()))) for i in images]
+        return [(split, layout.image(f"{split}/{i['file_name']}"), tuple(by_image.get(i["id"], ()))) for i in images]
     except DAMAGED as e:
         raise DatasetError(
             f"{path}: not a COCO file that InfraBlend wrote ({type(e).__name__}: {e}). Run `generate --resume`."
@@ -440,12 +431,11 @@ def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int
     )
 
 
-def _title(run: Path, entry: _Entry) -> str:
+def _title(layout: RunFolder, frame_id: str) -> str:
     """Return name, pitch, altitude and time of day, as far as they are known."""
-    frame_id = f"{entry.split}/{entry.path.stem}"
     parts, facts = [frame_id], {}
     try:
-        record = RunFolder(run).record(frame_id)
+        record = layout.record(frame_id)
         facts = dict(record.background)
         if record.scene is not None:
             # Pitch and height of the camera differ from the metadata if a recipe fixes or draws them.
@@ -453,7 +443,7 @@ def _title(run: Path, entry: _Entry) -> str:
             if (view := record.scene.view) is not None:
                 facts["altitude_m"] = round(view.stated_height_m, 1)
     except OutputError:
-        log.debug("%s: no record, so its title is shorter", entry.path)
+        log.debug("%s: no record, so its title is shorter", frame_id)
     if facts.get("pitch_deg") is not None:
         parts.append(f"pitch {round(float(facts['pitch_deg']), 1):g}\u00b0")
     if facts.get("altitude_m") is not None:

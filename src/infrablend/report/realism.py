@@ -57,13 +57,7 @@ SLOPE_HEAD = ["", "95 % quantile", "95 % interval", "objects", "middle", "95 % i
 
 @dataclass(frozen=True)
 class CropSheet:
-    """A sheet of pairs of crops.
-
-    Attributes:
-        name: File name without suffix.
-        title: Class and choice of the objects.
-        png: The sheet as a PNG file.
-    """
+    """A sheet of pairs of crops: file name without suffix, class and choice of the objects, and the PNG file."""
 
     name: str
     title: str

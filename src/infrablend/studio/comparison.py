@@ -146,7 +146,6 @@ class RunComparison:
     """
 
     def __init__(self, first: RunFrames, second: RunFrames) -> None:
-        """Compare two opened runs."""
         self.runs = first, second
 
     @property

@@ -27,12 +27,7 @@ MIN_OVERLAP = 0.5
 
 @dataclass(frozen=True)
 class Disagreement:
-    """What a detector found otherwise in a frame.
-
-    Attributes:
-        missed: Number of labelled objects that it missed.
-        false: Number of detections without an object.
-    """
+    """Number of labelled objects that a detector missed in a frame, and of its detections without an object."""
 
     missed: int
     false: int

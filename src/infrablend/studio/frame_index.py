@@ -31,20 +31,17 @@ NONE: Mapping[str, Disagreement] = {}
 
 @dataclass(frozen=True)
 class FrameRow:
-    """A frame in lists.
+    """A frame in lists; until its record is read, only the id is known.
 
     Attributes:
-        id: Id of the frame.
-        background: Id of its background; empty until the record is read.
-        image: Path of its image below `images/`; empty until the record is read.
+        background: Id of its background.
+        image: Path of its image below `images/`.
         digest: SHA-256 of the image.
         classes: Classes of its inserts, each once, sorted.
         boxes: Boxes of its inserts, `(left, top, right, bottom)`, pixels.
         size_px: Longest side of the smallest insert's box, pixels; None without inserts.
         visibility: Least visible share of an insert.
         contrast: Least contrast of an insert, 8-bit grey levels.
-        pitch_deg: Pitch of the background's camera.
-        altitude_m: Height of the background's camera.
         time_of_day: `day`, `night` or None.
         inserted: Number of inserts.
         removed: Original labels that the frame lost, each with a reason.

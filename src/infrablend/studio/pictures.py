@@ -32,7 +32,6 @@ class Thumbnails:
     """Small pictures of a run's frames, cached in the user's cache folder by the digest of the frame's image."""
 
     def __init__(self, layout: RunFolder) -> None:
-        """Use a cache folder of the run's own."""
         self._layout = layout
         place = hashlib.sha256(os.fsencode(os.path.realpath(layout.root))).hexdigest()[:24]
         self.folder = cache_folder() / "studio" / place

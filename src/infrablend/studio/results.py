@@ -20,18 +20,11 @@ REALISM = "realism.json"
 _PICTURES = (".png", ".svg")
 _SCORES = ("auc_boosting", "floor_logistic", "hard_paste_logistic")
 _MEASURED = ("instances", "map50", "map50_95")
-_MOST_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
 class ResultTable:
-    """A table of a report.
-
-    Attributes:
-        title: Its title.
-        head: Names of the columns.
-        rows: Texts of the cells.
-    """
+    """A table of a report."""
 
     title: str
     head: tuple[str, ...]
@@ -40,15 +33,7 @@ class ResultTable:
 
 @dataclass(frozen=True)
 class ResultReport:
-    """A report.
-
-    Attributes:
-        title: Its kind, and the name of its folder.
-        folder: Folder with its files.
-        lines: What it is about, in sentences.
-        tables: Its tables.
-        pictures: Its plots and sheets.
-    """
+    """A report: its kind and folder, what it is about in sentences, its tables, and its plots and sheets."""
 
     title: str
     folder: Path
@@ -59,12 +44,7 @@ class ResultReport:
 
 @dataclass(frozen=True)
 class FoundResults:
-    """Reports, and folders that have one which cannot be read.
-
-    Attributes:
-        reports: The reports.
-        unreadable: What is wrong with others, in words.
-    """
+    """Reports, and what is wrong with those that cannot be read, in words."""
 
     reports: tuple[ResultReport, ...]
     unreadable: tuple[str, ...]
@@ -125,11 +105,8 @@ def _kinds(folder: Path) -> list[tuple[Path, Callable[[Any, Path], ResultReport 
     ]
 
 
-def _pictures(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:
-    found = {
-        path for name in names for path in sorted(folder.glob(name)) if path.suffix in _PICTURES and path.is_file()
-    }
-    return tuple(sorted(path for path in found if path.stat().st_size <= _MOST_BYTES))
+def _pictures(folder: Path, pattern: str) -> tuple[Path, ...]:
+    return tuple(sorted(path for path in folder.glob(pattern) if path.suffix in _PICTURES and path.is_file()))
 
 
 def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
@@ -150,7 +127,7 @@ def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
         if len(rows) > 1:
             tables.append(ResultTable(f"By {title}", (title, "instances", "mAP50", "mAP50-95"), tuple(rows)))
     name = f"Evaluation: {path.parent.name}"
-    return ResultReport(name, path.parent, tuple(lines), tuple(tables), _pictures(path.parent, ["plots/*.png"]))
+    return ResultReport(name, path.parent, tuple(lines), tuple(tables), _pictures(path.parent, "plots/*.png"))
 
 
 def _realism(record: Mapping[str, Any], path: Path) -> ResultReport | None:
@@ -171,7 +148,7 @@ def _realism(record: Mapping[str, Any], path: Path) -> ResultReport | None:
     head = ("class", "pairs", "logistic", "95 %", "boosting", "floor", "hard paste")
     tables = (ResultTable("AUC of classifiers", head, tuple(rows)),)
     title = f"Realism: {path.parent.name}"
-    return ResultReport(title, path.parent, tuple(lines), tables, _pictures(path.parent, ["*.png"]))
+    return ResultReport(title, path.parent, tuple(lines), tables, _pictures(path.parent, "*.png"))
 
 
 def _experiment(record: Mapping[str, Any], path: Path) -> ResultReport | None:
@@ -180,5 +157,5 @@ def _experiment(record: Mapping[str, Any], path: Path) -> ResultReport | None:
     rows = [(name, *row) for name, of in record["evaluations"].items() for row in table_rows(of["classes"])]
     lines = [str(record.get("title") or record["experiment"]), f"scale {record['scale']}, status {record['status']}"]
     tables = (ResultTable("Evaluations", ("evaluation", *HEAD), tuple(tuple(r) for r in rows)),) if rows else ()
-    pictures = _pictures(path.parent, [f"{path.stem}_*.svg"])
+    pictures = _pictures(path.parent, f"{path.stem}_*.svg")
     return ResultReport(f"Experiment: {path.stem}", path.parent, tuple(lines), tables, pictures)

@@ -81,12 +81,6 @@ class Session:
         opened = self.request.run or self.request.data
         return "" if opened is None else Path(opened).resolve().name
 
-    def __enter__(self) -> Session:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def close(self) -> None:
         """Release the run, and end the renderer."""
         if self._tuning is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -84,7 +85,7 @@ def test_a_second_run_needs_a_first_one(runs: tuple[Path, Path]) -> None:
         Session(StudioRequest(run=first, compare=str(first)))
     with pytest.raises(ArgumentError, match="no such folder"):
         Session(StudioRequest(run=first, compare="hit-uav-person"))
-    with Session(StudioRequest(run=first, compare=str(second))) as session:
+    with closing(Session(StudioRequest(run=first, compare=str(second)))) as session:
         assert session.comparison is not None
         assert session.comparison.names == ("first", "second")
 

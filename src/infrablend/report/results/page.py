@@ -97,9 +97,9 @@ def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
     lines = []
     for r in rows:
         ours = r["ours"] or {}
-        cells = [r["title"], *(paper_and_ours(count(r["paper"][k]), count(ours.get(k))) for k in shown)]
+        cells = [r["title"], *(paper_and_ours(r["paper"][k], ours.get(k), ",") for k in shown)]
         for k in METRICS:
-            cell = paper_and_ours(figure(r["paper"][k]), figure(ours.get(k)))
+            cell = paper_and_ours(r["paper"][k], ours.get(k), ".3f")
             if k in r["difference"]:
                 cell += f" ({r['difference'][k]:+.3f})"
             if interval := (ours.get("ci") or {}).get(k):
@@ -128,8 +128,8 @@ def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
     lines = []
     for r in rows:
         paper, ours = r["paper"], r["ours"] or {}
-        cells = [paper_and_ours(count(paper[k]), count(ours.get(k))) for k in ("images", "classes")]
-        cells.append(paper_and_ours(", ".join(paper["labels"]), ", ".join(ours.get("labels", ()))))
+        cells = [paper_and_ours(paper[k], ours.get(k), ",") for k in ("images", "classes")]
+        cells.append(paper_and_ours(", ".join(paper["labels"]), ", ".join(ours.get("labels", ())), "s"))
         objects = f"{ours['instances']:,} of {', '.join(ours['names'])}" if ours else f"- ({r['missing']})"
         lines.append([r["title"], *cells, objects])
     return markdown_table(["Dataset", "Images", "Classes", "Labels", "Objects (ours)"], lines)
@@ -212,7 +212,7 @@ def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iter
 
 
 def _stages_table(stages: Sequence[Mapping[str, Any]]) -> str:
-    lines = [[f"`{s['stage']}`", f"`{s['key']}`", count(s["images"]) or "-", _status(s)] for s in stages]
+    lines = [[f"`{s['stage']}`", f"`{s['key']}`", paper_and_ours(None, s["images"], ","), _status(s)] for s in stages]
     total = sum(s["seconds"] or 0 for s in stages)
     return markdown_table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", _duration(total)]])
 
@@ -245,19 +245,10 @@ def run_state(facts: Mapping[str, Any]) -> str:
     return "complete for the data at hand" if some_left_out else str(facts["status"])
 
 
-def paper_and_ours(paper: str | None, ours: str | None) -> str:
-    """Return `paper → ours`, or ours alone where the paper has no figure."""
-    return f"{paper or '-'} → {ours or '-'}" if paper else ours or "-"
-
-
-def count(n: int | None) -> str | None:
-    """Return a whole number with separators, or None."""
-    return None if n is None else f"{n:,}"
-
-
-def figure(x: float | None) -> str | None:
-    """Return a figure with three decimals, or None."""
-    return None if x is None else f"{x:.3f}"
+def paper_and_ours(paper: float | str | None, ours: float | str | None, form: str) -> str:
+    """Return `paper → ours`, or ours alone where the paper has no figure; `form` is the format of both."""
+    first, second = ("-" if value in (None, "") else f"{value:{form}}" for value in (paper, ours))
+    return second if first == "-" else f"{first} → {second}"
 
 
 def _duration(seconds: float) -> str:
@@ -333,33 +324,28 @@ def _scale(facts: Mapping[str, Any]) -> Iterator[str]:
 
 def _training(record: Mapping[str, Any]) -> str:
     """Return a training in one line: images, network, length, start and time."""
-    settings, prepared, start = record.get("settings") or {}, record.get("prepared") or {}, record["start"]
-    parts = []
-    if pictures := prepared.get("pictures"):
-        of_paper = f" (paper: {record['paper_images']:,} for training)" if record.get("paper_images") else ""
-        parts.append(f"images {_per_split(pictures)}{of_paper}")
-    if settings.get("model"):
-        parts.append(settings["model"])
-    if settings.get("tile"):
-        count = (prepared.get("tiles") or {}).get("tiles")
-        parts.append(f"{'' if count is None else f'{count:,} '}tiles of {settings['tile']} px at native resolution")
-    if settings.get("image_size"):
-        parts.append(f"{settings['image_size']} px")
-    if record.get("batch"):
-        parts.append(f"batch {record['batch']}")
-    if record.get("passes"):
-        parts.append(f"{record['passes']:,} images shown in {record.get('epochs_done', '?')} epochs")
-    if record.get("seed"):
-        parts.append(f"seed {record['seed']}")
-    if start:
-        parts.append("from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}")
-        parts[-1] += f" ({start['why']})" if start.get("why") else ""
-    parts += [str(record[k]) for k in ("precision", "note") if record.get(k)]
-    if record.get("seconds"):
-        parts.append(f"trained in {_duration(record['seconds'])}")
-    if record.get("adopted"):
-        parts.append("trained by a separate command and adopted: settings, seed, image and label counts match")
-    return "; ".join(parts) + "."
+    settings, prepared, start = record.get("settings") or {}, record.get("prepared") or {}, record["start"] or {}
+    pictures, tiles = prepared.get("pictures"), (prepared.get("tiles") or {}).get("tiles")
+    number = "" if tiles is None else f"{tiles:,} "
+    of_paper = f" (paper: {record['paper_images']:,} for training)" if record.get("paper_images") else ""
+    origin = "from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}"
+    parts = [
+        f"images {_per_split(pictures)}{of_paper}" if pictures else "",
+        settings.get("model"),
+        f"{number}tiles of {settings['tile']} px at native resolution" if settings.get("tile") else "",
+        f"{settings['image_size']} px" if settings.get("image_size") else "",
+        f"batch {record['batch']}" if record.get("batch") else "",
+        f"{record['passes']:,} images shown in {record.get('epochs_done', '?')} epochs" if record.get("passes") else "",
+        f"seed {record['seed']}" if record.get("seed") else "",
+        origin + (f" ({start['why']})" if start.get("why") else "") if start else "",
+        record.get("precision"),
+        record.get("note"),
+        f"trained in {_duration(record['seconds'])}" if record.get("seconds") else "",
+        "trained by a separate command and adopted: settings, seed, image and label counts match"
+        if record.get("adopted")
+        else "",
+    ]
+    return "; ".join(str(part) for part in parts if part) + "."
 
 
 def _per_split(counts: Mapping[str, int]) -> str:

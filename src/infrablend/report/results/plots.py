@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -25,16 +25,14 @@ CHARTS = ("bars", "differences", "pr")
 
 def draw_plots(facts: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
-    plots = []
     rows = [(t["title"], r) for t in facts["tables"] for r in t["rows"] if r["ours"] is not None]
-    if rows:
-        plots.append(("bars", "Ours with 95 % intervals, the paper's figures as crosses", _bars(rows)))
-    if facts["comparisons"]:
-        plots.append(("differences", "Paired differences with 95 % intervals", _forest(facts["comparisons"])))
     curves = {n: e["curves"] for n, e in facts["evaluations"].items() if e.get("curves")}
-    if curves:
-        plots.append(("pr", "Precision over recall at IoU 0.5", _curves(curves)))
-    return plots
+    charts: tuple[tuple[str, str, Callable[[Any], bytes], Any], ...] = (
+        ("bars", "Ours with 95 % intervals, the paper's figures as crosses", _bars, rows),
+        ("differences", "Paired differences with 95 % intervals", _forest, facts["comparisons"]),
+        ("pr", "Precision over recall at IoU 0.5", _curves, curves),
+    )
+    return [(name, title, draw(figures)) for name, title, draw, figures in charts if figures]
 
 
 def svg_bytes(figure: Figure) -> bytes:

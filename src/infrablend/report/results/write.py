@@ -15,7 +15,6 @@ from infrablend.report.results.page import (
     INDEX_FILE,
     PAGE_MARK,
     UNFINISHED_END,
-    figure,
     page_name,
     page_text,
     paper_and_ours,
@@ -110,7 +109,7 @@ def index_text(out: Path) -> str:
 def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
     verdicts = [c["holds"] for c in facts["checks"] if c["holds"] is not None]
     headlines = (
-        f"{r['title']}: {paper_and_ours(figure(r['paper']['map50']), figure((r['ours'] or {}).get('map50')))}"
+        f"{r['title']}: {paper_and_ours(r['paper']['map50'], (r['ours'] or {}).get('map50'), '.3f')}"
         for table in facts["tables"]
         for r in table["rows"]
     )

@@ -22,14 +22,9 @@ _GROWING = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 
 @dataclass(frozen=True)
 class Bar:
-    """A bar of a chart, or a cell of a map.
+    """A bar of a chart, or a cell of a map: its place, and the count, words and anchor of the frames behind it.
 
-    Attributes:
-        x, y, width, height: Place in the chart.
-        count: Number that it stands for.
-        label: What it stands for, in words.
-        link: Anchor of the frames behind it; empty without any.
-        share: Count as a share of the largest one.
+    `share` is the count as a share of the largest one; `link` is empty without frames.
     """
 
     x: float
@@ -44,13 +39,11 @@ class Bar:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart.
+    """A chart of bars, or a map of cells.
 
     Attributes:
         title: Quantity and unit.
         summary: Its most important numbers in words.
-        size_wh: Size of the drawing.
-        bars: Bars or cells.
         ticks: Numbers below the axis, (place, text).
         kind: `bars` or `map`.
     """

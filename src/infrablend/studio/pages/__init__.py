@@ -8,7 +8,7 @@ from starlette.responses import RedirectResponse, Response
 
 from infrablend.errors import InfraBlendError
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages import compare, layout, losses, review, routes
+from infrablend.studio.pages import compare, layout, review, routes
 from infrablend.studio.session import Session
 
 
@@ -45,7 +45,7 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
     @ui.page("/losses")
     def losses_page(request: Request) -> None:
         with layout.page_frame(session, request, "/losses", "Lost labels"):
-            losses.build(opened)
+            layout.when_read(opened, lambda: review.show_losses(opened))
 
     further = session.request.results
 

@@ -69,7 +69,6 @@ class PairList(Element, component="components/pair_list.js"):  # type: ignore[ca
     """The list of frames; it reads its lines from `source`."""
 
     def __init__(self, source: str) -> None:
-        """Show the lines at an address."""
         super().__init__()
         self._props.update(source=source, chosen=-1)
 
@@ -83,7 +82,6 @@ class Wipe(Element, component="components/wipe.js"):  # type: ignore[call-arg]
     """Two pictures with a divider."""
 
     def __init__(self, first: str, second: str, names: tuple[str, str]) -> None:
-        """Show the pictures at two addresses."""
         super().__init__()
         self._props.update(a=first, b=second, names=list(names))
 

@@ -1,8 +1,9 @@
-"""The review of a run: a grid of its frames, and one frame at a time by keyboard."""
+"""The review of a run: a grid of its frames, one frame at a time by keyboard, and the labels that were lost."""
 
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -17,19 +18,32 @@ from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.runs.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages.layout import error_text, is_pressed, key_button, show_choice, tell, when_read
+from infrablend.studio.pages.layout import (
+    error_text,
+    is_pressed,
+    key_button,
+    show_choice,
+    show_table,
+    tell,
+    when_read,
+)
 from infrablend.studio.verdicts import REASONS
 
 _WORDS = {"accept": "accepted", "reject": "rejected"}
 _LIMITS = {"size_px": "Size, px", "visibility": "Visible share", "contrast": "Contrast, grey levels"}
 _MOST_CROPS = 6
+_LOSSES = {
+    "covered": "covered completely by inserted objects",
+    "category": "its class is not kept (labels.keep_categories)",
+    "labels": "left out by the choice of labels.mode",
+}
+_MOST_LOSSES = 500
 
 
 class FrameGrid(Element, component="components/frame_grid.js"):  # type: ignore[call-arg]
     """The grid of frames; it reads its rows from `source`."""
 
     def __init__(self, source: str) -> None:
-        """Show the rows at an address."""
         super().__init__()
         self._props["source"] = source
 
@@ -49,8 +63,8 @@ class ReviewPage:
         self._order: list[int] = []
         self._number: int | None = None
         self._shown: FrameRow | None = None
-        self._boxes = True
-        self._originals = False
+        self._labels = {"boxes": True, "originals": False}
+        self._switches: dict[str, ui.switch] = {}
         self._advance = True
         self._list = ui.column().classes("w-full gap-2")
         with self._list:
@@ -136,12 +150,12 @@ class ReviewPage:
         at = self._order.index(number) if number in self._order else None
         with ui.element("div").classes("studio-row"):
             key_button("All frames", self._back, "Esc")
-            key_button("Previous", lambda: self._step(-1), "\u2190")
-            key_button("Next", lambda: self._step(1), "\u2192")
+            key_button("Previous", partial(self._step, -1), "\u2190")
+            key_button("Next", partial(self._step, 1), "\u2192")
             ui.label("" if at is None else f"{at + 1} of {len(self._order)}").classes("faint")
-            ui.switch("Boxes", value=self._boxes, on_change=lambda e: self._draw_boxes(e.value)).tooltip("B")
-            shown = ui.switch("Original objects", value=self._originals)
-            shown.on_value_change(lambda e: self._draw_originals(e.value)).tooltip("O")
+            for name, title, key in (("boxes", "Boxes", "B"), ("originals", "Original objects", "O")):
+                self._switches[name] = ui.switch(title, value=self._labels[name]).tooltip(key)
+                self._switches[name].bind_value_to(self._labels, name).on_value_change(self._redraw)
             ui.switch("Next after a verdict", value=self._advance).bind_value_to(self, "_advance")
         with ui.element("div").classes("frame-view"):
             with ui.element("div"):
@@ -169,8 +183,8 @@ class ReviewPage:
         shown.props["data-verdict"] = "" if verdict is None else verdict.word
         shown.props["data-frame"] = row.id
         with ui.element("div").classes("studio-row"):
-            key_button("Accept", lambda: self._decide(Verdict("accept")), "A")
-            key_button("Reject", lambda: self._decide(Verdict("reject")), "R")
+            key_button("Accept", partial(self._decide, Verdict("accept")), "A")
+            key_button("Reject", partial(self._decide, Verdict("reject")), "R")
             key_button("Undo", self._undo, "U")
         ui.html("<h3>Reject because it is</h3>", sanitize=False)
         with ui.element("div").classes("studio-row"):
@@ -212,14 +226,13 @@ class ReviewPage:
                     crop.props["src"] = f"/run/crop/{self._number}/{k}.png?d={row.digest[:12]}"
 
     def _picture_address(self, number: int, row: FrameRow) -> str:
-        return (
-            f"/run/picture/{number}.png?d={row.digest[:12]}&boxes={int(self._boxes)}&originals={int(self._originals)}"
-        )
+        labels = {name: int(on) for name, on in self._labels.items()}
+        return f"/run/picture/{number}.png?" + urlencode({"d": row.digest[:12], **labels})
 
     def _explain(self, number: int) -> None:
         """Show in words why the picture of a frame cannot be shown."""
         try:
-            self._run.picture(number, boxes=self._boxes, originals=self._originals)
+            self._run.picture(number, **self._labels)
         except InfraBlendError as error:
             self._problem.set_text(error_text(error))
             self._problem.set_visibility(True)
@@ -231,14 +244,12 @@ class ReviewPage:
         self._picture.props["src"] = self._picture_address(number, row)
         self._picture.update()
 
-    def _draw_boxes(self, on: bool) -> None:
-        self._boxes = on
+    def _redraw(self) -> None:
         if self._number is not None:
             self._set_picture(self._number, self._run.row(self._number))
 
-    def _draw_originals(self, on: bool) -> None:
-        self._originals = on
-        self._draw_boxes(self._boxes)
+    def _toggle(self, name: str) -> None:
+        self._switches[name].value = not self._labels[name]
 
     def _back(self) -> None:
         number, self._number = self._number, None
@@ -303,13 +314,13 @@ class ReviewPage:
         if not is_pressed(event) or self._number is None:
             return
         actions: dict[str, Callable[[], None]] = {
-            "a": lambda: self._decide(Verdict("accept")),
-            "r": lambda: self._decide(Verdict("reject")),
+            "a": partial(self._decide, Verdict("accept")),
+            "r": partial(self._decide, Verdict("reject")),
             "u": self._undo,
-            "b": lambda: self._draw_boxes(not self._boxes),
-            "o": lambda: self._draw_originals(not self._originals),
-            "arrowright": lambda: self._step(1),
-            "arrowleft": lambda: self._step(-1),
+            "b": partial(self._toggle, "boxes"),
+            "o": partial(self._toggle, "originals"),
+            "arrowright": partial(self._step, 1),
+            "arrowleft": partial(self._step, -1),
             "escape": self._back,
             **{str(k): partial(self._decide, Verdict("reject", text)) for k, text in enumerate(REASONS, 1)},
         }
@@ -319,3 +330,26 @@ class ReviewPage:
 
 def _with_unit(value: float | None, unit: str) -> str | None:
     return None if value is None else f"{value:.1f} {unit}".replace(".0 ", " ")
+
+
+def show_losses(run: OpenedRun) -> None:
+    """Show the original objects that lost their labels, each with the reason and a link to its frame."""
+    found = [(n, row.id, loss) for n, row in enumerate(run.rows) for loss in row.removed]
+    ui.html("<h2>Original labels that the run removed</h2>", sanitize=False)
+    if not found:
+        ui.label("No original object lost its label.")
+        return
+    counts = Counter(str(loss.get("reason", "unknown")) for _, _, loss in found)
+    for reason, count in counts.most_common():
+        ui.label(f"{count} {_LOSSES.get(reason, reason)}")
+    show_table(("Frame", "Class", "Reason", "Covered"), [_loss_cells(*one) for one in found[:_MOST_LOSSES]])
+    if len(found) > _MOST_LOSSES:
+        ui.label(f"and {len(found) - _MOST_LOSSES} more; run.json and the records of the frames have all").classes(
+            "faint"
+        )
+
+
+def _loss_cells(number: int, frame_id: str, loss: Mapping[str, Any]) -> list[str | tuple[str, str]]:
+    reason, share = str(loss.get("reason", "")), loss.get("covered_share")
+    covered = f"{100 * share:.0f} %" if isinstance(share, int | float) else ""
+    return [(frame_id, f"/review?frame={number}"), str(loss.get("category", "")), _LOSSES.get(reason, reason), covered]

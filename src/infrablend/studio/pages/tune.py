@@ -43,7 +43,6 @@ class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
     """The picture, with a handle on each insert."""
 
     def __init__(self, alt: str) -> None:
-        """Show no picture yet."""
         super().__init__()
         self._props.update(source="", alt=alt, marks=[], size=[1, 1])
 
