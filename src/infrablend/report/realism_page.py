@@ -186,8 +186,7 @@ def _source_cells(run: Mapping[str, Any]) -> list[str]:
 
 def _charts(classes: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
-    rows = _timed(classes, "contrast")
-    charts = []
+    rows, charts = _timed(classes, "contrast"), []
     if any(any(s["real"]["slope"].values()) for _, s in rows):
         charts.append(("slopes", "Slope within images, with 95 % intervals: real and inserted", _slopes(rows)))
     if rows:
@@ -197,9 +196,8 @@ def _charts(classes: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
 
 def _slopes(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     figure, axes = _panels(rows)
-    for ax, level, title in zip(
-        axes, ("high", "middle"), ("95 % quantile of the box", "middle of the box"), strict=True
-    ):
+    titles = {"high": "95 % quantile of the box", "middle": "middle of the box"}
+    for ax, (level, title) in zip(axes, titles.items(), strict=True):
         ax.axvline(0, color=FAINT, lw=0.8)
         for at, (_, sides) in enumerate(rows):
             for side, colour, shift in (("real", _REAL, -0.14), ("inserted", _INSERTED, 0.14)):
@@ -212,7 +210,8 @@ def _slopes(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
 
 def _quantiles(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     figure, axes = _panels(rows)
-    for ax, key, title in zip(axes, ("signed", "change"), ("contrast", "largest change"), strict=True):
+    titles = {"signed": "contrast", "change": "largest change"}
+    for ax, (key, title) in zip(axes, titles.items(), strict=True):
         ax.axvline(0, color=FAINT, lw=0.8)
         for at, (_, sides) in enumerate(rows):
             for side, colour, shift in (("real", _REAL, -0.16), ("inserted", _INSERTED, 0.16)):

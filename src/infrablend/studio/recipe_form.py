@@ -163,18 +163,19 @@ def moved(frames: Mapping[str, Any], scene: SceneSpec, number: int, move: Move, 
     if not stands:
         away = float(np.linalg.norm(np.asarray(o.position_m) - scene.camera.position_m))
         entry["range_m"] = round(away * move.away, 3)
-    entries = list((frames.get(scene.frame_id) or {}).get("objects", ()))
-    entries += [{}] * (number + 1 - len(entries))
-    entries[number] = entry
-    return {**frames, scene.frame_id: {"objects": entries}}
+    return _with_entry(frames, scene.frame_id, number, entry)
 
 
 def released(frames: Mapping[str, Any], scene: SceneSpec, number: int) -> dict[str, Any]:
     """Return the recipe's field `frames` with one object of a scene as drawn again."""
-    entries = list((frames.get(scene.frame_id) or {}).get("objects", ()))
-    if number < len(entries):
-        entries[number] = {}
+    return _with_entry(frames, scene.frame_id, number, {})
+
+
+def _with_entry(frames: Mapping[str, Any], frame_id: str, number: int, entry: dict[str, float]) -> dict[str, Any]:
+    entries = list((frames.get(frame_id) or {}).get("objects", ()))
+    entries += [{}] * (number + 1 - len(entries))
+    entries[number] = entry
     while entries and not entries[-1]:
         entries.pop()
-    rest = {k: v for k, v in frames.items() if k != scene.frame_id}
-    return {**rest, scene.frame_id: {"objects": entries}} if entries else rest
+    rest = {k: v for k, v in frames.items() if k != frame_id}
+    return {**rest, frame_id: {"objects": entries}} if entries else rest

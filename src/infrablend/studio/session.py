@@ -79,7 +79,7 @@ class Session:
     def title(self) -> str:
         """Name of what is open."""
         opened = self.request.run or self.request.data
-        return "" if opened is None else Path(opened).resolve().name
+        return "" if opened is None else opened.resolve().name
 
     def close(self) -> None:
         """Release the run, and end the renderer."""

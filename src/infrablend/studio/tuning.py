@@ -59,9 +59,8 @@ class Tuned:
     def picture(self, *, boxes: bool, ground: bool = False) -> Rgb:
         """Return the picture, with boxes, or with the ground and people of 1.7 m on it, twice as large."""
         frame = self.trial.frame
-        rgb = to_rgb(frame.pixels)
         if ground and frame.scene is not None and self.has_ground:
-            return draw_ground(rgb, frame.labels, frame.scene)[0]
+            return draw_ground(to_rgb(frame.pixels), frame.labels, frame.scene)[0]
         return self.labelled(inserts=boxes, originals=boxes)
 
     def labelled(self, *, inserts: bool, originals: bool) -> Rgb:

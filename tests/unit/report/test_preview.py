@@ -244,33 +244,15 @@ def run(tmp_path):
         path.parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(path), np.full((120, 160), 50 + n, np.uint8))
         images.append({"id": n + 1, "file_name": name, "width": 160, "height": 120})
-        annotations.append(
-            {
-                "id": 10 * n,
-                "image_id": n + 1,
-                "category_id": 1,
-                "bbox": [1, 2, 10, 11],
-                "area": 110,
-                "iscrowd": 0,
-                "segmentation": [[1, 2, 11, 2, 11, 13, 1, 13]],
-                "segmentation_from": "box",
-            }
-        )
+        car = {"id": 10 * n, "image_id": n + 1, "category_id": 1, "bbox": [1, 2, 10, 11]}
+        annotations.append({**car, "segmentation": [[1, 2, 11, 2, 11, 13, 1, 13]], "segmentation_from": "box"})
         if n < 2:
-            annotations.append(
-                {
-                    "id": 10 * n + 1,
-                    "image_id": n + 1,
-                    "category_id": 5,
-                    "bbox": [40.5, 30, 30, 20.25],
-                    "area": 600,
-                    "iscrowd": 0,
-                    "segmentation": rectangle_mask(40, 30, 70, 50).to_coco(),
-                    "obb": [40, 30, 70, 30, 70, 50, 40, 50],
-                    "inserted": True,
-                    "visibility": 0.75,
-                }
-            )
+            drone = {
+                "id": 10 * n + 1, "image_id": n + 1, "category_id": 5, "bbox": [40.5, 30, 30, 20.25], "inserted": True,
+                "segmentation": rectangle_mask(40, 30, 70, 50).to_coco(), "obb": [40, 30, 70, 30, 70, 50, 40, 50],
+                "visibility": 0.75,
+            }  # fmt: skip
+            annotations.append(drone)
     categories = [{"id": 1, "name": "Car"}, {"id": 5, "name": "drone"}]
     (root / "coco").mkdir()
     (root / "coco" / "test.json").write_text(
