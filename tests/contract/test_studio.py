@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -28,8 +29,32 @@ WAIT_MS = 60_000
 
 
 @contextmanager
-def studio(folder: Path, *words: object) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Start the studio in a folder; yield its process and the address that it prints."""
+def browser_page(chromium: str, **options: Any) -> Iterator[tuple[Any, list[str], list[str]]]:
+    """Yield a page, the addresses that it asked for, and its errors without those of a connection that was cut."""
+    from playwright.sync_api import sync_playwright
+
+    asked: list[str] = []
+    errors: list[str] = []
+
+    def note(kind: str, text: str) -> None:
+        if kind == "error" and "ERR_CONNECTION" not in text and "WebSocket" not in text:
+            errors.append(text)
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page = browser.new_context(viewport={"width": 1280, "height": 800}, **options).new_page()
+        page.set_default_timeout(WAIT_MS)
+        page.on("request", lambda r: asked.append(r.url))
+        page.on("websocket", lambda w: asked.append(w.url))
+        page.on("pageerror", lambda e: note("error", str(e)))
+        page.on("console", lambda m: note(m.type, m.text))
+        yield page, asked, errors
+        browser.close()
+
+
+@contextmanager
+def studio(chromium: str, folder: Path, *words: object, **options: Any) -> Iterator[Any]:
+    """Start the studio in a folder and open it; yield `page`, `asked`, `errors`, `process` and `base`, its address."""
     command = [sys.executable, "-m", "infrablend", "-q", "studio", *map(str, words), "--no-open"]
     environment = {**os.environ, "INFRABLEND_CACHE": str(folder / "cache")}
     # Playwright's own loop must not keep the process's output open.
@@ -38,35 +63,23 @@ def studio(folder: Path, *words: object) -> Iterator[tuple[subprocess.Popen[str]
         try:
             address = process.stdout.readline().strip()
             assert address.startswith("http://127.0.0.1:"), address
-            yield process, address
+            with browser_page(chromium, **options) as (page, asked, errors):
+                page.goto(address)
+                base = address.partition("/?")[0]
+                yield SimpleNamespace(page=page, asked=asked, errors=errors, process=process, base=base)
         finally:
             process.kill()
 
 
-@contextmanager
-def browser_page(chromium: str, **options: Any) -> Iterator[tuple[Any, list[str], list[str]]]:
-    """Yield a page, the addresses that it asked for, and its errors."""
-    from playwright.sync_api import sync_playwright
-
-    asked: list[str] = []
-    errors: list[str] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_context(viewport={"width": 1280, "height": 800}, **options).new_page()
-        page.set_default_timeout(WAIT_MS)
-        page.on("request", lambda r: asked.append(r.url))
-        page.on("websocket", lambda w: asked.append(w.url))
-        page.on("pageerror", lambda e: errors.append(str(e)))
-        page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
-        yield page, asked, errors
-        browser.close()
+def records_of(*names: str, **changes: Any) -> dict[str, dict[str, Any]]:
+    """Return the records of frames by id."""
+    return {f"test/{n}_c0": frame_record(f"test/{n}_c0", **changes) for n in names}
 
 
 def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str, tmp_path: Path) -> None:
-    frames = {f"test/f{n:04}_c0": frame_record(f"test/f{n:04}_c0") for n in range(60)}
-    run = write_run(tmp_path / "run", frames)
-    with studio(tmp_path, "--run", run) as (process, address), browser_page(chromium) as (page, asked, errors):
-        page.goto(address)
+    run = write_run(tmp_path / "run", records_of(*(f"f{n:04}" for n in range(60))))
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
         page.locator(".frame-cell img").first.wait_for()
         assert "token" not in page.url
         assert page.locator(".frame-cell").count() < 60, "only visible cells are in the page"
@@ -81,27 +94,26 @@ def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str
         page.locator('.verdict[data-frame="test/f0003_c0"][data-verdict=""]').wait_for()
         page.keyboard.press("r")
         page.locator('.verdict[data-frame="test/f0004_c0"]').wait_for()
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        opened.process.send_signal(signal.SIGKILL)
+        opened.process.wait()
     assert read_verdicts(run / "review.json") == {
         "test/f0001_c0": Verdict("accept"), "test/f0002_c0": Verdict("reject"), "test/f0003_c0": Verdict("reject"),
     }  # fmt: skip
-    base = address.partition("/?")[0]
-    assert asked and all(a.startswith((base, base.replace("http", "ws"), "data:", "blob:")) for a in asked)
-    assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
+    own = (opened.base, opened.base.replace("http", "ws"), "data:", "blob:")
+    assert opened.asked and all(a.startswith(own) for a in opened.asked)
+    assert opened.errors == []
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "run"], "nothing else is written"
 
 
 def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str, tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
-    with studio(tmp_path, "--run", run) as (process, address), browser_page(chromium) as (page, _, _):
-        page.goto(address)
+    run = write_run(tmp_path / "run", records_of(*"abc"))
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
         page.locator(".frame-cell img").first.wait_for()
         (run / "images/test/b_c0.png").unlink()
         edit_ledger(run, "DELETE FROM records WHERE frame_id = 'test/c_c0'")
-        base = address.partition("/?")[0]
         for number, words in ((1, "test/b_c0.png: not a readable picture"), (2, "no finished frame 'test/c_c0'")):
-            page.goto(f"{base}/review?frame={number}")
+            page.goto(f"{opened.base}/review?frame={number}")
             page.get_by_role("alert").get_by_text(words).wait_for()
             assert not page.locator("img.picture").is_visible()
         second = subprocess.run(
@@ -112,17 +124,17 @@ def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str,
         for key, shown in (("ArrowLeft", "test/b_c0"), ("ArrowLeft", "test/a_c0"), ("a", "test/b_c0")):
             page.keyboard.press(key)
             page.locator(f'.verdict[data-frame="{shown}"]').wait_for()
-        process.kill()
+        opened.process.kill()
         page.locator("#popup").get_by_text("Connection lost").wait_for()
     assert read_verdicts(run / "review.json") == {"test/a_c0": Verdict("accept")}
 
 
 def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(chromium: str, tmp_path: Path) -> None:
-    run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
-    with studio(tmp_path, "--run", run) as (_, address), browser_page(chromium) as (page, _, _):
-        page.goto(address)
+    run = write_run(tmp_path / "run", records_of(*"abc"))
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
         page.locator(".frame-cell img").first.wait_for()
-        page.goto(f"{address.partition('/?')[0]}/review?frame=1")
+        page.goto(f"{opened.base}/review?frame=1")
         page.locator('.verdict[data-frame="test/b_c0"]').wait_for()
         # As `exclude` does: frame 1 is now another one.
         edit_ledger(run, "UPDATE frames SET excluded = 'x' WHERE frame_id = 'test/a_c0'")
@@ -133,29 +145,21 @@ def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(ch
         run.rename(tmp_path / "elsewhere")
         page.keyboard.press("ArrowRight")
         page.get_by_text("its frames are gone").first.wait_for()
-        page.goto(f"{address.partition('/?')[0]}/results")
+        page.goto(f"{opened.base}/results")
         page.get_by_role("alert").get_by_text("expected the run that was opened").wait_for()
 
 
 def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> None:
     fainter = frame_record("x")["inserted"][0] | {"extra": {"contrast_grey": -4.0}}
-    first, second = (
-        write_run(
-            tmp_path / name,
-            {
-                f"test/{n}_c0": frame_record(f"test/{n}_c0", background={"id": n}, image_sha256=f"{n}{name}")
-                | ({"inserted": [fainter]} if (n, name) == ("b", "second") else {})
-                for n in frames
-            },
-        )
-        for name, frames in (("first", "abc"), ("second", "bcd"))
+    ours, theirs = (
+        {k: r for n in names for k, r in records_of(n, background={"id": n}, image_sha256=f"{n}{names}").items()}
+        for names in ("abc", "bcd")
     )
-    with (
-        studio(tmp_path, "--run", first, "--compare", second) as (_, address),
-        browser_page(chromium) as (page, asked, errors),
-    ):
-        page.goto(address)
-        page.goto(address.partition("/?")[0] + "/compare")
+    theirs["test/b_c0"]["inserted"] = [fainter]
+    first, second = write_run(tmp_path / "first", ours), write_run(tmp_path / "second", theirs)
+    with studio(chromium, tmp_path, "--run", first, "--compare", second) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/compare")
         page.get_by_text("2 frames in both, 0 with equal pictures; 1 only in A, 1 only in B").wait_for()
         page.locator(".pair-line[aria-current]", has_text="test/b_c0").wait_for()
         divider = page.get_by_label("Divider", exact=True).and_(page.locator("input[type=range]"))
@@ -171,33 +175,30 @@ def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> Non
         page.get_by_role("switch", name="Divider").click()
         page.locator(".compare-sides img").nth(1).wait_for()
         for path in ("/compare/c/picture/0.png", "/compare/a/picture/9.png", "/compare/b/picture/..%2f..%2fx.png"):
-            assert page.request.get(address.partition("/?")[0] + path).status in (404, 422)
-    assert any("/compare/b/picture/" in a for a in asked)
-    assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
+            assert page.request.get(opened.base + path).status in (404, 422)
+    assert any("/compare/b/picture/" in a for a in opened.asked)
+    assert opened.errors == []
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_axe_finds_no_serious_issue(
     chromium: str, theme: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    run = write_run(tmp_path / "run", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "abc"})
+    run = write_run(tmp_path / "run", records_of(*"abc"))
     (run / "review.json").write_text('{"frames": {"test/a_c0": {"verdict": "accept"}}}')
-    other = write_run(tmp_path / "other", {f"test/{n}_c0": frame_record(f"test/{n}_c0") for n in "ab"})
+    other = write_run(tmp_path / "other", records_of(*"ab"))
     data = write_tiny_hit_uav(tmp_path / "data")
     shown = {"/review": ".frame-cell", "/review?frame=1": "img.picture", "/losses": "h2", "/tune": ".tune-form h2"}
     shown |= {"/compare": ".wipe img", "/results": ".result-plots img"}
     picture(run / "realism/car_random.png", 1)
     (run / "realism/realism.json").write_text(json.dumps(REALISM))
     found = []
-    with (
-        studio(tmp_path, "hit-uav-drone", "--run", run, "--data", data, "--compare", other) as (_, address),
-        browser_page(chromium, color_scheme=theme) as (page, _, _),
-    ):
-        page.goto(address)
+    words = ("hit-uav-drone", "--run", run, "--data", data, "--compare", other)
+    with studio(chromium, tmp_path, *words, color_scheme=theme) as opened:
         for path, selector in shown.items():
-            page.goto(address.partition("/?")[0] + path)
-            page.locator(selector).first.wait_for()
-            found += [(path, *issue) for issue in serious_issues(page)]
+            opened.page.goto(opened.base + path)
+            opened.page.locator(selector).first.wait_for()
+            found += [(path, *issue) for issue in serious_issues(opened.page)]
     assert found == []
 
 
@@ -231,8 +232,8 @@ def test_a_run_alone_can_be_tuned_or_says_what_is_missing(
     flat = Execution(renderer="flat", in_process=True)
     api.generate("hit-uav-drone", data, run, limit=1, settings={"camera.distance_m": [3, 4]}, execution=flat)
     for words in (None, "no such folder; expected the backgrounds of this run"):
-        with studio(tmp_path, "--run", run) as (_, address), browser_page(chromium) as (page, _, errors):
-            page.goto(address)
+        with studio(chromium, tmp_path, "--run", run) as opened:
+            page = opened.page
             page.get_by_role("link", name="Tune").click()
             if words is None:
                 page.locator("img.picture[src]").wait_for()
@@ -240,7 +241,7 @@ def test_a_run_alone_can_be_tuned_or_says_what_is_missing(
                 assert page.get_by_label("distance, m, to", exact=True).input_value() == "4"
             else:
                 page.get_by_role("alert").get_by_text(words).wait_for()
-            assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
+            assert opened.errors == []
         if words is None:
             data.rename(tmp_path / "moved")
 
@@ -250,9 +251,8 @@ def test_a_wrong_field_is_marked_and_the_last_picture_stays(
 ) -> None:
     pytest.importorskip("bpy")
     data = write_tiny_hit_uav(tmp_path / "data")
-    with studio(tmp_path, "hit-uav-drone", "--data", data) as (process, address), browser_page(chromium) as opened:
-        page, _, errors = opened
-        page.goto(address)
+    with studio(chromium, tmp_path, "hit-uav-drone", "--data", data) as opened:
+        page = opened.page
         page.locator("img.picture[src]").wait_for()
         first = page.get_attribute("img.picture", "src")
         page.get_by_label("scale, to", exact=True).fill("3")
@@ -262,6 +262,6 @@ def test_a_wrong_field_is_marked_and_the_last_picture_stays(
         page.locator(".q-field--error").first.wait_for()
         page.get_by_label("scale, from", exact=True).fill("2")
         page.locator(".studio-error", has_text="objects.0.scale").wait_for(state="hidden")
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=30) == 0
-    assert [e for e in errors if "ERR_CONNECTION" not in e and "WebSocket" not in e] == []
+        opened.process.send_signal(signal.SIGINT)
+        assert opened.process.wait(timeout=30) == 0
+    assert opened.errors == []

@@ -5,6 +5,7 @@ The same dataset gives the same bytes: a card contains no date and no local path
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import re
@@ -105,10 +106,6 @@ class Inserts:
     labels: Mapping[str, int] = field(default_factory=dict)
     limits: tuple[str, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return asdict(self) | {"labels": dict(self.labels), "limits": list(self.limits)}
-
 
 # Labels that are marked as inserted, without any record of the run.
 _MARKED_ONLY = Inserts("", limits=INSERT_LIMITS)
@@ -199,50 +196,47 @@ class Card:
 
 def find_provenance(dataset: Dataset) -> Provenance:
     """Return a dataset's origin, as far as `SOURCE.json`, a licence file, its own files or its layout show it."""
-    text = _licence_file(dataset.root)
     stated = _stated_provenance(dataset)
     if not stated.inserts and any(i.inserted for image in dataset.images for i in image.instances):
         stated = replace(stated, inserts=(_MARKED_ONLY,))
-    if text is None:
+    if (found := _licence_file(dataset.root)) is None:
         return stated
-    name, data = text
-    read = data.decode("utf-8", "replace")
-    licence = next((known for pattern, known in _LICENCE_TEXTS if re.search(pattern, read, re.IGNORECASE)), None)
-    if licence is None and stated.licence != UNKNOWN:
-        note = f"{stated.licence_note} The data folder contains a {name} with another text: see {LICENCE_COPY}.".strip()
-        return replace(stated, licence_text=data, licence_note=note)
-    if licence is None:
-        own = Licence("other", "that of the source", LICENCE_COPY)
-        return replace(stated, licence=own, licence_text=data)
-    if stated.licence in {UNKNOWN, licence}:
-        note = stated.licence_note if stated.licence == licence else ""
-        return replace(stated, licence=licence, licence_text=data, licence_note=note)
-    note = (
-        f"The {name} beside the data says {licence.name}, but the dataset's page says {stated.licence.name}: "
-        "ask its authors."
-    )
+    (name, data), note = found, stated.licence_note
+    text = data.decode("utf-8", "replace")
+    licence = next((known for pattern, known in _LICENCE_TEXTS if re.search(pattern, text, re.IGNORECASE)), None)
+    if licence is None and stated.licence == UNKNOWN:
+        licence = Licence("other", "that of the source", LICENCE_COPY)
+    elif licence is None:
+        licence = stated.licence
+        note = f"{note} The data folder contains a {name} with another text: see {LICENCE_COPY}.".strip()
+    elif stated.licence == UNKNOWN:
+        note = ""
+    elif stated.licence != licence:
+        note = (
+            f"The {name} beside the data says {licence.name}, but the dataset's page says {stated.licence.name}: "
+            "ask its authors."
+        )
     return replace(stated, licence=licence, licence_text=data, licence_note=note)
 
 
 def _licence_file(root: Path) -> tuple[str, bytes] | None:
     for name in (*_LICENCE_NAMES, LICENCE_COPY, f"../{LICENCE_COPY}"):
         path = real_path(root) / name
-        try:
+        with contextlib.suppress(OSError):
             if path.is_file() and path.stat().st_size <= _LICENCE_BYTES:
                 return name, path.read_bytes()
-        except OSError:
-            continue
     return None
 
 
 def _stated_provenance(dataset: Dataset) -> Provenance:
     root = real_path(dataset.root)
     for folder in (root, root.parent):  # the data may be a folder of a download or of a run, such as RUN/native
-        if (found := read_source(folder / SOURCE_FILE)) is not None:
-            return found
+        with contextlib.suppress(DatasetError):
+            if (found := _provenance_of(read_json(folder / SOURCE_FILE), f"its `{SOURCE_FILE}`")) is not None:
+                return found
     if dataset.format == shards.NAME:
         facts = json.loads(dataset.extra.get(shards.SOURCE, "null"))
-        if isinstance(facts, Mapping) and (found := _provenance_of(facts, "its shards")) is not None:
+        if (found := _provenance_of(facts, "its shards")) is not None:
             text = facts.get(_LICENCE_TEXT)
             return replace(found, licence_text=text.encode() if isinstance(text, str) else None)
     if (root / WORLD_FILE).is_file():
@@ -272,69 +266,59 @@ def _stated_provenance(dataset: Dataset) -> Provenance:
     )
 
 
-def read_source(path: Path) -> Provenance | None:
-    """Return the content of a `SOURCE.json`, or None if the file is missing or is not one.
+def _provenance_of(data: Any, stated_by: str) -> Provenance | None:
+    """Return what the content of a `SOURCE.json` states, or None if it is not one.
 
     `infrablend fetch`, runs and conversions write such files; they may also be written by hand.
     """
-    if not path.is_file():
-        return None
-    try:
-        data = read_json(path)
-    except DatasetError:
-        return None
-    return _provenance_of(data, f"its `{SOURCE_FILE}`")
-
-
-def _provenance_of(data: Any, stated_by: str) -> Provenance | None:
-    """Return what the content of a `SOURCE.json` states, or None if it is not one."""
     licence = data.get("licence") if isinstance(data, dict) else None
-    if not isinstance(data, dict) or not isinstance(licence, dict):
+    if not isinstance(licence, dict):
         return None
     known = find_source(_text(data, "name"))
-    changes = data.get("changes")
+    archives = data["archives"].values() if isinstance(data.get("archives"), dict) else ()
+    commits = [_text(a, "commit") for a in archives if isinstance(a, dict)]
+    commit = next((f", commit {c}" for c in commits if re.fullmatch(r"[0-9a-f]{40}", c)), "")
     return Provenance(
         _text(data, "name"),
         _text(data, "title") or _text(data, "name"),
         _text(data, "page"),
-        _licence(_text(licence, "id"), _text(licence, "name"), _text(licence, "url")),
+        _licence_of(licence),
         _text(data, "licence_note"),
         _text(data, "attribution"),
         _text(data, "citation", lines=True),
-        f"According to {stated_by}" + (f", commit {commit}." if (commit := _commit(data)) else "."),
-        changes=tuple(" ".join(c.split()) for c in changes if isinstance(c, str)) if isinstance(changes, list) else (),
+        f"According to {stated_by}{commit}.",
+        changes=_texts(data.get("changes")),
         limits=known.limits if known else (),
         own=data.get("own") is True,
-        inserts=_read_inserts(data.get("inserts")),
+        inserts=tuple(_inserts_of(entry) for entry in _listed(data.get("inserts"), dict)),
     )
 
 
-def _read_inserts(entries: Any) -> tuple[Inserts, ...]:
-    if not isinstance(entries, list):
-        return ()
-    found = []
-    for entry in entries:
-        if not isinstance(entry, dict):
-            continue
-        labels, limits, seed = entry.get("labels"), entry.get("limits"), entry.get("seed")
-        found.append(
-            Inserts(
-                _text(entry, "recipe"),
-                seed if type(seed) is int else None,
-                _text(entry, "settings", lines=True),
-                {k: n for k, n in labels.items() if type(n) is int} if isinstance(labels, dict) else {},
-                tuple(" ".join(x.split()) for x in limits if isinstance(x, str)) if isinstance(limits, list) else (),
-            )
-        )
-    return tuple(found)
+def _inserts_of(entry: Mapping[str, Any]) -> Inserts:
+    labels, seed = entry.get("labels"), entry.get("seed")
+    return Inserts(
+        _text(entry, "recipe"),
+        seed if type(seed) is int else None,
+        _text(entry, "settings", lines=True),
+        {k: n for k, n in labels.items() if type(n) is int} if isinstance(labels, dict) else {},
+        _texts(entry.get("limits")),
+    )
 
 
-def _licence(identifier: str, name: str, url: str) -> Licence:
+def _licence_of(stated: Mapping[str, Any]) -> Licence:
+    identifier, name = _text(stated, "id"), _text(stated, "name")
     if not identifier and not name:
         return UNKNOWN
-    if identifier.lower() in _HUB_LICENCES:
-        return Licence(identifier.lower(), name or identifier, url)
-    return Licence("other", name or identifier, url)
+    known = identifier.lower() if identifier.lower() in _HUB_LICENCES else "other"
+    return Licence(known, name or identifier, _text(stated, "url"))
+
+
+def _listed(value: Any, kind: type) -> list[Any]:
+    return [v for v in value if isinstance(v, kind)] if isinstance(value, list) else []
+
+
+def _texts(value: Any) -> tuple[str, ...]:
+    return tuple(" ".join(text.split()) for text in _listed(value, str))
 
 
 def _text(data: Mapping[str, Any], key: str, *, lines: bool = False) -> str:
@@ -345,19 +329,14 @@ def _text(data: Mapping[str, Any], key: str, *, lines: bool = False) -> str:
     return value.replace("```", "").strip() if lines else " ".join(value.split())
 
 
-def _commit(data: Mapping[str, Any]) -> str:
-    archives = data.get("archives")
-    found = [_text(a, "commit") for a in archives.values() if isinstance(a, dict)] if isinstance(archives, dict) else []
-    return next((c for c in found if re.fullmatch(r"[0-9a-f]{40}", c)), "")
-
-
 # -- the text --------------------------------------------------------------------------------------------------------
 
 
 def card_text(card: Card) -> str:
     """Return the card: front matter and Markdown."""
+    limits = dict.fromkeys((*(x for one in card.inserts for x in one.limits), *card.limits, *card.source.limits))
+    head = f"---\n{yaml.safe_dump(_front_matter(card), sort_keys=False, allow_unicode=True, width=1000)}---"
     parts = [
-        f"---\n{yaml.safe_dump(front_matter(card), sort_keys=False, allow_unicode=True, width=1000)}---",
         f"# {card.name}",
         card.summary,
         "## Intended use",
@@ -378,10 +357,10 @@ def card_text(card: Card) -> str:
         *_recipes(card.inserts),
         "## How to cite",
         *_citations(card),
-        *(["## Known limits", _bullets(limits)] if (limits := _limits(card)) else []),
+        *(["## Known limits", _bullets(limits)] if limits else []),
         *(["## Known failures", _bullets(card.failures)] if card.failures else []),
     ]
-    text = "\n\n".join([parts[0], *(_without_markup(p) for p in parts[1:] if p)]) + "\n"
+    text = "\n\n".join([head, *(_without_markup(p) for p in parts if p)]) + "\n"
     return f"{text}\n{_OWN.format(digest=_digest(text))}\n"
 
 
@@ -400,11 +379,8 @@ def _without_markup(text: str) -> str:
 
 
 def _recipes(inserts: Sequence[Inserts]) -> list[str]:
-    """Return the recipe of each run that inserted objects."""
     texts = []
-    for one in inserts:
-        if not one.recipe:
-            continue
+    for one in (i for i in inserts if i.recipe):
         seed = "" if one.seed is None else f" with seed {one.seed}"
         counts = ", ".join(f"{n} {name}" for name, n in one.labels.items())
         labels = f", {sum(one.labels.values())} labels ({counts})" if counts else ""
@@ -416,7 +392,6 @@ def _recipes(inserts: Sequence[Inserts]) -> list[str]:
 
 
 def _uses(card: Card) -> tuple[str, ...]:
-    """Return what the dataset is for and what it is not for, a sentence each."""
     tasks = "boxes and masks" if card.masks else "boxes"
     return (
         f"Train and compare detectors of small objects in thermal aerial pictures; labels are {tasks}.",
@@ -432,32 +407,21 @@ def _loading(card: Card) -> list[str]:
     return [f"With Hugging Face's `datasets`, from this folder:\n\n```python\n{code}\n```"]
 
 
-def _limits(card: Card) -> tuple[str, ...]:
-    of_inserts = (limit for one in card.inserts for limit in one.limits)
-    return tuple(dict.fromkeys((*of_inserts, *card.limits, *card.source.limits)))
-
-
-def front_matter(card: Card) -> dict[str, Any]:
-    """Return the card's front matter, in the hub's terms."""
+def _front_matter(card: Card) -> dict[str, Any]:
     images = sum(card.images_per_split.values())
-    licence = card.source.licence
+    licence, named = card.source.licence, {}
+    if licence.id == "other":
+        name = re.sub(r"[^a-z0-9.]+", "-", licence.name.lower()).strip("-") or "other"
+        named = {"license_name": name, "license_link": licence.url or LICENCE_COPY}
     return {
         "pretty_name": card.name,
         "license": licence.id,
-        **(
-            {"license_name": _slug(licence.name), "license_link": licence.url or LICENCE_COPY}
-            if licence.id == "other"
-            else {}
-        ),
+        **named,
         "task_categories": ["object-detection", *(["image-segmentation"] if card.masks else [])],
         "tags": ["thermal", "infrared", "aerial", "uav", *(["synthetic"] if card.inserts else []), "infrablend"],
         "size_categories": [next((name for most, name in _SIZES if images < most), "n>10M")],
         **_configs(card),
     }
-
-
-def _slug(name: str) -> str:
-    return re.sub(r"[^a-z0-9.]+", "-", name.lower()).strip("-") or "other"
 
 
 def _configs(card: Card) -> dict[str, Any]:
@@ -497,7 +461,7 @@ def _source(card: Card) -> list[str]:
     return texts
 
 
-def _bullets(items: Sequence[str]) -> str:
+def _bullets(items: Iterable[str]) -> str:
     return "\n".join(f"* {i}" for i in items)
 
 
@@ -591,26 +555,21 @@ def write_card(folder: Path, card: Card) -> list[Problem]:
     if s.licence_text is not None:
         write_bytes(folder / LICENCE_COPY, s.licence_text)
     # Datasets made from this one find their origin here.
-    write_json(
-        folder / SOURCE_FILE, source_facts(replace(s, changes=(*s.changes, *card.changes)), card.inserts), indent=2
-    )
+    told = replace(s, changes=(*s.changes, *card.changes), inserts=card.inserts)
+    write_json(folder / SOURCE_FILE, _source_facts(told), indent=2)
     return problems
 
 
 def shard_source(source: Provenance, inserts: Inserts) -> dict[str, Any]:
     """Return the origin of the pictures of a packed shard for its record, which is its only file besides the data."""
-    facts = source_facts(source, (*source.inserts, inserts))
+    facts = _source_facts(replace(source, inserts=(*source.inserts, inserts)))
     text = source.licence_text
     return facts if text is None else {**facts, _LICENCE_TEXT: text.decode("utf-8", "replace")}
 
 
-def source_facts(source: Provenance, inserts: Sequence[Inserts]) -> dict[str, Any]:
-    """Return the content of a `SOURCE.json`, as plain JSON values; `inserts` are those of all runs so far."""
-    licence = {"id": source.licence.id, "name": source.licence.name, "url": source.licence.url}
-    facts: dict[str, Any] = {"title": source.title, "page": source.page, "licence": licence}
-    facts |= {"licence_note": source.licence_note, "attribution": source.attribution, "citation": source.citation}
-    facts |= {"changes": [*source.changes], "name": source.name, "own": source.own}
-    return facts | {"inserts": [one.to_json() for one in inserts]}
+def _source_facts(source: Provenance) -> dict[str, Any]:
+    """Return the content of a `SOURCE.json`, as plain JSON values."""
+    return {k: v for k, v in asdict(source).items() if k not in ("how", "licence_text", "limits")}
 
 
 def dataset_card(

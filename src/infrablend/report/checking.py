@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import stat
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from infrablend.formats.pictures import read_size
 AGREE_PX = 1.0
 # A picture whose grey levels vary by less (standard deviation, of 255) is taken as empty.
 CONSTANT_LEVELS = 1.0
-_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -160,45 +158,37 @@ def _sorted(problems: Iterable[Problem]) -> tuple[Problem, ...]:
 def _check_picture(
     image: ImageRecord, where: str, decode: bool
 ) -> tuple[tuple[int, int] | None, list[Problem], bytes | None]:
-    """Return a picture's true size, its problems, and a digest of its pixels."""
+    """Return a picture's true size, its problems, and a digest of its pixels if they were decoded."""
     if not decode:
         size_wh, problem = read_size(image.path, where)
-        if problem is not None:
-            return None, [problem], None
-        if image.size_wh is not None and size_wh != image.size_wh:
-            return size_wh, [_wrong_size(where, size_wh, image.size_wh)], None
-        return size_wh, [], None
+        problems = _wrong_size(image, where, size_wh) if problem is None else [problem]
+        return size_wh, problems, None
     try:
         picture = load_background(image.path)
     except DatasetError as error:
-        return None, [_placed(p, where) for p in error.problems], None
-    problems = [_placed(p, where) for p in picture.problems]
-    if image.size_wh is not None and picture.size_wh != image.size_wh:
-        problems.append(_wrong_size(where, picture.size_wh, image.size_wh))
-    if is_constant(picture):
-        found = f"grey levels {picture.pixels.min()} to {picture.pixels.max()}, almost uniform"
-        problems.append(Problem(where, "image-constant", found, "a picture with visible content", severity="warning"))
+        return None, [replace(p, where=where) for p in error.problems], None
     pixels = picture.pixels
-    digest = hashlib.blake2b(repr((pixels.shape, pixels.dtype.str)).encode(), digest_size=16)
+    problems = [replace(p, where=where) for p in picture.problems] + _wrong_size(image, where, picture.size_wh)
+    if _is_constant(picture):
+        found = f"grey levels {pixels.min()} to {pixels.max()}, almost uniform"
+        problems.append(Problem(where, "image-constant", found, "a picture with visible content", severity="warning"))
+    digest = hashlib.sha256(repr((pixels.shape, pixels.dtype.str)).encode())
     digest.update(np.ascontiguousarray(pixels).data)
     return picture.size_wh, problems, digest.digest()
 
 
-def _placed(problem: Problem, where: str) -> Problem:
-    return Problem(where, problem.code, problem.found, problem.expected, problem.todo, problem.severity)
-
-
-def is_constant(picture: Background) -> bool:
-    """Return whether a picture is empty: 8 bits that barely vary, or 16 bits with at most three levels."""
+def _is_constant(picture: Background) -> bool:
     if picture.bit_depth == 16:  # radiometric pictures use only a few of the 65,536 levels
         return int(picture.pixels.max()) - int(picture.pixels.min()) < 3
     return float(picture.pixels.std()) < CONSTANT_LEVELS
 
 
-def _wrong_size(where: str, found: tuple[int, int] | None, annotated: tuple[int, int]) -> Problem:
-    said = f"{annotated[0]}x{annotated[1]} px as annotated"
-    text = "no size" if found is None else f"{found[0]}x{found[1]} px"
-    return Problem(where, "image-size", text, said, "correct the annotation or replace the picture")
+def _wrong_size(image: ImageRecord, where: str, found: tuple[int, int] | None) -> list[Problem]:
+    said = image.size_wh
+    if said is None or found is None or found == said:
+        return []
+    text, expected = f"{found[0]}x{found[1]} px", f"{said[0]}x{said[1]} px as annotated"
+    return [Problem(where, "image-size", text, expected, "correct the annotation or replace the picture")]
 
 
 def check_objects(
@@ -258,30 +248,22 @@ def _same_files(images: Iterable[ImageRecord]) -> list[list[ImageRecord]]:
     """Group images whose files are equal; only files of equal length are read."""
     by_length: dict[int, list[ImageRecord]] = defaultdict(list)
     for image in images:
-        try:
-            status = image.path.stat()
-        except OSError:
-            continue  # already reported when the picture was opened
-        if stat.S_ISREG(status.st_mode):
-            by_length[status.st_size].append(image)
+        if image.path.is_file():  # anything else was reported when the picture was opened
+            by_length[image.path.stat().st_size].append(image)
     groups: dict[tuple[int, bytes], list[ImageRecord]] = defaultdict(list)
     for length, alike in sorted(by_length.items()):
         for image in alike if len(alike) > 1 else ():
-            digest = _file_digest(image.path)
-            if digest is not None:
+            if (digest := _file_digest(image.path)) is not None:
                 groups[length, digest].append(image)
     return list(groups.values())
 
 
 def _file_digest(path: Path) -> bytes | None:
-    digest = hashlib.blake2b(digest_size=16)
     try:
         with path.open("rb") as file:
-            while block := file.read(_BLOCK_BYTES):
-                digest.update(block)
+            return hashlib.file_digest(file, "sha256").digest()
     except OSError:
         return None
-    return digest.digest()
 
 
 def _check_copies(names: list[str]) -> list[Problem]:

@@ -37,6 +37,8 @@ LITTLE_DISK_BYTES = 2 * 1024**3
 LITTLE_SHM_BYTES = 64 * 1024**2
 MUCH_CACHE_BYTES = 10 * 1024**3
 
+_ASK_BLENDER_S = 120.0
+_ASK_TORCH_S = 60.0
 # os._exit: Blender's own shutdown may hang or crash, and nothing is left to save.
 _ASK_BLENDER = """
 import json, os, sys
@@ -77,10 +79,6 @@ class Check:
     found: str
     todo: str = ""
 
-    def to_json(self) -> dict[str, str]:
-        """Return the check as a plain dict."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -95,7 +93,7 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
-        return {"ok": self.ok, "checks": [c.to_json() for c in self.checks]}
+        return {"ok": self.ok, "checks": [asdict(c) for c in self.checks]}
 
 
 @dataclass(frozen=True)
@@ -152,36 +150,34 @@ class Machine:
     temp_folder: str
     free_temp_bytes: int | None
     free_shm_bytes: int | None
-    trainer: Trainer = Trainer()
-    cache_folder: str = ""
-    cache_bytes: int = 0
+    trainer: Trainer
+    cache_folder: str
+    cache_bytes: int
 
 
-def survey(folder: Path | None = None, ask_blender_s: float = 120.0, ask_torch_s: float = 60.0) -> Machine:
+def survey(folder: Path | None = None) -> Machine:
     """Return facts about this machine; it takes a few seconds because Blender is started.
 
     Args:
         folder: Folder for the output, by default the current one. It need not exist.
-        ask_blender_s: Time limit for the answer of Blender, in seconds.
-        ask_torch_s: Time limit for the answer of torch, in seconds.
     """
     folder = (folder or Path.cwd()).absolute()
-    temp = tempfile.gettempdir()
+    temp, cache, shm = Path(tempfile.gettempdir()), cache_folder(), Path("/dev/shm")
     return Machine(
         system=platform.system(),
         architecture=platform.machine(),
         python=sys.version_info[:3],
-        blender=_ask_blender(ask_blender_s),
+        blender=_ask_blender(_ASK_BLENDER_S),
         missing_packages=missing_packages(),
         cores=usable_cores(),
         memory_bytes=usable_memory_bytes(),
         free_bytes={str(folder): _free_bytes(folder)},
-        temp_folder=temp,
-        free_temp_bytes=_free_bytes(Path(temp)),
-        free_shm_bytes=_free_bytes(Path("/dev/shm")) if Path("/dev/shm").is_dir() else None,
-        trainer=_ask_trainer(ask_torch_s),
-        cache_folder=str(cache_folder()),
-        cache_bytes=_bytes_in(cache_folder()),
+        temp_folder=str(temp),
+        free_temp_bytes=_free_bytes(temp),
+        free_shm_bytes=_free_bytes(shm) if shm.is_dir() else None,
+        trainer=_ask_trainer(_ASK_TORCH_S),
+        cache_folder=str(cache),
+        cache_bytes=_bytes_in(cache),
     )
 
 
@@ -195,13 +191,13 @@ def assess(machine: Machine) -> Diagnosis:
             _check_blender(machine),
             _check_devices(machine),
             _check_torch(machine),
-            _check_ultralytics(machine),
-            _check_cores(machine),
+            Check("Ultralytics", "ok", machine.trainer.ultralytics or _NOT_INSTALLED),
+            Check("cores", "ok", f"{machine.cores:g} usable"),
             _check_memory(machine),
             *(_check_space("disk", name, free) for name, free in sorted(machine.free_bytes.items())),
             _check_space("temporary folder", machine.temp_folder, machine.free_temp_bytes),
-            *_check_shm(machine),
-            *_check_cache(machine),
+            *([_check_shm(machine.free_shm_bytes)] if machine.system == "Linux" else []),
+            _check_cache(machine),
         )
     )
 
@@ -213,28 +209,23 @@ def diagnose(folder: Path | None = None) -> Diagnosis:
 
 def _check_system(m: Machine) -> Check:
     found = f"{m.system} {m.architecture}"
-    if m.system == "Linux" and m.architecture == "x86_64":
+    if found == "Linux x86_64":
         return Check("system", "ok", found)
     return Check("system", "warning", found, "only Linux on x86_64 is tested; please report how it works")
 
 
 def _check_python(m: Machine) -> Check:
-    found = ".".join(map(str, m.python))
+    found, wanted = (".".join(map(str, version)) for version in (m.python, SUPPORTED_PYTHON))
     if m.python[:2] == SUPPORTED_PYTHON:
         return Check("Python", "ok", found)
-    wanted = ".".join(map(str, SUPPORTED_PYTHON))
     return Check("Python", "error", found, f"use Python {wanted}: Blender's module needs exactly this version")
 
 
 def _check_libraries(m: Machine) -> Check:
     if not m.missing_packages:
         return Check("system libraries", "ok", "complete")
-    return Check(
-        "system libraries",
-        "error",
-        "missing (Debian names): " + " ".join(m.missing_packages),
-        "run: " + install_command(m.missing_packages),
-    )
+    found = "missing (Debian names): " + " ".join(m.missing_packages)
+    return Check("system libraries", "error", found, "run: " + install_command(m.missing_packages))
 
 
 def _check_blender(m: Machine) -> Check:
@@ -242,17 +233,14 @@ def _check_blender(m: Machine) -> Check:
     if not b.installed:
         return Check("Blender (bpy)", "error", "not installed", "run `make setup`, or `pip install bpy==4.5.*`")
     if b.version is None:
-        libraries = f" (not found: {', '.join(b.unresolved)})" if b.unresolved else ""
-        todo = (
-            "install the missing system libraries"
-            if b.unresolved
-            else "reinstall it: pip install --force-reinstall bpy"
-        )
-        return Check("Blender (bpy)", "error", f"does not load: {b.trouble or 'no reason given'}{libraries}", todo)
-    found = ".".join(map(str, b.version))
+        found = f"does not load: {b.trouble or 'no reason given'}"
+        todo = "reinstall it: pip install --force-reinstall bpy"
+        if b.unresolved:
+            found, todo = f"{found} (not found: {', '.join(b.unresolved)})", "install the missing system libraries"
+        return Check("Blender (bpy)", "error", found, todo)
+    found, wanted = (".".join(map(str, version)) for version in (b.version, SUPPORTED_BLENDER))
     if b.version[:2] == SUPPORTED_BLENDER:
         return Check("Blender (bpy)", "ok", found)
-    wanted = ".".join(map(str, SUPPORTED_BLENDER))
     return Check("Blender (bpy)", "error", found, f"InfraBlend needs Blender {wanted}: pip install 'bpy=={wanted}.*'")
 
 
@@ -266,7 +254,7 @@ def _check_devices(m: Machine) -> Check:
 
 
 def _check_torch(m: Machine) -> Check:
-    """Training is an extra: everything else works without torch."""
+    # Training is an extra: everything else works without torch.
     t = m.trainer
     if t.torch is None:
         return Check("torch", "ok", _NOT_INSTALLED)
@@ -274,14 +262,6 @@ def _check_torch(m: Machine) -> Check:
         return Check("torch", "warning", f"{t.torch}, does not work: {t.trouble}", "reinstall it: make train")
     found = f"CUDA devices: {', '.join(t.devices)}" if t.devices else "no CUDA device"
     return Check("torch", "ok", f"{t.torch}, {found}")
-
-
-def _check_ultralytics(m: Machine) -> Check:
-    return Check("Ultralytics", "ok", m.trainer.ultralytics or _NOT_INSTALLED)
-
-
-def _check_cores(m: Machine) -> Check:
-    return Check("cores", "ok", f"{m.cores:g} usable")
 
 
 def _check_memory(m: Machine) -> Check:
@@ -302,28 +282,22 @@ def _check_space(name: str, folder: str, free: int | None) -> Check:
     return Check(name, "ok", found)
 
 
-def _check_shm(m: Machine) -> tuple[Check, ...]:
-    if m.system != "Linux":
-        return ()
-    name = "shared memory"
-    if m.free_shm_bytes is None:
-        return (
-            Check(name, "warning", "/dev/shm is missing or cannot be written", "mount it: worker processes use it"),
-        )
-    found = f"{_size(m.free_shm_bytes)} free in /dev/shm"
-    if m.free_shm_bytes < LITTLE_SHM_BYTES:
-        return (Check(name, "warning", found, "give the container more, e.g. docker run --shm-size=1g"),)
-    return (Check(name, "ok", found),)
+def _check_shm(free: int | None) -> Check:
+    if free is None:
+        found, todo = "/dev/shm is missing or cannot be written", "mount it: worker processes use it"
+        return Check("shared memory", "warning", found, todo)
+    found = f"{_size(free)} free in /dev/shm"
+    if free < LITTLE_SHM_BYTES:
+        return Check("shared memory", "warning", found, "give the container more, e.g. docker run --shm-size=1g")
+    return Check("shared memory", "ok", found)
 
 
-def _check_cache(m: Machine) -> tuple[Check, ...]:
-    if not m.cache_folder:
-        return ()
+def _check_cache(m: Machine) -> Check:
     found = f"{_size(m.cache_bytes)} in {m.cache_folder}"
-    if m.cache_bytes > MUCH_CACHE_BYTES:
-        todo = "delete the folder if space is short: what is needed is made or downloaded again"
-        return (Check("cache", "warning", found, todo),)
-    return (Check("cache", "ok", found),)
+    if m.cache_bytes <= MUCH_CACHE_BYTES:
+        return Check("cache", "ok", found)
+    todo = "delete the folder if space is short: what is needed is made or downloaded again"
+    return Check("cache", "warning", found, todo)
 
 
 def _size(n_bytes: int) -> str:
@@ -336,8 +310,7 @@ def _ask_blender(limit_s: float) -> Blender:
         return Blender(installed=False)
     answer, trouble = _ask(_ASK_BLENDER, limit_s, *GPU_TYPES)
     if answer is None:
-        module = Path(spec.origin) if spec.origin else None
-        return Blender(installed=True, trouble=trouble, unresolved=_unresolved(module))
+        return Blender(installed=True, trouble=trouble, unresolved=_unresolved(spec.origin))
     devices = {kind: tuple(names) for kind, names in answer["devices"].items()}
     return Blender(installed=True, version=tuple(answer["version"]), devices=devices)
 
@@ -376,16 +349,11 @@ def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | N
     return answer, ""
 
 
-def _unresolved(module: Path | None) -> tuple[str, ...]:
+def _unresolved(module: str | None) -> tuple[str, ...]:
     """Return the shared libraries that `ldd` does not find for the module; empty where there is no ldd."""
     if module is None or shutil.which("ldd") is None:
         return ()
-    listing = subprocess.run(["ldd", str(module)], capture_output=True, text=True, check=False).stdout
-    return parse_ldd(listing)
-
-
-def parse_ldd(listing: str) -> tuple[str, ...]:
-    """Return the shared libraries that an `ldd` listing marks as not found, sorted and without repeats."""
+    listing = subprocess.run(["ldd", module], capture_output=True, text=True, check=False).stdout
     return tuple(sorted(set(re.findall(r"^\s*(\S+) => not found", listing, re.MULTILINE))))
 
 

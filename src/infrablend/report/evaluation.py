@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from infrablend.report.figures import decimals, interval, plot_text
+from infrablend.report.figures import decimals, interval, plot_text, png_bytes
 from infrablend.report.page import render_page
 
 COLUMNS = ("images", "instances", "p", "r", "map50", "map50_95")
@@ -62,37 +61,26 @@ def draw_plots(facts: Mapping[str, Any]) -> dict[str, bytes]:
 
 
 def _figure(width: float, height: float) -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     axis = figure.subplots()
     axis.spines[["top", "right"]].set_visible(False)
     return figure, axis
 
 
-def _png(figure: Any) -> bytes:
-    data = io.BytesIO()
-    figure.savefig(data, format="png", metadata={"Software": None})
-    return data.getvalue()
-
-
 def _pr(facts: Mapping[str, Any]) -> bytes:
     figure, axis = _figure(6.4, 4.8)
     for k, (name, precision) in enumerate(facts["curves"]["precision"].items()):
-        ap = facts["classes"][name]["map50"]
-        axis.plot(
-            facts["curves"]["recall"], precision, color=_COLOURS[(k + 1) % len(_COLOURS)], lw=1.8,
-            label=f"{plot_text(name)} {decimals(ap)}",
-        )  # fmt: skip
-        point = facts["classes"][name]
+        point, colour = facts["classes"][name], _COLOURS[(k + 1) % len(_COLOURS)]
+        label = f"{plot_text(name)} {decimals(point['map50'])}"
+        axis.plot(facts["curves"]["recall"], precision, color=colour, lw=1.8, label=label)
         if point["p"] is not None:
-            axis.plot([point["r"]], [point["p"]], "o", color=_COLOURS[(k + 1) % len(_COLOURS)], ms=5)
+            axis.plot([point["r"]], [point["p"]], "o", color=colour, ms=5)
     axis.set(xlim=(0, 1.01), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
     axis.set_title("Precision by recall at IoU 0.5; dots at the confidence of best mean F1", fontsize=10)
     axis.legend(frameon=False, fontsize=9, loc="best", title="class, AP50", title_fontsize=9)
-    return _png(figure)
+    return png_bytes(figure)
 
 
 def _confusion(facts: Mapping[str, Any]) -> bytes:
@@ -102,18 +90,16 @@ def _confusion(facts: Mapping[str, Any]) -> bytes:
     side = 2.2 + 0.75 * len(names)
     figure, axis = _figure(side + 1, side)
     axis.imshow(share, cmap="Blues", vmin=0, vmax=1)
-    for row in range(len(names)):
-        for column in range(len(names)):
-            if row == column == len(names) - 1:
-                continue  # background found as background has no number
-            dark = share[row, column] > 0.5
-            axis.text(column, row, f"{int(matrix[row, column])}\n{share[row, column]:.2f}", ha="center", va="center",
-                      fontsize=8, color="white" if dark else "#1b1b1b")  # fmt: skip
+    for row, column in list(np.ndindex(share.shape))[:-1]:  # background found as background has no number
+        text, colour = f"{int(matrix[row, column])}\n{share[row, column]:.2f}", _COLOURS[0]
+        if share[row, column] > 0.5:
+            colour = "white"
+        axis.text(column, row, text, ha="center", va="center", fontsize=8, color=colour)
     axis.set_xticks(range(len(names)), names, rotation=45, ha="right", fontsize=9)
     axis.set_yticks(range(len(names)), names, fontsize=9)
     axis.set(xlabel="labelled", ylabel="found")
     axis.set_title(f"Counts and shares of the column, confidence {facts['confidence']:.3f}", fontsize=10)
-    return _png(figure)
+    return png_bytes(figure)
 
 
 def _stratum(facts: Mapping[str, Any], kind: str, title: str) -> bytes:
@@ -135,7 +121,7 @@ def _stratum(facts: Mapping[str, Any], kind: str, title: str) -> bytes:
     )
     axis.set(ylim=(0, 1.02), xlabel=f"{title}; objects below", ylabel="mAP50-95")
     axis.legend(frameon=False, fontsize=8, ncols=3)
-    return _png(figure)
+    return png_bytes(figure)
 
 
 # -- the page
@@ -144,37 +130,28 @@ def _stratum(facts: Mapping[str, Any], kind: str, title: str) -> bytes:
 def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str:
     """Return the HTML page with the plots of `draw_plots`; the same facts give the same bytes."""
     detector = {key: value for key, value in facts["detector"].items() if key != "classes"}
-    settings = facts["settings"]
-    classes = facts["classes"]
-    listed = facts.get("first_detections")
+    classes, listed, paired = facts["classes"], facts.get("first_detections"), facts["paired"]
     return render_page(
         "evaluation",
         title="Evaluation",
+        facts=facts,
         detector=detector,
-        dataset=facts["dataset"],
-        task=facts["task"],
-        confidence=facts["confidence"],
-        settings=settings,
         head=list(HEAD),
         rows=[
             [*row, class_interval(classes[row[0]]["ci"], "map50"), class_interval(classes[row[0]]["ci"], "map50_95")]
             for row in table_rows(classes)
         ],
-        ultralytics_rows=table_rows(facts["ultralytics"]) if facts["ultralytics"] else [],
-        paired=facts["paired"],
-        paired_rows=_paired_rows(facts["paired"]["classes"]) if facts["paired"] else [],
+        ultralytics_rows=table_rows(facts["ultralytics"] or {}),
+        paired_rows=_paired_rows(paired["classes"]) if paired else [],
         strata=[
             (kind, title, _stratum_rows(facts["strata"][kind], classes) if facts["strata"].get(kind) else None)
             for kind, title in STRATA.items()
         ],
-        listed=listed is not None,
-        found_title=found_title(listed) if listed else "",
-        found_head=list(FOUND_HEAD),
-        found_rows=found_rows(listed) if listed else [],
+        found=(found_title(listed), list(FOUND_HEAD), found_rows(listed)) if listed else None,
         plots=plots,
         # Files that could not be read are errors, one each; a single warning counts them.
         warnings=[p["found"] for p in facts["problems"] if p["severity"] == "warning"],
-        setting_rows=list((detector | settings).items()),
+        setting_rows=list((detector | facts["settings"]).items()),
     )
 
 

@@ -1,13 +1,32 @@
-"""Numbers and tables as text: the same form in pages, cards and on the command line."""
+"""Numbers and tables as text, and charts as files: the same form in pages, cards and on the command line."""
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def plot_text(text: str) -> str:
     """Return a text from data for a plot, where dollars would start a formula."""
     return text.replace("$", r"\$")
+
+
+def png_bytes(figure: Figure) -> bytes:
+    """Return a chart as a PNG file; the same chart gives the same bytes."""
+    out = io.BytesIO()
+    figure.savefig(out, format="png", metadata={"Software": None})
+    return out.getvalue()
+
+
+def stratum_order(name: str) -> tuple[float, bool, str]:
+    """Return the sorting key of a stratum: `<8`, `8-16`, `16-32`, then names without numbers."""
+    found = re.search(r"\d+(\.\d+)?", name)
+    return float(found.group()) if found else float("inf"), not name.startswith("<"), name
 
 
 def decimals(value: float | None) -> str:

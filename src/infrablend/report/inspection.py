@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,7 +20,7 @@ from infrablend.formats.groups import Leakage, leakage
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import describe_scales
-from infrablend.report.figures import plot_text
+from infrablend.report.figures import plot_text, png_bytes
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 # More distinct values than this are grouped into bins.
@@ -139,11 +138,10 @@ def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False)
         for o in image.instances:
             x0, y0, x1, y1 = o.box_xyxy
             sizes[o.category].append(float(np.sqrt((x1 - x0) * (y1 - y0))))
-    problems = list(dataset.problems)
-    pitch_of, pitches = _binned([i.capture.pitch_deg for i in images], "°", 10)
-    altitude_of, altitudes = _binned([i.capture.altitude_m for i in images], " m", 10)
+    pitch_of, pitches = _binned([i.capture.pitch_deg for i in images], "°")
+    altitude_of, altitudes = _binned([i.capture.altitude_m for i in images], " m")
     decoded, more = _decode(images) if decode else ({}, [])
-    problems += more
+    problems = [*dataset.problems, *more]
     sizes_known = [_size(i, problems) for i in images]
     return Inspection(
         root=dataset.root,
@@ -178,7 +176,9 @@ def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False)
         temperatures=describe_scales(dataset),
         decoded=decoded,
         leakage=leakage(images),
-        remarks=_remarks(dataset),
+        remarks=tuple(
+            text for known in FORMATS if (told := FormatModule.load(known.module).remarks) for text in told(dataset)
+        ),
         problems=tuple(sorted(problems, key=lambda p: (p.severity, p.code, p.where))),
         notes=dataset.notes,
     )
@@ -189,20 +189,19 @@ def _counted(items: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]:
     return {k: counts[k] for k in (*order, *sorted(set(counts) - set(order))) if counts[k]}
 
 
-def _binned(values: Sequence[float | None], unit: str, width: float) -> tuple[list[str], tuple[str, ...]]:
+def _binned(values: Sequence[float | None], unit: str) -> tuple[list[str], tuple[str, ...]]:
     """Return the text of each value and all texts in order; many distinct values are grouped into bins."""
     known = sorted({v for v in values if v is not None})
-    few = len(known) <= MAX_DISTINCT
+    few, width = len(known) <= MAX_DISTINCT, 10.0
     while not few and len({v // width for v in known}) > MAX_DISTINCT:
         width *= 2
 
     def text(v: float) -> str:
         return f"{v:g}{unit}" if few else f"{v // width * width:g} to {(v // width + 1) * width:g}{unit}"
 
-    order = list(dict.fromkeys(text(v) for v in known))
-    if any(v is None for v in values):
-        order.append(UNKNOWN)
-    return [UNKNOWN if v is None else text(v) for v in values], tuple(order)
+    texts = [UNKNOWN if v is None else text(v) for v in values]
+    order = [*map(text, known), *([UNKNOWN] if UNKNOWN in texts else [])]
+    return texts, tuple(dict.fromkeys(order))
 
 
 def _label_kinds(images: Sequence[ImageRecord]) -> dict[str, int]:
@@ -231,7 +230,8 @@ def _size(image: ImageRecord, problems: list[Problem]) -> tuple[int, int] | None
 def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem]]:
     """Return figures on the pixels; one picture is in memory at a time."""
     kinds: Counter[str] = Counter()
-    lowest, highest, sums, pixels = None, None, 0.0, 0
+    levels: list[tuple[int, int]] = []
+    sums, pixels = 0.0, 0
     problems: list[Problem] = []
     for image in images:
         try:
@@ -242,22 +242,14 @@ def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem
         problems += picture.problems
         channels = 3 if picture.mode == "RGB" else 1
         kinds[f"{picture.file_type}, {picture.bit_depth} bit, {channels} channel{'s' if channels > 1 else ''}"] += 1
-        low, high = int(picture.pixels.min()), int(picture.pixels.max())
-        lowest, highest = min(low, low if lowest is None else lowest), max(high, high if highest is None else highest)
+        levels.append((int(picture.pixels.min()), int(picture.pixels.max())))
         sums += float(picture.pixels.sum(dtype=np.float64))
         pixels += picture.pixels.size
-    levels = {"lowest": lowest, "mean": round(sums / pixels, 2), "highest": highest} if pixels else {}
-    return {"pictures": dict(sorted(kinds.items())), "grey_levels": levels}, problems
-
-
-def _remarks(dataset: Dataset) -> tuple[str, ...]:
-    """Return the remarks of the format modules on published datasets."""
-    found: list[str] = []
-    for known in FORMATS:
-        remarks = FormatModule.load(known.module).remarks
-        if remarks is not None:
-            found += remarks(dataset)
-    return tuple(found)
+    found: dict[str, float] = {}
+    if levels:
+        lows, highs = zip(*levels, strict=True)
+        found = {"lowest": min(lows), "mean": round(sums / pixels, 2), "highest": max(highs)}
+    return {"pictures": dict(sorted(kinds.items())), "grey_levels": found}, problems
 
 
 # -- charts ----------------------------------------------------------------------------------------------------
@@ -269,11 +261,9 @@ def write_charts(facts: Inspection, path: Path) -> Path:
     Raises:
         OutputError: The file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 9), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     counts, sizes, coverage, times = figure.subplots(2, 2).ravel()
     names = list(facts.classes)
     splits = list(facts.splits)
@@ -305,9 +295,7 @@ def write_charts(facts: Inspection, path: Path) -> Path:
     _stacked_bars(times, kinds, {s: [facts.time_of_day[s].get(k, 0) for k in kinds] for s in splits})
     times.set(title="Images by time of day", xlabel="images")
 
-    out = io.BytesIO()
-    figure.savefig(out, format="png")
-    return write_bytes(path, out.getvalue())
+    return write_bytes(path, png_bytes(figure))
 
 
 def _stacked_bars(axis: Any, names: Sequence[str], counts: Mapping[str, Sequence[int]]) -> None:

@@ -82,32 +82,21 @@ class PreviewFrame:
 def contact_sheet(
     frames: Sequence[PreviewFrame],
     out_png: Path,
-    columns: int | None = None,
     draw: Sequence[Draw] = ALL_DRAWN,
     compress_level: int = 6,
 ) -> Path:
     """Write the frames as one PNG and return its path. The same frames give the same bytes.
 
     Args:
-        frames: Frames in reading order; sizes may differ.
+        frames: Frames in reading order, at least one; sizes may differ.
         out_png: File to write, whole or not at all; its folder is created.
-        columns: Number of frames side by side; by default 2 for up to four frames, 3 for up to twelve, else 4.
         draw: Labels to draw: `boxes` (thin), `obb`, `masks` (outline and light fill).
         compress_level: zlib's level; 1 takes a third of the time of 6, for larger files.
 
     Raises:
-        ValueError: No frames, no column, or an unknown kind of label.
         OutputError: The file cannot be written.
     """
-    if not frames:
-        raise ValueError("a contact sheet needs at least one frame")
-    unknown = [d for d in draw if d not in ALL_DRAWN]
-    if unknown:
-        raise ValueError(f"draw holds {unknown[0]!r}; it may hold {', '.join(ALL_DRAWN)}")
-    if columns is None:
-        columns = min(len(frames), 2 if len(frames) <= 4 else 3 if len(frames) <= 12 else 4)
-    if columns < 1:
-        raise ValueError(f"columns is {columns}, must be at least 1")
+    columns = min(len(frames), 2 if len(frames) <= 4 else 3 if len(frames) <= 12 else 4)
     sheet = grid([_cell(f, draw) for f in frames], columns)
     sheet = np.concatenate([_legend(sheet.shape[1], draw), sheet])
     return write_sheet(out_png, sheet, compress_level)
@@ -209,20 +198,14 @@ def _with_names(
         y = round(y0) - h - 2
         if y < 0:  # no room above: below, or inside at the top
             y = round(y1) + 2 if round(y1) + 2 + h <= canvas.shape[0] else max(0, round(y0) + 2)
-        colour = _name_colour(i.inserted, draw)
+        at = (x + 2 - left, y + 2 - top)
         if i.inserted:
             pen.rectangle([x, y, x + w - 1, y + h - 1], fill=PAPER)
-            pen.text((x + 2 - left, y + 2 - top), text, fill=colour, font=font)
+            colour = next((INSERTED[d] for d in ALL_DRAWN if d in draw), INK)
+            pen.text(at, text, fill=colour, font=font)
         else:
-            pen.text((x + 2 - left, y + 2 - top), text, fill=colour, font=font, stroke_width=1, stroke_fill=PAPER)
+            pen.text(at, text, fill=(168, 204, 174), font=font, stroke_width=1, stroke_fill=PAPER)
     return np.asarray(image)
-
-
-def _name_colour(inserted: bool, draw: Sequence[Draw]) -> Colour:
-    if not inserted:
-        return (168, 204, 174)
-    first = next((d for d in ALL_DRAWN if d in draw), None)
-    return INSERTED[first] if first else INK
 
 
 def _cell(frame: PreviewFrame, draw: Sequence[Draw]) -> Rgb:
@@ -263,14 +246,11 @@ def inset_window(instance: Instance, frame_wh: tuple[int, int]) -> tuple[tuple[i
 
 
 def _top_of_edge(instance: Instance) -> tuple[float, float]:
+    if instance.mask is not None and instance.mask.area_px:
+        rows, columns = np.nonzero(instance.mask.to_array())
+        return float(np.median(columns[rows == rows.min()])), float(rows.min())
     x0, y0, x1, _ = (float(v) for v in instance.box_xyxy)
-    if instance.mask is None:
-        return (x0 + x1) / 2, y0
-    rows, columns = np.nonzero(instance.mask.to_array())
-    if not len(rows):
-        return (x0 + x1) / 2, y0
-    first = rows.min()
-    return float(np.median(columns[rows == first])), float(first)
+    return (x0 + x1) / 2, y0
 
 
 def _inset_pair(plain: Rgb, instances: Sequence[Instance], instance: Instance, draw: Sequence[Draw]) -> Rgb:
@@ -314,13 +294,9 @@ def grid(cells: Sequence[Rgb], columns: int) -> Rgb:
         row = list(cells[start : start + columns])
         height = max(c.shape[0] for c in row)
         blank = np.full((height, width, 3), PAPER, np.uint8)
-        padded = [_pad(c, height, width) for c in row] + [blank] * (columns - len(row))
-        rows.append(np.concatenate([_framed(c) for c in padded], axis=1))
+        padded = row + [blank] * (columns - len(row))
+        rows.append(np.concatenate([_pad(c, height + GAP_PX, width + GAP_PX, GAP_PX // 2) for c in padded], axis=1))
     return np.concatenate(rows)
-
-
-def _framed(cell: Rgb) -> Rgb:
-    return _pad(cell, cell.shape[0] + GAP_PX, cell.shape[1] + GAP_PX, GAP_PX // 2)
 
 
 def _pad(picture: Rgb, height: int, width: int, offset_px: int = 0) -> Rgb:
@@ -398,35 +374,28 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
     if count is not None:
         require_whole("count", count, 1)
     layout = RunFolder(run)
-    documents = [(s, layout.coco_file(s)) for s in SPLITS]
-    entries = [e for split, path in documents if path.is_file() for e in _coco_entries(run, split, path)]
-    if not entries:
-        entries = [_Entry(r.frame_id.split("/")[0], layout.image(r.image), r.inserted) for r in layout.records()]
-    if not entries:
+    found = [entry for split in SPLITS if layout.coco_file(split).is_file() for entry in _coco_entries(layout, split)]
+    if not found:
+        found = [(r.frame_id.split("/")[0], layout.image(r.image), r.inserted) for r in layout.records()]
+    if not found:
         raise DatasetError(f"{run}: a run without frames; expected at least one")
-    chosen = _spread([e for e in entries if any(i.inserted for i in e.instances)] or entries, count)
-    return [
-        PreviewFrame(_title(run, e), _read_pixels(run, e.path), e.instances, f"{e.split}/{e.path.stem}") for e in chosen
-    ]
+    found = [entry for entry in found if any(i.inserted for i in entry[2])] or found
+    frames = []
+    for n in spread(len(found), len(found) if count is None else count):
+        split, path, instances = found[n]
+        frame_id = f"{split}/{path.stem}"
+        pixels = decode_picture(path, "a frame of the run. Run `generate --resume`", run)
+        frames.append(PreviewFrame(_title(layout, frame_id), pixels, instances, frame_id))
+    return frames
 
 
-@dataclass(frozen=True, eq=False)
-class _Entry:
-    """A frame of a run before its picture is read."""
-
-    split: str
-    path: Path
-    instances: tuple[Instance, ...]
+def spread(count: int, wanted: int) -> list[int]:
+    """Return at most `wanted` of `count` numbers at even steps."""
+    return list(range(count)) if count <= wanted else [(2 * k + 1) * count // (2 * wanted) for k in range(wanted)]
 
 
-def _spread(entries: list[_Entry], count: int | None) -> list[_Entry]:
-    """Return `count` of the entries at even steps."""
-    if count is None or count >= len(entries):
-        return entries
-    return [entries[(2 * k + 1) * len(entries) // (2 * count)] for k in range(count)]
-
-
-def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
+def _coco_entries(layout: RunFolder, split: str) -> list[tuple[str, Path, tuple[Instance, ...]]]:
+    path = layout.coco_file(split)
     try:
         document = load_json(path)
         names = {int(c["id"]): str(c["name"]) for c in document["categories"]}
@@ -435,9 +404,7 @@ def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
         for a in document["annotations"]:
             by_image.setdefault(a["image_id"], []).append(_instance(a, names, sizes[a["image_id"]]))
         images = sorted(document["images"], key=lambda i: str(i["file_name"]))
-        return [
-            _Entry(split, _image_path(run, split, i["file_name"]), tuple(by_image.get(i["id"], ()))) for i in images
-        ]
+        return [(split, layout.image(f"{split}/{i['file_name']}"), tuple(by_image.get(i["id"], ()))) for i in images]
     except DAMAGED as e:
         raise DatasetError(
             f"{path}: not a COCO file that InfraBlend wrote ({type(e).__name__}: {e}). Run `generate --resume`."
@@ -447,41 +414,27 @@ def _coco_entries(run: Path, split: str, path: Path) -> list[_Entry]:
 def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int, int]) -> Instance:
     x, y, w, h = (float(v) for v in a["bbox"])
     corners = finite(a["obb"]).reshape(4, 2) if a.get("obb") else None
-    visibility = a.get("visibility")
+    visibility, outline, mask = a.get("visibility"), a.get("segmentation"), None
+    # An outline that was derived from a box is not a mask.
+    if outline and a.get("segmentation_from", "mask") == "mask":
+        read = Mask.from_rings if isinstance(outline, list) else Mask.from_coco
+        mask = read(outline, size_wh[::-1])
     return Instance(
         names[int(a["category_id"])],
         finite([x, y, x + w, y + h]),
         corners,
-        # An outline that was derived from a box is not a mask.
-        _mask(a.get("segmentation"), size_wh) if a.get("segmentation_from", "mask") == "mask" else None,
+        mask,
         None if visibility is None else float(visibility),
         inserted=bool(a.get("inserted")),
         source_id=a.get("id"),
     )
 
 
-def _mask(segmentation: Any, size_wh: tuple[int, int]) -> Mask | None:
-    """Return the mask from any of COCO's three forms, or None without one."""
-    if not segmentation:
-        return None
-    w, h = size_wh
-    read = Mask.from_rings if isinstance(segmentation, list) else Mask.from_coco
-    return read(segmentation, (h, w))
-
-
-def _image_path(run: Path, split: str, file_name: str) -> Path:
-    usual = RunFolder(run).image(f"{split}/{file_name}")
-    others = (usual, RunFolder(run).image(file_name), run / file_name)
-    return next((path for path in others if path.is_file()), usual)
-
-
-def _title(run: Path, entry: _Entry) -> str:
+def _title(layout: RunFolder, frame_id: str) -> str:
     """Return name, pitch, altitude and time of day, as far as they are known."""
-    name = entry.path.stem
-    parts = [f"{entry.split}/{name}"]
-    facts: dict[str, Any] = {}
+    parts, facts = [frame_id], {}
     try:
-        record = RunFolder(run).record(f"{entry.split}/{name}")
+        record = layout.record(frame_id)
         facts = dict(record.background)
         if record.scene is not None:
             # Pitch and height of the camera differ from the metadata if a recipe fixes or draws them.
@@ -489,7 +442,7 @@ def _title(run: Path, entry: _Entry) -> str:
             if (view := record.scene.view) is not None:
                 facts["altitude_m"] = round(view.stated_height_m, 1)
     except OutputError:
-        log.debug("%s: no record, so its title is shorter", entry.path)
+        log.debug("%s: no record, so its title is shorter", frame_id)
     if facts.get("pitch_deg") is not None:
         parts.append(f"pitch {round(float(facts['pitch_deg']), 1):g}\u00b0")
     if facts.get("altitude_m") is not None:
@@ -499,37 +452,28 @@ def _title(run: Path, entry: _Entry) -> str:
     return "   ".join(parts)
 
 
-def _read_pixels(run: Path, path: Path) -> NDArray[Any]:
-    try:
-        pixels = decode_picture(path, run)
-    except LinkOutError as error:
-        raise DatasetError(f"{path}: {error}") from error
-    if pixels is None:
-        raise DatasetError(f"{path}: not a readable image; expected a frame of the run. Run `generate --resume`.")
-    return pixels
-
-
-def decode_picture(path: Path, folder: Path | None = None) -> NDArray[Any] | None:
+def decode_picture(path: Path, expected: str, folder: Path | None = None) -> NDArray[Any]:
     """Return the pixels of a picture, (h, w), or (h, w, 3) in the order red, green, blue.
-
-    None if it cannot be read, or has more than `MAX_PIXELS` pixels.
 
     Args:
         path: The file.
+        expected: What it should be, and what to do if it is not, in words.
         folder: Folder that owns it, see `open_regular`.
 
     Raises:
-        LinkOutError: It is a link out of the folder.
+        DatasetError: It cannot be read, is a link out of the folder, or has more than `MAX_PIXELS` pixels.
     """
+    pixels = None
     try:
         data = read_regular(path, folder)
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if is_decodable(data) else None
-    except LinkOutError:
-        raise
-    except (OSError, ValueError, cv2.error):
-        return None
+        if is_decodable(data):
+            pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except LinkOutError as error:
+        raise DatasetError(f"{path}: {error}") from error
+    except (OSError, ValueError, cv2.error) as error:
+        log.debug("%s: %s", path, error)
     if pixels is None:
-        return None
+        raise DatasetError(f"{path}: not a readable picture; expected {expected}")
     return np.ascontiguousarray(pixels[:, :, 2::-1] if pixels.ndim == 3 else pixels)
 
 

@@ -15,7 +15,7 @@ from infrablend.core.rng import stream
 from infrablend.realism.class_comparison import ClassComparison
 from infrablend.realism.contrasts import QUANTILES
 from infrablend.realism.features import FEATURES, MEASURES, Measured
-from infrablend.report.figures import compact, interval
+from infrablend.report.figures import compact, interval, png_bytes
 from infrablend.report.page import render_page
 from infrablend.report.preview import FAINT, INK, PAPER
 
@@ -45,6 +45,7 @@ _QUANTITIES = {
     "ground_level": "ground, level above the picture's median",
     "ground_clutter": "ground, standard deviation",
 }
+_SCORES = ("auc_boosting", "floor_logistic", "floor_boosting", "hard_paste_logistic", "chain_off_logistic")
 AS_WRITTEN = (
     "Contrast is measured in a box: a wider one shows less of it, one around what is visible more. Where a run draws "
     "the boxes of inserted objects as people do (`labels.fit`, `labels.loosen`, `labels.loosen_px`), this is the "
@@ -56,13 +57,7 @@ SLOPE_HEAD = ["", "95 % quantile", "95 % interval", "objects", "middle", "95 % i
 
 @dataclass(frozen=True)
 class CropSheet:
-    """A sheet of pairs of crops.
-
-    Attributes:
-        name: File name without suffix.
-        title: Class and choice of the objects.
-        png: The sheet as a PNG file.
-    """
+    """A sheet of pairs of crops: file name without suffix, class and choice of the objects, and the PNG file."""
 
     name: str
     title: str
@@ -132,24 +127,16 @@ def html_report(facts: Mapping[str, Any], comparisons: Sequence[ClassComparison]
         recipe=facts["run"]["recipe"],
         seed=facts["run"]["seed"],
         time_of_day=facts["time_of_day"],
-        rows=[
-            [
-                category,
-                f["n"],
-                compact(f["auc_logistic"]),
-                interval(f["ci"]),
-                compact(f["auc_boosting"]),
-                compact(f["floor_logistic"]),
-                compact(f["floor_boosting"]),
-                compact(f["hard_paste_logistic"]),
-                compact(f.get("chain_off_logistic")),
-            ]
-            for category, f in facts["classes"].items()
-        ],
+        rows=[[category, *score_cells(f, *_SCORES)] for category, f in facts["classes"].items()],
         sections=[
             _class_section(v, [s for s in sheets if s.name.startswith(v.category.lower() + "_")]) for v in comparisons
         ],
     )
+
+
+def score_cells(f: Mapping[str, Any], *further: str) -> list[str]:
+    """Return number of pairs, AUC and interval of the logistic classifier, and further figures of a class."""
+    return [str(f["n"]), compact(f["auc_logistic"]), interval(f["ci"]), *(compact(f.get(key)) for key in further)]
 
 
 def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str, Any]:
@@ -178,16 +165,12 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
                 t["feature"],
                 compact(t["auc"]),
                 t["inserted_is"],
-                _three_decimals(t["real"]),
-                _three_decimals(t["inserted"]),
+                *(" / ".join(map(compact, t[side])) for side in ("real", "inserted")),
                 t["weight"],
             ]
             for t in f["separating_features"]
         ],
-        "ablation_rows": [
-            [step, a["n"], compact(a["auc_logistic"]), interval(a["ci"]), compact(a["auc_boosting"])]
-            for step, a in v.ablation.items()
-        ],
+        "ablation_rows": [[step, *score_cells(a, "auc_boosting")] for step, a in v.ablation.items()],
         "median_head": ["", *populations],
         "median_rows": [[name, *(compact(m[name]) for m in populations.values())] for name in (*FEATURES, *MEASURES)],
         "plots": _plots(v),
@@ -197,18 +180,17 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
 
 def _crop_rows(f: Mapping[str, Any]) -> list[list[str]]:
     """Return a row for the network and each distance, or the reason why it was skipped."""
-    rows = []
-    for key, name, inserted, floor in (
-        ("cnn", "small network, AUC", "auc", "floor"),
-        ("kid", "KID", "inserted", "real_halves"),
-        ("mmd_dct", "MMD on cosine frequencies", "inserted", "real_halves"),
-    ):
-        found = f[key]
-        if "skipped" in found:
-            rows.append([name, f"skipped: {found['skipped']}", "-"])
-        else:
-            rows.append([name, _mean_sd(found[inserted]), _mean_sd(found.get(floor))])
-    return rows
+    kinds = (
+        (f["cnn"], "small network, AUC", "auc", "floor"),
+        (f["kid"], "KID", "inserted", "real_halves"),
+        (f["mmd_dct"], "MMD on cosine frequencies", "inserted", "real_halves"),
+    )
+    return [
+        [name, f"skipped: {found['skipped']}", "-"]
+        if "skipped" in found
+        else [name, _mean_sd(found[inserted]), _mean_sd(found.get(floor))]
+        for found, name, inserted, floor in kinds
+    ]
 
 
 def _mean_sd(value: Any) -> str:
@@ -216,11 +198,9 @@ def _mean_sd(value: Any) -> str:
 
 
 def _plots(v: ClassComparison) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 13), dpi=80, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(5, 4).ravel()
     real, inserted = [r for r, _ in v.pairs], [i for _, i in v.pairs]
     columns = [
@@ -231,48 +211,36 @@ def _plots(v: ClassComparison) -> bytes:
         for k, name in enumerate(MEASURES)
         if name in ("p95_minus_ring", "centre_minus_ring", "edge_width_px", "height_px")
     ]
-    for axis, (name, a, b) in zip(axes, columns, strict=False):
-        a, b = [x for x in a if not np.isnan(x)], [x for x in b if not np.isnan(x)]
-        axis.set_title(name, fontsize=9)
+    titles = [*(name for name, _, _ in columns), "levels in boxes, share", "longer side by altitude label, px"]
+    for axis, title in zip((*axes[: len(columns)], *axes[18:]), titles, strict=True):
+        axis.set_title(title, fontsize=9)
         axis.tick_params(labelsize=7)
+    for axis, (_, a, b) in zip(axes, columns, strict=False):
+        a, b = [x for x in a if not np.isnan(x)], [x for x in b if not np.isnan(x)]
         if not a or not b:
             continue
         low, high = np.percentile([*a, *b], [1, 99])
         bins = np.linspace(low, max(float(high), float(low) + 1e-6), 31)
         axis.hist(np.clip(a, bins[0], bins[-1]), bins, color=_REAL, alpha=0.55, label="real")
         axis.hist(np.clip(b, bins[0], bins[-1]), bins, color=_INSERTED, alpha=0.55, label="inserted")
-    axis = axes[18]
-    axis.set_title("levels in boxes, share", fontsize=9)
-    axis.tick_params(labelsize=7)
     for name, colour in (("real", _REAL), ("inserted", _INSERTED)):
         counts = np.array(v.facts["all_sizes"][name]["level_histogram"], np.float64)
-        axis.step(np.arange(64) * 4 + 2, counts / max(counts.sum(), 1), color=colour, where="mid", label=name)
-    axis = axes[19]
-    axis.set_title("longer side by altitude label, px", fontsize=9)
-    axis.tick_params(labelsize=7)
-    for name, colour in (("real", _REAL), ("inserted", _INSERTED)):
-        sizes = [(float(a), s[f"{name}_long_side_px"]) for a, s in v.facts["size_by_altitude"].items()]
-        known = [(a, s) for a, s in sizes if s is not None]
-        axis.plot([a for a, _ in known], [s for _, s in known], "o-", color=colour, label=name)
+        axes[18].step(np.arange(64) * 4 + 2, counts / max(counts.sum(), 1), color=colour, where="mid", label=name)
+        sizes = {float(a): s[f"{name}_long_side_px"] for a, s in v.facts["size_by_altitude"].items()}
+        known = {a: s for a, s in sizes.items() if s is not None}
+        axes[19].plot([*known], [*known.values()], "o-", color=colour, label=name)
     axes[0].legend(fontsize=8)
-    data = io.BytesIO()
-    figure.savefig(data, format="png", metadata={"Software": None})
-    return data.getvalue()
-
-
-def _three_decimals(values: Sequence[float]) -> str:
-    return " / ".join(compact(v) for v in values)
+    return png_bytes(figure)
 
 
 def slope_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
     """Return one row of slopes per time of day and population; none where no image has enough objects."""
-    rows = []
-    for time, sides in contrasts.items():
-        for side in ("real", "inserted"):
-            slopes = [sides[side]["slope"][level] for level in ("high", "middle")]
-            if any(slopes):
-                rows.append([_label(prefix, side, time), *(cell for s in slopes for cell in _slope_cells(s))])
-    return rows
+    slopes = {
+        _label(prefix, side, time): [sides[side]["slope"][level] for level in ("high", "middle")]
+        for time, sides in contrasts.items()
+        for side in ("real", "inserted")
+    }
+    return [[label, *(cell for s in of for cell in _slope_cells(s))] for label, of in slopes.items() if any(of)]
 
 
 def quantile_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
@@ -285,7 +253,8 @@ def quantile_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
             for side in ("real", "inserted"):
                 found = sides[side]
                 scr = [compact(found["scr"].get(f"p{q}")) for q in (1, 5, 50)] if key == "change" else [""] * 3
-                quantiles = [_whole(found[key].get(f"p{q}")) for q in QUANTILES]
+                values = [found[key].get(f"p{q}") for q in QUANTILES]
+                quantiles = ["-" if v is None else f"{v:.0f}" for v in values]
                 rows.append([f"{_label(prefix, side, time)}: {name}", f"{found['n']:,}", *quantiles, *scr])
     return rows
 
@@ -298,8 +267,9 @@ def check_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
             found = compact(check["found"])
             if "ci" in check:
                 found = f"{check['found']:+.3f} ({interval(check['ci'], signed=True)})"
-            cells = [compact(check["real"]), compact(check["inserted"]), found, _required(name, check["limit"])]
-            rows.append([f"{_label(prefix, time=time)}: {_CHECKS[name]}", *cells, verdict(check["holds"])])
+            holds = {True: "yes", False: "no", None: "-"}[check["holds"]]  # none where there are too few objects
+            cells = [compact(check["real"]), compact(check["inserted"]), found, _required(name, check["limit"]), holds]
+            rows.append([f"{_label(prefix, time=time)}: {_CHECKS[name]}", *cells])
     return rows
 
 
@@ -313,11 +283,6 @@ def looseness_cells(boxes: Mapping[str, Any]) -> list[str]:
             factor += f", {found['margin_px']:.1f} px"
         cells += [factor, "-" if found is None else f"{found['n']:,}"]
     return cells
-
-
-def verdict(holds: bool | None) -> str:
-    """Return `yes`, `no`, or `-` where there are too few objects for a verdict."""
-    return {True: "yes", False: "no", None: "-"}[holds]
 
 
 def _label(prefix: str, side: str = "", time: str = "") -> str:
@@ -337,7 +302,3 @@ def _required(name: str, limit: float | Sequence[float]) -> str:
     if isinstance(limit, Sequence):
         return f"ratio {limit[0]} to {limit[1]}"
     return f"ratio of at least {limit}"
-
-
-def _whole(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0f}"

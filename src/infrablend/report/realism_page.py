@@ -7,26 +7,28 @@ charts follow from it alone: the same JSON gives the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from infrablend.core.class_names import known_class
-from infrablend.core.files import load_json, write_bytes, write_json, write_text
+from infrablend.core.files import read_object, write_bytes, write_json, write_text
 from infrablend.core.output import require_replaceable
 from infrablend.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_COMPARED, MIN_LEAST_RATIO
-from infrablend.report.figures import compact, interval, markdown_table, plot_text
+from infrablend.report.figures import markdown_table, plot_text
 from infrablend.report.realism import (
     AS_WRITTEN,
     CHECK_HEAD,
     LOOSENESS_HEAD,
     QUANTILE_HEAD,
     SLOPE_HEAD,
+    Contrasts,
     check_rows,
     looseness_cells,
     quantile_rows,
+    score_cells,
     slope_rows,
 )
 from infrablend.report.results.plots import FAINT, svg_bytes
@@ -42,6 +44,7 @@ _KEPT = (
     "floor_n", "floor_logistic", "floor_ci", "floor_boosting", "hard_paste_n", "hard_paste_logistic",
     "chain_off_logistic", "chain_off_boosting", "valid", "invalid_because", "mmd_dct", "box_looseness",
 )  # fmt: skip
+_SCORES = ("auc_boosting", "floor_logistic", "hard_paste_logistic", "chain_off_logistic")
 _TIMES = ("night", "day", "all", "unknown")
 
 
@@ -60,10 +63,11 @@ def add_to_page(facts: Mapping[str, Any], out: Path) -> Path:
     Raises:
         OutputError: The folder cannot be written, or has files of these names that are not such a page.
     """
-    collected = _read(out / f"{STEM}.json")
+    collected = read_object(out / f"{STEM}.json") or {}
+    ours = collected.get("page") == STEM
     for name in (f"{STEM}.json", f"{STEM}.md"):
-        require_replaceable(out / name, "page on realism", ours=collected is not None)
-    classes = dict((collected or {"classes": {}})["classes"])
+        require_replaceable(out / name, "page on realism", ours=ours)
+    classes = dict(collected["classes"]) if ours else {}
     for category, of_class in facts["classes"].items():
         name = known_class(category) or category.casefold()
         classes[name] = _merged(classes.get(name, {}), of_class, facts)
@@ -74,15 +78,6 @@ def add_to_page(facts: Mapping[str, Any], out: Path) -> Path:
     write_json(out / f"{STEM}.json", page)
     links = [f"[{name}](../{path})" for name, path in _DOCUMENTS if (out.parent / path).is_file()]
     return write_text(out / f"{STEM}.md", page_text(page, [(name, title) for name, title, _ in charts], links))
-
-
-def _read(path: Path) -> dict[str, Any] | None:
-    """Return the content of an earlier page's JSON, or None if there is none."""
-    try:
-        found = load_json(path)
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) and found.get("page") == STEM else None
 
 
 def _merged(earlier: Mapping[str, Any], of_class: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,46 +111,48 @@ def page_text(page: Mapping[str, Any], charts: Sequence[tuple[str, str]] = (), l
         charts: File name and title of each chart.
         links: Links to documents on the method.
     """
-    contrasts = [(name, c) for name, of_class in page["classes"].items() if (c := _by_time(of_class["contrast"]))]
-    slopes = [row for name, c in contrasts for row in slope_rows(c, name)]
-    checks = [row for name, c in contrasts for row in check_rows(c, name)]
+    classes = page["classes"]
+    contrasts, scores = _timed(classes, "contrast"), _timed(classes, "by_time")
+    as_written = _rows(check_rows, classes, "contrast_as_written")
+    not_valid = [f"* {name}: {'; '.join(f['invalid_because'])}." for name, f in scores if not f["valid"]]
     blocks = [
         f"# {TITLE}",
         "`infrablend realism --page` writes this page from measurements of saved pictures and boxes alone, with the "
         "same code for real and inserted objects." + (f" {', '.join(links)}." if links else ""),
         "## Sources",
         markdown_table(
-            ["", "recipe", "seed", "frames", "backgrounds", "real objects"], list(_source_rows(page["classes"]))
+            ["", "recipe", "seed", "frames", "backgrounds", "real objects"],
+            [[name, *_source_cells(sides["run"])] for name, sides in contrasts],
         ),
         "## Limits",
         f"Slopes of inserted objects within {MAX_SLOPE_DIFFERENCE} of the real ones; 1 % and 5 % quantiles of the "
         f"largest change at least {MIN_LEAST_RATIO} of the real ones; for objects that are alone in their images, and "
         f"so have no slope, quartiles of contrast within {100 * MAX_QUARTILE_DIFFERENCE:.0f} %. In brackets the 95 % "
         f"interval over resampled images. No verdict below {MIN_COMPARED} objects.",
-        markdown_table(CHECK_HEAD, checks),
-        *_as_written(page["classes"]),
+        markdown_table(CHECK_HEAD, _rows(check_rows, classes, "contrast")),
+        *(["### In boxes as written", AS_WRITTEN, markdown_table(CHECK_HEAD, as_written)] if as_written else []),
         "## Slope within images",
         "How far an object's level follows the median of the ring around its box: 1 if it does, 0 if objects look the "
         "same everywhere in a picture. Only unclipped levels count, in images with at least three such objects.",
-        markdown_table(SLOPE_HEAD, slopes),
+        markdown_table(SLOPE_HEAD, _rows(slope_rows, classes, "contrast")),
         "## Contrast",
         "8-bit levels against the median of the ring; SCR is the largest change over the ring's standard deviation "
         "+ 1.",
-        markdown_table(QUANTILE_HEAD, [row for name, c in contrasts for row in quantile_rows(c, name)]),
+        markdown_table(QUANTILE_HEAD, _rows(quantile_rows, classes, "contrast")),
         *(f"![{title}]({name})" for name, title in charts),
         "## Boxes",
         "Factor from the visible extent of an object (beyond half of its contrast) to its box, in width and height: "
         "median and 95 % interval over resampled images. The last columns compare drawn boxes with the exact ones of "
         "inserted objects of the same extent, which cancels the bias of the measure.",
-        markdown_table(LOOSENESS_HEAD, list(_looseness_rows(page["classes"]))),
+        markdown_table(LOOSENESS_HEAD, [[name, *looseness_cells(f["box_looseness"])] for name, f in scores]),
         "## Classifiers",
         "AUC of classifiers that separate inserted from real objects of similar size; 0.5 is chance. The floor is the "
         "AUC of real objects pasted elsewhere, the hard paste that of flat silhouettes.",
         markdown_table(
             ["", "pairs", "logistic", "95 %", "boosting", "floor", "hard paste", "chain off", "valid"],
-            list(_score_rows(page["classes"])),
+            [[name, *score_cells(f, *_SCORES), "yes" if f["valid"] else "no"] for name, f in scores],
         ),
-        *_reasons(page["classes"]),
+        *(["Figures of the classifiers that are not valid:\n\n" + "\n".join(not_valid)] if not_valid else []),
         f"All figures: [{STEM}.json]({STEM}.json).",
     ]
     return "\n\n".join(blocks) + "\n"
@@ -165,58 +162,23 @@ def _by_time(of_times: Mapping[str, Any]) -> dict[str, Any]:
     return {t: of_times[t] for t in _TIMES if t in of_times}
 
 
-def _source_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:
-    for name, of_class in classes.items():
-        for time, sides in _by_time(of_class["contrast"]).items():
-            run = sides["run"]
-            backgrounds = f"{run['backgrounds']} ({', '.join(run['splits'])})"
-            real = f"{run['real']} ({', '.join(run['real_splits'])})"
-            yield [_name(name, time), f"`{run['recipe']}`", str(run["seed"]), f"{run['frames']:,}", backgrounds, real]
-
-
-def _as_written(classes: Mapping[str, Any]) -> Iterator[str]:
-    rows = [r for name, c in classes.items() for r in check_rows(_by_time(c.get("contrast_as_written", {})), name)]
-    if rows:
-        yield "### In boxes as written"
-        yield AS_WRITTEN
-        yield markdown_table(CHECK_HEAD, rows)
-
-
-def _looseness_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:
-    for name, of_class in classes.items():
-        for time, f in _by_time(of_class["by_time"]).items():
-            yield [_name(name, time), *looseness_cells(f["box_looseness"])]
-
-
-def _score_rows(classes: Mapping[str, Any]) -> Iterator[list[str]]:
-    for name, of_class in classes.items():
-        for time, f in _by_time(of_class["by_time"]).items():
-            yield [
-                _name(name, time),
-                str(f["n"]),
-                compact(f["auc_logistic"]),
-                interval(f["ci"]),
-                compact(f["auc_boosting"]),
-                compact(f["floor_logistic"]),
-                compact(f["hard_paste_logistic"]),
-                compact(f.get("chain_off_logistic")),
-                "yes" if f["valid"] else "no",
-            ]
-
-
-def _reasons(classes: Mapping[str, Any]) -> Iterator[str]:
-    lines = [
-        f"* {_name(name, time)}: {'; '.join(f['invalid_because'])}."
-        for name, of_class in classes.items()
-        for time, f in _by_time(of_class["by_time"]).items()
-        if not f["valid"]
+def _timed(classes: Mapping[str, Any], key: str) -> list[tuple[str, Mapping[str, Any]]]:
+    """Return the figures of each class and time of day, with the name of both."""
+    return [
+        (category if time in ("unknown", "all") else f"{category} by {time}", figures)
+        for category, of_class in classes.items()
+        for time, figures in _by_time(of_class[key]).items()
     ]
-    if lines:
-        yield "Figures of the classifiers that are not valid:\n\n" + "\n".join(lines)
 
 
-def _name(category: str, time: str) -> str:
-    return category if time in ("unknown", "all") else f"{category} by {time}"
+def _rows(make: Callable[[Contrasts, str], list[list[str]]], classes: Mapping[str, Any], key: str) -> list[list[str]]:
+    return [row for name, of_class in classes.items() for row in make(_by_time(of_class.get(key, {})), name)]
+
+
+def _source_cells(run: Mapping[str, Any]) -> list[str]:
+    backgrounds = f"{run['backgrounds']} ({', '.join(run['splits'])})"
+    real = f"{run['real']} ({', '.join(run['real_splits'])})"
+    return [f"`{run['recipe']}`", str(run["seed"]), f"{run['frames']:,}", backgrounds, real]
 
 
 # ---- charts
@@ -224,8 +186,7 @@ def _name(category: str, time: str) -> str:
 
 def _charts(classes: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
-    rows = [(_name(n, t), s) for n, of_class in classes.items() for t, s in _by_time(of_class["contrast"]).items()]
-    charts = []
+    rows, charts = _timed(classes, "contrast"), []
     if any(any(s["real"]["slope"].values()) for _, s in rows):
         charts.append(("slopes", "Slope within images, with 95 % intervals: real and inserted", _slopes(rows)))
     if rows:
@@ -235,9 +196,8 @@ def _charts(classes: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
 
 def _slopes(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     figure, axes = _panels(rows)
-    for ax, level, title in zip(
-        axes, ("high", "middle"), ("95 % quantile of the box", "middle of the box"), strict=True
-    ):
+    titles = {"high": "95 % quantile of the box", "middle": "middle of the box"}
+    for ax, (level, title) in zip(axes, titles.items(), strict=True):
         ax.axvline(0, color=FAINT, lw=0.8)
         for at, (_, sides) in enumerate(rows):
             for side, colour, shift in (("real", _REAL, -0.14), ("inserted", _INSERTED, 0.14)):
@@ -250,7 +210,8 @@ def _slopes(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
 
 def _quantiles(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     figure, axes = _panels(rows)
-    for ax, key, title in zip(axes, ("signed", "change"), ("contrast", "largest change"), strict=True):
+    titles = {"signed": "contrast", "change": "largest change"}
+    for ax, (key, title) in zip(axes, titles.items(), strict=True):
         ax.axvline(0, color=FAINT, lw=0.8)
         for at, (_, sides) in enumerate(rows):
             for side, colour, shift in (("real", _REAL, -0.16), ("inserted", _INSERTED, 0.16)):

@@ -8,11 +8,11 @@ import threading
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from infrablend.studio.frame_index import FrameRow, row_of
 from infrablend.studio.opened_run import RunFrames
-from infrablend.studio.pictures import frame_picture, to_png
+from infrablend.studio.pictures import to_png
 
 if TYPE_CHECKING:
     from infrablend.core.dataset import ImageRecord
@@ -138,64 +138,33 @@ class PairView:
         return side == self.side and self.text.lower() in pair.id.lower() and not (self.changed and pair.same)
 
 
-class Comparison(Protocol):
-    """Two sides whose frames can be shown beside each other."""
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """Names of the two sides."""
-
-    @property
-    def runs(self) -> tuple[RunFrames, ...]:
-        """Runs whose records must be read first."""
-
-    def pairs(self) -> list[FramePair]:
-        """Return all pairs; waits until all records are read."""
-
-    def rows(self, pair: FramePair) -> tuple[FrameRow | None, FrameRow | None]:
-        """Return the facts on both frames."""
-
-    def picture(self, side: int, number: int, *, boxes: bool, originals: bool) -> bytes:
-        """Return the PNG of a frame of one side, 0 or 1."""
-
-
 class RunComparison:
-    """Two runs."""
+    """Two runs whose frames can be shown beside each other.
+
+    Attributes:
+        runs: The runs.
+    """
 
     def __init__(self, first: RunFrames, second: RunFrames) -> None:
-        """Compare two opened runs."""
-        self._sides = first, second
-        self._lock = threading.Lock()
-        self._of: tuple[list[FrameRow], list[FrameRow]] | None = None
-        self._pairs: list[FramePair] = []
+        self.runs = first, second
 
     @property
     def names(self) -> tuple[str, str]:
         """Names of the runs' folders; with those around them where they are equal."""
-        first, second = (side.layout.root.resolve() for side in self._sides)
+        first, second = (run.layout.root.resolve() for run in self.runs)
         if first.name != second.name:
             return first.name, second.name
         return f"{first.parent.name}/{first.name}", f"{second.parent.name}/{second.name}"
 
-    @property
-    def runs(self) -> tuple[RunFrames, ...]:
-        """Both runs."""
-        return self._sides
-
     def pairs(self) -> list[FramePair]:
         """Return all pairs; waits until all records are read."""
-        first, second = (side.rows for side in self._sides)
-        with self._lock:
-            if self._of is None or self._of[0] is not first or self._of[1] is not second:
-                self._pairs, self._of = pair_rows(first, second), (first, second)
-            return self._pairs
+        first, second = self.runs
+        return pair_rows(first.rows, second.rows)
 
     def rows(self, pair: FramePair) -> tuple[FrameRow | None, FrameRow | None]:
         """Return the facts on both frames."""
-        first, second = (
-            None if n is None else side.row(n) for side, n in zip(self._sides, (pair.a, pair.b), strict=True)
-        )
-        return first, second
+        first, second = self.runs
+        return None if pair.a is None else first.row(pair.a), None if pair.b is None else second.row(pair.b)
 
     def picture(self, side: int, number: int, *, boxes: bool, originals: bool) -> bytes:
         """Return the PNG of a frame of one side, 0 or 1.
@@ -203,14 +172,18 @@ class RunComparison:
         Raises:
             DatasetError: There is no such frame, or it cannot be read.
         """
-        run = self._sides[side]
-        row = run.row(number)
-        shown = run.labels.originals(row.image) if originals else ()
-        return frame_picture(run.layout, row, boxes=boxes, originals=shown)
+        return self.runs[side].picture(number, boxes=boxes, originals=originals)
 
 
 class RecipeComparison:
-    """Two recipes on the same backgrounds, drawn when they are looked at."""
+    """Two recipes on the same backgrounds, drawn when they are looked at.
+
+    Attributes:
+        names: Names of the recipes.
+        runs: No runs.
+    """
+
+    runs = ()
 
     def __init__(self, tuning: Tuning, second: str) -> None:
         """Compare the recipe being tuned, as it is in its file, with a second one.
@@ -219,20 +192,10 @@ class RecipeComparison:
             RecipeError: The second recipe cannot be used.
         """
         tuning.read(second, {})
-        self._tuning, self._recipes = tuning, (tuning.recipe, second)
+        self._tuning, self.names = tuning, (tuning.recipe, second)
         self._lock = threading.Lock()
         self._drawn: OrderedDict[tuple[int, int], Tuned] = OrderedDict()
         self._rows: dict[tuple[int, int], FrameRow] = {}
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """Names of the recipes."""
-        return self._recipes
-
-    @property
-    def runs(self) -> tuple[RunFrames, ...]:
-        """No runs."""
-        return ()
 
     def pairs(self) -> list[FramePair]:
         """Return a pair per background; what differs is known of those that were drawn."""
@@ -262,7 +225,7 @@ class RecipeComparison:
         with self._lock:
             found = self._drawn.get((side, number))
             if found is None:
-                found = self._tuning.compose(self._recipes[side], {}, self._tuning.background(number))
+                found = self._tuning.compose(self.names[side], {}, self._tuning.background(number))
                 self._drawn[side, number] = found
                 self._rows[side, number] = row_of(found.trial.frame.record.to_json())
                 while len(self._drawn) > _KEPT:
@@ -275,3 +238,6 @@ class RecipeComparison:
         if a is None or b is None:
             return FramePair(key, number, number)
         return FramePair(key, number, number, changes_of(a, b), a.digest == b.digest)
+
+
+Comparison = RunComparison | RecipeComparison

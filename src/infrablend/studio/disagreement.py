@@ -11,6 +11,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import box_iou
 from infrablend.core.class_names import known_class
 from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError
@@ -23,12 +27,7 @@ MIN_OVERLAP = 0.5
 
 @dataclass(frozen=True)
 class Disagreement:
-    """What a detector found otherwise in a frame.
-
-    Attributes:
-        missed: Number of labelled objects that it missed.
-        false: Number of detections without an object.
-    """
+    """Number of labelled objects that a detector missed in a frame, and of its detections without an object."""
 
     missed: int
     false: int
@@ -64,10 +63,9 @@ def read_disagreement(folder: Path, labels: RunLabels, images: Iterable[str]) ->
     names = [_class(name) for name in predictions.classes]
     found = {}
     for image in images:
-        seen = predictions.images.get(image)
-        if seen is not None:
+        if (seen := predictions.images.get(image)) is not None:
             sure = [
-                (names[int(k)], (float(box[0]), float(box[1]), float(box[2]), float(box[3])))
+                (names[int(k)], box.tolist())
                 for k, box, score in zip(seen.classes, seen.boxes_xyxy, seen.scores, strict=True)
                 if score >= confidence and names[int(k)] in classes
             ]
@@ -84,10 +82,11 @@ def compare(detections: Sequence[tuple[str, Box]], labels: Sequence[RunLabel]) -
     objects = [label for label in labels if not label.ignore]
     free = set(range(len(objects)))
     false = 0
-    for name, box in detections:
-        near = {n: _overlap(box, objects[n].box_xyxy) for n in free if _class(objects[n].category) == name}
-        best = max(near, key=lambda n: near[n], default=None)
-        if best is not None and near[best] >= MIN_OVERLAP:
+    shared = box_iou(_array([box for _, box in detections]), _array([o.box_xyxy for o in objects]))
+    for (name, box), overlap in zip(detections, shared, strict=True):
+        near = [n for n in free if _class(objects[n].category) == name]
+        best = max(near, key=overlap.__getitem__, default=None)
+        if best is not None and overlap[best] >= MIN_OVERLAP:
             free.discard(best)
         elif not any(label.ignore and _has_centre(label.box_xyxy, box) for label in labels):
             false += 1
@@ -98,12 +97,8 @@ def _class(name: str) -> str:
     return known_class(name) or name.casefold()
 
 
-def _overlap(a: Box, b: Box) -> float:
-    width, height = min(a[2], b[2]) - max(a[0], b[0]), min(a[3], b[3]) - max(a[1], b[1])
-    if width <= 0 or height <= 0:
-        return 0.0
-    both = width * height
-    return both / ((a[2] - a[0]) * (a[3] - a[1]) + (b[2] - b[0]) * (b[3] - b[1]) - both)
+def _array(boxes_xyxy: Sequence[Box]) -> NDArray[np.float64]:
+    return np.array(boxes_xyxy, np.float64).reshape(-1, 4)
 
 
 def _has_centre(region: Box, box: Box) -> bool:

@@ -31,20 +31,17 @@ NONE: Mapping[str, Disagreement] = {}
 
 @dataclass(frozen=True)
 class FrameRow:
-    """A frame in lists.
+    """A frame in lists; until its record is read, only the id is known.
 
     Attributes:
-        id: Id of the frame.
-        background: Id of its background; empty until the record is read.
-        image: Path of its image below `images/`; empty until the record is read.
+        background: Id of its background.
+        image: Path of its image below `images/`.
         digest: SHA-256 of the image.
         classes: Classes of its inserts, each once, sorted.
         boxes: Boxes of its inserts, `(left, top, right, bottom)`, pixels.
         size_px: Longest side of the smallest insert's box, pixels; None without inserts.
         visibility: Least visible share of an insert.
         contrast: Least contrast of an insert, 8-bit grey levels.
-        pitch_deg: Pitch of the background's camera.
-        altitude_m: Height of the background's camera.
         time_of_day: `day`, `night` or None.
         inserted: Number of inserts.
         removed: Original labels that the frame lost, each with a reason.
@@ -74,7 +71,7 @@ def row_of(record: Mapping[str, Any]) -> FrameRow:
     corners = [finite(i["box_xyxy"]) for i in inserted]
     boxes = tuple((float(x0), float(y0), float(x1), float(y1)) for x0, y0, x1, y1 in corners)
     extra = [i.get("extra") or {} for i in inserted]
-    warnings = [_words(w) for w in record.get("warnings", ())]
+    warnings = [str(w.get("found") or w.get("code") or "warning") for w in record.get("warnings", ())]
     if unplaced := sum((record.get("scene") or {}).get("draws", {}).get("absent", {}).values()):
         warnings.append(f"{unplaced} object(s) not inserted")
     return FrameRow(
@@ -94,10 +91,6 @@ def row_of(record: Mapping[str, Any]) -> FrameRow:
         removed=tuple(record.get("removed", ())),
         warnings=tuple(warnings),
     )
-
-
-def _words(problem: Mapping[str, Any]) -> str:
-    return str(problem.get("found") or problem.get("code") or "warning")
 
 
 def _least(values: Any) -> float | None:
@@ -131,19 +124,18 @@ class View:
     @classmethod
     def from_query(cls, query: Mapping[str, str]) -> View:
         """Return the view in an address; what it does not know is left out."""
-        category, time, verdict, text = (query.get(k, "") for k in ("category", "time_of_day", "verdict", "text"))
-        sort = query["sort"] if query.get("sort") in SORTS else "id"
-        limits = tuple(
-            (name, _number(query.get(f"{name}_min")), _number(query.get(f"{name}_max")))
-            for name in SORTS
-            if f"{name}_min" in query or f"{name}_max" in query
-        )
-        on = {"1", "true"}
+        ends = {name: (query.get(f"{name}_min"), query.get(f"{name}_max")) for name in SORTS}
+        limits = tuple((name, _number(low), _number(high)) for name, (low, high) in ends.items() if low or high)
         return cls(
-            category=category, time_of_day=time, verdict=verdict, text=text, sort=sort,
-            descending=query.get("descending") in on,
-            warned=query.get("warned") in on, limits=limits,
-        )  # fmt: skip
+            query["sort"] if query.get("sort") in SORTS else "id",
+            query.get("descending") == "1",
+            query.get("category", ""),
+            query.get("time_of_day", ""),
+            query.get("verdict", ""),
+            query.get("warned") == "1",
+            query.get("text", ""),
+            limits,
+        )
 
     def to_query(self) -> dict[str, str]:
         """Return the view for an address; the inverse of `from_query`."""
@@ -168,7 +160,6 @@ class View:
             verdicts: `accept` or `reject` by frame id.
             disagreement: Disagreement of a detector by image.
         """
-
         found = [n for n, row in enumerate(rows) if self._shows(row, verdicts.get(row.id, "open"))]
         if self.sort == "id":
             return found[::-1] if self.descending else found
@@ -192,9 +183,7 @@ class View:
             return False
         for name, low, high in self.limits:
             value = self._value(row, name)
-            if value is None or not (-math.inf if low is None else low) <= value <= (
-                math.inf if high is None else high
-            ):
+            if value is None or (low is not None and value < low) or (high is not None and value > high):
                 return False
         return True
 

@@ -36,11 +36,6 @@ _HEADERS = (
 )
 
 
-def new_token() -> str:
-    """Return a random token of 256 bits for an address."""
-    return secrets.token_urlsafe(32)
-
-
 def is_loopback(host: str) -> bool:
     """Return whether only this machine can connect to a host name."""
     return host in LOOPBACK or host.startswith("127.")
@@ -53,13 +48,13 @@ class Guard:
     A request of another site's page, or for another host name (DNS rebinding), is refused even with the cookie.
 
     Attributes:
-        token: The token.
+        token: The token, at random.
         cookie: Name of the cookie; one per port, since browsers share cookies between ports.
     """
 
-    def __init__(self, app: Application, token: str, port: int, host: str = LOOPBACK[0]) -> None:
+    def __init__(self, app: Application, port: int, host: str = LOOPBACK[0]) -> None:
         """Guard `app`, which is served at this port; any host name is accepted unless `host` is a loopback one."""
-        self.token = token
+        self.token = secrets.token_urlsafe(32)
         self.cookie = f"infrablend_studio_{port}"
         self._app = app
         self._hosts = {*LOOPBACK, "[::1]", host} if is_loopback(host) else None
@@ -125,14 +120,16 @@ async def _redirect(scope: Scope, send: Send, query: list[tuple[str, str]], cook
     headers = [(b"location", (path + (f"?{rest}" if rest else "")).encode("latin-1")), *_HEADERS]
     if cookie is not None:
         headers.append((b"set-cookie", cookie.encode("latin-1")))
-    await send({"type": "http.response.start", "status": 303, "headers": headers})
-    await send({"type": "http.response.body", "body": b""})
+    await _answer(send, 303, headers)
 
 
 async def _refuse(scope: Scope, send: Send) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": 1008})
         return
-    headers = [(b"content-type", b"text/plain; charset=utf-8"), *_HEADERS]
-    await send({"type": "http.response.start", "status": 403, "headers": headers})
-    await send({"type": "http.response.body", "body": _REFUSED.encode()})
+    await _answer(send, 403, [(b"content-type", b"text/plain; charset=utf-8"), *_HEADERS], _REFUSED.encode())
+
+
+async def _answer(send: Send, status: int, headers: list[tuple[bytes, bytes]], body: bytes = b"") -> None:
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import fcntl
 import logging
 import os
@@ -15,14 +14,17 @@ from infrablend.core.run_folder import IMAGES, RunFolder
 from infrablend.errors import DatasetError, InfraBlendError, OutputError
 from infrablend.evaluation.detections import RECORD
 from infrablend.pipeline.runs.review import REVIEW_FILE
+from infrablend.report.preview import draw_labels, to_rgb
 from infrablend.studio.frame_index import FrameRow
-from infrablend.studio.pictures import Thumbnails
+from infrablend.studio.pictures import Thumbnails, enlarged, read_pixels, to_png, with_originals
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.run_labels import RunLabels
 from infrablend.studio.verdicts import Review
 
 if TYPE_CHECKING:
     from infrablend.studio.disagreement import Disagreement
+
+_ZOOM = 4  # of crops
 
 log = logging.getLogger(__name__)
 
@@ -54,11 +56,6 @@ class RunFrames:
         self._begin()
 
     @property
-    def name(self) -> str:
-        """Name of the run's folder."""
-        return self.layout.root.resolve().name
-
-    @property
     def reading(self) -> RowReading:
         """Rows of the frames, as far as they are read; read again after frames were excluded or included."""
         with self._guard:
@@ -87,8 +84,29 @@ class RunFrames:
             raise DatasetError(f"frame {number}: no such frame; the run has {len(reading.ids)}")
         return reading.row(number)
 
-    def close(self) -> None:
-        """Release the run."""
+    def picture(self, number: int, *, boxes: bool, originals: bool) -> bytes:
+        """Return the PNG of a frame, with the labels of its inserts and of its original objects if they are asked for.
+
+        Raises:
+            DatasetError: There is no such frame, or its picture cannot be read.
+            OutputError: Its record cannot be read.
+        """
+        row = self.row(number)
+        rgb = to_rgb(read_pixels(self.layout, row))
+        if originals:
+            rgb = with_originals(rgb, [o.box_xyxy for o in self.labels.of(row.image) if not o.inserted])
+        return to_png(draw_labels(rgb, self.layout.record(row.id).inserted) if boxes else rgb)
+
+    def crop(self, number: int, insert: int) -> bytes:
+        """Return the PNG of an insert of a frame, enlarged without smoothing.
+
+        Raises:
+            DatasetError: There is no such frame or insert, or its picture cannot be read.
+        """
+        row = self.row(number)
+        if not 0 <= insert < len(row.boxes):
+            raise DatasetError(f"{row.id}: no insert {insert}; the frame has {len(row.boxes)}")
+        return to_png(enlarged(to_rgb(read_pixels(self.layout, row)), row.boxes[insert], _ZOOM))
 
     def _begin(self) -> None:
         self._stamp = self._stamp_now()
@@ -125,36 +143,25 @@ class OpenedRun(RunFrames):
         super().__init__(folder)
         self.review = Review(folder / REVIEW_FILE)
         self._lock = self._locked()
-        self.evaluation: Path | None = _evaluation_in([*_folders_in(folder), *results])
+        reports = (path for path in (*inner_folders(folder), *results) if (path / RECORD).is_file())
+        self.evaluation = next(reports, None)
         self.disagreement: Mapping[str, Disagreement] = {}
         if self.evaluation is not None:
-            threading.Thread(target=self._read_disagreement, name="studio-evaluation", daemon=True).start()
+            arguments = (self.evaluation,)
+            threading.Thread(target=self._read, args=arguments, name="studio-evaluation", daemon=True).start()
 
-    def _read_disagreement(self) -> None:
-        assert self.evaluation is not None
+    def _read(self, evaluation: Path) -> None:
         from infrablend.studio.disagreement import read_disagreement  # loads slowly, and few runs need it
 
         try:
             images = [row.image for row in self.rows if row.image]
-            self.disagreement = read_disagreement(self.evaluation, self.labels, images)
+            self.disagreement = read_disagreement(evaluation, self.labels, images)
         except InfraBlendError as error:
             log.warning("%s", error)
 
     def close(self) -> None:
         """Release the run."""
         os.close(self._lock)
-
-    def _begin(self) -> None:
-        super()._begin()
-        # A run that was written again has other folders, and the lock is on the old one.
-        if hasattr(self, "_lock") and self._lock_is_stale():
-            stale, self._lock = self._lock, self._locked()
-            os.close(stale)
-
-    def _lock_is_stale(self) -> bool:
-        with contextlib.suppress(OSError):
-            return not os.path.samestat(os.fstat(self._lock), (self.layout.root / IMAGES).stat())
-        return False  # no folder to lock
 
     def _locked(self) -> int:
         """Lock the folder of the pictures: it leaves no file, and does not keep commands from writing the run."""
@@ -173,9 +180,6 @@ class OpenedRun(RunFrames):
         return handle
 
 
-def _folders_in(run: Path) -> list[Path]:
+def inner_folders(run: Path) -> list[Path]:
+    """Return the folders in that of a run that are no links, by name."""
     return [path for path in sorted(run.iterdir()) if path.is_dir() and not path.is_symlink()]
-
-
-def _evaluation_in(folders: Sequence[Path]) -> Path | None:
-    return next((folder for folder in folders if (folder / RECORD).is_file()), None)

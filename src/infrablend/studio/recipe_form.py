@@ -33,14 +33,11 @@ class FormField:
 
     Attributes:
         key: Dotted key, such as `objects.0.range_m`.
-        title: Name in the form.
         kind: Kind of input.
-        value: Value of the recipe.
         help: Help text, as in the reference.
         unit: Unit; may be empty.
         low: Least value.
         high: Largest value.
-        choices: Words to choose from.
     """
 
     key: str
@@ -134,14 +131,7 @@ def _limits(about: Mapping[str, Any]) -> tuple[float | None, float | None]:
 
 @dataclass(frozen=True)
 class Move:
-    """A move of one insert.
-
-    Attributes:
-        dx_px: Move to the right, pixels.
-        dy_px: Move down, pixels.
-        turn_deg: Turn counter-clockwise seen from above, degrees.
-        away: Factor on the distance from the camera.
-    """
+    """A move of one insert: right, down, counter-clockwise seen from above, and a factor on its distance."""
 
     dx_px: float = 0.0
     dy_px: float = 0.0
@@ -161,14 +151,9 @@ def can_move(scene: SceneSpec) -> bool:
 
 
 def moved(frames: Mapping[str, Any], scene: SceneSpec, number: int, move: Move, *, stands: bool) -> dict[str, Any]:
-    """Return the recipe's field `frames` with one object of a scene moved.
+    """Return the recipe's field `frames` with one object of a scene, as it is shown, moved.
 
-    Args:
-        frames: The field before.
-        scene: The scene as it is shown.
-        number: Number of the object.
-        move: The move.
-        stands: Whether the object stands on real ground, whose distance follows from its place.
+    The distance of an object that `stands` on real ground follows from its place.
     """
     o: ObjectSpec = scene.objects[number]
     x, y = origin_px(scene, number)
@@ -178,18 +163,19 @@ def moved(frames: Mapping[str, Any], scene: SceneSpec, number: int, move: Move, 
     if not stands:
         away = float(np.linalg.norm(np.asarray(o.position_m) - scene.camera.position_m))
         entry["range_m"] = round(away * move.away, 3)
-    entries = list((frames.get(scene.frame_id) or {}).get("objects", ()))
-    entries += [{}] * (number + 1 - len(entries))
-    entries[number] = entry
-    return {**frames, scene.frame_id: {"objects": entries}}
+    return _with_entry(frames, scene.frame_id, number, entry)
 
 
 def released(frames: Mapping[str, Any], scene: SceneSpec, number: int) -> dict[str, Any]:
     """Return the recipe's field `frames` with one object of a scene as drawn again."""
-    entries = list((frames.get(scene.frame_id) or {}).get("objects", ()))
-    if number < len(entries):
-        entries[number] = {}
+    return _with_entry(frames, scene.frame_id, number, {})
+
+
+def _with_entry(frames: Mapping[str, Any], frame_id: str, number: int, entry: dict[str, float]) -> dict[str, Any]:
+    entries = list((frames.get(frame_id) or {}).get("objects", ()))
+    entries += [{}] * (number + 1 - len(entries))
+    entries[number] = entry
     while entries and not entries[-1]:
         entries.pop()
-    rest = {k: v for k, v in frames.items() if k != scene.frame_id}
-    return {**rest, scene.frame_id: {"objects": entries}} if entries else rest
+    rest = {k: v for k, v in frames.items() if k != frame_id}
+    return {**rest, frame_id: {"objects": entries}} if entries else rest

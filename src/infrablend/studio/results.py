@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,23 +12,19 @@ from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError
 from infrablend.evaluation.detections import RECORD
 from infrablend.report.evaluation import HEAD, STRATA, table_rows
-from infrablend.report.figures import compact, decimals, interval
+from infrablend.report.figures import decimals, stratum_order
+from infrablend.report.realism import score_cells
+from infrablend.studio.opened_run import inner_folders
 
 REALISM = "realism.json"
 _PICTURES = (".png", ".svg")
+_SCORES = ("auc_boosting", "floor_logistic", "hard_paste_logistic")
 _MEASURED = ("instances", "map50", "map50_95")
-_MOST_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
 class ResultTable:
-    """A table of a report.
-
-    Attributes:
-        title: Its title.
-        head: Names of the columns.
-        rows: Texts of the cells.
-    """
+    """A table of a report."""
 
     title: str
     head: tuple[str, ...]
@@ -39,15 +33,7 @@ class ResultTable:
 
 @dataclass(frozen=True)
 class ResultReport:
-    """A report.
-
-    Attributes:
-        title: Its kind, and the name of its folder.
-        folder: Folder with its files.
-        lines: What it is about, in sentences.
-        tables: Its tables.
-        pictures: Its plots and sheets.
-    """
+    """A report: its kind and folder, what it is about in sentences, its tables, and its plots and sheets."""
 
     title: str
     folder: Path
@@ -58,12 +44,7 @@ class ResultReport:
 
 @dataclass(frozen=True)
 class FoundResults:
-    """Reports, and folders that have one which cannot be read.
-
-    Attributes:
-        reports: The reports.
-        unreadable: What is wrong with others, in words.
-    """
+    """Reports, and what is wrong with those that cannot be read, in words."""
 
     reports: tuple[ResultReport, ...]
     unreadable: tuple[str, ...]
@@ -83,39 +64,30 @@ class FoundResults:
             raise DatasetError(f"{path}: cannot be read ({error}); repeat the command that wrote it") from error
 
 
-def result_folders(run: Path, further: Sequence[Path] = ()) -> list[Path]:
-    """Return the folders of reports: directly inside the run, its comparison beside it, and further ones.
+def find_results(run: Path, further: Sequence[Path] = ()) -> FoundResults:
+    """Return the reports directly inside a run, in its comparison beside it, and in further folders.
 
     Raises:
         DatasetError: The run was removed.
     """
     try:
-        inside = [path for path in sorted(run.iterdir()) if path.is_dir() and not path.is_symlink()]
+        inside = inner_folders(run)
     except OSError as error:
         raise DatasetError(
             f"{run}: cannot be read ({error.strerror}); expected the run that was opened. If it was removed or is "
             "being written again, open it again when it is finished"
         ) from error
     comparison = run.with_name(f"{run.name}-realism")
-    return [path for path in (*inside, comparison) if _kinds(path)] + list(further)
-
-
-def find_results(run: Path, further: Sequence[Path] = ()) -> FoundResults:
-    """Return the reports inside a run, and in further folders.
-
-    Raises:
-        DatasetError: The run was removed.
-    """
+    folders = [path for path in (*inside, comparison) if _kinds(path)] + list(further)
     reports, unreadable = [], []
-    for folder in result_folders(run, further):
+    for folder in folders:
         kinds = _kinds(folder)
         if not kinds:
             expected = f"{RECORD}, {REALISM}, or the JSON of an experiment"
             unreadable.append(f"{folder}: no report; expected {expected}")
         for path, read in kinds:
             try:
-                record = json.loads(read_regular(path, folder))
-                found = read(record, path)
+                found = read(json.loads(read_regular(path, folder)), path)
             except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
                 unreadable.append(f"{path}: cannot be read ({type(error).__name__}: {str(error)[:120]})")
                 continue
@@ -125,21 +97,16 @@ def find_results(run: Path, further: Sequence[Path] = ()) -> FoundResults:
 
 
 def _kinds(folder: Path) -> list[tuple[Path, Callable[[Any, Path], ResultReport | None]]]:
-    found: list[tuple[Path, Callable[[Any, Path], ResultReport | None]]] = []
-    if (folder / RECORD).is_file():
-        found.append((folder / RECORD, _evaluation))
-    if (folder / REALISM).is_file():
-        found.append((folder / REALISM, _realism))
+    single = ((folder / RECORD, _evaluation), (folder / REALISM, _realism))
     pages = [p for p in sorted(folder.glob("*.json")) if p.with_suffix(".md").is_file() and p.name != REALISM]
-    found += [(path, _experiment) for path in pages if not path.is_symlink()]
-    return found
+    return [
+        *((path, read) for path, read in single if path.is_file()),
+        *((path, _experiment) for path in pages if not path.is_symlink()),
+    ]
 
 
-def _pictures(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:
-    found = {
-        path for name in names for path in sorted(folder.glob(name)) if path.suffix in _PICTURES and path.is_file()
-    }
-    return tuple(sorted(path for path in found if path.stat().st_size <= _MOST_BYTES))
+def _pictures(folder: Path, pattern: str) -> tuple[Path, ...]:
+    return tuple(sorted(path for path in folder.glob(pattern) if path.suffix in _PICTURES and path.is_file()))
 
 
 def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
@@ -148,70 +115,47 @@ def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
         f"{dataset['images']} images of {dataset['name']}, split {dataset['split']}; task {record['task']}",
         f"detector: {detector.get('weights') or 'saved detections'}, classes {', '.join(detector['classes'])}",
         f"confidence of the best mean F1: {decimals(record['confidence'])}",
-        *_problem_lines(record),
+        *(f"{p['severity']}: {p['where']}: {p['found']}" for p in record["problems"]),
     ]
     tables = [ResultTable("By class", HEAD, tuple(tuple(row) for row in table_rows(record["classes"])))]
     for kind, title in STRATA.items():
+        strata = record["strata"].get(kind, {})
         rows = [
-            (str(name), *(decimals(of[m]) if of.get(m) is not None else "-" for m in _MEASURED))
-            for name, of in _strata(record, kind)
+            (name, *(decimals(strata[name]["classes"]["all"][m]) for m in _MEASURED))
+            for name in sorted(strata, key=stratum_order)
         ]
         if len(rows) > 1:
             tables.append(ResultTable(f"By {title}", (title, "instances", "mAP50", "mAP50-95"), tuple(rows)))
     name = f"Evaluation: {path.parent.name}"
-    return ResultReport(name, path.parent, tuple(lines), tuple(tables), _pictures(path.parent, ["plots/*.png"]))
-
-
-def _strata(record: Mapping[str, Any], kind: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    for name, of in sorted((record.get("strata") or {}).get(kind, {}).items(), key=lambda item: _first_number(item[0])):
-        classes = of.get("classes", of)
-        row = classes.get("all", of) if isinstance(classes, dict) else of
-        if isinstance(row, dict):
-            yield name, row
-
-
-def _first_number(name: str) -> tuple[float, str]:
-    """Return where a range such as `<8`, `8-16` or `>=128` begins, for sorting; words come last."""
-    found = re.search(r"\d+(\.\d+)?", name)
-    if found is None:
-        return math.inf, name
-    return (-1.0 if name.startswith("<") else float(found[0])), name
+    return ResultReport(name, path.parent, tuple(lines), tuple(tables), _pictures(path.parent, "plots/*.png"))
 
 
 def _realism(record: Mapping[str, Any], path: Path) -> ResultReport | None:
     if "run" not in record:  # a page that collects the figures of several runs
         return None
     run = record["run"]
-    rows, lines = [], []
-    for name, of in record["classes"].items():
-        rows.append(
-            (name, str(of["n"]), compact(of["auc_logistic"]), interval(of["ci"]), compact(of["auc_boosting"]),
-             compact(of["floor_logistic"]), compact(of["hard_paste_logistic"]))
-        )  # fmt: skip
-        if not of.get("valid"):
-            lines.append(f"{name}: the figures are not valid: {'; '.join(of.get('invalid_because') or ())}")
-    lines.insert(0, f"recipe {run['recipe']}, seed {run['seed']}, time of day: {record['time_of_day']}")
-    lines.insert(1, "An AUC of 0.5: a classifier cannot distinguish inserted objects from real ones; 1: it always can.")
+    classes = record["classes"]
+    rows = [(name, *score_cells(of, *_SCORES)) for name, of in classes.items()]
+    lines = [
+        f"recipe {run['recipe']}, seed {run['seed']}, time of day: {record['time_of_day']}",
+        "An AUC of 0.5: a classifier cannot distinguish inserted objects from real ones; 1: it always can.",
+        *(
+            f"{name}: the figures are not valid: {'; '.join(of['invalid_because'])}"
+            for name, of in classes.items()
+            if not of["valid"]
+        ),
+    ]
     head = ("class", "pairs", "logistic", "95 %", "boosting", "floor", "hard paste")
     tables = (ResultTable("AUC of classifiers", head, tuple(rows)),)
     title = f"Realism: {path.parent.name}"
-    return ResultReport(title, path.parent, tuple(lines), tables, _pictures(path.parent, ["*.png"]))
+    return ResultReport(title, path.parent, tuple(lines), tables, _pictures(path.parent, "*.png"))
 
 
 def _experiment(record: Mapping[str, Any], path: Path) -> ResultReport | None:
     if not isinstance(record, dict) or "experiment" not in record:
         return None
-    rows = [
-        (name, *row)
-        for name, of in record["evaluations"].items()
-        for row in table_rows(of["classes"])
-    ]  # fmt: skip
+    rows = [(name, *row) for name, of in record["evaluations"].items() for row in table_rows(of["classes"])]
     lines = [str(record.get("title") or record["experiment"]), f"scale {record['scale']}, status {record['status']}"]
     tables = (ResultTable("Evaluations", ("evaluation", *HEAD), tuple(tuple(r) for r in rows)),) if rows else ()
-    pictures = _pictures(path.parent, [f"{path.stem}_*.svg"])
+    pictures = _pictures(path.parent, f"{path.stem}_*.svg")
     return ResultReport(f"Experiment: {path.stem}", path.parent, tuple(lines), tables, pictures)
-
-
-def _problem_lines(record: Mapping[str, Any]) -> list[str]:
-    found = [p for p in record.get("problems", ()) if isinstance(p, dict)]
-    return [f"{p.get('severity', 'error')}: {p.get('where', '')}: {p.get('found', '')}" for p in found]

@@ -28,6 +28,7 @@ class RowReading:
 
     Attributes:
         ids: Ids of all frames, in the order of the rows.
+        count: Number of rows that are read.
     """
 
     def __init__(self, layout: RunFolder) -> None:
@@ -40,15 +41,10 @@ class RowReading:
             log.warning("%s", error)
             self.ids = []
         self._rows: list[FrameRow | None] = [None] * len(self.ids)
-        self._count = 0
+        self.count = 0
         self._needed = threading.Event()
         self._read = threading.Event()
         threading.Thread(target=self._run, name="studio-rows", daemon=True).start()
-
-    @property
-    def count(self) -> int:
-        """Number of rows that are read."""
-        return self._count
 
     @property
     def is_complete(self) -> bool:
@@ -80,8 +76,8 @@ class RowReading:
             with self._layout.ledger() as ledger:
                 for number, frame_id in enumerate(self.ids):
                     self._rows[number] = row_of(json.loads(ledger.record_text(frame_id)))
-                    self._count += 1
-                    if self._count % _PAUSE_EVERY == 0:
+                    self.count += 1
+                    if self.count % _PAUSE_EVERY == 0:
                         self._read.wait(_PAUSE_S)  # requests of pages come first
         except (OutputError, KeyError) as error:
             log.warning("%s: the records of the frames cannot be read (%s)", self._layout.root, error)

@@ -17,14 +17,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class RunLabel:
-    """A label of a frame.
-
-    Attributes:
-        category: Class.
-        box_xyxy: Box, pixels.
-        inserted: Whether the object was inserted.
-        ignore: Whether it is a region to ignore.
-    """
+    """A label of a frame; its box is in pixels, and `ignore` marks a region to ignore."""
 
     category: str
     box_xyxy: Box
@@ -36,7 +29,6 @@ class RunLabels:
     """The labels of all frames of a run, read when they are first asked for."""
 
     def __init__(self, layout: RunFolder) -> None:
-        """Read nothing yet."""
         self._layout = layout
         self._lock = threading.Lock()
         self._found: dict[str, tuple[RunLabel, ...]] | None = None
@@ -47,10 +39,6 @@ class RunLabels:
             if self._found is None:
                 self._found = dict(_from_tables(self._layout)) or dict(_from_coco(self._layout))
         return self._found.get(image, ())
-
-    def originals(self, image: str) -> tuple[RunLabel, ...]:
-        """Return the labels of original objects in an image."""
-        return tuple(label for label in self.of(image) if not label.inserted)
 
 
 def _from_tables(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:

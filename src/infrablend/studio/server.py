@@ -11,23 +11,10 @@ from importlib.util import find_spec
 
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import ArgumentError, MissingDependencyError
-from infrablend.studio.guard import QUERY, Guard, new_token
+from infrablend.studio.guard import QUERY, Guard
 from infrablend.studio.request import Address, StudioRequest
 
 _CLOSE_S = 1
-
-
-def require_nicegui() -> None:
-    """Check that the extra is installed.
-
-    Raises:
-        MissingDependencyError: It is not.
-    """
-    if find_spec("nicegui") is None:
-        raise MissingDependencyError(
-            'nicegui not installed, which the studio needs; install with\n  pip install "infrablend[studio]"\n'
-            "(in a checkout: make studio)"
-        )
 
 
 def serve(request: StudioRequest, address: Address, on_ready: Callable[[str], None]) -> None:
@@ -36,30 +23,34 @@ def serve(request: StudioRequest, address: Address, on_ready: Callable[[str], No
     Raises:
         InfraBlendError: The run, the recipe or the data cannot be opened, the port is taken, or the extra is missing.
     """
-    require_nicegui()
+    if find_spec("nicegui") is None:
+        raise MissingDependencyError(
+            'nicegui not installed, which the studio needs; install with\n  pip install "infrablend[studio]"\n'
+            "(in a checkout: make studio)"
+        )
     from infrablend.studio.session import Session
 
-    with Session(request) as session, _listening(address) as listening, _no_storage():
+    with contextlib.closing(Session(request)) as session, _listening(address) as listening, _no_storage():
         import uvicorn
         from fastapi import FastAPI
         from nicegui import ui
 
         from infrablend.studio.pages import add_pages
 
-        port = listening.getsockname()[1]
-        token = new_token()
         add_pages(session)
         app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
         ui.run_with(app, title="InfraBlend studio", show_welcome_message=False, reconnect_timeout=30)
-        shown = f"[{address.host}]" if ":" in address.host else address.host
+        host, port = address.host, listening.getsockname()[1]
+        shown = f"[{host}]" if ":" in host else host
+        guard = Guard(app, port, host)
 
         class Server(uvicorn.Server):
             async def startup(self, sockets: list[socket.socket] | None = None) -> None:
                 await super().startup(sockets)
-                on_ready(f"http://{shown}:{port}/?{QUERY}={token}")
+                on_ready(f"http://{shown}:{port}/?{QUERY}={guard.token}")
 
         config = uvicorn.Config(
-            Guard(app, token, port, address.host),
+            guard,
             log_level="warning",
             access_log=False,
             server_header=False,

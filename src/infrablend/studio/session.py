@@ -39,7 +39,6 @@ class Session:
         self._tuning: Tuning | None = None
         self._opening = threading.Lock()
         self.comparison: Comparison | None = None
-        self._second: RunFrames | None = None
         try:
             if request.data is not None:
                 self.open_tuning()
@@ -68,8 +67,7 @@ class Session:
         if self.run is not None and folder.is_dir():
             if folder.samefile(self.run.layout.root):
                 raise ArgumentError(f"--compare {second}: the run of --run itself; expected another run")
-            self._second = RunFrames(folder)
-            return RunComparison(self.run, self._second)
+            return RunComparison(self.run, RunFrames(folder))
         if self._tuning is None:
             raise ArgumentError(
                 f"--compare {second}: no such folder; expected that of a second run. To compare recipes, give the "
@@ -81,13 +79,7 @@ class Session:
     def title(self) -> str:
         """Name of what is open."""
         opened = self.request.run or self.request.data
-        return "" if opened is None else Path(opened).resolve().name
-
-    def __enter__(self) -> Session:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        return "" if opened is None else opened.resolve().name
 
     def close(self) -> None:
         """Release the run, and end the renderer."""

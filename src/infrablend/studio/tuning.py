@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
-from infrablend.core.dataset import Dataset, ImageRecord, Instance
+from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.core.typed_command import reading_words
@@ -27,11 +27,10 @@ from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_
 from infrablend.pipeline.plans.planning import with_scale
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.report.ground_preview import draw_ground
-from infrablend.report.preview import draw_labels, to_rgb
+from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pictures import Rgb, decode, enlarged, with_originals
+from infrablend.studio.pictures import enlarged, with_originals
 from infrablend.studio.request import StudioRequest
-from infrablend.studio.run_labels import Box, RunLabel
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240
@@ -60,9 +59,8 @@ class Tuned:
     def picture(self, *, boxes: bool, ground: bool = False) -> Rgb:
         """Return the picture, with boxes, or with the ground and people of 1.7 m on it, twice as large."""
         frame = self.trial.frame
-        rgb = to_rgb(frame.pixels)
         if ground and frame.scene is not None and self.has_ground:
-            return draw_ground(rgb, frame.labels, frame.scene)[0]
+            return draw_ground(to_rgb(frame.pixels), frame.labels, frame.scene)[0]
         return self.labelled(inserts=boxes, originals=boxes)
 
     def labelled(self, *, inserts: bool, originals: bool) -> Rgb:
@@ -70,8 +68,7 @@ class Tuned:
         frame = self.trial.frame
         rgb = to_rgb(frame.pixels)
         if originals:
-            kept = [i for i in frame.labels if not i.inserted]
-            rgb = with_originals(rgb, [RunLabel(i.category, _corners(i)) for i in kept])
+            rgb = with_originals(rgb, [i.box_xyxy.tolist() for i in frame.labels if not i.inserted])
         return draw_labels(rgb, frame.inserted, ("boxes",)) if inserts else rgb
 
     def crop(self, number: int) -> Rgb:
@@ -117,8 +114,9 @@ class Tuning:
 
     Attributes:
         recipe: Name or path of the recipe at the start.
-        dataset: The backgrounds.
+        data: Folder of the backgrounds.
         seed: Seed of the frames.
+        backgrounds: All backgrounds, in the order of the dataset.
     """
 
     def __init__(self, request: TrialRequest) -> None:
@@ -134,15 +132,11 @@ class Tuning:
         self._trials = Trials(request)
         try:
             start = read_recipe(request.recipe).recipe
-            self.dataset: Dataset = detection.read(request.data, with_scale(request.reading, start))
+            dataset = detection.read(request.data, with_scale(request.reading, start))
+            self.backgrounds: tuple[ImageRecord, ...] = dataset.images
         except BaseException:
             self._trials.close()
             raise
-
-    @property
-    def backgrounds(self) -> tuple[ImageRecord, ...]:
-        """All backgrounds, in the order of the dataset."""
-        return self.dataset.images
 
     def background(self, number: int) -> ImageRecord:
         """Return a background by its number.
@@ -150,9 +144,9 @@ class Tuning:
         Raises:
             DatasetError: There is no such background.
         """
-        if not 0 <= number < len(self.dataset.images):
-            raise DatasetError(f"background {number}: no such picture; the dataset has {len(self.dataset.images)}")
-        return self.dataset.images[number]
+        if not 0 <= number < len(self.backgrounds):
+            raise DatasetError(f"background {number}: no such picture; the dataset has {len(self.backgrounds)}")
+        return self.backgrounds[number]
 
     def read(self, recipe: str, settings: Mapping[str, Any]) -> Recipe:
         """Return a recipe with settings.
@@ -180,7 +174,7 @@ class Tuning:
         """
         size = _size(label)
         best: tuple[tuple[bool, float], ImageRecord, Instance] | None = None
-        for image in self.dataset.images:
+        for image in self.backgrounds:
             for other in image.instances:
                 if other.category != label.category or other.truncated:
                     continue
@@ -189,7 +183,7 @@ class Tuning:
                     best = rank, image, other
         if best is None:
             return None
-        return _crop(to_rgb(decode(real_path(best[1].path), "a background")), best[2])
+        return _crop(to_rgb(decode_picture(real_path(best[1].path), "a background")), best[2])
 
     def save(self, recipe: Recipe, path: Path, frame_id: str) -> str:
         """Write a recipe as YAML; return the command that gives the frame from the shell.
@@ -203,7 +197,7 @@ class Tuning:
         path = path.resolve()
         if path.exists() and path not in self._saved:
             raise OutputError(f"{path}: exists already, and was not saved by this studio; give another name")
-        write_text(path, to_yaml(recipe))
+        write_text(path, _to_yaml(recipe))
         self._saved.add(path)
         words = ["infrablend", "try", path, "--data", self.data.resolve(), "--frame", frame_id, "--seed", self.seed]
         reading = asdict(self._reading)
@@ -216,18 +210,13 @@ class Tuning:
         self._trials.close()
 
 
-def _corners(label: Instance) -> Box:
-    x0, y0, x1, y1 = (float(v) for v in label.box_xyxy)
-    return x0, y0, x1, y1
-
-
 def _size(label: Instance) -> float:
     return max(1e-3, float(max(label.box_xyxy[2:] - label.box_xyxy[:2])))
 
 
 def _crop(rgb: Rgb, label: Instance) -> Rgb:
     zoom = max(1, min(8, round(_CROP_PX / (2 * _size(label)))))
-    return enlarged(rgb, [float(v) for v in label.box_xyxy], zoom)
+    return enlarged(rgb, label.box_xyxy.tolist(), zoom)
 
 
 def tuning_request(request: StudioRequest, run: OpenedRun | None) -> TrialRequest:
@@ -263,11 +252,10 @@ def tuning_request(request: StudioRequest, run: OpenedRun | None) -> TrialReques
 
 def _recipe_file(recipe: Recipe, run: OpenedRun) -> Path:
     """Write the recipe of the run to the user's cache folder: the form reads recipes from files."""
-    return write_text(run.thumbnails.folder / f"{run.name}.yaml", to_yaml(recipe))
+    return write_text(run.thumbnails.folder / f"{run.layout.root.resolve().name}.yaml", _to_yaml(recipe))
 
 
-def to_yaml(recipe: Recipe) -> str:
-    """Return the YAML text of a recipe."""
+def _to_yaml(recipe: Recipe) -> str:
     text = io.StringIO()
     yaml = YAML(typ="safe", pure=True)
     yaml.default_flow_style = None

@@ -69,6 +69,14 @@ def generate(data: Path, out: Path, **options):
     return api.generate("hit-uav-drone", data, out, **options)
 
 
+@pytest.fixture(scope="module")
+def drones(tmp_path_factory, write_tiny_hit_uav) -> Path:
+    """A run that no test changes."""
+    folder = tmp_path_factory.mktemp("drones")
+    generate(write_tiny_hit_uav(folder / "data"), folder / "run", settings=["output.image=png", "name=with-drones"])
+    return folder / "run"
+
+
 def card(run: Path) -> str:
     return (run / "README.md").read_text("utf-8")
 
@@ -106,11 +114,9 @@ def test_a_run_gets_a_card_whose_counts_are_those_of_its_record(data, tmp_path):
     assert "seed: 0" in text
 
 
-def test_every_loss_has_a_description(data, tmp_path):
-    run = tmp_path / "run"
-    generate(data, run)
-    losses = json.loads((run / "run.json").read_text())["losses"]
-    text = card(run)
+def test_every_loss_has_a_description(drones):
+    losses = json.loads((drones / "run.json").read_text())["losses"]
+    text = card(drones)
     assert losses
     for key, n in losses.items():
         line = next(line for line in text.splitlines() if line.startswith(f"* `{key.split('.')[0]}`"))
@@ -197,12 +203,6 @@ def test_a_licence_file_beside_pictures_of_unknown_source(tmp_path, text, licenc
     assert (tmp_path / "LICENSE-source.txt").read_text("utf-8") == text
 
 
-def test_an_unknown_source_must_be_filled_in(tmp_path):
-    made = card_text(bare(tmp_path, "folder"))
-    assert front_matter(made)["license"] == "unknown"
-    assert "Before you publish, find out the licence" in made
-
-
 def test_contradicting_licence_is_reported(data):
     (data / "LICENSE").write_text("MIT License\n")
     source = find_provenance(api.read_dataset(data))
@@ -239,10 +239,13 @@ def test_own_output_is_not_taken_for_the_original(tmp_path):
     assert "choose one" in card_text(dataset_card(find_provenance(ours), (), (), changes=["c"]))
 
 
-def test_a_run_on_a_run_keeps_its_origin_and_its_changes(data, tmp_path):
+def test_a_run_on_a_run_keeps_its_origin_and_its_changes_and_names_both_recipes(data, tmp_path):
     (data / "LICENSE").write_text("Attribution 4.0 International\n")
-    generate(data, tmp_path / "first")
-    generate(tmp_path / "first" / "native", tmp_path / "second", settings=["output.image=png", "name=twice"])
+    generate(data, tmp_path / "first", settings=["output.image=png", "name=one"])
+    generate(tmp_path / "first" / "native", tmp_path / "second", settings=["output.image=png", "name=two"])
+    api.convert(tmp_path / "second" / "coco", tmp_path / "third", "coco")
+    for name in ("second", "third"):
+        assert re.findall(r"by the recipe `(\w+)`", card(tmp_path / name)) == ["one", "two"]
     text = card(tmp_path / "second")
     assert front_matter(text)["license"] == "cc-by-4.0"
     assert "Earlier changes to the source" in text
@@ -253,12 +256,11 @@ def test_a_run_on_a_run_keeps_its_origin_and_its_changes(data, tmp_path):
 
 
 @pytest.mark.parametrize("folder", ["coco", "native", "yolo"])
-def test_a_converted_run_names_its_inserted_objects(data, tmp_path, folder):
-    generate(data, tmp_path / "run", settings=["output.image=png", "name=with-drones"])
-    api.convert(tmp_path / "run" / folder, tmp_path / "voc", "voc")
+def test_a_converted_run_names_its_inserted_objects(drones, tmp_path, folder):
+    api.convert(drones / folder, tmp_path / "voc", "voc")
     api.convert(tmp_path / "voc", tmp_path / "coco", "coco")
     api.split(tmp_path / "coco", tmp_path / "split", api.SplitRule(by="gap", gap=1, shares=(0.5, 0.25, 0.25)))
-    original = card(tmp_path / "run")
+    original = card(drones)
     limits = original.partition("## Known limits")[2].partition("<!--")[0]
     recipe = re.findall(r"^```yaml\n.*?^```", original, re.MULTILINE | re.DOTALL)
     assert len(recipe) == 1 and "Inserted objects are rendered" in limits
@@ -274,11 +276,10 @@ def test_a_converted_run_names_its_inserted_objects(data, tmp_path, folder):
             assert limit in text, name
 
 
-def test_the_card_counts_the_labels_that_are_marked_as_inserted(data, tmp_path):
-    generate(data, tmp_path / "run")
-    shutil.copytree(tmp_path / "run" / "coco", tmp_path / "alone" / "coco")
-    shutil.copytree(tmp_path / "run" / "images", tmp_path / "alone" / "images")
-    for source in (tmp_path / "run" / "coco", tmp_path / "alone" / "coco"):  # the mark alone is enough
+def test_the_card_counts_the_labels_that_are_marked_as_inserted(drones, tmp_path):
+    for name in ("coco", "images"):
+        shutil.copytree(drones / name, tmp_path / "alone" / name)
+    for source in (drones / "coco", tmp_path / "alone" / "coco"):  # the mark alone is enough
         api.convert(source, tmp_path / "again", "yolo", overwrite=True)
         text = card(tmp_path / "again")
         assert "synthetic" in front_matter(text)["tags"]
@@ -305,10 +306,9 @@ def labels_of_inserts(folder):
     ],
     ids=["all", "subset", "dropped", "renamed", "renamed-subset"],
 )
-def test_inserts_count_the_labels_that_are_written(data, tmp_path, folder, change, labels):
-    generate(data, tmp_path / "run")
-    api.convert(tmp_path / "run" / folder, tmp_path / "again", "coco", **change)
-    assert labels_of_inserts(tmp_path / "again") == [("hit-uav-drone", 0, labels)]
+def test_inserts_count_the_labels_that_are_written(drones, tmp_path, folder, change, labels):
+    api.convert(drones / folder, tmp_path / "again", "coco", **change)
+    assert labels_of_inserts(tmp_path / "again") == [("with-drones", 0, labels)]
 
 
 @pytest.mark.parametrize("folder", ["coco", "yolo"])
@@ -322,14 +322,6 @@ def test_the_labels_of_two_runs_are_told_apart_by_class(data, tmp_path, folder):
     api.convert(tmp_path / "second" / "coco", tmp_path / "part", "coco", selection=api.Selection(images=1))
     first = {"drone": 1} if folder == "coco" else {}
     assert labels_of_inserts(tmp_path / "part") == [("hit-uav-drone", 0, first), ("two", 0, {"uav": 1})]
-
-
-def test_a_run_on_a_run_names_both_recipes(data, tmp_path):
-    generate(data, tmp_path / "first", settings=["output.image=png", "name=one"])
-    generate(tmp_path / "first" / "native", tmp_path / "second", settings=["output.image=png", "name=two"])
-    api.convert(tmp_path / "second" / "coco", tmp_path / "third", "coco")
-    for name in ("second", "third"):
-        assert re.findall(r"by the recipe `(\w+)`", card(tmp_path / name)) == ["one", "two"]
 
 
 def test_a_source_file_by_hand(tmp_path):
@@ -354,13 +346,15 @@ def test_a_source_file_by_hand(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", ["[", "[]", "{}", '{"licence": "mit"}', '{"licence": {"id": 3}, "title": [1], "changes": [2]}', "null"]
+    "text",
+    [None, "[", "[]", "{}", '{"licence": "mit"}', '{"licence": {"id": 3}, "title": [1], "changes": [2]}', "null"],
 )
-def test_broken_source_files_are_harmless(tmp_path, text):
-    (tmp_path / "SOURCE.json").write_text(text)
-    source = find_provenance(Dataset(tmp_path, "folder", (), ()))
-    assert source.licence.id == "unknown"
-    front_matter(card_text(bare(tmp_path, "folder")))
+def test_an_unknown_source_must_be_filled_in_and_broken_source_files_are_harmless(tmp_path, text):
+    if text is not None:
+        (tmp_path / "SOURCE.json").write_text(text)
+    made = card_text(bare(tmp_path, "folder"))
+    assert front_matter(made)["license"] == "unknown"
+    assert "Before you publish, find out the licence" in made
 
 
 def test_on_real_hit_uav(real_data, tmp_path):

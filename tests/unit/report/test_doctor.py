@@ -1,4 +1,5 @@
 import json
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -6,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from infrablend.report import doctor
-from infrablend.report.doctor import Blender, Machine, Trainer, assess, parse_ldd
+from infrablend.report.doctor import Blender, Machine, Trainer, assess
 from infrablend.report.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
 
 GOOD = Machine(
@@ -21,6 +22,9 @@ GOOD = Machine(
     temp_folder="/tmp",
     free_temp_bytes=50 * 1024**3,
     free_shm_bytes=1024**3,
+    trainer=Trainer(),
+    cache_folder="/cache",
+    cache_bytes=1024,
 )
 
 
@@ -79,15 +83,22 @@ def test_missing_packages_are_debian_names_of_what_does_not_load() -> None:
     assert install_command(("libgl1", "libxt6")).endswith(" libgl1 libxt6")
 
 
-def test_ldd_listing() -> None:
-    listing = """
+LDD = """#!/bin/sh
+cat <<END
         linux-vdso.so.1 (0x00007fd609351000)
         libSM.so.6 => not found
         libX11.so.6 => /lib/x86_64-linux-gnu/libX11.so.6 (0x00007fd5fd2be000)
         libICE.so.6 => not found
         libSM.so.6 => not found
-    """
-    assert parse_ldd(listing) == ("libICE.so.6", "libSM.so.6")
+END
+"""
+
+
+def test_libraries_that_the_loader_does_not_find_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "ldd").write_text(LDD)
+    (tmp_path / "ldd").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    assert doctor._unresolved("bpy.so") == ("libICE.so.6", "libSM.so.6")
 
 
 def test_hung_or_silent_blender_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

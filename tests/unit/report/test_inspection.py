@@ -90,11 +90,11 @@ def test_pictures_without_labels_get_no_table_of_classes(tmp_path: Path) -> None
 
 
 def test_bins_contain_the_stated_range() -> None:
-    assert _binned([30.0, None, -5.0], "°", 10) == (["30°", "unknown", "-5°"], ("-5°", "30°", "unknown"))
-    of, order = _binned([float(v) for v in range(0, 100, 3)], " m", 10)
+    assert _binned([30.0, None, -5.0], "°") == (["30°", "unknown", "-5°"], ("-5°", "30°", "unknown"))
+    of, order = _binned([float(v) for v in range(0, 100, 3)], " m")
     assert order[0] == "0 to 10 m" and order[-1] == "90 to 100 m" and len(order) == 10
     assert of[4] == "10 to 20 m"
-    assert len(_binned([float(v) for v in range(1000)], " m", 10)[1]) <= 12
+    assert len(_binned([float(v) for v in range(1000)], " m")[1]) <= 12
 
 
 def test_frames_are_counted_within_their_own_numbering() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from infrablend.errors import ArgumentError
-from infrablend.studio.guard import Guard, is_loopback, new_token
+from infrablend.studio.guard import Guard, is_loopback
 from infrablend.studio.request import Address
 
 TOKEN = "secret-token"
@@ -29,7 +29,9 @@ def answer(path: str = "/", query: str = "", kind: str = "http", **headers: str)
 
     given = [(k.encode(), v.encode()) for k, v in {"host": f"127.0.0.1:{PORT}", **headers}.items()]
     scope = {"type": kind, "path": path, "query_string": query.encode(), "headers": given}
-    asyncio.run(Guard(application, TOKEN, PORT)(scope, None, send))  # type: ignore[arg-type]
+    guard = Guard(application, PORT)
+    guard.token = TOKEN
+    asyncio.run(guard(scope, None, send))  # type: ignore[arg-type]
     first = sent[0]
     return {"type": first["type"], "status": first.get("status"), **dict(first.get("headers", ()))}
 
@@ -74,8 +76,8 @@ def test_pages_may_load_nothing_from_elsewhere() -> None:
 
 
 def test_tokens_are_long_and_differ() -> None:
-    assert len(new_token()) >= 40
-    assert new_token() != new_token()
+    first, second = (Guard(application, PORT).token for _ in range(2))
+    assert len(first) >= 40 and first != second
 
 
 def test_other_machines_are_let_in_only_on_request() -> None:

@@ -6,14 +6,13 @@ renderer, trainings, boxes and scale that differ from the paper's are listed in 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from infrablend.annotation.looseness import looseness_text
 from infrablend.core.dataset import SPLITS
 from infrablend.report.evaluation import FOUND_HEAD, found_rows, found_title
-from infrablend.report.figures import markdown_table
+from infrablend.report.figures import markdown_table, stratum_order
 
 _STRATA = {"size": "longer side, px", "pitch": "camera pitch, °", "altitude": "altitude, m", "time": "time of day"}
 _EXPECTED = {
@@ -29,6 +28,12 @@ PAGE_MARK = "This command writes the page:"
 """Words of every page of an experiment, by which a later call knows that it may replace it."""
 UNFINISHED_END = "-unfinished"
 """End of the name of an unfinished run's page beside a complete one."""
+_CELLS = (
+    "Each cell shows paper → ours (difference) and, in brackets, the 95 % interval of ours from a bootstrap "
+    "over the test images. P and R are taken at the confidence with the best mean F1; AP is computed by "
+    "pycocotools with at most 300 detections per image."
+)
+_SMOKE = "A smoke run trains for a few steps only, to test that everything runs, and gives no verdicts."
 METRICS = {"p": "P", "r": "R", "map50": "mAP50", "map50_95": "mAP50-95"}
 
 
@@ -41,51 +46,37 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         stem: Name of the page's files, without suffix; follows from experiment and scale by default.
     """
     stem = stem or page_name(facts["experiment"], facts["scale"])
-    blocks = [f"# {facts['title']}", facts["description"]]
-    blocks += [facts["about"]] if facts["about"] else []
-    blocks.append(_head(facts))
-    if facts["status"] != "complete":
-        blocks.append(_unfinished(facts))
-    if facts["left_out"]:
-        lines = [f"* `{name}`: {why}." for name, why in facts["left_out"].items()]
-        blocks.append("Left out:\n\n" + "\n".join(lines))
-    if facts["at_other_scales"]:
-        blocks.append(f"At other scales only: {', '.join(f'`{n}`' for n in facts['at_other_scales'])}.")
-    for table in facts["tables"]:
-        blocks += [f"## {table['title']}", _figures_table(table["rows"])]
-        blocks += [table["note"]] if table["note"] else []
-    if facts["tables"]:
-        blocks.append(
-            "Each cell shows paper → ours (difference) and, in brackets, the 95 % interval of ours from a bootstrap "
-            "over the test images. P and R are taken at the confidence with the best mean F1; AP is computed by "
-            "pycocotools with at most 300 detections per image."
-        )
-    blocks += _found_lists(facts["evaluations"])
-    if facts["datasets"]:
-        blocks += ["## Datasets", _datasets_table(facts["datasets"])]
-    if facts["checks"]:
-        blocks += ["## Conclusions", _claims_table(facts["checks"])]
-        if facts["scale"] == "smoke":
-            blocks.append(
-                "A smoke run trains for a few steps only, to test that everything runs, and gives no verdicts."
-            )
-    if facts["comparisons"]:
-        blocks += ["## Paired differences", _comparisons_table(facts["comparisons"])]
-    blocks += ["## What differs from the paper", "\n".join(f"* {line}" for line in list_differences(facts))]
-    if plots:
-        blocks += ["## Plots", *(f"![{title}]({name})" for name, title in plots)]
-    if any(e.get("ultralytics") for e in facts["evaluations"].values()):
-        blocks += ["## The same figures from Ultralytics' own validation", _ultralytics_table(facts["evaluations"])]
-    blocks += _strata(facts["evaluations"], facts["strata_class"])
-    blocks += ["## Stages", _stages_table(facts["stages"]), "## Hardware and versions", _provenance(facts)]
-    blocks.append(f"All figures: [{stem}.json]({stem}.json). All experiments: [index]({INDEX_FILE}).")
-    return "\n\n".join(blocks) + "\n"
-
-
-def _head(facts: Mapping[str, Any]) -> str:
-    """Return scale, status and command."""
-    status = f"**Scale: {facts['scale']}. {run_state(facts).capitalize()}.** {PAGE_MARK}"
-    return f"{status}\n\n```text\n{facts['command']}\n```"
+    evaluations = facts["evaluations"]
+    left_out = "\n".join(f"* `{name}`: {why}." for name, why in facts["left_out"].items())
+    elsewhere = ", ".join(f"`{n}`" for n in facts["at_other_scales"])
+    blocks = [
+        f"# {facts['title']}",
+        facts["description"],
+        facts["about"],
+        f"**Scale: {facts['scale']}. {run_state(facts).capitalize()}.** {PAGE_MARK}",
+        f"```text\n{facts['command']}\n```",
+        "" if facts["status"] == "complete" else _unfinished(facts),
+        f"Left out:\n\n{left_out}" if left_out else "",
+        f"At other scales only: {elsewhere}." if elsewhere else "",
+        *(b for t in facts["tables"] for b in (f"## {t['title']}", _figures_table(t["rows"]), t["note"])),
+        _CELLS if facts["tables"] else "",
+        *_found_lists(evaluations),
+        *(["## Datasets", _datasets_table(facts["datasets"])] if facts["datasets"] else []),
+        *(["## Conclusions", _claims_table(facts["checks"])] if facts["checks"] else []),
+        _SMOKE if facts["checks"] and facts["scale"] == "smoke" else "",
+        *(["## Paired differences", *_comparisons(facts["comparisons"])] if facts["comparisons"] else []),
+        "## What differs from the paper",
+        "\n".join(f"* {line}" for line in list_differences(facts)),
+        *(["## Plots", *(f"![{title}]({name})" for name, title in plots)] if plots else []),
+        *_ultralytics(evaluations),
+        *_strata(evaluations, facts["strata_class"]),
+        "## Stages",
+        _stages_table(facts["stages"]),
+        "## Hardware and versions",
+        _provenance(facts),
+        f"All figures: [{stem}.json]({stem}.json). All experiments: [index]({INDEX_FILE}).",
+    ]
+    return "\n\n".join(block for block in blocks if block) + "\n"
 
 
 def _unfinished(facts: Mapping[str, Any]) -> str:
@@ -105,14 +96,10 @@ def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
     ]
     lines = []
     for r in rows:
-        ours = r["ours"]
-        cells = [r["title"]]
-        cells += [paper_and_ours(count(r["paper"][k]), count(ours[k]) if ours else None) for k in shown]
-        if ours is None:
-            lines.append([*cells, *(paper_and_ours(figure(r["paper"][k]), None) for k in METRICS)])
-            continue
+        ours = r["ours"] or {}
+        cells = [r["title"], *(paper_and_ours(r["paper"][k], ours.get(k), ",") for k in shown)]
         for k in METRICS:
-            cell = paper_and_ours(figure(r["paper"][k]), figure(ours[k]))
+            cell = paper_and_ours(r["paper"][k], ours.get(k), ".3f")
             if k in r["difference"]:
                 cell += f" ({r['difference'][k]:+.3f})"
             if interval := (ours.get("ci") or {}).get(k):
@@ -140,20 +127,11 @@ def _found_lists(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
 def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
     lines = []
     for r in rows:
-        paper, ours = r["paper"], r["ours"]
-        if ours is None:
-            cells = [paper_and_ours(count(paper["images"]), None), paper_and_ours(count(paper["classes"]), None)]
-            lines.append([r["title"], *cells, paper_and_ours(", ".join(paper["labels"]), None), f"- ({r['missing']})"])
-            continue
-        lines.append(
-            [
-                r["title"],
-                paper_and_ours(count(paper["images"]), count(ours["images"])),
-                paper_and_ours(count(paper["classes"]), count(ours["classes"])),
-                paper_and_ours(", ".join(paper["labels"]), ", ".join(ours["labels"])),
-                f"{ours['instances']:,} of {', '.join(ours['names'])}",
-            ]
-        )
+        paper, ours = r["paper"], r["ours"] or {}
+        cells = [paper_and_ours(paper[k], ours.get(k), ",") for k in ("images", "classes")]
+        cells.append(paper_and_ours(", ".join(paper["labels"]), ", ".join(ours.get("labels", ())), "s"))
+        objects = f"{ours['instances']:,} of {', '.join(ours['names'])}" if ours else f"- ({r['missing']})"
+        lines.append([r["title"], *cells, objects])
     return markdown_table(["Dataset", "Images", "Classes", "Labels", "Objects (ours)"], lines)
 
 
@@ -174,7 +152,7 @@ def _claims_table(checks: Sequence[Mapping[str, Any]]) -> str:
     return markdown_table(["Claim", "Class and metric", "Expected", "Found", "Holds"], lines)
 
 
-def _comparisons_table(comparisons: Mapping[str, Mapping[str, Any]]) -> str:
+def _comparisons(comparisons: Mapping[str, Mapping[str, Any]]) -> list[str]:
     lines = []
     for c in comparisons.values():
         for name in sorted(c["classes"], key=class_order):
@@ -182,7 +160,9 @@ def _comparisons_table(comparisons: Mapping[str, Mapping[str, Any]]) -> str:
             cells = []
             for k in ("map50", "map50_95"):
                 d = of_class.get(k)
-                cells.append("-" if d is None else f"{d['difference']:+.3f}{_interval(d.get('ci'))}")
+                ci = d.get("ci") if d else None
+                interval = f" [{ci[0]:+.3f}, {ci[1]:+.3f}]" if ci else ""
+                cells.append("-" if d is None else f"{d['difference']:+.3f}{interval}")
             lines.append([c["title"], name, *cells])
     note = (
         "Both detectors are evaluated on the same images and the same bootstrap draws; in brackets the 95 % interval."
@@ -194,22 +174,19 @@ def _comparisons_table(comparisons: Mapping[str, Mapping[str, Any]]) -> str:
         )
     else:
         note += " It does not include the spread between training seeds."
-    return markdown_table(["Difference", "Class", "mAP50", "mAP50-95"], lines) + "\n\n" + note
+    return [markdown_table(["Difference", "Class", "mAP50", "mAP50-95"], lines), note]
 
 
-def _interval(ci: Any) -> str:
-    return "" if not ci else f" [{ci[0]:+.3f}, {ci[1]:+.3f}]"
-
-
-def _ultralytics_table(evaluations: Mapping[str, Mapping[str, Any]]) -> str:
+def _ultralytics(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     tables = {n: e["ultralytics"] for n, e in evaluations.items() if e.get("ultralytics")}
     classes = sorted({c for t in tables.values() for c in t if isinstance(t[c], Mapping)}, key=class_order)
     lines = [[c, *(_ap_pair(t.get(c)) for t in tables.values())] for c in classes]
-    return markdown_table(["mAP50 / mAP50-95", *tables], lines)
+    if tables:
+        yield "## The same figures from Ultralytics' own validation"
+        yield markdown_table(["mAP50 / mAP50-95", *tables], lines)
 
 
 def _ap_pair(figures: Mapping[str, Any] | None) -> str:
-    """Return mAP50 / mAP50-95."""
     if figures is None or figures["map50"] is None:
         return "-"
     return f"{figures['map50']:.3f} / {figures['map50_95']:.3f}"
@@ -221,8 +198,9 @@ def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iter
     for kind, words in _STRATA.items():
         found = {n: of for n, e in evaluations.items() if (of := (e.get("strata") or {}).get(kind))}
         lines = []
-        for stratum in sorted({s for of in found.values() for s in of}, key=_numeric_order):
-            rows = [_of_class(of.get(stratum, {}).get("classes", {}), category) for of in found.values()]
+        for stratum in sorted({s for of in found.values() for s in of}, key=stratum_order):
+            every = [of.get(stratum, {}).get("classes", {}).items() for of in found.values()]
+            rows = [next((f for n, f in of if n.casefold() == category.casefold()), None) for of in every]
             if any(r and r["instances"] for r in rows):
                 lines.append([stratum, *(f"{_ap_pair(r)} of {r['instances']:,}" if r else "-" for r in rows)])
         if lines:
@@ -233,20 +211,10 @@ def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iter
         yield from tables
 
 
-def _numeric_order(name: str) -> tuple[float, bool, str]:
-    """Return the sorting key of a stratum: `<8`, `8-16`, `16-32`, then names without numbers."""
-    found = re.search(r"\d+(\.\d+)?", name)
-    return float(found.group()) if found else float("inf"), not name.startswith("<"), name
-
-
-def _of_class(figures: Mapping[str, Any], category: str) -> Mapping[str, Any] | None:
-    return next((f for n, f in figures.items() if n.casefold() == category.casefold()), None)
-
-
 def _stages_table(stages: Sequence[Mapping[str, Any]]) -> str:
-    lines = [[f"`{s['stage']}`", f"`{s['key']}`", count(s["images"]) or "-", _status(s)] for s in stages]
+    lines = [[f"`{s['stage']}`", f"`{s['key']}`", paper_and_ours(None, s["images"], ","), _status(s)] for s in stages]
     total = sum(s["seconds"] or 0 for s in stages)
-    return markdown_table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", duration(total)]])
+    return markdown_table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", _duration(total)]])
 
 
 def _status(stage: Mapping[str, Any]) -> str:
@@ -255,7 +223,7 @@ def _status(stage: Mapping[str, Any]) -> str:
         return "not done" if stage["status"] == "missing" else "not needed"
     if stage["adopted"] == "unchecked":
         return "adopted; how it was made was not checked"
-    return "adopted and checked" if stage["adopted"] else duration(stage["seconds"])
+    return "adopted and checked" if stage["adopted"] else _duration(stage["seconds"])
 
 
 def _provenance(facts: Mapping[str, Any]) -> str:
@@ -277,23 +245,13 @@ def run_state(facts: Mapping[str, Any]) -> str:
     return "complete for the data at hand" if some_left_out else str(facts["status"])
 
 
-def paper_and_ours(paper: str | None, ours: str | None) -> str:
-    """Return `paper → ours`, or ours alone where the paper has no figure."""
-    return f"{paper or '-'} → {ours or '-'}" if paper else ours or "-"
+def paper_and_ours(paper: float | str | None, ours: float | str | None, form: str) -> str:
+    """Return `paper → ours`, or ours alone where the paper has no figure; `form` is the format of both."""
+    first, second = ("-" if value in (None, "") else f"{value:{form}}" for value in (paper, ours))
+    return second if first == "-" else f"{first} → {second}"
 
 
-def count(n: int | None) -> str | None:
-    """Return a whole number with separators, or None."""
-    return None if n is None else f"{n:,}"
-
-
-def figure(x: float | None) -> str | None:
-    """Return a figure with three decimals, or None."""
-    return None if x is None else f"{x:.3f}"
-
-
-def duration(seconds: float) -> str:
-    """Return seconds, minutes, or hours and minutes."""
+def _duration(seconds: float) -> str:
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes = round(seconds / 60)
@@ -366,33 +324,28 @@ def _scale(facts: Mapping[str, Any]) -> Iterator[str]:
 
 def _training(record: Mapping[str, Any]) -> str:
     """Return a training in one line: images, network, length, start and time."""
-    settings, prepared, start = record.get("settings") or {}, record.get("prepared") or {}, record["start"]
-    parts = []
-    if pictures := prepared.get("pictures"):
-        of_paper = f" (paper: {record['paper_images']:,} for training)" if record.get("paper_images") else ""
-        parts.append(f"images {_per_split(pictures)}{of_paper}")
-    if settings.get("model"):
-        parts.append(settings["model"])
-    if settings.get("tile"):
-        count = (prepared.get("tiles") or {}).get("tiles")
-        parts.append(f"{'' if count is None else f'{count:,} '}tiles of {settings['tile']} px at native resolution")
-    if settings.get("image_size"):
-        parts.append(f"{settings['image_size']} px")
-    if record.get("batch"):
-        parts.append(f"batch {record['batch']}")
-    if record.get("passes"):
-        parts.append(f"{record['passes']:,} images shown in {record.get('epochs_done', '?')} epochs")
-    if record.get("seed"):
-        parts.append(f"seed {record['seed']}")
-    if start:
-        parts.append("from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}")
-        parts[-1] += f" ({start['why']})" if start.get("why") else ""
-    parts += [str(record[k]) for k in ("precision", "note") if record.get(k)]
-    if record.get("seconds"):
-        parts.append(f"trained in {duration(record['seconds'])}")
-    if record.get("adopted"):
-        parts.append("trained by a separate command and adopted: settings, seed, image and label counts match")
-    return "; ".join(parts) + "."
+    settings, prepared, start = record.get("settings") or {}, record.get("prepared") or {}, record["start"] or {}
+    pictures, tiles = prepared.get("pictures"), (prepared.get("tiles") or {}).get("tiles")
+    number = "" if tiles is None else f"{tiles:,} "
+    of_paper = f" (paper: {record['paper_images']:,} for training)" if record.get("paper_images") else ""
+    origin = "from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}"
+    parts = [
+        f"images {_per_split(pictures)}{of_paper}" if pictures else "",
+        settings.get("model"),
+        f"{number}tiles of {settings['tile']} px at native resolution" if settings.get("tile") else "",
+        f"{settings['image_size']} px" if settings.get("image_size") else "",
+        f"batch {record['batch']}" if record.get("batch") else "",
+        f"{record['passes']:,} images shown in {record.get('epochs_done', '?')} epochs" if record.get("passes") else "",
+        f"seed {record['seed']}" if record.get("seed") else "",
+        origin + (f" ({start['why']})" if start.get("why") else "") if start else "",
+        record.get("precision"),
+        record.get("note"),
+        f"trained in {_duration(record['seconds'])}" if record.get("seconds") else "",
+        "trained by a separate command and adopted: settings, seed, image and label counts match"
+        if record.get("adopted")
+        else "",
+    ]
+    return "; ".join(str(part) for part in parts if part) + "."
 
 
 def _per_split(counts: Mapping[str, int]) -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from infrablend.report.figures import plot_text
 from infrablend.report.results.page import METRICS, class_order
@@ -24,16 +25,14 @@ CHARTS = ("bars", "differences", "pr")
 
 def draw_plots(facts: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
-    plots = []
     rows = [(t["title"], r) for t in facts["tables"] for r in t["rows"] if r["ours"] is not None]
-    if rows:
-        plots.append(("bars", "Ours with 95 % intervals, the paper's figures as crosses", _bars(rows)))
-    if facts["comparisons"]:
-        plots.append(("differences", "Paired differences with 95 % intervals", _forest(facts["comparisons"])))
     curves = {n: e["curves"] for n, e in facts["evaluations"].items() if e.get("curves")}
-    if curves:
-        plots.append(("pr", "Precision over recall at IoU 0.5", _curves(curves)))
-    return plots
+    charts: tuple[tuple[str, str, Callable[[Any], bytes], Any], ...] = (
+        ("bars", "Ours with 95 % intervals, the paper's figures as crosses", _bars, rows),
+        ("differences", "Paired differences with 95 % intervals", _forest, facts["comparisons"]),
+        ("pr", "Precision over recall at IoU 0.5", _curves, curves),
+    )
+    return [(name, title, draw(figures)) for name, title, draw, figures in charts if figures]
 
 
 def svg_bytes(figure: Figure) -> bytes:
@@ -45,9 +44,9 @@ def svg_bytes(figure: Figure) -> bytes:
 
 
 def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
-    figure = Figure(figsize=(9, 1.0 + 0.34 * len(rows)), layout="constrained")
-    axes: Any = figure.subplots(1, 2, sharey=True)
-    y = np.arange(len(rows))[::-1]
+    several = len({t for t, _ in rows}) > 1
+    names = [f"{r['evaluation']}: {r['title']}" if several else r["title"] for _, r in rows]
+    figure, axes, y = _panels(names, 0.34)
     for ax, metric in zip(axes, ("map50", "map50_95"), strict=True):
         for at, (_, r) in zip(y, rows, strict=True):
             value, ci = r["ours"][metric], (r["ours"].get("ci") or {}).get(metric)
@@ -58,10 +57,6 @@ def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
             if r["paper"][metric] is not None:
                 ax.plot(r["paper"][metric], at, marker="x", color=PAPER, ms=7, mew=1.8, ls="")
         ax.set(xlim=(0, 1.02), xlabel=METRICS[metric])
-        ax.spines[["top", "right"]].set_visible(False)
-    several = len({t for t, _ in rows}) > 1
-    names = [f"{r['evaluation']}: {r['title']}" if several else r["title"] for _, r in rows]
-    axes[0].set_yticks(y, [plot_text(n) for n in names], fontsize=8)
     axes[1].plot([], [], marker="x", color=PAPER, ls="", mew=1.8, label="paper")
     axes[1].barh([], [], color=OURS, alpha=0.75, label="ours")
     figure.legend(*axes[1].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside upper right", ncols=2)
@@ -74,23 +69,28 @@ def _forest(comparisons: Mapping[str, Mapping[str, Any]]) -> bytes:
         for c in comparisons.values()
         for name in sorted(c["classes"], key=class_order)
     ]
-    figure = Figure(figsize=(9, 1.0 + 0.3 * len(rows)), layout="constrained")
-    axes: Any = figure.subplots(1, 2, sharey=True)
-    y = np.arange(len(rows))[::-1]
+    figure, axes, y = _panels([name for name, _ in rows], 0.3)
     for ax, metric in zip(axes, ("map50", "map50_95"), strict=True):
         ax.axvline(0, color=FAINT, lw=0.8)
         for at, (_, of) in zip(y, rows, strict=True):
-            d = of.get(metric)
-            if d is None:
-                continue
-            ax.plot(d["difference"], at, marker="o", color=OURS, ms=5, ls="")
-            if d.get("ci"):
-                ax.plot(d["ci"], [at, at], color=OURS, lw=1.6)
+            if (d := of.get(metric)) is not None:
+                ax.plot(d["difference"], at, marker="o", color=OURS, ms=5, ls="")
+                if d.get("ci"):
+                    ax.plot(d["ci"], [at, at], color=OURS, lw=1.6)
         ax.set(xlabel=f"difference of {METRICS[metric]}")
         ax.locator_params(axis="x", nbins=5)
-        ax.spines[["top", "right"]].set_visible(False)
-    axes[0].set_yticks(y, [plot_text(name) for name, _ in rows], fontsize=8)
     return svg_bytes(figure)
+
+
+def _panels(names: Sequence[str], row_height: float) -> tuple[Figure, Any, NDArray[np.int64]]:
+    """Return a figure with two panels that share a row per name, and the places of the rows, first one on top."""
+    figure = Figure(figsize=(9, 1.0 + row_height * len(names)), layout="constrained")
+    axes: Any = figure.subplots(1, 2, sharey=True)
+    y = np.arange(len(names))[::-1]
+    axes[0].set_yticks(y, [plot_text(n) for n in names], fontsize=8)
+    for ax in axes:
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes, y
 
 
 def _curves(curves: Mapping[str, Mapping[str, Any]]) -> bytes:

@@ -8,14 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import load_json, read_regular, write_bytes, write_json, write_text
+from infrablend.core.files import load_json, read_object, read_regular, write_bytes, write_json, write_text
 from infrablend.core.output import require_no_foreign
 from infrablend.report.figures import markdown_table
 from infrablend.report.results.page import (
     INDEX_FILE,
     PAGE_MARK,
     UNFINISHED_END,
-    figure,
     page_name,
     page_text,
     paper_and_ours,
@@ -47,7 +46,7 @@ def require_own_pages(out: Path, experiment: str, scale: str) -> None:
 def _foreign(out: Path, stem: str) -> list[Path]:
     """Return the files in the place of a page that are not InfraBlend's; charts are, if their record is."""
     record, page = out / f"{stem}.json", out / f"{stem}.md"
-    own = _facts_of(record).keys() >= {"experiment", "scale", "status"}
+    own = (read_object(record) or {}).keys() >= {"experiment", "scale", "status"}
     foreign = [] if own else [record, *(out / f"{stem}_{name}.svg" for name in CHARTS)]
     foreign += [] if own and _says(page, PAGE_MARK) else [page]
     return [p for p in foreign if os.path.lexists(p)]
@@ -71,7 +70,8 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
     # In the order of the JSON, so that the page follows from the JSON alone.
     facts = json.loads(json.dumps(facts, sort_keys=True))
     stem = page_name(facts["experiment"], facts["scale"])
-    if facts["status"] != "complete" and _is_complete(out / f"{stem}.json"):
+    is_complete = facts["status"] == "complete"
+    if not is_complete and (read_object(out / f"{stem}.json") or {}).get("status") == "complete":
         stem += UNFINISHED_END
     plots = [(f"{stem}_{name}.svg", title, svg) for name, title, svg in draw_plots(facts)]
     for name, _, svg in plots:
@@ -80,31 +80,13 @@ def write_page(facts: Mapping[str, Any], out: Path) -> Path:
         (out / old).unlink(missing_ok=True)  # of an earlier run with more figures
     evaluations = {n: {k: v for k, v in e.items() if k not in _NOT_KEPT} for n, e in facts["evaluations"].items()}
     write_json(out / f"{stem}.json", {**facts, "evaluations": evaluations})
-    if facts["status"] == "complete":
-        _remove_unfinished(out, stem)
+    unfinished = f"{stem}{UNFINISHED_END}"
+    if is_complete and read_object(out / f"{unfinished}.json"):  # of a run that this one has completed
+        for old in (f"{unfinished}.json", f"{unfinished}.md", *(f"{unfinished}_{c}.svg" for c in CHARTS)):
+            (out / old).unlink(missing_ok=True)
     page = write_text(out / f"{stem}.md", page_text(facts, [(name, title) for name, title, _ in plots], stem))
     write_text(out / INDEX_FILE, index_text(out))
     return page
-
-
-def _remove_unfinished(out: Path, stem: str) -> None:
-    """Remove the page of an unfinished run that this one has completed."""
-    unfinished = stem + UNFINISHED_END
-    if _facts_of(out / f"{unfinished}.json"):
-        for name in (f"{unfinished}.json", f"{unfinished}.md", *(f"{unfinished}_{c}.svg" for c in CHARTS)):
-            (out / name).unlink(missing_ok=True)
-
-
-def _is_complete(path: Path) -> bool:
-    return _facts_of(path).get("status") == "complete"
-
-
-def _facts_of(path: Path) -> Mapping[str, Any]:
-    try:
-        facts = load_json(path)
-    except (OSError, ValueError):
-        return {}
-    return facts if isinstance(facts, dict) else {}
 
 
 def index_text(out: Path) -> str:
@@ -126,19 +108,15 @@ def index_text(out: Path) -> str:
 
 def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
     verdicts = [c["holds"] for c in facts["checks"] if c["holds"] is not None]
+    headlines = (
+        f"{r['title']}: {paper_and_ours(r['paper']['map50'], (r['ours'] or {}).get('map50'), '.3f')}"
+        for table in facts["tables"]
+        for r in table["rows"]
+    )
     return [
         f"[{facts['title']}]({stem}.md)",
         facts["scale"],
         run_state(facts),
-        _headline(facts),
+        next(headlines, "-"),
         f"{verdicts.count(True)} of {len(verdicts)}" if verdicts else "-",
     ]
-
-
-def _headline(facts: Mapping[str, Any]) -> str:
-    """Return the mAP50 of the first row of the first table."""
-    for table in facts["tables"]:
-        for r in table["rows"]:
-            ours = figure((r["ours"] or {}).get("map50"))
-            return f"{r['title']}: {paper_and_ours(figure(r['paper']['map50']), ours)}"
-    return "-"

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from infrablend.report.figures import compact
-from infrablend.report.run.facts import Filters, FrameFacts, InsertFacts
+from infrablend.report.run.facts import Filters, FrameFacts
 
 BINS = 12
 MAP_WH = (8, 6)
@@ -19,19 +19,12 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 16, 16, 20, 24
 _WIDE = 8.0
 _GROWING = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 
-Value = Callable[[InsertFacts], float | None]
-
 
 @dataclass(frozen=True)
 class Bar:
-    """A bar of a chart, or a cell of a map.
+    """A bar of a chart, or a cell of a map: its place, and the count, words and anchor of the frames behind it.
 
-    Attributes:
-        x, y, width, height: Place in the chart.
-        count: Number that it stands for.
-        label: What it stands for, in words.
-        link: Anchor of the frames behind it; empty without any.
-        share: Count as a share of the largest one.
+    `share` is the count as a share of the largest one; `link` is empty without frames.
     """
 
     x: float
@@ -46,13 +39,11 @@ class Bar:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart.
+    """A chart of bars, or a map of cells.
 
     Attributes:
         title: Quantity and unit.
         summary: Its most important numbers in words.
-        size_wh: Size of the drawing.
-        bars: Bars or cells.
         ticks: Numbers below the axis, (place, text).
         kind: `bars` or `map`.
     """
@@ -66,52 +57,30 @@ class Chart:
 
 
 def histogram(
-    frames: Sequence[FrameFacts], value: Value, title: str, filters: Filters, *, unit: str = "", share: bool = False
+    values: Iterable[tuple[float | None, int]],
+    title: str,
+    filters: Filters,
+    unit: str = "",
+    noun: str = "objects",
+    edges: Sequence[float] | None = None,
 ) -> Chart | None:
-    """Return the histogram of a quantity of the inserted objects; None if none of them has it.
+    """Return the histogram of a quantity; None if it is nowhere known.
 
     Args:
-        frames: Frames of the run.
-        value: Function that returns the quantity.
+        values: Value of each object or frame, None where it is not known, and the number of the frame.
         title: Name of the quantity.
         filters: Lists of frames; each bar adds one.
         unit: Unit behind numbers, such as ` px`.
-        share: Whether the quantity is a share in [0, 1], shown in percent.
+        noun: What has the values, in the plural.
+        edges: Ends of the bins; round numbers by default.
     """
-    values = [
-        (100 * v if share else v, k)
-        for k, frame in enumerate(frames)
-        for i in frame.inserts
-        if (v := value(i)) is not None and math.isfinite(v)
-    ]
-    return _histogram(values, title, filters, unit, "objects", edges=_SHARES if share else None)
-
-
-def frame_histogram(
-    frames: Sequence[FrameFacts], value: Callable[[FrameFacts], float | None], title: str, filters: Filters, unit: str
-) -> Chart | None:
-    """Return the histogram of a quantity of frames; None if none of them has it."""
-    values = [(v, k) for k, f in enumerate(frames) if (v := value(f)) is not None and math.isfinite(v)]
-    return _histogram(values, title, filters, unit, "frames")
-
-
-_SHARES = tuple(float(v) for v in range(0, 101, 10))
-
-
-def _histogram(
-    values: Sequence[tuple[float, int]],
-    title: str,
-    filters: Filters,
-    unit: str,
-    noun: str,
-    edges: Sequence[float] | None = None,
-) -> Chart | None:
-    if not values:
+    known = [(v, k) for v, k in values if v is not None and math.isfinite(v)]
+    if not known:
         return None
-    numbers = sorted(v for v, _ in values)
+    numbers = sorted(v for v, _ in known)
     edges = edges or bin_edges(numbers[0], numbers[-1])
     found: list[list[int]] = [[] for _ in edges[1:]]
-    for v, k in values:
+    for v, k in known:
         found[min(max(bisect_right(edges, v) - 1, 0), len(found) - 1)].append(k)
     most = max(len(f) for f in found)
     step = (WIDTH - _LEFT - _RIGHT) / len(found)
@@ -124,15 +93,16 @@ def _histogram(
         bars.append(
             Bar(
                 round(_LEFT + n * step + 1, 2), round(HEIGHT - _BOTTOM - height, 2), round(step - 2, 2),
-                round(height, 2), len(frames), f"{label}: {counted(len(frames), noun)}", filters.add(name, frames),
+                round(height, 2), len(frames), f"{label}: {_counted(len(frames), noun)}", filters.add(name, frames),
                 round(len(frames) / most, 3),
             )
         )  # fmt: skip
     # Numbers side by side must not touch.
     every = 1 if len(edges) <= 10 else 2
     ticks = tuple((round(_LEFT + n * step, 2), compact(e)) for n, e in enumerate(edges) if n % every == 0)
-    low, half, high = (compact(float(f"{_quantile(numbers, q):.3g}")) for q in (0.05, 0.5, 0.95))
-    summary = f"{counted(len(numbers), noun)}; median {half}{unit}, 5 to 95 %: {low} to {high}{unit}"
+    quantiles = (numbers[min(len(numbers) - 1, int(q * len(numbers)))] for q in (0.05, 0.5, 0.95))
+    low, half, high = (compact(float(f"{q:.3g}")) for q in quantiles)
+    summary = f"{_counted(len(numbers), noun)}; median {half}{unit}, 5 to 95 %: {low} to {high}{unit}"
     return Chart(title, summary, (WIDTH, HEIGHT), tuple(bars), ticks)
 
 
@@ -164,8 +134,7 @@ def position_map(frames: Sequence[FrameFacts], filters: Filters) -> Chart | None
             column = min(max(int((x0 + x1) / 2 / frame.size_wh[0] * columns), 0), columns - 1)
             row = min(max(int((y0 + y1) / 2 / frame.size_wh[1] * rows), 0), rows - 1)
             cells[row * columns + column].append(k)
-    most = max(len(c) for c in cells)
-    if not most:
+    if not (most := max(len(c) for c in cells)):
         return None
     width, height = WIDTH / columns, 46.0
     bars = []
@@ -176,11 +145,10 @@ def position_map(frames: Sequence[FrameFacts], filters: Filters) -> Chart | None
         bars.append(
             Bar(
                 round(column * width + 1, 2), row * height + 1, round(width - 2, 2), height - 2, len(found),
-                f"{place}: {counted(len(found), 'objects')}", link, round(len(found) / most, 3),
+                f"{place}: {_counted(len(found), 'objects')}", link, round(len(found) / most, 3),
             )
         )  # fmt: skip
-    empty = sum(not c for c in cells)
-    summary = f"centres of the boxes; {empty} of {len(cells)} cells are empty"
+    summary = f"centres of the boxes; {sum(not c for c in cells)} of {len(cells)} cells are empty"
     return Chart("Position in the frame", summary, (WIDTH, rows * height), tuple(bars), kind="map")
 
 
@@ -200,10 +168,5 @@ def shares(counts: Sequence[tuple[str, float, str, str]]) -> list[Share]:
     return [Share(label, text, link, round(100 * value / most, 1)) for label, value, text, link in counts]
 
 
-def counted(count: int, plural: str) -> str:
-    """Return `1 frame` or `2 frames`."""
+def _counted(count: int, plural: str) -> str:
     return f"{count} {plural if count != 1 else plural.removesuffix('s')}"
-
-
-def _quantile(ordered: Sequence[float], q: float) -> float:
-    return ordered[min(len(ordered) - 1, int(q * len(ordered)))]

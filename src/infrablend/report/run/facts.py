@@ -50,10 +50,8 @@ class RemovedLabel:
     """A label that was left out of a frame.
 
     Attributes:
-        category: Class of the object.
         reason: `covered`, `category` or `labels`, see `annotation.merge.Removal`.
         covered_share: Share of the object under inserted objects.
-        inserted: True for the label of an inserted object.
         box_xyxy: Its box, pixels; None if it is not recorded.
     """
 
@@ -66,16 +64,12 @@ class RemovedLabel:
 
 @dataclass(frozen=True)
 class FrameFacts:
-    """A finished frame.
+    """A finished frame; what is not known of it is None.
 
     Attributes:
-        frame_id: Id of the frame.
         image: Path of its picture, relative to the folder of the run.
-        size_wh: Size of the picture.
         background: Names that problems use for its background: id, path, file name.
-        time_of_day: Time of day; None if unknown.
-        pitch_deg: Pitch of the camera that the objects were rendered with, else of the background; None if unknown.
-        altitude_m: Height of the camera; None if unknown.
+        pitch_deg: Pitch of the camera that the objects were rendered with, else of the background.
         inserts: Labelled inserted objects.
         removed: Labels that were left out.
         dropped: Reasons why wanted objects are absent or have no label, one per object.
@@ -102,16 +96,12 @@ class RunFacts:
     Attributes:
         root: Folder of the run, from which the pictures are read; the page does not name it.
         recipe: Name of the recipe.
-        description: Its description.
         settings: Settings of the recipe that are not the default, as YAML.
         command: Command that makes the run again from `settings`.
         version: Version of InfraBlend.
         made: Further facts about how the run was made, (name, value).
-        counts: Counts of the run, as in its record.
-        problems: Problems of the run, as in its record.
         excluded: Frames that were left out of the finished run, each with its reason.
         timing: Times, as in its record; the only facts that differ between equal runs.
-        machine: Machine of the run, as in its record.
         frames: Finished frames.
     """
 
@@ -132,14 +122,7 @@ class RunFacts:
 
 @dataclass(frozen=True)
 class RemovedCrop:
-    """A removed label with what the crop shows.
-
-    Attributes:
-        frame: Number of its frame.
-        label: The removed label.
-        box_xyxy: Its box.
-        cover: Insert that covers most of the box; None if none touches it.
-    """
+    """A removed label with what the crop shows: its box, and the insert that covers most of it, if any does."""
 
     frame: int
     label: RemovedLabel
@@ -185,13 +168,7 @@ def _shared_px(a: Box, b: Box) -> float:
 
 @dataclass(frozen=True)
 class Filter:
-    """A list of frames.
-
-    Attributes:
-        name: Anchor, and class of its frames in the page.
-        title: What the frames have in common.
-        frames: Numbers of the frames, ascending.
-    """
+    """A list of frames: its anchor, what they have in common, and their numbers, ascending."""
 
     name: str
     title: str
@@ -202,7 +179,6 @@ class Filters:
     """All lists of frames of a page."""
 
     def __init__(self) -> None:
-        """Start without any list."""
         self.all: list[Filter] = []
 
     def add(self, title: str, frames: Iterable[int]) -> str:

@@ -10,16 +10,18 @@ import base64
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import quote
 
 from infrablend.errors import Problem
 from infrablend.report.figures import compact, human_seconds
 from infrablend.report.page import page_part, render_page
-from infrablend.report.run.charts import Chart, Share, frame_histogram, histogram, position_map, shares
+from infrablend.report.preview import spread
+from infrablend.report.run.charts import Chart, Share, histogram, position_map, shares
 from infrablend.report.run.facts import Box, Filters, FrameFacts, InsertFacts, RemovedCrop, RunFacts, removed_crops
 from infrablend.report.run.pictures import Crop, crop, read_levels, thumbnail
+
+Key = TypeVar("Key", str, tuple[str, str])
 
 LISTED = 10_000
 EMBEDDED = 1000
@@ -47,15 +49,13 @@ REASONS: Mapping[str, str] = {
 def run_page(run: RunFacts) -> str:
     """Return the HTML page of a run; equal runs give equal bytes, except for the section of times."""
     frames, filters = run.frames, Filters()
-    warnings = _problem_groups(run, filters)
-    charts = _charts(frames, filters)
-    groups = _share_groups(run, filters)
+    problems = _problem_groups(run, filters)
     content = {
+        "warnings": [p for p in problems if p["severity"] == "warning"],
+        "errors": [p for p in problems if p["severity"] != "warning"],
+        "charts": _charts(frames, filters),
+        "share_groups": _share_groups(run, filters),
         "tiles": _tiles(run, filters),
-        "warnings": [w for w in warnings if w["severity"] == "warning"],
-        "errors": [w for w in warnings if w["severity"] != "warning"],
-        "charts": charts,
-        "share_groups": groups,
         "classes": _class_rows(run, filters),
         "removed": _removed_rows(frames, filters),
         "dropped": _dropped_rows(frames, filters),
@@ -66,8 +66,9 @@ def run_page(run: RunFacts) -> str:
     taken = removed_crops(frames, CROPS)
     boxes = [(k, i.box_xyxy) for _, _, found in extremes for k, i in found]
     boxes += [(c.frame, c.window_xyxy) for found in taken.values() for c in found]
-    listed = _listed(len(frames), {k for k, _ in boxes})
-    pictures = _pictures(run, listed, boxes)
+    # All frames, or some spread over the run and those with a crop.
+    listed = sorted({*spread(len(frames), LISTED), *(k for k, _ in boxes)})
+    thumbnails, crops = _pictures(run, listed, boxes)
     members = filters.classes(len(frames))
     script = page_part("run_script.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
@@ -77,16 +78,16 @@ def run_page(run: RunFacts) -> str:
         objects=", ".join(f"{name} {n}" for name, n in run.counts.get("labels_inserted", {}).items()),
         excluded=list(run.excluded.items())[:SHOWN_FRAMES],
         extremes=[
-            (title, note, [_crop_entry(k, frames[k], i, pictures.crops.get((k, i.box_xyxy))) for k, i in found])
+            (title, note, [_insert_entry(k, frames[k], i, crops.get((k, i.box_xyxy))) for k, i in found])
             for title, note, found in extremes
         ],
         removed_crops=[
-            (REASONS.get(reason, reason), [_removed_entry(frames[c.frame], c, pictures) for c in found])
+            (_why(reason), [_removed_entry(c, frames[c.frame], crops.get((c.frame, c.window_xyxy))) for c in found])
             for reason, found in taken.items()
         ],
         filters=filters.all,
-        frames=[_frame_entry(k, frames[k], pictures.thumbnails.get(k), members[k]) for k in listed],
-        embedded=len(pictures.thumbnails),
+        frames=[_frame_entry(k, frames[k], thumbnails.get(k), members[k]) for k in listed],
+        embedded=len(thumbnails),
         script=script,
         script_digest=digest,
         **content,
@@ -94,6 +95,18 @@ def run_page(run: RunFacts) -> str:
 
 
 # ---- numbers
+
+
+def _why(reason: str) -> str:
+    return REASONS.get(reason, reason.replace("_", " "))
+
+
+def _grouped(found: Iterable[tuple[Key, int]]) -> dict[Key, list[int]]:
+    """Return the numbers of the frames by what was found in them, sorted by it."""
+    groups: dict[Key, list[int]] = {}
+    for key, frame in found:
+        groups.setdefault(key, []).append(frame)
+    return dict(sorted(groups.items()))
 
 
 def _tiles(run: RunFacts, filters: Filters) -> list[tuple[str, str, str]]:
@@ -118,13 +131,16 @@ def _tiles(run: RunFacts, filters: Filters) -> list[tuple[str, str, str]]:
 
 
 def _charts(frames: Sequence[FrameFacts], filters: Filters) -> list[Chart]:
+    inserts = [(i, k) for k, f in enumerate(frames) for i in f.inserts]
+    pitches = [(f.pitch_deg, k) for k, f in enumerate(frames)]
+    seen = [(100 * i.visibility, k) for i, k in inserts if i.visibility is not None]
     found = [
-        histogram(frames, lambda i: i.size_px, "Size: longer side of the box", filters, unit=" px"),
-        histogram(frames, lambda i: i.range_m, "Range: camera to object", filters, unit=" m"),
-        frame_histogram(frames, lambda f: f.pitch_deg, "Pitch of the camera below the horizon", filters, "°"),
-        histogram(frames, lambda i: i.change_grey, "Visible change of the picture, grey levels", filters),
-        histogram(frames, lambda i: i.signed_grey, "Contrast in grey levels, below 0 for darker", filters),
-        histogram(frames, lambda i: i.visibility, "Visible share of the object", filters, unit=" %", share=True),
+        histogram([(i.size_px, k) for i, k in inserts], "Size: longer side of the box", filters, " px"),
+        histogram([(i.range_m, k) for i, k in inserts], "Range: camera to object", filters, " m"),
+        histogram(pitches, "Pitch of the camera below the horizon", filters, "°", "frames"),
+        histogram([(i.change_grey, k) for i, k in inserts], "Visible change of the picture, grey levels", filters),
+        histogram([(i.signed_grey, k) for i, k in inserts], "Contrast in grey levels, below 0 for darker", filters),
+        histogram(seen, "Visible share of the object", filters, " %", edges=range(0, 101, 10)),
         position_map(frames, filters),
     ]
     return [c for c in found if c is not None]
@@ -132,12 +148,8 @@ def _charts(frames: Sequence[FrameFacts], filters: Filters) -> list[Chart]:
 
 def _share_groups(run: RunFacts, filters: Filters) -> list[tuple[str, list[Share]]]:
     def rows(key: Callable[[FrameFacts], str], what: str) -> list[Share]:
-        members: dict[str, list[int]] = {}
-        for k, f in enumerate(run.frames):
-            members.setdefault(key(f), []).append(k)
-        return shares(
-            [(name, len(m), f"{len(m)}", filters.add(f"{what}: {name}", m)) for name, m in sorted(members.items())]
-        )
+        members = _grouped((key(f), k) for k, f in enumerate(run.frames))
+        return shares([(name, len(m), f"{len(m)}", filters.add(f"{what}: {name}", m)) for name, m in members.items()])
 
     return [
         ("Frames by time of day", rows(lambda f: f.time_of_day or "unknown", "Time of day")),
@@ -148,14 +160,8 @@ def _share_groups(run: RunFacts, filters: Filters) -> list[tuple[str, list[Share
 
 def _class_rows(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
     after = run.counts.get("labels", {})
-    inserted: dict[str, list[int]] = {}
-    removed: dict[str, list[int]] = {}
-    for k, f in enumerate(run.frames):
-        for i in f.inserts:
-            inserted.setdefault(i.category, []).append(k)
-        for r in f.removed:
-            if not r.inserted:
-                removed.setdefault(r.category, []).append(k)
+    inserted = _grouped((i.category, k) for k, f in enumerate(run.frames) for i in f.inserts)
+    removed = _grouped((r.category, k) for k, f in enumerate(run.frames) for r in f.removed if not r.inserted)
     names = sorted({*after, *inserted, *removed})
     return [
         {
@@ -172,42 +178,30 @@ def _class_rows(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
 
 
 def _removed_rows(frames: Sequence[FrameFacts], filters: Filters) -> list[dict[str, Any]]:
-    members: dict[tuple[str, str], list[int]] = {}
-    for k, f in enumerate(frames):
-        for r in f.removed:
-            members.setdefault((r.reason, r.category), []).append(k)
+    members = _grouped(((r.reason, r.category), k) for k, f in enumerate(frames) for r in f.removed)
     return [
         {
-            "why": REASONS.get(reason, reason.replace("_", " ")),
+            "why": _why(reason),
             "category": category,
             "count": len(found),
-            "link": filters.add(f"Removed labels of {category}: {REASONS.get(reason, reason)}", found),
+            "link": filters.add(f"Removed labels of {category}: {_why(reason)}", found),
         }
-        for (reason, category), found in sorted(members.items())
+        for (reason, category), found in members.items()
     ]
 
 
 def _dropped_rows(frames: Sequence[FrameFacts], filters: Filters) -> list[Share]:
-    members: dict[str, list[int]] = {}
-    for k, f in enumerate(frames):
-        for reason in f.dropped:
-            members.setdefault(reason, []).append(k)
-    rows = []
-    for reason, found in sorted(members.items(), key=lambda m: (-len(m[1]), m[0])):
-        text = REASONS.get(reason, reason.replace("_", " "))
-        rows.append((text, len(found), str(len(found)), filters.add(f"Dropped objects: {text}", found)))
-    return shares(rows)
+    members = _grouped((reason, k) for k, f in enumerate(frames) for reason in f.dropped)
+    most_first = sorted(members.items(), key=lambda m: -len(m[1]))
+    return shares(
+        [(_why(r), len(m), str(len(m)), filters.add(f"Dropped objects: {_why(r)}", m)) for r, m in most_first]
+    )
 
 
 def _problem_groups(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
     """Return the problems by code, each with the first ones in words and the frames behind them."""
-    of_name: dict[str, list[int]] = {}
-    of_code: dict[str, list[int]] = {}
-    for k, f in enumerate(run.frames):
-        for name in (f.frame_id, *sorted(f.background)):
-            of_name.setdefault(name, []).append(k)
-        for code in sorted(f.warnings):
-            of_code.setdefault(code, []).append(k)
+    of_name = _grouped((name, k) for k, f in enumerate(run.frames) for name in (f.frame_id, *f.background))
+    of_code = _grouped((code, k) for k, f in enumerate(run.frames) for code in f.warnings)
     groups: dict[tuple[str, str], list[Problem]] = {}
     for p in run.problems:
         groups.setdefault((p.severity, p.code), []).append(p)
@@ -254,19 +248,15 @@ def _extremes(frames: Sequence[FrameFacts]) -> list[Extreme]:
     """Return (title, note, inserts with the numbers of their frames) of the inserts that are worth a look."""
     every = [(k, i) for k, f in enumerate(frames) for i in f.inserts]
 
-    def first(key: Callable[[InsertFacts], float | None], sign: int) -> list[tuple[int, InsertFacts]]:
+    def first(key: Callable[[InsertFacts], float | None], sign: int = 1) -> list[tuple[int, InsertFacts]]:
         known = [(sign * v, k, i) for k, i in every if (v := key(i)) is not None]
         return [(k, i) for _, k, i in sorted(known, key=lambda e: (e[0], e[1], e[2].box_xyxy))[:CROPS]]
 
     found: list[Extreme] = [
-        ("Smallest", "Can the object still be told from the background?", first(lambda i: i.size_px, 1)),
-        ("Faintest", "Smallest visible change of the picture.", first(lambda i: i.change_grey, 1)),
+        ("Smallest", "Can the object still be told from the background?", first(lambda i: i.size_px)),
+        ("Faintest", "Smallest visible change of the picture.", first(lambda i: i.change_grey)),
         ("Largest", "Do shape, edge and texture hold up?", first(lambda i: i.size_px, -1)),
-        (
-            "Most hidden",
-            "Smallest visible share: hidden by something in front, or cut by the frame.",
-            first(_hidden, 1),
-        ),
+        ("Most hidden", "Smallest visible share: hidden by something in front, or cut by the frame.", first(_hidden)),
     ]
     return [e for e in found if e[2]]
 
@@ -275,31 +265,14 @@ def _hidden(insert: InsertFacts) -> float | None:
     return insert.visibility if insert.visibility is not None and insert.visibility < 0.995 else None
 
 
-def _listed(count: int, always: Iterable[int]) -> list[int]:
-    """Return the numbers of the frames to list: all, or some spread over the run and those in `always`."""
-    if count <= LISTED:
-        return list(range(count))
-    return sorted({*_spread(count, LISTED), *always})
-
-
-def _spread(count: int, wanted: int) -> list[int]:
-    return list(range(count)) if count <= wanted else [(2 * k + 1) * count // (2 * wanted) for k in range(wanted)]
-
-
-@dataclass(frozen=True)
-class _Pictures:
-    """Pictures inside the page, by frame and by frame and box."""
-
-    thumbnails: Mapping[int, str]
-    crops: Mapping[tuple[int, Box], Crop]
-
-
-def _pictures(run: RunFacts, listed: Sequence[int], boxes: Sequence[tuple[int, Box]]) -> _Pictures:
-    """Read each picture once, and keep small ones only: `boxes` are the crops, (frame, box)."""
+def _pictures(
+    run: RunFacts, listed: Sequence[int], boxes: Sequence[tuple[int, Box]]
+) -> tuple[dict[int, str], dict[tuple[int, Box], Crop]]:
+    """Read each picture once; return thumbnails by frame, and crops by what `boxes` has: frame and box."""
     of_frame: dict[int, list[Box]] = {}
     for k, box in boxes:
         of_frame.setdefault(k, []).append(box)
-    shown = {listed[n] for n in _spread(len(listed), EMBEDDED)}
+    shown = {listed[n] for n in spread(len(listed), EMBEDDED)}
     thumbnails: dict[int, str] = {}
     crops: dict[tuple[int, Box], Crop] = {}
     for k in sorted(shown | of_frame.keys()):
@@ -309,33 +282,23 @@ def _pictures(run: RunFacts, listed: Sequence[int], boxes: Sequence[tuple[int, B
         if k in shown:
             thumbnails[k] = thumbnail(pixels)
         crops |= {(k, box): crop(pixels, box) for box in of_frame.get(k, ())}
-    return _Pictures(thumbnails, crops)
+    return thumbnails, crops
 
 
-def _crop_entry(number: int, frame: FrameFacts, insert: InsertFacts, picture: Crop | None) -> dict[str, Any]:
-    return {
-        "number": number,
-        "frame_id": frame.frame_id,
-        "picture": picture,
-        "boxes": [("", _rectangle(insert.box_xyxy))],
-        "text": describe_insert(insert),
-    }
+def _insert_entry(number: int, frame: FrameFacts, insert: InsertFacts, picture: Crop | None) -> dict[str, Any]:
+    boxes = [("", _rectangle(insert.box_xyxy))]
+    text = _describe(insert)
+    return {"number": number, "frame_id": frame.frame_id, "picture": picture, "boxes": boxes, "text": text}
 
 
-def _removed_entry(frame: FrameFacts, shown: RemovedCrop, pictures: _Pictures) -> dict[str, Any]:
+def _removed_entry(shown: RemovedCrop, frame: FrameFacts, picture: Crop | None) -> dict[str, Any]:
     boxes = [("lost", _rectangle(shown.box_xyxy))]
     _, _, width, height = boxes[0][1]
     text = f"{shown.label.category} {width:.0f} x {height:.0f} px, {100 * shown.label.covered_share:.0f} % covered"
     if shown.cover is not None:
         boxes.append(("", _rectangle(shown.cover.box_xyxy)))
-        text += f"; over it: {describe_insert(shown.cover)}"
-    return {
-        "number": shown.frame,
-        "frame_id": frame.frame_id,
-        "picture": pictures.crops.get((shown.frame, shown.window_xyxy)),
-        "boxes": boxes,
-        "text": text,
-    }
+        text += f"; over it: {_describe(shown.cover)}"
+    return {"number": shown.frame, "frame_id": frame.frame_id, "picture": picture, "boxes": boxes, "text": text}
 
 
 def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: Sequence[str]) -> dict[str, Any]:
@@ -345,7 +308,7 @@ def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: S
         *([] if frame.time_of_day is None else [frame.time_of_day]),
     ]
     dropped, removed = Counter(frame.dropped), Counter(r.category for r in frame.removed)
-    notes = [f"dropped: {n} {REASONS.get(why, why.replace('_', ' '))}" for why, n in sorted(dropped.items())]
+    notes = [f"dropped: {n} {_why(reason)}" for reason, n in sorted(dropped.items())]
     notes += [f"removed labels: {n} {category}" for category, n in sorted(removed.items())]
     notes += [f"warning {code}" for code in sorted(frame.warnings)]
     changes = [i.change_grey for i in frame.inserts if i.change_grey is not None]
@@ -358,7 +321,7 @@ def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: S
         "size_wh": frame.size_wh,
         "boxes": [_rectangle(i.box_xyxy) for i in frame.inserts[:SHOWN_INSERTS]],
         "facts": ", ".join(facts),
-        "inserts": [describe_insert(i) for i in frame.inserts[:SHOWN_INSERTS]],
+        "inserts": [_describe(i) for i in frame.inserts[:SHOWN_INSERTS]],
         "more": max(0, len(frame.inserts) - SHOWN_INSERTS),
         "notes": notes,
         "members": " ".join(members),
@@ -373,8 +336,7 @@ def _rectangle(box: Box) -> tuple[float, float, float, float]:
     return round(x0, 1), round(y0, 1), round(x1 - x0, 1), round(y1 - y0, 1)
 
 
-def describe_insert(insert: InsertFacts) -> str:
-    """Return class, size, range, contrast and visibility of an inserted object in words."""
+def _describe(insert: InsertFacts) -> str:
     _, _, width, height = _rectangle(insert.box_xyxy)
     parts = [f"{insert.category} {width:.0f} x {height:.0f} px"]
     if insert.range_m is not None:

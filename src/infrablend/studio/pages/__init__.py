@@ -8,7 +8,7 @@ from starlette.responses import RedirectResponse, Response
 
 from infrablend.errors import InfraBlendError
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages import compare, layout, losses, review, routes
+from infrablend.studio.pages import compare, layout, review, routes
 from infrablend.studio.session import Session
 
 
@@ -31,7 +31,7 @@ def add_pages(session: Session) -> None:
         @ui.page("/compare")
         def compare_page(request: Request) -> None:
             with layout.page_frame(session, request, "/compare", "Compare"):
-                compare.ComparePage(comparison).build()
+                compare.ComparePage(comparison)
 
 
 def _add_run_pages(session: Session, opened: OpenedRun) -> None:
@@ -40,12 +40,12 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
     @ui.page("/review")
     def review_page(request: Request) -> None:
         with layout.page_frame(session, request, "/review", "Review"):
-            review.build(opened, dict(request.query_params))
+            review.ReviewPage(opened, request.query_params)
 
     @ui.page("/losses")
     def losses_page(request: Request) -> None:
         with layout.page_frame(session, request, "/losses", "Lost labels"):
-            losses.build(opened)
+            layout.when_read(opened, lambda: review.show_losses(opened))
 
     further = session.request.results
 
@@ -88,6 +88,6 @@ def _add_tune_page(session: Session) -> None:
 
                 place.clear()
                 with place:
-                    tune.TunePage(tuning, pictures).build()
+                    tune.TunePage(tuning, pictures)
 
             ui.timer(0.01, fill, once=True)

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
 from urllib.parse import urlencode
 
 from nicegui import app, run, ui
 from nicegui.element import Element
-from nicegui.events import GenericEventArguments, KeyEventArguments
+from nicegui.events import KeyEventArguments
 from starlette.requests import Request
 from starlette.responses import Response
 
 from infrablend.errors import InfraBlendError
 from infrablend.studio.comparison import MEASURES, SORTS, Comparison, FramePair, PairView
 from infrablend.studio.frame_index import FrameRow
-from infrablend.studio.pages.layout import error_text, key_button, show_table, when_read
+from infrablend.studio.pages.layout import is_pressed, key_button, show_choice, show_error, show_table, when_read
 from infrablend.studio.pages.routes import KEEP, answered
 
 _SIDES = ("a", "b")
@@ -68,7 +69,6 @@ class PairList(Element, component="components/pair_list.js"):  # type: ignore[ca
     """The list of frames; it reads its lines from `source`."""
 
     def __init__(self, source: str) -> None:
-        """Show the lines at an address."""
         super().__init__()
         self._props.update(source=source, chosen=-1)
 
@@ -82,7 +82,6 @@ class Wipe(Element, component="components/wipe.js"):  # type: ignore[call-arg]
     """Two pictures with a divider."""
 
     def __init__(self, first: str, second: str, names: tuple[str, str]) -> None:
-        """Show the pictures at two addresses."""
         super().__init__()
         self._props.update(a=first, b=second, names=list(names))
 
@@ -91,16 +90,16 @@ class ComparePage:
     """The comparison in one browser tab."""
 
     def __init__(self, comparison: Comparison) -> None:
-        """Begin with the frames that differ most; those of recipes are known once they are drawn."""
+        """Build the page once all records are read.
+
+        The frames that differ most come first; those of recipes are known once they are drawn.
+        """
         self._comparison = comparison
         self._view = PairView(sort="difference" if comparison.runs else "id")
         self._shown: int | None = None
         self._wipe = True
         self._labels = {"boxes": True, "originals": False}
-
-    def build(self) -> None:
-        """Build the page once all records are read."""
-        self._wait_for(list(self._comparison.runs))
+        self._wait_for(list(comparison.runs))
 
     def _wait_for(self, runs: list[Any]) -> None:
         if runs:
@@ -133,24 +132,25 @@ class ComparePage:
         with ui.element("div").classes("studio-row"):
             if self._comparison.runs:
                 self._select("Frames", sides, self._view.side, "side")
-            self._select("Largest change first", dict(SORTS), self._view.sort, "sort")
+            self._select("Largest change first", SORTS, self._view.sort, "sort")
             text = ui.input("Name contains", on_change=lambda e: self._change(text=e.value or ""))
             text.props("dense outlined debounce=250").classes("w-full")
             ui.switch("Leave out equal pictures", on_change=lambda e: self._change(changed=e.value))
         self._list = PairList(self._source())
-        self._list.on("open", lambda e: self._opened(e))
+        self._list.on("open", lambda e: self._choose(int(e.args["n"])))
 
-    def _select(self, title: str, options: dict[str, str], value: str, name: str) -> None:
-        chosen = ui.select(options, label=title, value=value, on_change=lambda e: self._change(**{name: e.value}))
-        chosen.props(f'dense outlined options-dense aria-label="{title}"').classes("w-full")
+    def _select(self, title: str, options: Mapping[str, str], value: str, name: str) -> None:
+        show_choice(title, options, value, lambda v: self._change(**{name: v}), classes="w-full")
 
     def _build_switches(self) -> None:
         with ui.element("div").classes("studio-row"):
             key_button("Previous", lambda: self._list.run_method("step", -1), "P")
             key_button("Next", lambda: self._list.run_method("step", 1), "N")
-            ui.switch("Divider", value=self._wipe, on_change=lambda e: self._set_wipe(e.value)).tooltip("W")
+            divider = ui.switch("Divider", value=self._wipe).bind_value_to(self, "_wipe").tooltip("W")
+            divider.on_value_change(self._redraw)
             for name, title in (("boxes", "Boxes"), ("originals", "Original objects")):
-                ui.switch(title, value=self._labels[name], on_change=lambda e, n=name: self._set_label(n, e.value))
+                shown = ui.switch(title, value=self._labels[name]).bind_value_to(self._labels, name)
+                shown.on_value_change(self._redraw)
 
     def _source(self) -> str:
         return "/compare/pairs?" + urlencode(self._view.to_query())
@@ -158,17 +158,6 @@ class ComparePage:
     def _change(self, **fields: Any) -> None:
         self._view = replace(self._view, **fields)
         self._list.show(source=self._source())
-
-    def _set_wipe(self, on: bool) -> None:
-        self._wipe = on
-        self._redraw()
-
-    def _set_label(self, name: str, on: bool) -> None:
-        self._labels[name] = on
-        self._redraw()
-
-    def _opened(self, event: GenericEventArguments) -> None:
-        self._choose(int(event.args["n"]))
 
     def _choose(self, number: int) -> None:
         self._shown = number
@@ -188,7 +177,7 @@ class ComparePage:
         except InfraBlendError as error:
             self._place.clear()
             with self._place:
-                ui.label(error_text(error)).classes("studio-error").props("role=alert")
+                show_error(error)
             return
         if number != self._shown:
             return
@@ -225,11 +214,8 @@ class ComparePage:
         return f"/compare/{side}/picture/{number}.png?{urlencode(words)}"
 
     def _key(self, event: KeyEventArguments) -> None:
-        held = event.modifiers
-        if not event.action.keydown or held.ctrl or held.meta or held.alt:
-            return
         step = {"n": 1, "p": -1}.get(event.key.name.lower())
-        if step is not None:
+        if step is not None and is_pressed(event):
             self._list.run_method("step", step)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from nicegui import app, ui
+from nicegui.events import KeyEventArguments
 from starlette.requests import Request
 
 from infrablend.errors import InfraBlendError, format_problems
@@ -128,6 +129,21 @@ def show_table(head: Sequence[str], rows: Iterable[Sequence[str | tuple[str, str
                         names_row = not k and not head[0]
                         with ui.element("th" if names_row else "td").props("scope=row" if names_row else ""):
                             ui.label(cell) if isinstance(cell, str) else ui.link(*cell)
+
+
+def show_choice(
+    title: str, options: Mapping[str, str] | Sequence[str], value: str, on_choice: Callable[[str], None], *,
+    classes: str = "", dense: bool = True,
+) -> None:  # fmt: skip
+    """Show a list to choose from; `dense` brings the options closer together."""
+    made = ui.select(options, label=title, value=value, on_change=lambda e: on_choice(e.value))
+    made.props(f'dense outlined aria-label="{title}"' + (" options-dense" if dense else "")).classes(classes)
+
+
+def is_pressed(event: KeyEventArguments) -> bool:
+    """Return whether a key goes down, without others that give it another meaning."""
+    held = event.modifiers
+    return bool(event.action.keydown and not (held.ctrl or held.meta or held.alt))
 
 
 def key_button(text: str, on_click: Any, key: str) -> None:

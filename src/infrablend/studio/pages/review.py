@@ -1,35 +1,49 @@
-"""The review of a run: a grid of its frames, and one frame at a time by keyboard."""
+"""The review of a run: a grid of its frames, one frame at a time by keyboard, and the labels that were lost."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
 from nicegui import ui
 from nicegui.element import Element
-from nicegui.events import GenericEventArguments, KeyEventArguments
+from nicegui.events import KeyEventArguments
 
 from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.runs.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages.layout import error_text, key_button, tell, when_read
-from infrablend.studio.pages.routes import run_picture
+from infrablend.studio.pages.layout import (
+    error_text,
+    is_pressed,
+    key_button,
+    show_choice,
+    show_table,
+    tell,
+    when_read,
+)
 from infrablend.studio.verdicts import REASONS
 
 _WORDS = {"accept": "accepted", "reject": "rejected"}
 _LIMITS = {"size_px": "Size, px", "visibility": "Visible share", "contrast": "Contrast, grey levels"}
 _MOST_CROPS = 6
+_LOSSES = {
+    "covered": "covered completely by inserted objects",
+    "category": "its class is not kept (labels.keep_categories)",
+    "labels": "left out by the choice of labels.mode",
+}
+_MOST_LOSSES = 500
 
 
 class FrameGrid(Element, component="components/frame_grid.js"):  # type: ignore[call-arg]
     """The grid of frames; it reads its rows from `source`."""
 
     def __init__(self, source: str) -> None:
-        """Show the rows at an address."""
         super().__init__()
         self._props["source"] = source
 
@@ -39,45 +53,38 @@ class FrameGrid(Element, component="components/frame_grid.js"):  # type: ignore[
         self.update()
 
 
-def build(run: OpenedRun, query: Mapping[str, str]) -> None:
-    """Show the grid; `query` has the view, and `frame` the number of a frame to open."""
-    ReviewPage(run, View.from_query(query)).build(query.get("frame", ""))
-
-
 class ReviewPage:
     """The review in one browser tab."""
 
-    def __init__(self, run: OpenedRun, view: View) -> None:
-        """Begin with a view; nothing is built yet."""
+    def __init__(self, run: OpenedRun, query: Mapping[str, str]) -> None:
+        """Build the page; `query` has the view, and `frame` the number of a frame to open."""
         self._run = run
-        self._view = view
+        self._view = View.from_query(query)
         self._order: list[int] = []
         self._number: int | None = None
         self._shown: FrameRow | None = None
-        self._boxes = True
-        self._originals = False
+        self._labels = {"boxes": True, "originals": False}
+        self._switches: dict[str, ui.switch] = {}
         self._advance = True
-
-    def build(self, frame: str = "") -> None:
-        """Build the page; open the frame with this number."""
         self._list = ui.column().classes("w-full gap-2")
         with self._list:
             when_read(self._run, self._build_filters)
             self._counted = ui.label().props("role=status")
             self._count_frames()
             self._grid = FrameGrid(self._source())
-            self._grid.on("open", self._opened)
+            self._grid.on("open", lambda e: self._show(int(e.args["n"])))
         self._detail = ui.column().classes("w-full gap-2")
         self._detail.set_visibility(False)
         ui.keyboard(self._key, ignore=["input", "select", "textarea"])
+        frame = query.get("frame", "")
         if frame.isdecimal() and int(frame) < len(self._run.reading.ids):
             self._show(int(frame))
 
     # ---- the list
 
     def _build_filters(self) -> None:
-        rows, view = self._run.rows, self._view
-        classes = sorted({name for row in rows for name in row.classes})
+        view = self._view
+        classes = sorted({name for row in self._run.rows for name in row.classes})
         with ui.element("div").classes("studio-row"):
             sorts = {k: v for k, v in SORTS.items() if k != "disagreement" or self._run.evaluation is not None}
             self._select("Sort by", sorts, view.sort, "sort")
@@ -94,17 +101,13 @@ class ReviewPage:
             with ui.expansion("Limits").props("dense"), ui.element("div").classes("studio-row"):
                 for name, title in _LIMITS.items():
                     for end, word in enumerate(("least", "most")):
-                        box = ui.number(
-                            f"{title}, {word}", on_change=lambda e, n=name, k=end: self._limit(n, k, e.value)
-                        )
+                        box = ui.number(f"{title}, {word}")
+                        box.on_value_change(lambda e, n=name, k=end: self._limit(n, k, e.value))
                         box.props("dense outlined debounce=250").classes("w-44")
 
     def _select(self, title: str, options: Mapping[str, str], value: str, field: str) -> None:
-        chosen = ui.select(
-            dict(options), label=title, value=value if value in options else next(iter(options)),
-            on_change=lambda e: self._change(**{field: e.value}),
-        )  # fmt: skip
-        chosen.props(f'dense outlined options-dense aria-label="{title}"').classes("min-w-32")
+        value = value if value in options else next(iter(options))
+        show_choice(title, options, value, lambda v: self._change(**{field: v}), classes="min-w-32")
 
     def _limit(self, name: str, end: int, value: float | None) -> None:
         limits = {n: [low, high] for n, low, high in self._view.limits}
@@ -128,9 +131,6 @@ class ReviewPage:
             f"{len(self._order)} of {len(rows)} frames shown; {counts['accept']} accepted, {counts['reject']} rejected"
         )
 
-    def _opened(self, event: GenericEventArguments) -> None:
-        self._show(int(event.args["n"]))
-
     # ---- one frame
 
     def _show(self, number: int) -> None:
@@ -150,13 +150,13 @@ class ReviewPage:
         at = self._order.index(number) if number in self._order else None
         with ui.element("div").classes("studio-row"):
             key_button("All frames", self._back, "Esc")
-            key_button("Previous", lambda: self._step(-1), "\u2190")
-            key_button("Next", lambda: self._step(1), "\u2192")
+            key_button("Previous", partial(self._step, -1), "\u2190")
+            key_button("Next", partial(self._step, 1), "\u2192")
             ui.label("" if at is None else f"{at + 1} of {len(self._order)}").classes("faint")
-            ui.switch("Boxes", value=self._boxes, on_change=lambda e: self._draw_boxes(e.value)).tooltip("B")
-            shown = ui.switch("Original objects", value=self._originals)
-            shown.on_value_change(lambda e: self._draw_originals(e.value)).tooltip("O")
-            ui.switch("Next after a verdict", value=self._advance, on_change=lambda e: self._set_advance(e.value))
+            for name, title, key in (("boxes", "Boxes", "B"), ("originals", "Original objects", "O")):
+                self._switches[name] = ui.switch(title, value=self._labels[name]).tooltip(key)
+                self._switches[name].bind_value_to(self._labels, name).on_value_change(self._redraw)
+            ui.switch("Next after a verdict", value=self._advance).bind_value_to(self, "_advance")
         with ui.element("div").classes("frame-view"):
             with ui.element("div"):
                 self._picture = ui.element("img").classes("picture")
@@ -178,18 +178,18 @@ class ReviewPage:
         ui.html("<h2>Verdict</h2>", sanitize=False)
         verdict = self._run.review.of(row.id)
         word = "none yet" if verdict is None else _WORDS[verdict.word]
-        reason = f": {verdict.reason}" if verdict is not None and verdict.reason else ""
+        reason = f": {verdict.reason}" if verdict and verdict.reason else ""
         shown = ui.label(word + reason).classes("verdict").props("role=status")
         shown.props["data-verdict"] = "" if verdict is None else verdict.word
         shown.props["data-frame"] = row.id
         with ui.element("div").classes("studio-row"):
-            key_button("Accept", lambda: self._decide(Verdict("accept")), "A")
-            key_button("Reject", lambda: self._decide(Verdict("reject")), "R")
+            key_button("Accept", partial(self._decide, Verdict("accept")), "A")
+            key_button("Reject", partial(self._decide, Verdict("reject")), "R")
             key_button("Undo", self._undo, "U")
         ui.html("<h3>Reject because it is</h3>", sanitize=False)
         with ui.element("div").classes("studio-row"):
             for k, text in enumerate(REASONS, 1):
-                key_button(text, lambda t=text: self._decide(Verdict("reject", t)), str(k))
+                key_button(text, partial(self._decide, Verdict("reject", text)), str(k))
         own = ui.input("Another reason").props("dense outlined").classes("w-full mt-2")
         own.on("keydown.enter", lambda: self._decide(Verdict("reject", (own.value or "").strip())))
 
@@ -226,14 +226,13 @@ class ReviewPage:
                     crop.props["src"] = f"/run/crop/{self._number}/{k}.png?d={row.digest[:12]}"
 
     def _picture_address(self, number: int, row: FrameRow) -> str:
-        return (
-            f"/run/picture/{number}.png?d={row.digest[:12]}&boxes={int(self._boxes)}&originals={int(self._originals)}"
-        )
+        labels = {name: int(on) for name, on in self._labels.items()}
+        return f"/run/picture/{number}.png?" + urlencode({"d": row.digest[:12], **labels})
 
     def _explain(self, number: int) -> None:
         """Show in words why the picture of a frame cannot be shown."""
         try:
-            run_picture(self._run, number, self._boxes, self._originals)
+            self._run.picture(number, **self._labels)
         except InfraBlendError as error:
             self._problem.set_text(error_text(error))
             self._problem.set_visibility(True)
@@ -245,17 +244,12 @@ class ReviewPage:
         self._picture.props["src"] = self._picture_address(number, row)
         self._picture.update()
 
-    def _draw_boxes(self, on: bool) -> None:
-        self._boxes = on
+    def _redraw(self) -> None:
         if self._number is not None:
             self._set_picture(self._number, self._run.row(self._number))
 
-    def _draw_originals(self, on: bool) -> None:
-        self._originals = on
-        self._draw_boxes(self._boxes)
-
-    def _set_advance(self, on: bool) -> None:
-        self._advance = on
+    def _toggle(self, name: str) -> None:
+        self._switches[name].value = not self._labels[name]
 
     def _back(self) -> None:
         number, self._number = self._number, None
@@ -317,25 +311,45 @@ class ReviewPage:
         ui.notify(f"Undone: {frame_id}", timeout=900)
 
     def _key(self, event: KeyEventArguments) -> None:
-        held = event.modifiers
-        if not event.action.keydown or held.ctrl or held.meta or held.alt or self._number is None:
+        if not is_pressed(event) or self._number is None:
             return
-        name = event.key.name.lower() if len(event.key.name) == 1 else event.key.name
-        actions = {
-            "a": lambda: self._decide(Verdict("accept")),
-            "r": lambda: self._decide(Verdict("reject")),
+        actions: dict[str, Callable[[], None]] = {
+            "a": partial(self._decide, Verdict("accept")),
+            "r": partial(self._decide, Verdict("reject")),
             "u": self._undo,
-            "b": lambda: self._draw_boxes(not self._boxes),
-            "o": lambda: self._draw_originals(not self._originals),
-            "ArrowRight": lambda: self._step(1),
-            "ArrowLeft": lambda: self._step(-1),
-            "Escape": self._back,
+            "b": partial(self._toggle, "boxes"),
+            "o": partial(self._toggle, "originals"),
+            "arrowright": partial(self._step, 1),
+            "arrowleft": partial(self._step, -1),
+            "escape": self._back,
+            **{str(k): partial(self._decide, Verdict("reject", text)) for k, text in enumerate(REASONS, 1)},
         }
-        for k, text in enumerate(REASONS, 1):
-            actions[str(k)] = lambda t=text: self._decide(Verdict("reject", t))  # type: ignore[misc]
-        if name in actions:
-            actions[name]()
+        if (action := actions.get(event.key.name.lower())) is not None:
+            action()
 
 
 def _with_unit(value: float | None, unit: str) -> str | None:
     return None if value is None else f"{value:.1f} {unit}".replace(".0 ", " ")
+
+
+def show_losses(run: OpenedRun) -> None:
+    """Show the original objects that lost their labels, each with the reason and a link to its frame."""
+    found = [(n, row.id, loss) for n, row in enumerate(run.rows) for loss in row.removed]
+    ui.html("<h2>Original labels that the run removed</h2>", sanitize=False)
+    if not found:
+        ui.label("No original object lost its label.")
+        return
+    counts = Counter(str(loss.get("reason", "unknown")) for _, _, loss in found)
+    for reason, count in counts.most_common():
+        ui.label(f"{count} {_LOSSES.get(reason, reason)}")
+    show_table(("Frame", "Class", "Reason", "Covered"), [_loss_cells(*one) for one in found[:_MOST_LOSSES]])
+    if len(found) > _MOST_LOSSES:
+        ui.label(f"and {len(found) - _MOST_LOSSES} more; run.json and the records of the frames have all").classes(
+            "faint"
+        )
+
+
+def _loss_cells(number: int, frame_id: str, loss: Mapping[str, Any]) -> list[str | tuple[str, str]]:
+    reason, share = str(loss.get("reason", "")), loss.get("covered_share")
+    covered = f"{100 * share:.0f} %" if isinstance(share, int | float) else ""
+    return [(frame_id, f"/review?frame={number}"), str(loss.get("category", "")), _LOSSES.get(reason, reason), covered]

@@ -12,8 +12,7 @@ from starlette.responses import PlainTextResponse, Response
 
 from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.studio.frame_index import View
-from infrablend.studio.opened_run import OpenedRun, RunFrames
-from infrablend.studio.pictures import crop_picture, frame_picture
+from infrablend.studio.opened_run import OpenedRun
 
 KEEP = {"cache-control": "private, max-age=3600"}
 Pictures = OrderedDict[int, bytes]
@@ -45,21 +44,11 @@ def add_run_routes(run: OpenedRun) -> None:
 
     @app.get("/run/picture/{number}.png")
     def picture(number: int, boxes: bool = False, originals: bool = False) -> Response:
-        return answered(lambda: run_picture(run, number, boxes, originals), "image/png", KEEP)
+        return answered(lambda: run.picture(number, boxes=boxes, originals=originals), "image/png", KEEP)
 
     @app.get("/run/crop/{number}/{insert}.png")
     def crop(number: int, insert: int) -> Response:
-        return answered(lambda: crop_picture(run.layout, run.row(number), insert), "image/png", KEEP)
-
-
-def run_picture(run: RunFrames, number: int, boxes: bool, originals: bool) -> bytes:
-    """Return the PNG of a frame, with the labels of its inserts and of its original objects if they are asked for.
-
-    Raises:
-        DatasetError: There is no such frame, or it cannot be read.
-    """
-    row = run.row(number)
-    return frame_picture(run.layout, row, boxes=boxes, originals=run.labels.originals(row.image) if originals else ())
+        return answered(lambda: run.crop(number, insert), "image/png", KEEP)
 
 
 def answered(make: Callable[[], bytes], media_type: str, headers: dict[str, str]) -> Response:
@@ -79,6 +68,6 @@ def add_tune_routes() -> Pictures:
         data = pictures.get(number)
         if data is None:
             return PlainTextResponse("a picture that has been replaced by a newer one", 404)
-        return Response(data, media_type="image/png", headers={"cache-control": "private, max-age=3600"})
+        return Response(data, media_type="image/png", headers=KEEP)
 
     return pictures

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
-from infrablend.studio.pages.layout import error_text, show_picture
+from infrablend.report.preview import Rgb
+from infrablend.studio.pages.layout import error_text, show_choice, show_picture
 from infrablend.studio.pages.routes import Pictures
-from infrablend.studio.pictures import Rgb, to_png
+from infrablend.studio.pictures import to_png
 from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
 from infrablend.studio.tuning import Tuned, Tuning
 
@@ -41,7 +43,6 @@ class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
     """The picture, with a handle on each insert."""
 
     def __init__(self, alt: str) -> None:
-        """Show no picture yet."""
         super().__init__()
         self._props.update(source="", alt=alt, marks=[], size=[1, 1])
 
@@ -55,21 +56,17 @@ class TunePage:
     """The tuning in one browser tab."""
 
     def __init__(self, tuning: Tuning, pictures: Pictures) -> None:
-        """Begin with the recipe as it is, on the first background."""
+        """Build the page with the recipe as it is, on the first background, and ask for the first picture."""
         self._tuning, self._pictures = tuning, pictures
         self._recipe = tuning.recipe
         self._settings: dict[str, Any] = {}
         self._background: ImageRecord = tuning.backgrounds[0]
         self._filter = {"time": "", "text": "", "pitch": ""}
-        self._boxes = True
         self._tuned: Tuned | None = None
         self._wanted = 0
         self._busy = False
         self._wrong: dict[str, Any] = {}
         self._inputs: dict[str, Any] = {}
-
-    def build(self) -> None:
-        """Build the page, and ask for the first picture."""
         with ui.element("div").classes("tune-view"):
             with ui.element("section").props('aria-label="Backgrounds"').classes("studio-card tune-backgrounds"):
                 self._build_backgrounds()
@@ -88,18 +85,13 @@ class TunePage:
             text = ui.input("Search").props("dense outlined debounce=200").classes("w-full")
             text.on_value_change(lambda e: self._filter_by(text=e.value or ""))
             times = {"": "Any time", "day": "Day", "night": "Night"}
-            chosen = ui.select(times, value="", label="Time of day").props('dense outlined aria-label="Time of day"')
-            chosen.on_value_change(lambda e: self._filter_by(time=e.value))
+            show_choice("Time of day", times, "", lambda v: self._filter_by(time=v), dense=False)
             pitches = sorted({i.capture.pitch_deg for i in images if i.capture.pitch_deg is not None})
             options = {"": "Any pitch", **{f"{p:g}": f"{p:g}\u00b0" for p in pitches}}
-            pitch = ui.select(options, value="", label="Pitch").props('dense outlined aria-label="Pitch"')
-            pitch.on_value_change(lambda e: self._filter_by(pitch=e.value))
-        columns = [
-            {"name": "id", "label": "Name", "field": "id", "align": "left", "sortable": True},
-            {"name": "pitch", "label": "Pitch", "field": "pitch", "sortable": True},
-            {"name": "height", "label": "Height", "field": "height", "sortable": True},
-            {"name": "time", "label": "Time", "field": "time", "sortable": True},
-        ]
+            show_choice("Pitch", options, "", lambda v: self._filter_by(pitch=v), dense=False)
+        names = {"id": "Name", "pitch": "Pitch", "height": "Height", "time": "Time"}
+        columns = [{"name": k, "label": v, "field": k, "sortable": True} for k, v in names.items()]
+        columns[0] |= {"align": "left"}
         self._table = ui.table(columns=columns, rows=self._rows(), row_key="n", selection="single")
         # The boxes of Quasar have no names.
         self._table.add_slot("header-selection", '<span class="unseen">Chosen</span>')
@@ -124,10 +116,7 @@ class TunePage:
             for n, i in enumerate(self._tuning.backgrounds)
             if chosen["text"].lower() in f"{i.split}/{i.id}".lower()
             and chosen["time"] in ("", i.capture.time_of_day)
-            and (
-                not chosen["pitch"]
-                or (i.capture.pitch_deg is not None and f"{i.capture.pitch_deg:g}" == chosen["pitch"])
-            )
+            and chosen["pitch"] in ("", "" if i.capture.pitch_deg is None else f"{i.capture.pitch_deg:g}")
         ]
 
     def _filter_by(self, **change: str) -> None:
@@ -151,10 +140,8 @@ class TunePage:
 
     def _build_picture(self) -> None:
         with ui.element("div").classes("studio-row"):
-            boxes = ui.switch("Boxes", value=True)
-            boxes.on_value_change(lambda e: self._show_boxes(e.value))
-            self._ground_switch = ui.switch("Ground and people of 1.7 m", value=False)
-            self._ground_switch.on_value_change(lambda _: self._show_picture())
+            self._boxes = ui.switch("Boxes", value=True, on_change=self._show_picture)
+            self._ground = ui.switch("Ground and people of 1.7 m", on_change=self._show_picture)
             self._state = ui.label("Starting the renderer...").classes("faint").props("role=status")
         self._image = Stage("The frame with the recipe as it is in the form")
         self._image.on("place", self._placed)
@@ -163,57 +150,48 @@ class TunePage:
         self._error.set_visibility(False)
         self._facts = ui.element("div").classes("tune-facts")
 
-    def _show_boxes(self, on: bool) -> None:
-        self._boxes = on
-        self._show_picture()
-
     def _show_picture(self) -> None:
         if self._tuned is None:
             return
-        tuned, ground = self._tuned, bool(self._ground_switch.value)
-        self._ground_switch.set_enabled(tuned.has_ground)
-        source = _address(self._pictures, tuned.picture(boxes=self._boxes, ground=ground))
+        tuned = self._tuned
+        self._ground.set_enabled(tuned.has_ground)
+        rgb = tuned.picture(boxes=bool(self._boxes.value), ground=bool(self._ground.value))
         height, width = tuned.trial.frame.pixels.shape[:2]
-        self._image.show(source, self._marks(tuned), (width, height))
+        self._image.show(_address(self._pictures, rgb), self._marks(), (width, height))
 
-    @staticmethod
-    def _marks(tuned: Tuned) -> list[dict[str, Any]]:
+    def _marks(self) -> list[dict[str, Any]]:
         """Return the handles: none where objects were left out, since the rest then have other numbers."""
-        scene = tuned.trial.frame.scene
-        if scene is None or not can_move(scene):
+        frame = None if self._tuned is None else self._tuned.trial.frame
+        if frame is None or frame.scene is None or not can_move(frame.scene):
             return []
         found = []
-        for label in sorted(tuned.trial.frame.inserted, key=lambda i: int(i.extra.get("object", 0))):
+        for label in sorted(frame.inserted, key=lambda i: int(i.extra.get("object", 0))):
             number = int(label.extra.get("object", 0))
             box = [round(float(v), 1) for v in label.box_xyxy]
-            found.append({"n": number, "name": label.category, "box": box, "origin": origin_px(scene, number)})
+            found.append({"n": number, "name": label.category, "box": box, "origin": origin_px(frame.scene, number)})
         return found
 
     def _placed(self, event: GenericEventArguments) -> None:
-        if self._tuned is None:
-            return
-        mark = self._marks(self._tuned)[int(event.args["k"])]
-        x, y = mark["origin"]
-        self._move(mark["n"], Move(float(event.args["x"]) - x, float(event.args["y"]) - y))
+        given, (x, y) = event.args, self._marks()[int(event.args["k"])]["origin"]
+        self._move(given, Move(float(given["x"]) - x, float(given["y"]) - y))
 
     def _adjusted(self, event: GenericEventArguments) -> None:
-        if self._tuned is None or self._tuned.trial.frame.scene is None:
-            return
         given = event.args
-        number = self._marks(self._tuned)[int(given["k"])]["n"]
-        if given.get("release"):
-            self._place_by_hand(released(self._settings.get("frames", {}), self._tuned.trial.frame.scene, number))
-            return
-        self._move(number, Move(float(given["dx"]), float(given["dy"]), float(given["turn"]), float(given["away"])))
+        move = None
+        if not given.get("release"):
+            move = Move(*(float(given[k]) for k in ("dx", "dy", "turn", "away")))
+        self._move(given, move)
 
-    def _move(self, number: int, move: Move) -> None:
-        tuned = self._tuned
+    def _move(self, given: Mapping[str, Any], move: Move | None) -> None:
+        """Move the insert that an event names, or have its place drawn again."""
+        tuned, frames = self._tuned, self._settings.get("frames", {})
         if tuned is None or tuned.trial.frame.scene is None:
             return
-        frames, stands = self._settings.get("frames", {}), tuned.stands(number)
-        self._place_by_hand(moved(frames, tuned.trial.frame.scene, number, move, stands=stands))
-
-    def _place_by_hand(self, frames: dict[str, Any]) -> None:
+        scene, number = tuned.trial.frame.scene, self._marks()[int(given["k"])]["n"]
+        if move is None:
+            frames = released(frames, scene, number)
+        else:
+            frames = moved(frames, scene, number, move, stands=tuned.stands(number))
         self._settings = {**self._settings, "frames": frames}
         self._request()
 
@@ -224,19 +202,17 @@ class TunePage:
                 with ui.element("div").classes("studio-card"):
                     if number < _MOST_CROPS:
                         with ui.element("div").classes("crops"):
-                            self._show_crop(tuned.crop(number), f"Insert {number + 1}, enlarged", "inserted")
-                            found = real[number]
+                            inserted, found = _address(self._pictures, tuned.crop(number)), real[number]
+                            show_picture(inserted, f"Insert {number + 1}, enlarged", "inserted")
                             if found is None:
                                 ui.label("This dataset has no real object of the class.").classes("faint")
                             else:
-                                self._show_crop(found, f"Real object most like insert {number + 1} in size", "real")
+                                alt = f"Real object most like insert {number + 1} in size"
+                                show_picture(_address(self._pictures, found), alt, "real")
                     for line in lines:
                         ui.label(line)
             for line in tuned.remarks():
                 ui.label(line)
-
-    def _show_crop(self, rgb: Rgb, alt: str, caption: str) -> None:
-        show_picture(_address(self._pictures, rgb), alt, caption)
 
     # ---- recipe
 
@@ -245,10 +221,7 @@ class TunePage:
         names = [*list_recipes()]
         if self._tuning.recipe not in names:
             names.insert(0, self._tuning.recipe)
-        chosen = ui.select(names, value=self._recipe, label="Start from").props(
-            'dense outlined aria-label="Start from"'
-        )
-        chosen.on_value_change(lambda e: self._start_from(e.value))
+        show_choice("Start from", names, self._recipe, self._start_from, dense=False)
         self._form = ui.element("div")
         self._fill_form()
         ui.html("<h3>Save</h3>", sanitize=False)
@@ -274,28 +247,30 @@ class TunePage:
     def _build_field(self, field: FormField) -> None:
         title = f"{field.title}, {field.unit}" if field.unit else field.title
         with ui.element("div").classes("tune-field"):
-            if field.kind == "switch":
-                made: Any = ui.switch(title, value=field.value)
-            elif field.kind == "choice":
-                words = list(dict.fromkeys([*field.choices, field.value]))
-                made = ui.select(words, value=field.value, label=title).props(f'dense outlined aria-label="{title}"')
-            elif field.kind == "range":
+            if field.kind == "range":
                 self._build_range(field, title)
-                return
-            elif field.kind == "yaml":
-                made = ui.input(title, value=field.shown).props("dense outlined debounce=500")
             else:
-                made = ui.number(title, value=field.value, min=field.low, max=field.high)
-                made.props("dense outlined debounce=150")
-                if field.low is not None and field.high is not None and field.high - field.low <= _SLIDER_SPAN:
-                    step = 1 if field.kind == "whole" else (field.high - field.low) / 100
-                    slider = ui.slider(min=field.low, max=field.high, step=step, value=field.value)
-                    slider.props(f'aria-label="{title}"').bind_value(made, "value")
-            made.classes("w-full")
-            self._inputs[field.key] = made
-            made.on_value_change(lambda e: self._set(field, e.value))
+                made = self._build_input(field, title).classes("w-full")
+                self._inputs[field.key] = made
+                made.on_value_change(lambda e: self._set(field, e.value))
             if field.help:
                 ui.label(field.help).classes("faint tune-help")
+
+    @staticmethod
+    def _build_input(field: FormField, title: str) -> Any:
+        if field.kind == "switch":
+            return ui.switch(title, value=field.value)
+        if field.kind == "choice":
+            words = list(dict.fromkeys([*field.choices, field.value]))
+            return ui.select(words, value=field.value, label=title).props(f'dense outlined aria-label="{title}"')
+        if field.kind == "yaml":
+            return ui.input(title, value=field.shown).props("dense outlined debounce=500")
+        made = ui.number(title, value=field.value, min=field.low, max=field.high).props("dense outlined debounce=150")
+        if field.low is not None and field.high is not None and field.high - field.low <= _SLIDER_SPAN:
+            step = 1 if field.kind == "whole" else (field.high - field.low) / 100
+            slider = ui.slider(min=field.low, max=field.high, step=step, value=field.value)
+            slider.props(f'aria-label="{title}"').bind_value(made, "value")
+        return made
 
     def _build_range(self, field: FormField, title: str) -> None:
         values = list(field.value)
@@ -310,8 +285,6 @@ class TunePage:
                     self._set(field, list(values))
 
                 box.on_value_change(lambda e, c=change: c(e.value))
-        if field.help:
-            ui.label(field.help).classes("faint tune-help")
 
     def _set(self, field: FormField, given: Any) -> None:
         try:
@@ -347,12 +320,10 @@ class TunePage:
             return
         try:
             recipe = self._tuning.read(self._recipe, self._settings)
-            frame = self._tuned.trial.frame.id
-            command = await run.io_bound(self._tuning.save, recipe, Path(name), frame)
+            command = await run.io_bound(self._tuning.save, recipe, Path(name), self._tuned.trial.frame.id)
+            self._saved.set_text(f"Saved. This frame from the shell: {command}")
         except InfraBlendError as error:
             self._saved.set_text(error_text(error))
-            return
-        self._saved.set_text(f"Saved. This frame from the shell: {command}")
 
     # ---- drawing
 
