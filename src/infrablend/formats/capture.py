@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import datetime
 import io
 import re
 from collections import Counter
@@ -16,6 +15,7 @@ from infrablend.core.capture import FACTS, UNKNOWN, Capture
 from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import comma_of, delimiter_of, read_json, read_text
+from infrablend.formats.values import to_time
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _KEYS = ("file", "stem", "sequence")
@@ -76,6 +76,15 @@ class CaptureTable:
             path = PurePosixPath(name)
             known |= {name, str(path.with_suffix("")), path.name, path.stem}
         return sorted(k for k in self.rows if k not in known)
+
+    def remarks(self, root: Path, names: Iterable[str], sequences: Iterable[str | None] = ()) -> list[Problem]:
+        """Return a warning if rows match none of the relative paths and none of the sequences."""
+        unused = self.unused(names, sequences)
+        if not unused:
+            return []
+        found = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
+        expected = "a picture or sequence for each row"
+        return [Problem(root.name, "table-unused", found, expected, severity="warning")]
 
 
 @dataclass
@@ -233,7 +242,7 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
 
 def _read_cell(name: str, text: str) -> Any:
     """Return a fact; ValueError if the text is no such fact."""
-    if name == "captured" and not is_time(text):
+    if name == "captured" and to_time(text) is None:
         raise ValueError
     return FACTS[name].read(text.casefold() if name == "time_of_day" else text)
 
@@ -244,12 +253,3 @@ def fits_table(name: str, value: object) -> bool:
         return bool(_read_cell(name, str(value).strip()) == value)
     except (ValueError, OverflowError):
         return False
-
-
-def is_time(text: str) -> bool:
-    """Return whether a text is a date or time in ISO 8601."""
-    try:
-        datetime.datetime.fromisoformat(text)
-    except ValueError:
-        return False
-    return True

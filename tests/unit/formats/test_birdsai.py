@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from infrablend.core.dataset import Category, Dataset, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import birdsai, detection, yolo
+from infrablend.formats import birdsai, detection
 from infrablend.formats.reading import Reading
 from infrablend.formats.records import unlabelled_problems
 from tests.samples import picture
@@ -132,9 +132,6 @@ def test_various_folder_layouts(tmp_path: Path) -> None:
 
 
 def test_frames_in_another_format_are_not_claimed(tmp_path: Path) -> None:
-    d = birdsai.read(frames(tmp_path / "in", [0, 2], ROWS))
-    yolo.write(tmp_path / "out", d.images, d.categories)
-    assert detection.detect(tmp_path / "out").format == "yolo"
     picture(tmp_path / "bare" / f"{SEQ}_0000000001.jpg", 1)
     assert detection.detect(tmp_path / "bare").format == "birdsai"
     (tmp_path / "bare" / f"{SEQ}_0000000001.txt").write_text("0 0.5 0.5 0.1 0.1\n")

@@ -106,11 +106,11 @@ def test_form_without_pictures_uses_those_of_another_form(tiny: Path) -> None:
     assert d.notes["pictures_borrowed"] == {"normal_json/train": 2}
 
 
-def test_angles_a_hair_above_pi_are_kept(tiny: Path) -> None:
+def test_angles_a_hair_above_pi_are_kept(tiny: Path, tmp_path: Path) -> None:
     change(tiny, "rotate_json", "test", lambda t: t["annotations"][0]["bbox"].__setitem__(4, 3.141593))
     d = hit_uav.read(tiny, form="rotate_json")
-    text, _ = hit_uav.native_files(d.images, d.categories, forms=["rotate_json"], ids="source")
-    again = json.loads(text["rotate_json/annotations/test.json"])
+    hit_uav.write(tmp_path / "out", d.images, d.categories, forms=["rotate_json"], ids="source", pictures=False)
+    again = json.loads((tmp_path / "out" / "rotate_json" / "annotations" / "test.json").read_text())
     assert again["annotations"][0]["bbox"] == [320.0, 256.0, 70.0, 30.0, 3.141593]
 
 
