@@ -73,7 +73,7 @@ def detect(root: Path) -> Match:
     return Match(NAME, False, f"no file {_PATTERN} with a flight_key")
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Reading(Findings):
     """State of reading one dataset.
 
@@ -85,7 +85,7 @@ class _Reading(Findings):
         poses: Poses by flight and frame.
     """
 
-    pictures: PictureFolder = field(default_factory=lambda: PictureFolder(Path(), {}, {}))
+    pictures: PictureFolder
     records: list[ImageRecord] = field(default_factory=list)
     species: set[str] = field(default_factory=set)
     listed: set[str] = field(default_factory=set)

@@ -260,6 +260,11 @@ def named_categories(names: Iterable[str]) -> tuple[Category, ...]:
     return tuple(Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names))
 
 
+def numbered_from_one(categories: Iterable[Category]) -> list[Category]:
+    """Return the categories in the order of their ids, numbered from 1."""
+    return [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
+
+
 def category_ids(categories: Iterable[Category]) -> dict[str, int]:
     """Return the native id per category name; ValueError if a name or an id occurs twice."""
     ids: dict[str, int] = {}

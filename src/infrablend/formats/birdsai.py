@@ -38,7 +38,7 @@ from infrablend.formats.box_checks import edges_of_xywh, snap_edges
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
-from infrablend.formats.values import number_text, to_floats, to_int
+from infrablend.formats.values import csv_text, number_text, to_floats, to_int
 
 NAME = "birdsai"
 OPTIONS = {
@@ -145,7 +145,7 @@ def detect(root: Path) -> Match:
 # -- reading ---------------------------------------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Reading(Findings):
     """Options of the reader, and what it found so far.
 
@@ -156,8 +156,8 @@ class _Reading(Findings):
         shifted: Number of rows with a picture for each offset of the frame numbers.
     """
 
-    by_class: bool = False
-    drop_noise: bool = False
+    by_class: bool
+    drop_noise: bool
     names: Mapping[int, str] = field(default_factory=dict)
     shifted: Counter[int] = field(default_factory=Counter)
 
@@ -462,14 +462,8 @@ def write(
         ("metadata.csv", ("file", "pitch_deg", "altitude_m", "time_of_day"), known),
         (_SPECIES_FILE, _SPECIES_COLUMNS, further),
     )
-    files += [write_text(out / name, _csv_text(head, rows)) for name, head, rows in tables if rows]
+    files += [write_text(out / name, csv_text(head, rows)) for name, head, rows in tables if rows]
     return Written.of(files, losses)
-
-
-def _csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([head, *rows])
-    return text.getvalue()
 
 
 def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int]]:

@@ -55,6 +55,12 @@ def find_table(root: Path) -> Path | None:
     return next((root / n for n in TABLE_NAMES if (root / n).is_file()), None)
 
 
+def _keys(name: str) -> tuple[str, ...]:
+    """Return the keys of a relative path: itself, without suffix, the file name, the stem."""
+    path = PurePosixPath(name)
+    return name, str(path.with_suffix("")), path.name, path.stem
+
+
 @dataclass(frozen=True)
 class CaptureTable:
     """A table of captures by file path, file name, stem or sequence."""
@@ -65,16 +71,11 @@ class CaptureTable:
 
     def find(self, name: str) -> Capture | None:
         """Return the row for a relative path: by the path, else by the file name, else by the stem."""
-        path = PurePosixPath(name)
-        keys = (name, str(path.with_suffix("")), path.name, path.stem)
-        return next((self.rows[k] for k in keys if k in self.rows), None)
+        return next((self.rows[k] for k in _keys(name) if k in self.rows), None)
 
     def unused(self, names: Iterable[str], sequences: Iterable[str | None] = ()) -> list[str]:
         """Return the keys that match none of the relative paths and none of the sequences."""
-        known = {k for k in sequences if k is not None}
-        for name in names:
-            path = PurePosixPath(name)
-            known |= {name, str(path.with_suffix("")), path.name, path.stem}
+        known = {k for name in names for k in _keys(name)} | {*sequences}
         return sorted(k for k in self.rows if k not in known)
 
     def remarks(self, root: Path, names: Iterable[str], sequences: Iterable[str | None] = ()) -> list[Problem]:

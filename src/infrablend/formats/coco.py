@@ -42,6 +42,7 @@ from infrablend.formats.base import (
     in_order,
     is_ignored_name,
     number_ids,
+    numbered_from_one,
     require_known,
     require_size,
     shorten,
@@ -101,7 +102,7 @@ def write(
     pictures: bool = False,
     from_one: bool = False,
 ) -> Written:
-    """Write one file per split that has images, see `coco_files`; `from_one` numbers the categories from 1.
+    """Write one file per split that has images, see `coco_chunks`; `from_one` numbers the categories from 1.
 
     With `pictures`, the files are `out/annotations/instances_<split>.json`, and the pictures are hard-linked (copied
     where that is impossible) to `out/images/<split>/`. Without, the files are `out/<split>.json`; readers then expect
@@ -113,7 +114,7 @@ def write(
     """
     ordered = in_order(images)
     if from_one:
-        categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
+        categories = numbered_from_one(categories)
     losses: Counter[str] = Counter()
     texts = coco_chunks(ordered, categories, losses, ids=ids, without_mask=without_mask, info=info)
     prefix = "annotations/instances_" if pictures else ""
@@ -135,8 +136,8 @@ def coco_chunks(
     """Return the texts of the files `<split>.json` in pieces, by name; equal records give equal bytes.
 
     `file_name` is `ImageRecord.name`, relative to the split's picture folder. Pictures with a number in their sequence
-    get COCO's fields of videos. Categories keep their ids. A category to
-    ignore gets `"ignore": 1`, and its annotations get `"iscrowd": 1`.
+    get COCO's fields of videos. Categories keep their ids. A category to ignore gets `"ignore": 1`, and its annotations
+    get `"iscrowd": 1`.
 
     Args:
         images: Images with known `size_wh`.

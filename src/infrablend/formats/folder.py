@@ -90,13 +90,9 @@ def read(
 ) -> Dataset:
     """Read a folder of pictures. Nothing is decoded; sizes are read only where labels need them.
 
-    Args:
-        root: The folder; subfolders are entered.
-        splits: The splits wanted; without `train`, `val`, `test` subfolders everything is train.
-        metadata: Table of pitch and altitude (`capture.read_table`); None takes `metadata.csv` or `.json` in the
-            folder, if there. Names in HIT-UAV's grammar give pitch and altitude, too; the table counts more.
-        labels: `auto` reads one COCO file if there is one, else text files; `none` ignores labels.
-        task: What YOLO lines of nine numbers are, see `yolo.build_records`.
+    Without subfolders `train`, `val`, `test` everything is train. Names in HIT-UAV's grammar give pitch and altitude,
+    too; the table counts more. With `labels` auto, one COCO file is read if there is one, else text files. `task` says
+    what YOLO lines of nine numbers are, see `yolo.build_records`.
 
     Raises:
         DatasetError: No picture, or the labels asked for are not there.

@@ -373,7 +373,7 @@ def find_label(path: Path, root: Path) -> Path | None:
             candidates.append(root.joinpath(*parts[:k], "labels", *parts[k + 1 :]).with_suffix(".txt"))
             break
     candidates.append((root / "labels" / relative).with_suffix(".txt"))
-    return next((c for c in candidates if c.is_file() and c.name not in ("classes.txt",)), None)
+    return next((c for c in candidates if c.is_file() and c.name != "classes.txt"), None)
 
 
 def _real_labels(path: Path, where: str) -> LabelLines | None:
@@ -549,16 +549,12 @@ def class_names(value: object, where: str) -> dict[int, str]:
     Raises:
         DatasetError: It is neither.
     """
-    names = _numbered(value)
+    names = {k: str(v) for k, v in _by_number(value).items()}
     empty = isinstance(value, dict | list) and not value
     if (not names and not empty) or len(set(names.values())) != len(names):
         problem = Problem(where, "names", f"names: {value!r}"[:120], "a list, or numbers with one name each")
         raise DatasetError(f"{where}: no class names", [problem])
     return dict(sorted(names.items()))
-
-
-def _numbered(value: object) -> dict[int, str]:
-    return {k: str(v) for k, v in _by_number(value).items()}
 
 
 def _by_number(value: object) -> dict[int, Any]:

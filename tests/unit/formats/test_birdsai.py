@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.core.dataset import Category, Dataset, Instance
+from infrablend.core.dataset import Category, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats import birdsai, detection
 from infrablend.formats.reading import Reading
 from infrablend.formats.records import unlabelled_problems
-from tests.samples import picture
+from tests.samples import codes, picture
 
 SEQ = "0000000067_0000000025"
 
@@ -29,10 +29,6 @@ def frames(root: Path, numbers: list[int], table: str | None, split: str = "Trai
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(table)
     return root
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 ROWS = (

@@ -13,10 +13,11 @@ from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import Category, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
 from infrablend.formats import hit_uav
 from infrablend.formats.capture import facts_from_name
+from tests.samples import codes
 
 
 @pytest.fixture
@@ -31,10 +32,6 @@ def change(root: Path, form: str, split: str, edit: Any) -> None:
     top = json.loads(path.read_text())
     edit(top)
     path.write_text(json.dumps(top))
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 def test_worked_example_of_the_paper_data() -> None:

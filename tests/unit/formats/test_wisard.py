@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, wisard
 from infrablend.formats.reading import Reading
-from tests.samples import picture
+from tests.samples import codes, picture
 
 IR, FLIR, VIS = (
     "210529_Carnation_Enterprise_IR_0024",
@@ -27,10 +26,6 @@ def frame(root: Path, clip: str, name: str, label: str | None, size_wh: tuple[in
     if label is not None:
         path.with_suffix(".txt").write_text(label)
     return path
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 def test_missing_and_empty_labels_are_not_the_same(tmp_path: Path) -> None:

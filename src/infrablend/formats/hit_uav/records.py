@@ -57,11 +57,11 @@ class FormPicture:
     objects: list[FormObject] = field(default_factory=list)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class FormData(Findings):
     """Everything that one form states; `counts` has its `files`."""
 
-    form: Form = "normal_json"
+    form: Form
     pictures: dict[str, FormPicture] = field(default_factory=dict)
     categories: list[Category] = field(default_factory=list)
     extra: dict[str, Any] = field(default_factory=dict)

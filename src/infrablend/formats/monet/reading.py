@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Split
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
@@ -35,13 +35,13 @@ from infrablend.formats.values import to_int
 _COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Reading(Findings):
     """What is known while a dataset is read: also its pictures, options, and the categories found so far."""
 
-    listing: Pictures = field(default_factory=lambda: Pictures(Path()))
-    options: MonetOptions = field(default_factory=lambda: check_options(Path(), {}))
-    splits: Sequence[Split] = SPLITS
+    listing: Pictures
+    options: MonetOptions
+    splits: Sequence[Split]
     seen: set[str] = field(default_factory=set)
     categories: list[Category] = field(default_factory=list)
 
@@ -59,12 +59,7 @@ def read(
     which most frames look down. Sequences without any pitch are left out, as in the paper; single frames without
     pitch are kept with pitch None. `notes` counts both.
 
-    Args:
-        root: Folder of the dataset, or of one of its splits.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude that overrides the telemetry; None uses `metadata.csv` or `.json` in
-            the folder, if it exists.
-        **options: Options as text, described in `OPTIONS`.
+    `root` may be the folder of one split. A table overrides the telemetry. The options are described in `OPTIONS`.
 
     Raises:
         DatasetError: There is no annotation file, nothing to read, no telemetry, a file in which more than half of

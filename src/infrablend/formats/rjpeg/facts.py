@@ -11,7 +11,7 @@ from pathlib import Path
 
 from infrablend.core.camera import is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.rjpeg.dji import has_raw_layer
+from infrablend.formats.rjpeg.dji import raw_segments
 from infrablend.formats.rjpeg.exif import Exif, read_exif
 from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, read_header
@@ -123,7 +123,7 @@ def read_facts(path: Path) -> CameraFacts:
     exif, xmp = read_exif(header), read_xmp(header)
     problems = [*exif.problems, *xmp.problems]
     record = _camera_record(header, problems)
-    raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if has_raw_layer(header) else ""
+    raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if raw_segments(header) else ""
     facts: dict[str, Fact] = {}
     for key in _NUMBERS:
         if (text := xmp.values.get(key)) and _as_number(text) is None:
