@@ -27,7 +27,7 @@ from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import sha256_of
 from infrablend.core.masks import Mask
 from infrablend.core.run_folder import ShardFiles
@@ -37,6 +37,11 @@ from infrablend.formats.shard_tar import TarWriter, label_text
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
 SIZE_WH = (64, 48)
+
+
+def codes(dataset: Dataset, severity: str = "error") -> list[str]:
+    """The codes of the problems of one severity, in order."""
+    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 def with_facts(item: Any, **facts: object) -> Any:

@@ -23,7 +23,9 @@ def test_every_format_has_a_sample() -> None:
 @pytest.mark.parametrize("name", sorted(SAMPLES))
 def test_a_sample_is_found_and_read_without_an_error(name: str, tmp_path: Path) -> None:
     root = SAMPLES[name](tmp_path / "data")
-    assert detection.detect(root).format == name.partition(":")[0]
+    found = detection.detect(root)
+    assert found.format == name.partition(":")[0]
+    assert list(found.reasons) == [f.name for f in FORMATS] and all(found.reasons.values())
     dataset = detection.read(root)
     assert [str(p) for p in dataset.problems if p.severity == "error"] == []
     counts = [len(i.instances) for i in dataset.images]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,22 @@ from infrablend.formats import yolo
 from infrablend.formats.box_checks import check_box, obb_from_corners
 from infrablend.formats.pictures import check_name
 from infrablend.formats.polygons import outline, rasterise
+from infrablend.formats.records import Findings
 
 SIZES = st.tuples(st.integers(16, 4096), st.integers(16, 4096))
 SHARES = st.floats(0, 1, allow_subnormal=False)
 
 
-def image(size_wh: tuple[int, int], instance: Instance) -> ImageRecord:
-    return ImageRecord("a", Path("a.png"), "train", size_wh, (instance,))
+def text(size_wh: tuple[int, int], instance: Instance, task: yolo.Task) -> str:
+    image = ImageRecord("a", Path("a.png"), "train", size_wh, (instance,))
+    return yolo.label_text(image, {"cow": 0}, task, Counter())
+
+
+def read(made: str, size_wh: tuple[int, int], task: yolo.Task) -> Instance:
+    found = Findings(Path())
+    (again,) = yolo._instances(found, yolo.parse_labels(made, "a.txt"), {0: "cow"}, size_wh, "a.txt", task)
+    assert task != "detect" or found.problems == []
+    return again
 
 
 @given(SIZES, SHARES, SHARES, SHARES, SHARES)
@@ -34,15 +44,11 @@ def test_yolo_boxes_come_back_within_a_millionth(
     if x1 - x0 < 1e-3 or y1 - y0 < 1e-3:
         return
     box = np.array([x0, y0, x1, y1])
-    made = yolo.detect_text(image(size_wh, Instance("cow", box)), {"cow": 0})
-    labels = yolo.parse_labels(made.text, "a.txt")
-    (again,), problems = yolo._instances(labels, {0: "cow"}, size_wh, "a.txt", "detect")
-    assert problems == []
+    made = text(size_wh, Instance("cow", box), "detect")
+    again = read(made, size_wh, "detect")
     np.testing.assert_allclose(again.box_xyxy, box, rtol=0, atol=1e-6)
-    second = yolo.detect_text(image(size_wh, again), {"cow": 0})
-    np.testing.assert_allclose(
-        [float(v) for v in second.text.split()], [float(v) for v in made.text.split()], rtol=0, atol=2e-10
-    )
+    second = text(size_wh, again, "detect")
+    np.testing.assert_allclose([float(v) for v in second.split()], [float(v) for v in made.split()], rtol=0, atol=2e-10)
 
 
 @given(SIZES, st.lists(SHARES, min_size=8, max_size=8))
@@ -52,8 +58,7 @@ def test_yolo_corners_come_back_within_a_millionth(size_wh: tuple[int, int], sha
     if (np.ptp(corners, axis=0) < 1e-3).any() or abs(area) < 1e-3:
         return
     box = np.concatenate([corners.min(axis=0), corners.max(axis=0)])
-    made = yolo.obb_text(image(size_wh, Instance("cow", box, corners)), {"cow": 0})
-    (again,), _ = yolo._instances(yolo.parse_labels(made.text, "a"), {0: "cow"}, size_wh, "a", "obb")
+    again = read(text(size_wh, Instance("cow", box, corners), "obb"), size_wh, "obb")
     assert again.corners_xy is not None
     # Corners are clockwise on screen, from the first one on.
     clockwise = corners if area > 0 else corners[[0, 3, 2, 1]]

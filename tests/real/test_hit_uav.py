@@ -80,27 +80,27 @@ def test_normal_json_boxes_are_unchanged(real_data: Path) -> None:
 def test_written_and_read_again_it_is_equal(real_data: Path, form: hit_uav.Form, tmp_path: Path) -> None:
     d = hit_uav.read(real_data / "hit-uav" / form)
     ids = "source" if form.endswith("_json") else "new"
-    texts, losses = hit_uav.native_files(d.images, d.categories, forms=[form], ids=ids, extra=d.extra)
-    assert not any(k.endswith("fraction_truncated") for k in losses)
-    hit_uav.write(tmp_path, d.images, d.categories, forms=[form], ids=ids, extra=d.extra)
+    written = hit_uav.write(tmp_path, d.images, d.categories, forms=[form], ids=ids, extra=d.extra)
+    assert not any(k.endswith("fraction_truncated") for k in written.losses)
     assert_equal(d, hit_uav.read(tmp_path / form))
     key = {"normal_json": "annotation", "rotate_json": "annotations"}.get(form)
-    for name, text in texts.items() if key else ():
-        ours, theirs = json.loads(text), json.loads((real_data / "hit-uav" / name).read_text())
+    for path in sorted((tmp_path / form / "annotations").glob("*.json")) if key else ():
+        theirs = json.loads((real_data / "hit-uav" / path.relative_to(tmp_path)).read_text())
+        ours = json.loads(path.read_text())
         assert list(ours) == list(theirs)
         for records in ("images", key):
             assert sorted(ours[records], key=lambda r: r["id"]) == sorted(theirs[records], key=lambda r: r["id"])
         assert ours["categories"] == theirs["categories"]
 
 
-def test_truncating_oriented_boxes_gives_the_normal_ones(real_data: Path) -> None:
+def test_truncating_oriented_boxes_gives_the_normal_ones(real_data: Path, tmp_path: Path) -> None:
     d = hit_uav.read(real_data / "hit-uav", form="rotate_json")
-    texts, losses = hit_uav.native_files(d.images, d.categories, forms=["normal_json"], ids="source")
-    for name, text in texts.items():
-        ours = {a["id"]: a["bbox"] for a in json.loads(text)["annotation"]}
-        top = json.loads((real_data / "hit-uav" / name).read_text())
+    written = hit_uav.write(tmp_path, d.images, d.categories, forms=["normal_json"], ids="source", pictures=False)
+    for path in written.files:
+        ours = {a["id"]: a["bbox"] for a in json.loads(path.read_text())["annotation"]}
+        top = json.loads((real_data / "hit-uav" / path.relative_to(tmp_path)).read_text())
         assert ours == {a["id"]: a["bbox"] for a in top["annotation"]}
-    assert losses["normal_json.fraction_truncated"] > 0
+    assert written.losses["normal_json.fraction_truncated"] > 0
 
 
 def test_yolo_keeps_boxes_to_a_millionth_of_a_pixel(real_data: Path, tmp_path: Path) -> None:

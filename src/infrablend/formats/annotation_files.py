@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import re
 import stat
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -107,7 +107,6 @@ def too_long(where: str, name: str, value: object) -> Problem | None:
 
 
 def _whole(path: Path) -> Any:
-    """Return the value of a small file."""
     with open_regular(path) as stream:
         data = stream.read(WHOLE_JSON + 1)
     if len(data) > WHOLE_JSON:
@@ -157,6 +156,15 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
         problems.append(Problem(where, "annotation-unreadable", found, expected, "replace or remove it"))
 
 
+def files_with(root: Path, pattern: str, is_ours: Callable[[bytes], bool], head_bytes: int) -> list[Path]:
+    """Return the files in a folder whose first bytes are those of a format, sorted; no links out of the folder."""
+    found = []
+    for path in sorted(p for p in root.glob(pattern) if not leaves_folder(p)):
+        with suppress(OSError), open_regular(path) as stream:
+            found += [path] if is_ours(stream.read(head_bytes)) else []
+    return found
+
+
 def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | None]:
     """Return the UTF-8 text of a file (a byte order mark is accepted), or an empty text and the problem."""
     try:
@@ -186,6 +194,12 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     except Exception as error:  # unknown encodings, nesting without end
         found, todo = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name), "fetch it again"
     return None, Problem(where, "annotation-not-xml", found, "an XML file with labels", todo)
+
+
+def child_text(element: Any, key: str) -> str | None:
+    """Return the text of an XML element's child without blanks around it; None without one."""
+    value = element.findtext(key)
+    return value.strip() if value is not None else None
 
 
 # -- CSV files of different countries ------------------------------------------------------------------------------

@@ -12,9 +12,8 @@ on the ground and look up.
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import repeat
 from pathlib import Path
 from typing import Any
@@ -23,13 +22,10 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_list
-from infrablend.errors import DatasetError, Problem
-from infrablend.formats import derived
-from infrablend.formats.annotation_files import read_json
-from infrablend.formats.base import Match, check_splits, require_options
-from infrablend.formats.box_checks import check_box
-from infrablend.formats.pictures import is_hidden, is_picture_name, read_size
-from infrablend.formats.records import make_dataset
+from infrablend.formats.base import Match, check_splits, option_error, require_options
+from infrablend.formats.box_checks import edges_of_xywh
+from infrablend.formats.pictures import is_hidden, is_picture_name
+from infrablend.formats.records import Findings
 from infrablend.formats.values import to_bool, to_floats
 
 NAME = "anti-uav"
@@ -60,10 +56,6 @@ class _Sequence:
     video: Path | None
     pictures: Path
 
-    @property
-    def name(self) -> str:
-        return self.folder.name
-
 
 def _sequences(root: Path) -> list[_Sequence]:
     """Return the sequences at most three folders below the dataset's, sorted by path."""
@@ -86,12 +78,13 @@ def _subfolders(folder: Path) -> list[Path]:
 def _in_folder(folder: Path) -> list[_Sequence]:
     found = []
     for kind in ("ir", "rgb"):
-        label = next((p for n in _LABELS[kind] if (p := folder / n).is_file() and not leaves_folder(p)), None)
-        if label is None:
-            continue
-        video = next((p for n in _VIDEOS[kind] if (p := folder / n).is_file() and not leaves_folder(p)), None)
-        pictures = next((p for n in _FOLDERS[kind] if (p := folder / n).is_dir()), folder)
-        found.append(_Sequence(folder, kind, label, video, pictures))
+        label, video = (
+            next((p for n in names[kind] if (p := folder / n).is_file() and not leaves_folder(p)), None)
+            for names in (_LABELS, _VIDEOS)
+        )
+        if label is not None:
+            pictures = next((p for n in _FOLDERS[kind] if (p := folder / n).is_dir()), folder)
+            found.append(_Sequence(folder, kind, label, video, pictures))
     return found
 
 
@@ -109,16 +102,6 @@ def detect(root: Path) -> Match:
     return Match(NAME, False, "no infrared.json, IR_label.json, visible.json or RGB_label.json with exist and gt_rect")
 
 
-@dataclass
-class _Reading:
-    """State of reading one dataset: its folder, problems, counts and step in frames (None for the usual ones)."""
-
-    root: Path
-    every: int | None
-    problems: list[Problem] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
-
-
 def read(
     root: Path,
     *,
@@ -129,29 +112,26 @@ def read(
 ) -> Dataset:
     """Read frames and boxes of all sequences.
 
-    Args:
-        root: Folder of splits, or of sequences; sequences outside the folders of splits are train.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude, by file or by sequence; None uses any `metadata.csv` or `.json`.
-        modality: `ir`, `rgb` or `both`; records of visible light have `modality` `visible` in their `extra`.
-        every: Step in frames. Frames of videos are PNG files in the cache folder.
+    Sequences outside the folders of splits are train. Records of visible light have `modality` `visible` in their
+    `extra`. Frames of videos are PNG files in the cache folder.
 
     Raises:
         DatasetError: An option has a wrong value, or no frame can be read.
         MissingDependencyError: The frames are in videos, and PyAV is not installed.
     """
     require_options(root, modality=(modality, ("ir", "rgb", "both")))
-    state = _Reading(root, step_of(root, every))
+    step = step_of(root, every)
+    found = Findings(root)
     wanted = check_splits(splits)
     records: list[ImageRecord] = []
     for sequence in _sequences(root):
         split = _split(sequence.folder.relative_to(root).parts[:-1])
         if split in wanted and modality in (sequence.kind, "both"):
-            state.counts["sequences"] += 1
-            records += _read_sequence(state, sequence, split)
+            found.counts["sequences"] += 1
+            records += _read_sequence(found, sequence, split, step)
     keys = ("sequences", "frames", "objects", "read", "absent", "hidden_boxes", "unlabelled", "without_picture")
-    notes = {"labels": NAME, "modality": modality, "rows": {k: state.counts[k] for k in keys}}
-    return make_dataset(root, NAME, records, CATEGORIES, state.problems, notes, metadata=metadata, splits=wanted)
+    notes = {"labels": NAME, "modality": modality, "rows": found.rows(*keys)}
+    return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
 
 
 def step_of(root: Path, every: str) -> int | None:
@@ -162,8 +142,7 @@ def step_of(root: Path, every: str) -> int | None:
     """
     text = str(every).strip()
     if text and not (text.isascii() and text.isdigit() and 0 < int(text) < 10**9):
-        problem = Problem("option every", "option-value", f"every={every}", "a positive number of frames")
-        raise DatasetError(f"{root}: an option has a value that is not allowed", [problem])
+        raise option_error(root, "every", every, "a positive number of frames")
     return int(text) if text else None
 
 
@@ -171,29 +150,29 @@ def _split(parts: Sequence[str]) -> Split:
     return next((_SPLITS[p.lower()] for p in parts if p.lower() in _SPLITS), "train")
 
 
-def _read_sequence(state: _Reading, sequence: _Sequence, split: Split) -> list[ImageRecord]:
-    where = sequence.label.relative_to(state.root).as_posix()
-    try:
-        top = read_json(sequence.label)
-    except DatasetError as error:
-        state.problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+def _read_sequence(found: Findings, sequence: _Sequence, split: Split, step: int | None) -> list[ImageRecord]:
+    where = found.place(sequence.label)
+    top = found.json(sequence.label)
+    if top is None:
         return []
-    boxes = top.get("gt_rect") if isinstance(top, dict) else None
-    exist = top.get("exist") if isinstance(top, dict) else None
+    boxes, exist = top.get("gt_rect"), top.get("exist")
     if not is_list(boxes) or not (exist is None or is_list(exist)):
         expected = "gt_rect, a list of boxes, and exist, a list of flags"
-        state.problems.append(Problem(where, "annotation-layout", "no list of boxes", expected, "fetch the file again"))
+        found.add(where, "annotation-layout", "no list of boxes", expected, "fetch the file again")
         return []
     if exist is not None and len(exist) != len(boxes):
-        found = f"{len(exist)} flags and {len(boxes)} boxes; frames after the shorter list are left out"
-        state.problems.append(Problem(where, "annotation-length", found, "one of each per frame", severity="warning"))
+        text = f"{len(exist)} flags and {len(boxes)} boxes; frames after the shorter list are left out"
+        found.warn(where, "annotation-length", text, "one of each per frame")
     labelled = len(boxes) if exist is None else min(len(boxes), len(exist))
-    frames, total = _frames(state, sequence, labelled)
-    state.counts["unlabelled"] += max(total - labelled, 0)
-    state.counts["without_picture"] += max(labelled - total, 0)
+    frames, total = _frames(found, sequence, labelled, step)
+    found.counts["unlabelled"] += max(total - labelled, 0)
+    found.counts["without_picture"] += max(labelled - total, 0)
     if total != labelled:
-        found = f"{labelled} label(s) for {total} frame(s); the frames or labels without the other are left out"
-        state.problems.append(Problem(where, "annotation-length", found, "a label per frame", severity="warning"))
+        text = f"{labelled} label(s) for {total} frame(s); the frames or labels without the other are left out"
+        found.warn(where, "annotation-length", text, "a label per frame")
+    date = _DATE.match(sequence.folder.name)
+    captured = "-".join(date.groups()) if date else None
+    extra = {"modality": "visible"} if sequence.kind == "rgb" else {}
     records: list[ImageRecord] = []
     size_wh: tuple[int, int] | None = None
     flags = repeat(None) if exist is None else exist
@@ -203,73 +182,51 @@ def _read_sequence(state: _Reading, sequence: _Sequence, split: Split) -> list[I
         path = frames[number]
         here = f"{where}: frame {number}"
         if sequence.video is None or size_wh is None:
-            size_wh, problem = read_size(path, here)
-            state.problems += [problem] if problem else []
+            size_wh = found.size(path, here)
         if size_wh is None:
             continue
-        state.counts["frames"] += 1
-        instances = _instance(state, box, flag, size_wh, here)
-        extra: dict[str, Any] = {"modality": "visible"} if sequence.kind == "rgb" else {}
-        date = _DATE.match(sequence.name)
-        name = f"{sequence.name}/{sequence.kind}/{path.name}"
-        records.append(
-            ImageRecord(
-                "",
-                path,
-                split,
-                size_wh,
-                instances,
-                capture=Capture(
-                    sequence=sequence.name, captured="-".join(date.groups()) if date else None, frame=number
-                ),
-                extra=extra,
-                file_name=name,
-            )
-        )
+        found.counts["frames"] += 1
+        instances = _instance(found, box, flag, size_wh, here)
+        capture = Capture(sequence=sequence.folder.name, captured=captured, frame=number)
+        name = f"{sequence.folder.name}/{sequence.kind}/{path.name}"
+        records.append(ImageRecord("", path, split, size_wh, instances, capture, extra=extra, file_name=name))
     return records
 
 
-def _frames(state: _Reading, sequence: _Sequence, labelled: int) -> tuple[Mapping[int, Path], int]:
+def _frames(
+    found: Findings, sequence: _Sequence, labelled: int, step: int | None
+) -> tuple[Mapping[int, Path], int]:  # fmt: skip
     """Return the frames to read by number, and the number of frames that the sequence has."""
     names = sorted(p for p in sequence.pictures.iterdir() if is_picture_name(p.name) and p.is_file())
     if names or sequence.video is None:
-        numbers = range(0, min(len(names), labelled), state.every or _PICTURE_STEP)
-        return {n: names[n] for n in numbers}, len(names)
-    where = sequence.video.relative_to(state.root).as_posix()
-    try:
-        numbers = range(0, labelled, state.every or _VIDEO_STEP)
-        frames, problems = derived.video_frames(sequence.video, numbers)
-    except DatasetError as error:
-        state.problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        return {n: names[n] for n in range(0, min(len(names), labelled), step or _PICTURE_STEP)}, len(names)
+    numbers = range(0, labelled, step or _VIDEO_STEP)
+    frames = found.video_frames(sequence.video, numbers)
+    if frames is None:
         return {}, 0
-    state.problems += [Problem(where, p.code, p.found, p.expected, p.todo, p.severity) for p in problems]
     lost = len(numbers) - len(frames)
     if lost:
-        found = f"{lost} of {len(numbers)} frame(s) that cannot be decoded, left out"
-        state.problems.append(Problem(where, "frames-lost", found, "an intact video", "fetch the file again"))
+        text = f"{lost} of {len(numbers)} frame(s) that cannot be decoded, left out"
+        found.add(found.place(sequence.video), "frames-lost", text, "an intact video", "fetch the file again")
     return frames, labelled
 
 
-def _instance(
-    state: _Reading, rect: Any, exist: Any, size_wh: tuple[int, int], where: str
-) -> tuple[Instance, ...]:  # fmt: skip
+def _instance(found: Findings, rect: Any, exist: Any, size_wh: tuple[int, int], where: str) -> tuple[Instance, ...]:
     """Return the drone of a frame; nothing where the flag or an empty box says that there is none."""
     numbers = to_floats(rect, 4)
     empty = rect in ([], None) or (numbers is not None and not any(numbers))
     flag = None if exist is None else to_bool(exist)
     if flag is False or (flag is None and empty and exist is None):
-        state.counts["absent"] += 1
-        state.counts["hidden_boxes"] += not empty
+        found.counts["absent"] += 1
+        found.counts["hidden_boxes"] += not empty
         return ()
-    state.counts["objects"] += 1
+    found.counts["objects"] += 1
     if numbers is None or empty or (flag is None and exist is not None):
-        found = f"flag {exist!r} and box {rect!r}"[:80]
-        state.problems.append(Problem(where, "annotation-layout", found, "flag 0 or 1 and x, y, width, height"))
+        text = f"flag {exist!r} and box {rect!r}"[:80]
+        found.add(where, "annotation-layout", text, "flag 0 or 1 and x, y, width, height")
         return ()
-    x, y, w, h = numbers
-    box, problem = check_box((x, y, x + w, y + h), size_wh, where)
-    state.problems += [problem] if problem else []
+    box = found.box(edges_of_xywh(numbers, None), size_wh, where)
     if box is None:
         return ()
-    state.counts["read"] += 1
+    found.counts["read"] += 1
     return (Instance(CATEGORIES[0].name, box, track_id=0),)

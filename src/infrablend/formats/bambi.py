@@ -11,9 +11,7 @@ otherwise. The visible-light twins are not read.
 
 from __future__ import annotations
 
-import datetime
 import re
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,14 +22,12 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_table
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import Problem
 from infrablend.formats import bambi_tracks
-from infrablend.formats.annotation_files import read_json
 from infrablend.formats.base import Match, check_splits, require_options
-from infrablend.formats.box_checks import check_box
-from infrablend.formats.pictures import PictureFolder, check_name, read_size
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
-from infrablend.formats.values import to_floats, to_int
+from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.values import iso_date, to_floats, to_int
 
 NAME = "bambi"
 OPTIONS = {
@@ -77,25 +73,19 @@ def detect(root: Path) -> Match:
     return Match(NAME, False, f"no file {_PATTERN} with a flight_key")
 
 
-@dataclass
-class _Reading:
+@dataclass(kw_only=True)
+class _Reading(Findings):
     """State of reading one dataset.
 
     Attributes:
-        root: Folder of the dataset.
         pictures: Thermal pictures.
-        problems: Problems found so far.
-        counts: Numbers of flights, frames and objects.
         records: Records of the frames in the wanted splits.
         species: Names of all species in the files.
         listed: Names of the pictures that a file lists.
         poses: Poses by flight and frame.
     """
 
-    root: Path
     pictures: PictureFolder
-    problems: list[Problem] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
     records: list[ImageRecord] = field(default_factory=list)
     species: set[str] = field(default_factory=set)
     listed: set[str] = field(default_factory=set)
@@ -122,13 +112,7 @@ def read(
 ) -> Dataset:
     """Read the thermal pictures and boxes of all flights in a folder.
 
-    Args:
-        root: Folder with the files of flights and the folder `thermal`.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude, by file or by flight (`sequence`); None uses any `metadata.csv` or
-            `.json`. Without one, the pitch is straight down.
-        unlabelled: Whether to `keep` or `drop` thermal pictures that no file lists. Kept ones are train.
-        frames: Frames of published flights to read: `key` or `all`.
+    Without a table or poses, the pitch is straight down. Kept pictures that no file lists are train.
 
     Raises:
         DatasetError: An option has a wrong value, or no picture can be read.
@@ -137,99 +121,87 @@ def read(
     require_options(root, unlabelled=(unlabelled, KEEP_OR_DROP), frames=(frames, ("key", "all")))
     wanted = check_splits(splits)
     if bambi_tracks.find_flight(root):
-        found = bambi_tracks.read_flights(root, wanted, key_frames=frames == "key")
-        notes = {"labels": NAME, "rows": found.rows()}
-        categories = bambi_tracks.categories(found.species)
-        return make_dataset(
-            root, NAME, found.records, categories, found.problems, notes, metadata=metadata, splits=wanted
-        )  # fmt: skip
-    state = _Reading(root, PictureFolder.scan(root / _PICTURES))
-    state.poses = bambi_tracks.all_poses(root, state.problems)
+        flights = bambi_tracks.read_flights(root, wanted, key_frames=frames == "key")
+        notes = {"labels": NAME, "rows": flights.rows(*bambi_tracks.COUNTS)}
+        categories = bambi_tracks.categories(flights.species)
+        return flights.dataset(NAME, flights.records, categories, notes, metadata=metadata, splits=wanted)
+    state = _Reading(root, pictures=PictureFolder.scan(root / _PICTURES))
+    state.poses = bambi_tracks.all_poses(state)
     for path in _flight_files(root):
         _read_flight(state, path, wanted)
     others = [name for name in state.pictures.by_name if name not in state.listed]
     state.counts["unlabelled"] = len(others)
     state.problems += unlabelled_problems(_PICTURES, len(others), unlabelled, "no entry in any file")
     for name in others if unlabelled == "keep" and "train" in wanted else ():
-        _add_unlabelled(state, name)
+        path = state.pictures.by_name[name]
+        size_wh = state.size(path, f"{_PICTURES}/{name}")
+        if size_wh is not None:
+            capture, unsaid = Capture(pitch_deg=STRAIGHT_DOWN_DEG), {"labelled": False}
+            state.records.append(
+                ImageRecord("", path, "train", size_wh, (), capture, extra=unsaid, file_name=name)
+            )  # fmt: skip
     names = [n for n in SPECIES.values() if n in state.species]
     names += sorted(state.species - set(names))
-    rows = {k: state.counts[k] for k in ("flights", "frames", "objects", "read", "no_animal", "unlabelled")}
     categories = [Category(k, n) for k, n in enumerate(names)]
+    rows = state.rows("flights", "frames", "objects", "read", "no_animal", "unlabelled")
     notes = {"labels": NAME, "rows": rows}
-    return make_dataset(root, NAME, state.records, categories, state.problems, notes, metadata=metadata, splits=wanted)
+    return state.dataset(NAME, state.records, categories, notes, metadata=metadata, splits=wanted)
 
 
 def _read_flight(state: _Reading, path: Path, wanted: tuple[Split, ...]) -> None:
-    """Add the frames of one file to the state."""
-    try:
-        top = read_json(path)
-    except DatasetError as error:
-        state.problems += [Problem(path.name, p.code, p.found, p.expected, p.todo) for p in error.problems]
+    top = state.json(path)
+    if top is None:
         return
-    frames = top.get("frames") if isinstance(top, dict) else None
-    split = next((s for s in SPLITS if isinstance(top, dict) and s == top.get("split")), None)
+    frames = top.get("frames")
+    split = next((s for s in SPLITS if s == top.get("split")), None)
     if not is_table(frames) or split is None:
         found = "no frames" if split is not None else "no split train, val or test"
         expected = "flight_key, split (train, val or test) and frames by number"
-        state.problems.append(Problem(path.name, "annotation-layout", found, expected, "fetch the file again"))
+        state.add(path.name, "annotation-layout", found, expected, "fetch the file again")
         return
     state.counts["flights"] += 1
     flight = _Flight(path.name, str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:])), split, _date(top))
     for number, frame in frames.items():
-        where = f"{path.name}: frame {number}"
         state.counts["frames"] += 1
-        record = _frame_record(state, flight, frame, where)
+        record = _frame_record(state, flight, frame, f"{path.name}: frame {number}")
         if record is not None and split in wanted:
             state.records.append(record)
 
 
 def _date(top: dict[str, Any]) -> str | None:
     """Return the date in the folder names of the flight's origin as ISO 8601; None if there is no valid date."""
-    for found in _DATE.finditer(str(top.get("flight_info"))):
-        try:
-            return datetime.date(int(found[1]), int(found[2]), int(found[3])).isoformat()
-        except ValueError:
-            continue
-    return None
+    dates = (iso_date(*found.groups()) for found in _DATE.finditer(str(top.get("flight_info"))))
+    return next((d for d in dates if d), None)
 
 
 def _frame_record(state: _Reading, flight: _Flight, frame: Any, where: str) -> ImageRecord | None:
     """Return the record of a frame, or None with a problem if its entry or picture cannot be used."""
-    name = frame.get("thermal_image") if isinstance(frame, dict) else None
-    given = frame.get("annotations") if isinstance(frame, dict) else None
-    problem = check_name(name, where)
+    entry = frame if isinstance(frame, dict) else {}
+    given, path = entry.get("annotations"), None
+    name, problem = str(entry.get("thermal_image")), check_name(entry.get("thermal_image"), where)
     if problem is None and not isinstance(given, list):
         expected = "a list of annotations"
         problem = Problem(where, "annotation-layout", "no list of annotations", expected, "fetch the file again")
     if problem is None:
-        name, path, problem = state.pictures.find(str(name), where)
+        name, path, problem = state.pictures.find(name, where)
         if problem is None and name in state.listed:
             problem = Problem(where, "image-duplicate", f"picture {name} again", "each picture once", "keep one entry")
         if problem is None and path is None:
             expected = f"the picture in {_PICTURES}"
             problem = Problem(where, "image-missing", f"no picture {name}", expected, "restore it")
         state.listed.add(name)
-        if problem is None and path is not None:
-            size_wh, problem = read_size(path, where)
-            if size_wh is not None:
-                instances = tuple(_instances(state, given, size_wh, where))
-                number = to_int(frame.get("frame_idx"))
-                pose = state.poses.get(flight.key, {}).get(-1 if number is None else number)
-                pitch, captured = (STRAIGHT_DOWN_DEG, None) if pose is None else (pose.pitch_deg, pose.captured)
-                return ImageRecord(
-                    "",
-                    path,
-                    flight.split,
-                    size_wh,
-                    instances,
-                    capture=Capture(
-                        pitch_deg=pitch, sequence=flight.key, captured=captured or flight.captured, frame=number
-                    ),
-                    file_name=name,
-                )
-    state.problems += [problem] if problem else []
-    return None
+    if problem is not None or path is None:
+        state.problems += [problem] if problem else []
+        return None
+    size_wh = state.size(path, where)
+    if size_wh is None:
+        return None
+    instances = tuple(_instances(state, given, size_wh, where))
+    number = to_int(entry.get("frame_idx"))
+    pose = state.poses.get(flight.key, {}).get(-1 if number is None else number)
+    pitch, captured = (STRAIGHT_DOWN_DEG, None) if pose is None else (pose.pitch_deg, pose.captured)
+    capture = Capture(pitch_deg=pitch, sequence=flight.key, captured=captured or flight.captured, frame=number)
+    return ImageRecord("", path, flight.split, size_wh, instances, capture, file_name=name)
 
 
 def _instances(state: _Reading, given: Any, size_wh: tuple[int, int], where: str) -> Iterator[Instance]:
@@ -243,10 +215,9 @@ def _instances(state: _Reading, given: Any, size_wh: tuple[int, int], where: str
         if not isinstance(species, str) or not species.strip() or edges is None:
             expected = "species, and bbox with x_min, y_min, x_max and y_max"
             found = "no species" if edges is not None else "no box of four numbers"
-            state.problems.append(Problem(here, "annotation-layout", found, expected, "correct the annotation"))
+            state.add(here, "annotation-layout", found, expected, "correct the annotation")
             continue
-        xyxy, problem = check_box(edges, size_wh, here)
-        state.problems += [problem] if problem else []
+        xyxy = state.box(edges, size_wh, here)
         if xyxy is None:
             continue
         wikidata = bambi_tracks.WIKIDATA.get(str(values.get("wikidata_id")))
@@ -259,22 +230,3 @@ def _instances(state: _Reading, given: Any, size_wh: tuple[int, int], where: str
         # Sex, age and visibility are codes without a published key, kept as they are.
         codes = {k: values[k] for k in ("gender", "age", "visibility") if to_int(values.get(k)) is not None}
         yield Instance(name, xyxy, source_id=to_int(values.get("label_id")), extra=codes)
-
-
-def _add_unlabelled(state: _Reading, name: str) -> None:
-    path = state.pictures.by_name[name]
-    size_wh, problem = read_size(path, f"{_PICTURES}/{name}")
-    state.problems += [problem] if problem else []
-    if size_wh is not None:
-        state.records.append(
-            ImageRecord(
-                "",
-                path,
-                "train",
-                size_wh,
-                (),
-                capture=Capture(pitch_deg=STRAIGHT_DOWN_DEG),
-                extra={"labelled": False},
-                file_name=name,
-            )
-        )

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -23,12 +22,11 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_list
-from infrablend.errors import DatasetError, Problem
-from infrablend.formats import derived
-from infrablend.formats.annotation_files import read_json, read_text
-from infrablend.formats.box_checks import check_box, snap
-from infrablend.formats.pictures import is_picture_name, list_pictures, read_size
-from infrablend.formats.values import to_floats, to_int
+from infrablend.errors import DatasetError
+from infrablend.formats.box_checks import edges_of_shares, edges_of_xywh, snap_edges
+from infrablend.formats.pictures import is_picture_name, list_pictures
+from infrablend.formats.records import Findings
+from infrablend.formats.values import to_floats, to_int, to_number, to_time
 from infrablend.formats.video import Video
 from infrablend.formats.yolo import parse_labels
 
@@ -48,6 +46,7 @@ WIKIDATA = {
 _TRACKS, _POSES, _METADATA, _VIDEO = "_gt.txt", "_matched_poses.json", "_metadata.json", "_matched_processed.mp4"
 _PICTURE = re.compile(r"(\d{1,6})(?:_matched_processed)?_(\d{1,9})", re.ASCII)
 _PICTURE_FOLDERS = ("thermal", "frames/thermal")
+COUNTS = ("flights", "frames", "objects", "read", "no_animal", "interpolated_frames", "without_pose")
 _COLUMNS = "frame, track_id, bb_left, bb_top, bb_width, bb_height, conf, class_id, visibility, species, ..."
 
 
@@ -93,23 +92,11 @@ def species_of(number: int) -> str | None:
 
 
 @dataclass
-class Flights:
+class Flights(Findings):
     """Result of reading flights: records, problems, counts and the species of all objects."""
 
-    root: Path
     records: list[ImageRecord] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
     species: set[str] = field(default_factory=set)
-
-    def rows(self) -> dict[str, int]:
-        """Return the counts for `Dataset.notes`."""
-        keys = ("flights", "frames", "objects", "read", "no_animal", "interpolated_frames", "without_pose")
-        return {k: self.counts[k] for k in keys}
-
-    def where(self, path: Path) -> str:
-        """Return the name of a file in problems."""
-        return path.relative_to(self.root).as_posix()
 
 
 @dataclass(frozen=True)
@@ -122,8 +109,6 @@ class Pose:
 
 @dataclass(frozen=True)
 class _Row:
-    """One box of a flight."""
-
     where: str
     track: int
     xywh: tuple[float, ...]
@@ -170,51 +155,34 @@ def _read_tracks(
         text = f"no picture for {len(missing)} of {len(chosen)} annotated frame(s)"
         expected = f"{flight}{_VIDEO} beside it, or pictures such as thermal/{flight}_{missing[0]}.png"
         todo = "fetch the flight with its video, not only its annotations"
-        found.problems.append(Problem(found.where(path), "image-missing", text, expected, todo))
+        found.add(found.place(path), "image-missing", text, expected, todo)
     for number, picture in sorted(pictures.items()):
-        size_wh, problem = read_size(picture, f"{found.where(path)}: frame {number}")
-        found.problems += [problem] if problem else []
-        if size_wh is None:
-            continue
-        animals = [r for r in chosen[number] if r.species != NO_ANIMAL]
-        instances = tuple(o for r in animals if (o := _instance(found, r, size_wh)) is not None)
-        _add(found, picture, split, size_wh, flight, number, instances, of_frame.get(number), start)
+        size_wh = found.size(picture, f"{found.place(path)}: frame {number}")
+        if size_wh is not None:
+            animals = [r for r in chosen[number] if r.species != NO_ANIMAL]
+            instances = tuple(o for r in animals if (o := _instance(found, r, size_wh)) is not None)
+            _add(found, picture, split, size_wh, flight, number, instances, of_frame.get(number), start)
 
 
-def _facts(found: Flights, path: Path) -> tuple[Split, str | None]:
+def _facts(found: Flights, path: Path) -> tuple[Split, datetime | None]:
     """Return the split and the start of a flight from its metadata; train and None without."""
     if not path.is_file():
         return "train", None
-    try:
-        top = read_json(path)
-    except DatasetError as error:
-        found.problems += [Problem(found.where(path), p.code, p.found, p.expected, p.todo) for p in error.problems]
+    top = found.json(path)
+    if top is None:
         return "train", None
-    top = top if isinstance(top, dict) else {}
     info = top.get("flight_info")
-    start = info.get("start_time") if isinstance(info, dict) else None
-    return next((s for s in SPLITS if s == top.get("split")), "train"), _time(start)
-
-
-def _time(value: object) -> str | None:
-    """Return a text if it is a time in ISO 8601, else None."""
-    try:
-        return datetime.fromisoformat(str(value)).isoformat() if isinstance(value, str) else None
-    except ValueError:
-        return None
+    start = to_time(info.get("start_time")) if isinstance(info, dict) else None
+    return next((s for s in SPLITS if s == top.get("split")), "train"), start
 
 
 def _rows(found: Flights, path: Path) -> dict[int, list[_Row]]:
-    """Return the boxes of a flight by frame."""
-    where = found.where(path)
-    text, problem = read_text(path, where, "a table of tracks")
-    if problem is not None:
-        found.problems.append(problem)
+    where = found.place(path)
     frames: dict[int, list[_Row]] = defaultdict(list)
     try:
-        lines = list(csv.reader(io.StringIO(text, newline="")))
+        lines = list(csv.reader(io.StringIO(found.text(path, "a table of tracks") or "", newline="")))
     except csv.Error as error:
-        found.problems.append(Problem(where, "annotation-unreadable", str(error), "a CSV table", "fetch it again"))
+        found.add(where, "annotation-unreadable", str(error), "a CSV table", "fetch it again")
         return frames
     for n, cells in enumerate(lines, 1):
         if not cells or cells[0].strip().startswith("#"):
@@ -224,37 +192,26 @@ def _rows(found: Flights, path: Path) -> dict[int, list[_Row]]:
         numbers = to_floats([c.strip() for c in cells[:8]], 8)
         frame, track, class_ = (to_int(numbers[k]) if numbers else None for k in (0, 1, 7))
         if numbers is None or frame is None or track is None or frame < 0:
-            found.problems.append(Problem(here, "row-malformed", repr(",".join(cells)[:80]), _COLUMNS))
+            found.add(here, "row-malformed", repr(",".join(cells)[:80]), _COLUMNS)
             continue
         written = cells[9].strip() if len(cells) > 9 else ""
         common = re.search(r"\(([^()]+)\)\s*$", written)
-        species = (common[1] if common else written).strip().lower() or (
-            species_of(class_) if class_ is not None else ""
-        )
+        named = (common[1] if common else written).strip().lower()
+        species = named or (None if class_ is None else species_of(class_))
         if not species:
-            found.problems.append(Problem(here, "category-unknown", f"class {cells[7]}", "a species or class 0 to 74"))
+            found.add(here, "category-unknown", f"class {cells[7]}", "a species or class 0 to 74")
             continue
         species = species.replace("no-animal", NO_ANIMAL)
         found.counts["no_animal"] += species == NO_ANIMAL
         names = {8: "visibility", 10: "gender", 11: "age"}
-        extra = {k: v for i, k in names.items() if len(cells) > i and (v := _number(cells[i])) is not None}
+        extra = {k: v for i, k in names.items() if len(cells) > i and (v := to_number(cells[i])) is not None}
         interpolated = len(cells) > 12 and cells[12].strip() == "1"
         frames[frame].append(_Row(here, track, numbers[2:6], species, extra, interpolated))
     return frames
 
 
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
 def _instance(found: Flights, row: _Row, size_wh: tuple[int, int]) -> Instance | None:
-    x, y, w, h = row.xywh
-    box, problem = check_box((x, y, x + w, y + h), size_wh, row.where)
-    found.problems += [problem] if problem else []
+    box = found.box(edges_of_xywh(row.xywh, None), size_wh, row.where)
     if box is None:
         return None
     found.species.add(row.species)
@@ -276,74 +233,56 @@ def _pictures(found: Flights, folder: Path, flight: str, numbers: Sequence[int])
                     pictures.setdefault(int(match[2]), p)
     video, missing = folder / f"{flight}{_VIDEO}", [n for n in numbers if n not in pictures]
     if missing and video.is_file() and not leaves_folder(video):
-        where = found.where(video)
         try:
             width, height = Video(video).size_wh
-            part = derived.VideoPart(0.5) if width == 2 * height else derived.WHOLE
-            made, problems = derived.video_frames(video, missing, part)
         except DatasetError as error:
-            found.problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+            found.add_all(error.problems, found.place(video))
             return pictures
-        found.problems += [Problem(where, p.code, p.found, p.expected, p.todo, p.severity) for p in problems]
-        pictures |= made
+        pictures |= found.video_frames(video, missing, 0.5 if width == 2 * height else 1.0) or {}
     return pictures
 
 
 # -- poses -------------------------------------------------------------------------------------------------------
 
 
-def all_poses(root: Path, problems: list[Problem]) -> dict[str, dict[int, Pose]]:
-    """Return the poses in a folder or one below by flight and frame; faults are appended to `problems`."""
-    found = Flights(root, problems=problems)
-    return {p.name.removesuffix(_POSES): _poses(found, p) for p in _named(root, _POSES)}
+def all_poses(found: Findings) -> dict[str, dict[int, Pose]]:
+    """Return the poses in a folder or one below by flight and frame."""
+    return {p.name.removesuffix(_POSES): _poses(found, p) for p in _named(found.root, _POSES)}
 
 
-def _poses(found: Flights, path: Path | None) -> dict[int, Pose]:
+def _poses(found: Findings, path: Path | None) -> dict[int, Pose]:
     """Return the poses of a flight by frame; empty without a file."""
-    if path is None:
+    top = None if path is None else found.json(path)
+    if path is None or top is None:
         return {}
-    where = found.where(path)
-    try:
-        top = read_json(path)
-    except DatasetError as error:
-        found.problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
-        return {}
-    images = top.get("images") if isinstance(top, dict) else None
+    images = top.get("images")
     if not is_list(images):
         expected = "a list of images with pitch and timestamp"
-        found.problems.append(Problem(where, "annotation-layout", "no list of images", expected, "fetch it again"))
+        found.add(found.place(path), "annotation-layout", "no list of images", expected, "fetch it again")
         return {}
     poses = {}
     for k, entry in enumerate(images):
         values = entry if isinstance(entry, dict) else {}
         rotation = values.get("rotation")
         tilt = values.get("pitch", rotation[0] if isinstance(rotation, list) and rotation else None)
-        numbers = to_floats([tilt], 1)
-        if numbers is not None and math.isfinite(numbers[0]):
-            poses[k] = Pose(pitch_of_tilt(numbers[0]), _time(values.get("timestamp")))
+        degrees, when = to_number(tilt), to_time(values.get("timestamp"))
+        if degrees is not None:
+            poses[k] = Pose(pitch_of_tilt(degrees), when.isoformat() if when else None)
     return poses
 
 
 def _add(
     found: Flights, path: Path, split: Split, size_wh: tuple[int, int], flight: str, number: int,
-    instances: tuple[Instance, ...], pose: Pose | None, start: str | None,
+    instances: tuple[Instance, ...], pose: Pose | None, start: datetime | None,
 ) -> None:  # fmt: skip
     found.counts["frames"] += 1
     found.counts["without_pose"] += pose is None
     pitch = STRAIGHT_DOWN_DEG if pose is None else pose.pitch_deg
-    day = None if start is None else start[:10]
+    day = None if start is None else start.date().isoformat()
     captured = day if pose is None or pose.captured is None else pose.captured
-    found.records.append(
-        ImageRecord(
-            "",
-            path,
-            split,
-            size_wh,
-            instances,
-            capture=Capture(pitch_deg=pitch, sequence=flight, captured=captured, frame=number),
-            file_name=f"{flight}_{number}{path.suffix}",
-        )
-    )
+    capture = Capture(pitch_deg=pitch, sequence=flight, captured=captured, frame=number)
+    name = f"{flight}_{number}{path.suffix}"
+    found.records.append(ImageRecord("", path, split, size_wh, instances, capture, file_name=name))
 
 
 # -- YOLO --------------------------------------------------------------------------------------------------------
@@ -356,15 +295,13 @@ def _read_yolo(found: Flights, poses: Mapping[str, Path], wanted: Sequence[Split
         base = found.root / "images" / split
         for name, path in list_pictures(base).items():
             match = _PICTURE.fullmatch(path.stem)
-            where = found.where(path)
+            where = found.place(path)
             if match is None:
-                expected = "<flight>_<frame>.png"
-                found.problems.append(Problem(where, "name-unknown", "a name without flight and frame", expected))
+                found.add(where, "name-unknown", "a name without flight and frame", "<flight>_<frame>.png")
                 continue
             flight, number = match[1], int(match[2])
             label = (found.root / "labels" / split / name).with_suffix(".txt")
-            size_wh, problem = read_size(path, where)
-            found.problems += [problem] if problem else []
+            size_wh = found.size(path, where)
             if size_wh is None:
                 continue
             if flight not in of_flight:
@@ -377,25 +314,20 @@ def _read_yolo(found: Flights, poses: Mapping[str, Path], wanted: Sequence[Split
 def _yolo_instances(found: Flights, path: Path, size_wh: tuple[int, int]) -> Iterable[Instance]:
     if not path.is_file():
         return
-    where = found.where(path)
-    text, problem = read_text(path, where, "a YOLO label file")
-    found.problems += [problem] if problem else []
-    labels = parse_labels(text, where)
+    where = found.place(path)
+    labels = parse_labels(found.text(path, "a YOLO label file") or "", where)
     found.problems += labels.problems
     for n, class_, values in labels.rows:
         found.counts["objects"] += 1
         here, species = f"{where}: line {n}", species_of(class_)
         if species is None or len(values) != 4:
-            expected = "class 0 to 74 and a box"
-            found.problems.append(Problem(here, "category-unknown", f"class {class_}, {len(values)} numbers", expected))
+            text = f"class {class_}, {len(values)} numbers"
+            found.add(here, "category-unknown", text, "class 0 to 74 and a box")
             continue
         if species == NO_ANIMAL:
             found.counts["no_animal"] += 1
             continue
-        cx, cy, w, h = (v * size_wh[k % 2] for k, v in enumerate(values))
-        edges = (cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2)
-        box, problem = check_box([snap(v, size_wh[k % 2]) for k, v in enumerate(edges)], size_wh, here)
-        found.problems += [problem] if problem else []
+        box = found.box(snap_edges(edges_of_shares(values, size_wh), size_wh), size_wh, here)
         if box is not None:
             found.species.add(species)
             found.counts["read"] += 1

@@ -6,7 +6,7 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Literal
@@ -22,6 +22,10 @@ _SPLIT_WORDS: Mapping[str, Split] = {
     "minival": "val", "valminusminival": "val",
     "test": "test", "testing": "test", "testset": "test", "testdev": "test",
 }  # fmt: skip
+SPLIT_FOLDERS: Mapping[str, Split] = {
+    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
+}  # fmt: skip
+"""Split by the name of a folder, in lower case."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,11 @@ class FormatModule:
 
     Attributes:
         detect: Decides whether a folder has the format.
-        read: Reads a folder; takes `splits`, `metadata` if `TAKES_TABLE`, and the options.
-        write: Writes images below a folder; takes images, categories and what `format_table.Writer` names.
+        read: Reads a folder. Takes `splits` (None for all), `metadata` if `TAKES_TABLE` (a table of pitch and altitude;
+            None for any `metadata.csv` or `.json` in the folder), and the options as text. A DatasetError says that
+            nothing can be read.
+        write: Writes images of known size below a folder. Takes images, categories with the ids to write, and what
+            `format_table.Writer` names, such as `pictures`: False writes only labels.
         read_parts: As `read`, but yields parts of a dataset too large for memory; takes a folder for their pictures.
         native_writer: Returns the name of the writer for `native`, where that is not the name of the format.
         remarks: Returns known faults of a public dataset, for `inspect`.
@@ -62,6 +69,12 @@ class FormatModule:
         """Return what a module offers; `name` is its dotted path."""
         found = vars(import_module(name))
         return cls(**{f.name: found[f.name] for f in fields(cls) if f.name in found})
+
+
+def option_error(root: Path, name: str, value: object, expected: str) -> DatasetError:
+    """Return the error for an option of a reader that has a wrong value."""
+    problem = Problem(f"option {name}", "option-value", f"{name}={value}", expected)
+    return DatasetError(f"{root}: an option has a value that is not allowed", [problem])
 
 
 def require_options(root: Path, **given: tuple[object, Sequence[str]]) -> None:
@@ -117,6 +130,13 @@ def unmarked_regions(instances: Iterable[Instance], by_class: Collection[str]) -
         by_class: Categories to ignore whose name does not reveal it, see `ignored_by_class`.
     """
     return sum(i.category in by_class or (i.is_crowd and not is_ignored_name(i.category)) for i in instances)
+
+
+def require_known(image: ImageRecord, known: Collection[str]) -> None:
+    """Check that the objects of an image have known categories; ValueError if one has not."""
+    unknown = [i.category for i in image.instances if i.category not in known]
+    if unknown:
+        raise ValueError(f"{image.id}: category {unknown[0]!r} is not in the list of categories")
 
 
 def split_of_stem(stem: str) -> Split:
@@ -182,9 +202,33 @@ def require_size(image: ImageRecord) -> tuple[int, int]:
     return image.size_wh
 
 
-def number_ids(
-    images: Sequence[ImageRecord], ids: Literal["source", "new"], first: int
-) -> tuple[Sequence[int], Sequence[Sequence[int]]]:
+@dataclass(frozen=True)
+class Numbered:
+    """Images with their ids and those of their objects; yields the chosen ones, as often as asked."""
+
+    images: Sequence[ImageRecord]
+    image_ids: Sequence[int]
+    object_ids: Sequence[Sequence[int]]
+    chosen: Sequence[int]
+
+    def __iter__(self) -> Iterator[tuple[ImageRecord, int, Sequence[int]]]:
+        """Yield each image with its id and the ids of its objects."""
+        return ((self.images[n], self.image_ids[n], self.object_ids[n]) for n in self.chosen)
+
+    def part(self, chosen: Sequence[int]) -> Numbered:
+        """Return some of the images by their index."""
+        return replace(self, chosen=chosen)
+
+    def by_split(self) -> dict[Split, Numbered]:
+        """Return the images of each split that has some."""
+        parts, start = {}, 0
+        for split, images in split_parts(self.images).items():
+            parts[split] = self.part(range(start, start + len(images)))
+            start += len(images)
+        return parts
+
+
+def number_ids(images: Sequence[ImageRecord], ids: Literal["source", "new"], first: int) -> Numbered:
     """Return image ids and annotation ids for sorted images, counted from `first` over all splits, or the source's.
 
     With the source's ids, inserted objects get the numbers after the largest.
@@ -192,6 +236,7 @@ def number_ids(
     Raises:
         ValueError: `ids="source"`, and the source's ids are missing, not integers, or not unique in a split.
     """
+    every = range(len(images))
     if ids == "source":
         image_ids = [i.source_id for i in images]
         known = [[o.source_id for o in i.instances if not (o.inserted and o.source_id is None)] for i in images]
@@ -202,12 +247,22 @@ def number_ids(
                     raise ValueError('ids="source" needs every source_id to be a unique integer; use ids="new"')
         free = itertools.count(max([first - 1, *(v for row in known for v in row if type(v) is int)]) + 1)
         object_ids = [[next(free) if o.source_id is None else o.source_id for o in i.instances] for i in images]
-        return image_ids, object_ids  # type: ignore[return-value]
+        return Numbered(images, image_ids, object_ids, every)  # type: ignore[arg-type]
     new_ids, start = [], first
     for image in images:
         new_ids.append(range(start, start + len(image.instances)))
         start += len(image.instances)
-    return range(first, first + len(images)), new_ids
+    return Numbered(images, range(first, first + len(images)), new_ids, every)
+
+
+def named_categories(names: Iterable[str]) -> tuple[Category, ...]:
+    """Return categories with these names, numbered from 0; a name may mean a region to ignore."""
+    return tuple(Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names))
+
+
+def numbered_from_one(categories: Iterable[Category]) -> list[Category]:
+    """Return the categories in the order of their ids, numbered from 1."""
+    return [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
 
 
 def category_ids(categories: Iterable[Category]) -> dict[str, int]:

@@ -25,15 +25,20 @@ from typing import Literal
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
-from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, count_crowds, in_order, require_options
-from infrablend.formats.box_checks import check_box, snap
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import loses_occlusion
-from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures, read_size
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
-from infrablend.formats.values import number_text, to_floats, to_int
+from infrablend.formats.base import (
+    Match,
+    check_splits,
+    count_crowds,
+    in_order,
+    option_error,
+    require_known,
+    require_options,
+)
+from infrablend.formats.box_checks import edges_of_xywh, snap_edges
+from infrablend.formats.losses import Written, count_dropped
+from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures
+from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.values import csv_text, number_text, to_floats, to_int
 
 NAME = "birdsai"
 OPTIONS = {
@@ -140,26 +145,21 @@ def detect(root: Path) -> Match:
 # -- reading ---------------------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Reading:
-    """Options of the reader, and the problems and counts so far."""
+@dataclass(kw_only=True)
+class _Reading(Findings):
+    """Options of the reader, and what it found so far.
 
-    root: Path
+    Attributes:
+        by_class: Whether the categories are the classes, not the species.
+        drop_noise: Whether objects in frames flagged as noisy are left out.
+        names: Name by number of species.
+        shifted: Number of rows with a picture for each offset of the frame numbers.
+    """
+
     by_class: bool
     drop_noise: bool
-    names: Mapping[int, str]
-    problems: list[Problem] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
-    # Number of rows with a picture for each offset of the frame numbers.
+    names: Mapping[int, str] = field(default_factory=dict)
     shifted: Counter[int] = field(default_factory=Counter)
-
-    def add(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
-        """Record an error; the item is left out."""
-        self.problems.append(Problem(where, code, found, expected, todo))
-
-    def warn(self, where: str, code: str, found: str, expected: str, todo: str = "") -> None:
-        """Record a warning; the item is kept."""
-        self.problems.append(Problem(where, code, found, expected, todo, "warning"))
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class _Row:
     where: str
     frame: int
     track: int
-    box: tuple[float, float, float, float]
+    box: tuple[float, ...]
     class_: int
     species: int
     occlusion: int
@@ -187,16 +187,6 @@ def read(
 ) -> Dataset:
     """Read the sequences below a folder; the size of every picture comes from its header, as it differs by sequence.
 
-    Args:
-        root: Folder that contains `TrainReal` and `TestReal`, one of these, or a folder of frames.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude, by file or by sequence; None uses any `metadata.csv` or `.json`.
-        category: Categories to use: `species` or `class`.
-        noise: Whether to `keep` or `drop` objects in frames flagged as noisy.
-        unlabelled: Whether to `keep` or `drop` frames without a row in the table.
-        frames: Meaning of a row's frame: `number` or `order`, see `OPTIONS`.
-        frame_offset: Whole number added to a row's frame.
-
     Raises:
         DatasetError: An option is unknown, or no picture can be read.
     """
@@ -209,13 +199,12 @@ def read(
     )
     offset = to_int(frame_offset)
     if offset is None:
-        problem = Problem("option frame_offset", "option-value", f"frame_offset={frame_offset}", "a whole number")
-        raise DatasetError(f"{root}: an option has a value that is not allowed", [problem])
+        raise option_error(root, "frame_offset", frame_offset, "a whole number")
     wanted = check_splits(splits)
-    further, problems = _further_species(root)
-    renamed = _read_names(root, problems)
-    names = {**SPECIES, **{k: c.name for k, c in further.items()}, -1: UNKNOWN.name}
-    reading = _Reading(root, category == "class", noise == "drop", names, problems)
+    reading = _Reading(root, by_class=category == "class", drop_noise=noise == "drop")
+    further = _further_species(reading)
+    renamed = _read_names(reading)
+    reading.names = {**SPECIES, **{k: c.name for k, c in further.items()}, -1: UNKNOWN.name}
     records: list[ImageRecord] = []
     parts = _parts(root)
     for part in parts:
@@ -231,53 +220,43 @@ def read(
         "category": category,
         "noise": noise,
         "frames": f"{frames}{offset:+d}" if offset else frames,
-        "rows": {k: reading.counts[k] for k in keys},
+        "rows": reading.rows(*keys),
     }
-    categories: tuple[Category, ...]
     categories = CLASSES if reading.by_class else (*CATEGORIES, *further.values())
     if not any(part.tables for part in parts):
         categories = ()  # bare frames have no classes
-    records = [_renamed(r, renamed.get(r.path.relative_to(root).as_posix())) for r in records]
-    return make_dataset(
-        root, NAME, records, categories, reading.problems, notes, metadata=metadata, splits=wanted
-    )  # fmt: skip
+    records = [_renamed(r, renamed.get(reading.place(r.path))) for r in records]
+    return reading.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def _further_species(root: Path) -> tuple[dict[int, Category], list[Problem]]:
+def _further_species(reading: _Reading) -> dict[int, Category]:
     """Return the categories that our writer's table adds to BIRDSAI's own, by species number."""
-    path = root / _SPECIES_FILE
-    if not path.is_file():
-        return {}, []
-    text, problem = read_text(path, path.name, ",".join(_SPECIES_COLUMNS))
-    problems = [problem] if problem else []
     further: dict[int, Category] = {}
-    for n, row in enumerate(_csv_rows(text, path.name, problems), 1):
+    for n, row in enumerate(_csv_rows(reading, _SPECIES_FILE, _SPECIES_COLUMNS), 1):
         number = to_int(row[0]) if len(row) == len(_SPECIES_COLUMNS) else None
         known = {*SPECIES.values(), UNKNOWN.name, "", *(c.name for c in further.values())}
         if number is not None and number > UNKNOWN.id and number not in further and row[1] not in known:
             further[number] = Category(number, row[1], "", row[2] == "1")
         elif n > 1 and row:
             expected = f"a new number above {UNKNOWN.id}, a new name, and 1 for a class to ignore"
-            problems.append(Problem(f"{path.name}: line {n}", "species-malformed", repr(row)[:80], expected))
-    return further, problems
+            reading.add(f"{_SPECIES_FILE}: line {n}", "species-malformed", repr(row)[:80], expected)
+    return further
 
 
-def _csv_rows(text: str, where: str, problems: list[Problem]) -> list[list[str]]:
+def _csv_rows(reading: _Reading, name: str, columns: Sequence[str]) -> list[list[str]]:
+    """Return the rows of a table that our writer adds; none if there is no such file."""
+    path = reading.root / name
+    text = reading.text(path, ",".join(columns)) if path.is_file() else None
     try:
-        return list(csv.reader(io.StringIO(text, newline="")))
+        return list(csv.reader(io.StringIO(text or "", newline="")))
     except csv.Error as error:
-        problems.append(Problem(where, "table-unreadable", str(error), "a CSV table"))
+        reading.add(name, "table-unreadable", str(error), "a CSV table")
         return []
 
 
-def _read_names(root: Path, problems: list[Problem]) -> dict[str, tuple[str, str]]:
+def _read_names(reading: _Reading) -> dict[str, tuple[str, str]]:
     """Return sequence and date by picture from `names.csv`, which our writer adds if it changed names."""
-    path = root / _NAMES_FILE
-    if not path.is_file():
-        return {}
-    text, problem = read_text(path, path.name, ",".join(_NAMES_COLUMNS))
-    problems += [problem] if problem else []
-    rows = [row for row in _csv_rows(text, path.name, problems) if len(row) == len(_NAMES_COLUMNS)]
+    rows = [row for row in _csv_rows(reading, _NAMES_FILE, _NAMES_COLUMNS) if len(row) == len(_NAMES_COLUMNS)]
     return {file: (sequence, captured) for file, _, sequence, captured in rows[1:]}
 
 
@@ -289,9 +268,9 @@ def _renamed(record: ImageRecord, said: tuple[str, str] | None) -> ImageRecord:
 
 
 def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabelled: str) -> list[ImageRecord]:
-    root, frames, tables = reading.root, part.frames, part.tables
+    frames, tables = part.frames, part.tables
     records: list[ImageRecord] = []
-    where = part.folder.relative_to(root).as_posix() if part.folder != root else root.name
+    where = reading.place(part.folder) if part.folder != reading.root else reading.root.name
     if part.others:
         found = f"{part.others} picture(s) were left out because their names are not those of frames, or repeat one"
         reading.warn(where, "name-grammar", found, "<10 digits>_<10 digits>_<10 digits>.jpg")
@@ -299,7 +278,7 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
     for sequence in sorted(frames.keys() | tables.keys()):
         pictures = dict(sorted(frames.get(sequence, {}).items()))
         table = tables.get(sequence)
-        rows = _read_table(reading, table, table.relative_to(root).as_posix()) if table else []
+        rows = _read_table(reading, table) if table else []
         if rows is None:  # not readable: its frames are not known to be without objects
             continue
         places = dict(enumerate(pictures)) if order else {n: n for n in pictures}
@@ -314,40 +293,27 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
         lost = len(rows) - sum(map(len, of_frame.values()))
         if lost and table is not None:
             found = f"{lost} of {len(rows)} row(s) left out because their frame has no picture"
-            reading.warn(table.relative_to(root).as_posix(), "row-without-picture", found, "a picture per frame")
+            reading.warn(reading.place(table), "row-without-picture", found, "a picture per frame")
         for number, path in pictures.items():
             missing += number not in of_frame
             if number not in of_frame and unlabelled == "drop":
                 continue
-            name = path.relative_to(root).as_posix()
-            size_wh, problem = read_size(path, name)
+            size_wh = reading.size(path, reading.place(path))
             if size_wh is None:
-                reading.problems += [problem] if problem else []
                 continue
             instances = _instances(reading, of_frame.get(number, []), size_wh)
-            extra = {} if number in of_frame else {"labelled": False}
-            records.append(
-                ImageRecord(
-                    "",
-                    path,
-                    part.split,
-                    size_wh,
-                    instances,
-                    capture=Capture(sequence=sequence, frame=number),
-                    extra=extra,
-                    file_name=f"{sequence}/{path.name}",
-                )
-            )
+            capture, extra = Capture(sequence=sequence, frame=number), {} if number in of_frame else {"labelled": False}
+            name = f"{sequence}/{path.name}"
+            records.append(ImageRecord("", path, part.split, size_wh, instances, capture, extra=extra, file_name=name))
     reading.counts["unlabelled"] += missing
     reading.problems += unlabelled_problems(where, missing, unlabelled, "no row in the annotation table")
     return records
 
 
-def _read_table(reading: _Reading, path: Path, where: str) -> list[_Row] | None:
-    """Return the complete rows of a table; None if it cannot be read."""
-    text, problem = read_text(path, where, "a CSV table of ten columns")
-    if problem is not None:
-        reading.problems.append(problem)
+def _read_table(reading: _Reading, path: Path) -> list[_Row] | None:
+    where = reading.place(path)
+    text = reading.text(path, "a CSV table of ten columns")
+    if text is None:
         return None
     reading.counts["tables"] += 1
     rows: list[_Row] = []
@@ -375,8 +341,7 @@ def _read_table(reading: _Reading, path: Path, where: str) -> list[_Row] | None:
         if occlusion not in (0, 1) or noise not in (0, 1):
             reading.warn(here, "flag-value", f"occlusion {cells[8]}, noise {cells[9]}", "0 or 1")
         contradictions += species in SPECIES and (species == 0) != (class_ == 1)
-        x, y, w, h = numbers[2:6]
-        rows.append(_Row(here, frame, track, (x, y, w, h), class_, species, int(occlusion == 1), int(noise == 1)))
+        rows.append(_Row(here, frame, track, numbers[2:6], class_, species, int(occlusion == 1), int(noise == 1)))
     if contradictions:
         counts = "class" if reading.by_class else "species"
         found = f"{contradictions} row(s) in which class and species contradict each other; the {counts} is used"
@@ -392,10 +357,7 @@ def _instances(reading: _Reading, rows: Sequence[_Row], size_wh: tuple[int, int]
         if row.noise and reading.drop_noise:
             reading.counts["noise_dropped"] += 1
             continue
-        x, y, w, h = row.box
-        edges = (x, y, x + w, y + h)
-        box, problem = check_box([snap(v, size_wh[i % 2]) for i, v in enumerate(edges)], size_wh, row.where)
-        reading.problems += [problem] if problem else []
+        box = reading.box(snap_edges(edges_of_xywh(row.box, None), size_wh), size_wh, row.where)
         if box is None:
             continue
         if row.track in tracks:
@@ -448,12 +410,7 @@ def write(
     human or animal. Pitch, altitude and time of day are written to `metadata.csv`. Validation pictures go to `ValReal`,
     which BIRDSAI itself does not have.
 
-    Args:
-        out: Output folder, created if necessary.
-        images: Images to write; the format does not contain sizes, so `size_wh` may be None.
-        categories: Categories of the instances.
-        dont_care: Whether to `drop` regions to ignore, or to `keep` them as objects with a species number of their own.
-        pictures: Whether to link the pictures; False writes only the tables.
+    The pictures' sizes may be unknown. Regions to ignore are dropped, or kept as objects with a species of their own.
 
     Raises:
         OutputError: A file cannot be written.
@@ -480,6 +437,7 @@ def write(
             losses["ignore_dropped"] += len(image.instances) - len(kept)
             losses["ignore_as_class"] += count_crowds(kept, regions)
             losses["empty_unsaid"] += not kept and image.extra.get("labelled", True) is True
+            require_known(image, species)
             for o in kept:
                 table.append(_line(places[image.id][1], o, species, tracks[sequence], losses))
     for name, rows in sorted(lines.items()):
@@ -504,14 +462,8 @@ def write(
         ("metadata.csv", ("file", "pitch_deg", "altitude_m", "time_of_day"), known),
         (_SPECIES_FILE, _SPECIES_COLUMNS, further),
     )
-    files += [write_text(out / name, _csv_text(head, rows)) for name, head, rows in tables if rows]
-    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
-
-
-def _csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([head, *rows])
-    return text.getvalue()
+    files += [write_text(out / name, csv_text(head, rows)) for name, head, rows in tables if rows]
+    return Written.of(files, losses)
 
 
 def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int]]:
@@ -580,12 +532,9 @@ class _Tracks:
         """Return the number of a track; each call with None returns a new number."""
         if isinstance(id_, int):
             return id_
-        if id_ is None or id_ not in self.named:
-            self.free += 1
-            if id_ is None:
-                return self.free - 1
-            self.named[id_] = self.free - 1
-        return self.named[id_]
+        number = self.free if id_ is None else self.named.setdefault(id_, self.free)
+        self.free += number == self.free
+        return number
 
 
 def _codes(instance: Instance, species: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
@@ -601,16 +550,9 @@ def _codes(instance: Instance, species: Mapping[str, tuple[int, int]]) -> tuple[
 def _line(
     frame: int, instance: Instance, species: Mapping[str, tuple[int, int]], tracks: _Tracks, losses: Counter[str]
 ) -> str:
-    if instance.category not in species:
-        raise ValueError(f"category {instance.category!r} is not in the list of categories")
     class_, number = _codes(instance, species)
     losses["class_unfit"] += class_ == 0 and number > UNKNOWN.id
-    losses["obb_dropped"] += instance.corners_xy is not None
-    losses["mask_dropped"] += instance.mask is not None
-    losses["visibility_dropped"] += instance.visibility is not None
-    losses["occlusion_dropped"] += loses_occlusion(instance, flag=False)
-    losses["truncated_dropped"] += instance.truncated is True
-    losses["difficult_dropped"] += instance.difficult is True
+    count_dropped(instance, losses, "obb", "mask", "visibility", "occlusion boxes", "truncated", "difficult")
     losses["track_made"] += instance.track_id is None
     x0, y0, x1, y1 = instance.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))

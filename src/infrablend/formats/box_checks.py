@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import corners_of_cxcywha, cxcywha_of_corners, polygon_area
+from infrablend.core.boxes import box_of_points, corners_of_cxcywha, cxcywha_of_corners, polygon_area
 from infrablend.errors import Problem
 
 # Oriented boxes may overhang the frame by this much without a warning: HIT-UAV's own reach 0.5 px.
@@ -54,6 +54,38 @@ def snap(value: float, size: int, tolerance: float = 1e-6) -> float:
     if -tolerance < value < 0:
         return 0.0
     return float(size) if size < value < size + tolerance else value
+
+
+def snap_edges(xyxy: Sequence[float], size_wh: tuple[int, int] | None) -> Sequence[float]:
+    """Return the edges of a box, each moved by `snap` onto the edge of a frame of known size."""
+    return xyxy if size_wh is None else [snap(v, size_wh[k % 2]) for k, v in enumerate(xyxy)]
+
+
+def edges_of_xywh(xywh: Sequence[float], size_wh: tuple[int, int] | None) -> tuple[float, float, float, float]:
+    """Return the edges of a box `x, y, width, height`; `snap` moves those that the sums put outside."""
+    x, y, w, h = xywh
+    _, _, x1, y1 = snap_edges((x, y, x + w, y + h), size_wh)
+    return x, y, x1, y1
+
+
+def edges_of_shares(cxcywh: Sequence[float], size_wh: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Return the edges, px, of a box `cx, cy, width, height` in shares of the frame."""
+    cx, cy, w, h = (v * size_wh[k % 2] for k, v in enumerate(cxcywh))
+    return cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2
+
+
+def turned_box(
+    cxcywha: Sequence[float], size_wh: tuple[int, int] | None
+) -> tuple[NDArray[np.float64], tuple[float, ...]]:  # fmt: skip
+    """Return the clockwise corners of an oriented box, and its edges, cut to the frame if they overhang a little.
+
+    A negative width or height mirrors the box.
+    """
+    corners = clockwise_corners(corners_of_cxcywha(np.array([cxcywha], np.float64))[0])
+    edges = tuple(float(v) for v in box_of_points(corners))
+    if size_wh is not None and 0 < overhang_px(corners, size_wh) <= OVERHANG_PX:
+        edges = tuple(min(max(v, 0.0), float(size_wh[k % 2])) for k, v in enumerate(edges))
+    return corners, edges
 
 
 def clockwise_corners(corners_xy: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import datetime
 import io
 import re
 from collections import Counter
@@ -16,6 +15,7 @@ from infrablend.core.capture import FACTS, UNKNOWN, Capture
 from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import comma_of, delimiter_of, read_json, read_text
+from infrablend.formats.values import to_time
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _KEYS = ("file", "stem", "sequence")
@@ -55,6 +55,12 @@ def find_table(root: Path) -> Path | None:
     return next((root / n for n in TABLE_NAMES if (root / n).is_file()), None)
 
 
+def _keys(name: str) -> tuple[str, ...]:
+    """Return the keys of a relative path: itself, without suffix, the file name, the stem."""
+    path = PurePosixPath(name)
+    return name, str(path.with_suffix("")), path.name, path.stem
+
+
 @dataclass(frozen=True)
 class CaptureTable:
     """A table of captures by file path, file name, stem or sequence."""
@@ -65,17 +71,21 @@ class CaptureTable:
 
     def find(self, name: str) -> Capture | None:
         """Return the row for a relative path: by the path, else by the file name, else by the stem."""
-        path = PurePosixPath(name)
-        keys = (name, str(path.with_suffix("")), path.name, path.stem)
-        return next((self.rows[k] for k in keys if k in self.rows), None)
+        return next((self.rows[k] for k in _keys(name) if k in self.rows), None)
 
     def unused(self, names: Iterable[str], sequences: Iterable[str | None] = ()) -> list[str]:
         """Return the keys that match none of the relative paths and none of the sequences."""
-        known = {k for k in sequences if k is not None}
-        for name in names:
-            path = PurePosixPath(name)
-            known |= {name, str(path.with_suffix("")), path.name, path.stem}
+        known = {k for name in names for k in _keys(name)} | {*sequences}
         return sorted(k for k in self.rows if k not in known)
+
+    def remarks(self, root: Path, names: Iterable[str], sequences: Iterable[str | None] = ()) -> list[Problem]:
+        """Return a warning if rows match none of the relative paths and none of the sequences."""
+        unused = self.unused(names, sequences)
+        if not unused:
+            return []
+        found = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
+        expected = "a picture or sequence for each row"
+        return [Problem(root.name, "table-unused", found, expected, severity="warning")]
 
 
 @dataclass
@@ -233,7 +243,7 @@ def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | No
 
 def _read_cell(name: str, text: str) -> Any:
     """Return a fact; ValueError if the text is no such fact."""
-    if name == "captured" and not is_time(text):
+    if name == "captured" and to_time(text) is None:
         raise ValueError
     return FACTS[name].read(text.casefold() if name == "time_of_day" else text)
 
@@ -244,12 +254,3 @@ def fits_table(name: str, value: object) -> bool:
         return bool(_read_cell(name, str(value).strip()) == value)
     except (ValueError, OverflowError):
         return False
-
-
-def is_time(text: str) -> bool:
-    """Return whether a text is a date or time in ISO 8601."""
-    try:
-        datetime.datetime.fromisoformat(text)
-    except ValueError:
-        return False
-    return True

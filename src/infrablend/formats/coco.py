@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Literal
@@ -33,35 +31,45 @@ from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
-from infrablend.core.temperature import Radiometry, TemperatureScale
+from infrablend.core.temperature import Radiometry
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json, too_long
 from infrablend.formats.base import (
     Match,
+    Numbered,
     category_ids,
     check_splits,
     in_order,
     is_ignored_name,
     number_ids,
+    numbered_from_one,
+    require_known,
     require_size,
     shorten,
-    sort_images,
     split_of_stem,
-    split_parts,
 )
-from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
-from infrablend.formats.capture import Captures, find_table, read_table
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import occlusion_fields, read_occlusion
-from infrablend.formats.pictures import PictureFolder, assign_ids, check_name, read_size
-from infrablend.formats.temperatures import info_of_scale
-from infrablend.formats.values import to_bool, to_floats, to_id, to_int, to_share, to_size
+from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near
+from infrablend.formats.capture import Captures
+from infrablend.formats.losses import Written, occlusion_fields
+from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.records import Findings, table_of, with_ids
+from infrablend.formats.temperatures import info_of_scale, scale_of_record
+from infrablend.formats.values import (
+    known,
+    read_occlusion,
+    to_bool,
+    to_floats,
+    to_id,
+    to_int,
+    to_number,
+    to_share,
+    to_size,
+)
 
 NAME = "coco"
 
 WithoutMask = Literal["polygon", "omit"]
 
-_SAMPLE = 50
 _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
 # Far finer than a pixel, but short: sums such as 0.1 + 0.2 would otherwise be written with 17 digits.
 _DIGITS = 9
@@ -94,7 +102,7 @@ def write(
     pictures: bool = False,
     from_one: bool = False,
 ) -> Written:
-    """Write one file per split that has images, see `coco_files`; `from_one` numbers the categories from 1.
+    """Write one file per split that has images, see `coco_chunks`; `from_one` numbers the categories from 1.
 
     With `pictures`, the files are `out/annotations/instances_<split>.json`, and the pictures are hard-linked (copied
     where that is impossible) to `out/images/<split>/`. Without, the files are `out/<split>.json`; readers then expect
@@ -106,14 +114,14 @@ def write(
     """
     ordered = in_order(images)
     if from_one:
-        categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
+        categories = numbered_from_one(categories)
     losses: Counter[str] = Counter()
     texts = coco_chunks(ordered, categories, losses, ids=ids, without_mask=without_mask, info=info)
     prefix = "annotations/instances_" if pictures else ""
     files = [write_chunks(out / f"{prefix}{name}", chunks) for name, chunks in texts.items()]
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
-    return Written(tuple(files), {k: v for k, v in sorted(losses.items()) if v})
+    return Written.of(files, losses)
 
 
 def coco_chunks(
@@ -128,8 +136,8 @@ def coco_chunks(
     """Return the texts of the files `<split>.json` in pieces, by name; equal records give equal bytes.
 
     `file_name` is `ImageRecord.name`, relative to the split's picture folder. Pictures with a number in their sequence
-    get COCO's fields of videos. Categories keep their ids. A category to
-    ignore gets `"ignore": 1`, and its annotations get `"iscrowd": 1`.
+    get COCO's fields of videos. Categories keep their ids. A category to ignore gets `"ignore": 1`, and its annotations
+    get `"iscrowd": 1`.
 
     Args:
         images: Images with known `size_wh`.
@@ -142,46 +150,20 @@ def coco_chunks(
         info: The `info` object; dates in it would make the files differ between runs.
     """
     ordered = in_order(images)
-    of_category = category_ids(categories)
-    ignored = {c.name for c in categories if c.ignore}
-    image_ids, object_ids = number_ids(ordered, ids, 1)
     new = ids == "new"
-
-    def annotations(part: _Numbered) -> Iterator[dict[str, Any]]:
-        for image, image_id, numbers in part():
-            for instance, number in zip(image.instances, numbers, strict=True):
-                a = annotation_record(instance, require_size(image), new, without_mask)
-                a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
-                a["iscrowd"] |= int(instance.category in ignored)
-                yield a
-
     texts: dict[str, Iterator[str]] = {}
-    start = 0
-    for split, images_of_split in split_parts(ordered).items():
-        end = start + len(images_of_split)
-        part = partial(_numbered, images_of_split, image_ids[start:end], object_ids[start:end])
-        common, videos = info_of_scale(images_of_split), _videos(images_of_split)
+    for split, part in number_ids(ordered, ids, 1).by_split().items():
+        common, videos = info_of_scale(i for i, _, _ in part), _videos(i for i, _, _ in part)
         top = {
             "info": {**(info or _INFO), **({} if common is None else {_SCALE: common})},
             "licenses": [],
-            "images": Streamed(_file_record(i, n, new, common is not None, videos) for i, n, _ in part()),
-            "annotations": Streamed(annotations(part)),
+            "images": Streamed(_file_record(i, n, new, common is not None, videos) for i, n, _ in part),
+            "annotations": Streamed(annotation_records(part, categories, new, without_mask)),
             "categories": category_records(categories),
             **({"videos": [{"id": number, "name": name} for name, number in videos.items()]} if videos else {}),
         }
         texts[f"{split}.json"] = chain(json_chunks(top, losses), "\n")
-        start = end
     return texts
-
-
-_Numbered = Callable[[], Iterator[tuple[ImageRecord, int, Sequence[int]]]]
-"""Returns each image with its id and the ids of its objects."""
-
-
-def _numbered(
-    images: Sequence[ImageRecord], image_ids: Sequence[int], object_ids: Sequence[Sequence[int]]
-) -> Iterator[tuple[ImageRecord, int, Sequence[int]]]:
-    return zip(images, image_ids, object_ids, strict=True)
 
 
 def _videos(images: Iterable[ImageRecord]) -> dict[str, int]:
@@ -205,11 +187,8 @@ def _file_record(
 
 
 def _camera_settings(image: ImageRecord) -> dict[str, Any]:
-    found = (
-        {}
-        if image.capture.radiometry is None
-        else _known(**{k: getattr(image.capture.radiometry, k) for k in SETTINGS})
-    )
+    given = image.capture.radiometry
+    found = {} if given is None else known(**{k: getattr(given, k) for k in SETTINGS})
     return {_SETTINGS: found} if found else {}
 
 
@@ -228,10 +207,6 @@ def source_id_field(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
     return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
 
 
-def _known(**fields: Any) -> dict[str, Any]:
-    return {k: v for k, v in fields.items() if v is not None}
-
-
 def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
     w, h = require_size(image)
     record = {"id": number, "file_name": image.name, "width": w, "height": h} | source_id_field(image, new)
@@ -247,10 +222,23 @@ def _tidy(values: NDArray[np.float64]) -> list[float]:
     return [round(float(v), _DIGITS) for v in values.reshape(-1)]
 
 
-def annotation_record(
-    instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask
-) -> dict[str, Any]:
-    """Return an annotation without `id`, `image_id` and `category_id`; `source_id` as in `source_id_field`."""
+def annotation_records(
+    numbered: Numbered, categories: Sequence[Category], new: bool, without_mask: WithoutMask
+) -> Iterator[dict[str, Any]]:
+    """Yield the annotations of numbered images; `source_id` as in `source_id_field`."""
+    of_category = category_ids(categories)
+    ignored = {c.name for c in categories if c.ignore}
+    for image, image_id, numbers in numbered:
+        require_known(image, of_category)
+        for instance, number in zip(image.instances, numbers, strict=True):
+            a = _annotation(instance, require_size(image), new, without_mask)
+            a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
+            a["iscrowd"] |= int(instance.category in ignored)
+            yield a
+
+
+def _annotation(instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask) -> dict[str, Any]:
+    """Return an annotation without `id`, `image_id` and `category_id`."""
     x0, y0, x1, y1 = instance.box_xyxy
     a: dict[str, Any] = {
         "bbox": _tidy(np.array([x0, y0, x1 - x0, y1 - y0])),
@@ -261,8 +249,8 @@ def annotation_record(
     corners = instance.corners_xy
     if corners is not None:
         a["obb"] = _tidy(corners)
-    a |= _known(visibility=instance.visibility, truncated=instance.truncated, difficult=instance.difficult)
-    a |= _known(track_id=instance.track_id)
+    a |= known(visibility=instance.visibility, truncated=instance.truncated, difficult=instance.difficult)
+    a |= known(track_id=instance.track_id)
     a |= {k: instance.extra[k] for k in MEASURED if k in instance.extra}
     a |= {k: _tidy(np.array(instance.extra[k])) for k in _OTHER_BOXES if k in instance.extra}
     a |= {"tight_box": True} if instance.extra.get("tight_box") else {}
@@ -340,26 +328,18 @@ def detect(root: Path) -> Match:
 
 
 def _some_names(images: Iterable[Any]) -> list[str]:
-    """Return the first names of pictures that can be file names."""
     listed = (str(i["file_name"]) for i in images if isinstance(i, dict) and "file_name" in i)
-    return list(islice((n for n in listed if check_name(n, "") is None), _SAMPLE))
+    return list(islice((n for n in listed if check_name(n, "") is None), 50))
 
 
 def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) -> PictureFolder:
-    """Return the folder that contains most of the named pictures, among the usual places."""
     stem = file.stem.removeprefix("instances_")
     bases = [root, file.parent, file.parent.parent] if file.parent != root else [root]
     if root.name == "coco":
         bases.append(root.parent)
-    best, most = root, -1
     last = stem.rpartition("_")[2]  # of person_keypoints_train2017
-    for base in bases:
-        for part in (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last):
-            folder = base / part
-            count = sum((folder / n).is_file() for n in names) if folder.is_dir() else 0
-            if count > most:
-                best, most = folder, count
-    return PictureFolder.scan(best)
+    parts = (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last)
+    return PictureFolder.with_most([base / part for base in bases for part in parts], names)
 
 
 # -- reading ---------------------------------------------------------------------------------------------------
@@ -388,68 +368,65 @@ def read(
     if not files:
         problem = Problem(str(root), "annotation-missing", "no COCO file", "a JSON with images and annotations")
         raise DatasetError(f"{root}: no COCO dataset", [problem])
-    table_path = metadata or find_table(root)
-    table = read_table(table_path) if table_path else None
-    problems: list[Problem] = list(table.problems) if table else []
-    captures = Captures(table, problems)
+    table, named = table_of(root, metadata)
+    found = Findings(root, list(table.problems) if table else [])
+    captures = Captures(table, found.problems)
     categories: list[Category] = []
     taken: set[tuple[Split, Path]] = set()
-    found: list[tuple[str, ImageRecord]] = []
+    records: list[ImageRecord] = []
     for path, split in files.items():
         if split not in wanted:
             continue
-        where = path.relative_to(root).as_posix() if path.is_relative_to(root) else path.name
+        where = found.place(path) if path.is_relative_to(root) else path.name
         try:
             top = read_json(path)
         except DatasetError as error:
-            problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+            found.add_all(error.problems, where)
             continue
         if not is_coco(top):
-            problems.append(
-                Problem(where, "annotation-layout", "no COCO keys", "images, annotations, categories", "use COCO")
-            )
+            found.add(where, "annotation-layout", "no COCO keys", "images, annotations, categories", "use COCO")
             continue
-        problems += [p for p in [too_long(where, "info", top.get("info"))] if p]
+        if fault := too_long(where, "info", top.get("info")):
+            found.problems.append(fault)
         folder = _picture_folder(root, path, split, _some_names(top["images"]))
-        found += read_records(top, folder, split, where, categories, captures, problems, taken)
-    ids = assign_ids([key for key, _ in found])
-    images = [replace(record, id=ids[key]) for key, record in found]
-    if not images:
-        raise DatasetError(f"{root}: no picture to read", shorten(problems))
-    if table is not None and (unused := table.unused([r.name for r in images], [r.capture.sequence for r in images])):
-        text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
-        problems.append(Problem(root.name, "table-unused", text, "a picture per row", severity="warning"))
-    notes = {"labels": "coco", "table": table_path.name if table_path else None, "pitch": captures.note()}
-    return Dataset(root, NAME, tuple(categories), sort_images(images), tuple(problems), notes)
+        records += read_records(found, top, folder, split, where, categories, captures, taken)
+    if not records:
+        raise DatasetError(f"{root}: no picture to read", shorten(found.problems))
+    if table is not None:
+        found.problems += table.remarks(root, [r.name for r in records], [r.capture.sequence for r in records])
+    notes = {"labels": "coco", **named, "pitch": captures.note()}
+    return Dataset(root, NAME, tuple(categories), with_ids(records), tuple(found.problems), notes)
 
 
 def read_records(
+    found: Findings,
     top: Mapping[str, Any],
     folder: PictureFolder,
     split: Split,
     where: str,
     categories: list[Category],
     captures: Captures,
-    problems: list[Problem],
     taken: set[tuple[Split, Path]] | None = None,
-) -> list[tuple[str, ImageRecord]]:
-    """Return (name unique in the dataset, record without an id) for every usable picture of one file.
+) -> list[ImageRecord]:
+    """Return the record, without an id, of every usable picture of one file.
 
     Args:
+        found: Problems.
         top: A COCO object, see `is_coco`.
         folder: Folder of the pictures.
         split: Split of all pictures.
         where: Name of the file in problems.
         categories: Categories of earlier files; new ones are appended.
         captures: Source of pitch and altitude.
-        problems: List to which problems are appended.
         taken: Pictures of earlier files, by split, which are left out; those of this file are added.
     """
     earlier = frozenset(taken or ())
-    names = _category_names(top["categories"], where, categories, problems)
-    of_image = _by_image(top["annotations"], where, problems)
+    names = _category_names(found, top["categories"], where, categories)
+    of_image = _by_image(found, top["annotations"], where)
     videos = _video_names(top.get("videos"))
-    records: list[tuple[str, ImageRecord]] = []
+    info = top.get("info")
+    scale = info.get(_SCALE) if isinstance(info, dict) else None
+    records: list[ImageRecord] = []
     seen_names: set[str] = set()
     seen_ids: set[int] = set()
     left_out: list[int] = []
@@ -458,15 +435,15 @@ def read_records(
         here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
         number = to_int(r.get("id")) if isinstance(r, dict) else None
         if number is None:
-            problems.append(Problem(here, "image-malformed", repr(r)[:80], "an image record with an id"))
+            found.add(here, "image-malformed", repr(r)[:80], "an image record with an id")
             continue
         annotations = of_image.pop(number, [])
         name, file, fault = folder.find_named(r.get("file_name"), here, "a file in the picture folder")
         if fault is None and (name in seen_names or number in seen_ids):
-            found = f"a second record with name {name!r} or id {number}"
-            fault = Problem(here, "image-duplicate", found, "each picture once")
+            text = f"a second record with name {name!r} or id {number}"
+            fault = Problem(here, "image-duplicate", text, "each picture once")
         if fault is not None or file is None:
-            problems += [fault] if fault else []
+            found.problems += [fault] if fault else []
             continue
         seen_names.add(name)
         seen_ids.add(number)
@@ -477,30 +454,26 @@ def read_records(
             taken.add((split, file))
         size_wh = to_size(r.get("width"), r.get("height"))
         if size_wh is None:
-            size_wh, fault = read_size(file, here)
-            problems += [fault] if fault else []
+            size_wh = found.size(file, here)
             measured += size_wh is not None
-        instances = _read_annotations([pickle.loads(a) for a in annotations], names, size_wh, here, problems)
-        stated = replace(_stated_facts(r, videos), radiometry=_read_scale(r, top, here, problems))
+        instances = _read_annotations(found, [pickle.loads(a) for a in annotations], names, size_wh, here)
+        stated = replace(_stated_facts(r, videos), radiometry=_read_radiometry(found, r, scale, here))
         capture = captures.of(name, here, stated)
         extra = {"source_id": r["source_id"]} if "source_id" in r else {}
-        records.append(
-            (f"{split}/{name}", ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
-        )
-    problems += _remarks(where, left_out, measured, of_image)
+        records.append(ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
+    found.problems += _remarks(where, left_out, measured, of_image)
     return records
 
 
 def _category_names(
-    rows: Iterable[Any], where: str, categories: list[Category], problems: list[Problem]
-) -> dict[int, str]:
+    found: Findings, rows: Iterable[Any], where: str, categories: list[Category]
+) -> dict[int, str]:  # fmt: skip
     """Return the name of each category of a file by its number; new categories are appended to those of all files."""
     names: dict[int, str] = {}
     for i, c in enumerate(rows):
         number = to_int(c.get("id")) if isinstance(c, dict) else None
         if number is None or not isinstance(c.get("name"), str) or number in names:
-            here = f"{where}: category {i}"
-            problems.append(Problem(here, "category-malformed", repr(c)[:80], "a new id and a name"))
+            found.add(f"{where}: category {i}", "category-malformed", repr(c)[:80], "a new id and a name")
             continue
         names[number] = c["name"]
         if all(k.name != c["name"] for k in categories):
@@ -510,21 +483,19 @@ def _category_names(
     return names
 
 
-def _by_image(rows: Iterable[Any], where: str, problems: list[Problem]) -> dict[int, list[bytes]]:
+def _by_image(found: Findings, rows: Iterable[Any], where: str) -> dict[int, list[bytes]]:
     """Return the annotations by `image_id`, pickled: as bytes they take a fifth of the memory until they are needed."""
     of_image: dict[int, list[bytes]] = {}
     for i, a in enumerate(rows):
         number = to_int(a.get("image_id")) if isinstance(a, dict) else None
         if number is None:
-            here = f"{where}: annotation {i}"
-            problems.append(Problem(here, "annotation-malformed", repr(a)[:80], "an annotation record"))
+            found.add(f"{where}: annotation {i}", "annotation-malformed", repr(a)[:80], "an annotation record")
             continue
         of_image.setdefault(number, []).append(pickle.dumps(a, pickle.HIGHEST_PROTOCOL))
     return of_image
 
 
 def _video_names(rows: object) -> dict[int, str]:
-    """Return the name of each video by its number."""
     videos = (v for v in rows if isinstance(v, dict)) if is_list(rows) else ()
     numbered = ((to_int(v.get("id")), v.get("name")) for v in videos)
     return {number: name for number, name in numbered if number is not None and isinstance(name, str)}
@@ -564,33 +535,25 @@ def _remarks(
     return problems
 
 
-def _read_scale(r: Mapping[str, Any], top: Mapping[str, Any], where: str, problems: list[Problem]) -> Radiometry | None:
-    """Return the temperature scale of a picture, from its own record or from `info`; None without one."""
-    info = top.get("info")
-    value = r.get(_SCALE, info.get(_SCALE) if isinstance(info, dict) else None)
-    if value is None:
-        return None
-    try:
-        scale = TemperatureScale.from_json(value if isinstance(value, dict) else {})
-        return replace(Radiometry(scale, NAME), **_settings(r.get(_SETTINGS)))
-    except ValueError as error:
-        problems.append(Problem(where, "scale-malformed", str(error), "unit, slope_k, offset_k", severity="warning"))
-        return None
+def _read_radiometry(found: Findings, r: Mapping[str, Any], scale: object, where: str) -> Radiometry | None:
+    """Return the scale of a picture, its own or that of all, with the camera's settings; None without one."""
+    radiometry: Radiometry | None = found.checked(scale_of_record(r.get(_SCALE, scale), NAME, where))
+    return None if radiometry is None else replace(radiometry, **_settings(r.get(_SETTINGS)))
 
 
 def _settings(value: object) -> dict[str, Any]:
     """Return what a camera was told about the air and the objects; values that cannot be are left out."""
     given = value if isinstance(value, dict) else {}
-    known = {name: to_floats([given.get(name)], 1) for name in SETTINGS}
-    return {name: v[0] for name, v in known.items() if v and 0 <= v[0] <= 1e5}
+    numbers = {name: to_number(given.get(name)) for name in SETTINGS}
+    return {name: v for name, v in numbers.items() if v is not None and 0 <= v <= 1e5}
 
 
 def _read_annotations(
+    found: Findings,
     records: Sequence[Mapping[str, Any]],
     names: Mapping[int, str],
     size_wh: tuple[int, int] | None,
     where: str,
-    problems: list[Problem],
 ) -> tuple[Instance, ...]:
     instances: list[Instance] = []
     seen: set[int] = set()
@@ -598,23 +561,18 @@ def _read_annotations(
         number = to_int(a.get("id"))
         here = f"{where}: annotation {a.get('id')}"
         if number is not None and number in seen:
-            text = f"a second annotation with id {number}"
-            problems.append(Problem(here, "annotation-duplicate", text, "each id once", severity="warning"))
+            found.warn(here, "annotation-duplicate", f"a second annotation with id {number}", "each id once")
         seen |= {number} if number is not None else set()
         category = to_int(a.get("category_id"))
         if category is None or category not in names:
             text, expected = f"category_id {a.get('category_id')!r}", f"one of {sorted(names)}"
-            problems.append(Problem(here, "category-unknown", text, expected, "add it to categories"))
+            found.add(here, "category-unknown", text, expected, "add it to categories")
             continue
         bbox = to_floats(a.get("bbox"), 4)
         if bbox is None:
-            text = f"bbox {a.get('bbox')!r}"[:120]
-            problems.append(Problem(here, "box-malformed", text, "[x, y, w, h]", "correct the annotation"))
+            found.add(here, "box-malformed", f"bbox {a.get('bbox')!r}"[:120], "[x, y, w, h]", "correct the annotation")
             continue
-        x, y, w, h = bbox
-        box, problem = check_box((x, y, *_far(x, y, w, h, size_wh)), size_wh, here)
-        if problem is not None:
-            problems.append(problem)
+        box = found.box(edges_of_xywh(bbox, size_wh), size_wh, here)
         if box is None:
             continue
         corners = to_floats(a.get("obb"), 8)
@@ -623,7 +581,7 @@ def _read_annotations(
             extra["iscrowd"] = 1
         if a.get("tight_box") is True:
             extra["tight_box"] = True
-        extra |= {k: v[0] for k in MEASURED if (v := to_floats([a.get(k)], 1)) and math.isfinite(v[0])}
+        extra |= known(**{k: to_number(a.get(k)) for k in MEASURED})
         others = {k: to_floats(a.get(k), n) for k, n in _OTHER_BOXES.items()}
         extra |= {
             k: list(v) for k, v in others.items() if v is not None and is_near(v) and (len(v) > 4 or min(v[2:]) > 0)
@@ -633,7 +591,7 @@ def _read_annotations(
                 names[category],
                 box,
                 None if corners is None or not is_near(corners) else clockwise_corners(np.array(corners).reshape(4, 2)),
-                _read_mask(a, size_wh, here, problems),
+                _read_mask(found, a, size_wh, here),
                 to_share(a.get("visibility")),
                 to_bool(a.get("truncated")),
                 to_bool(a.get("difficult")),
@@ -646,28 +604,15 @@ def _read_annotations(
     return tuple(instances)
 
 
-def _far(x: float, y: float, w: float, h: float, size_wh: tuple[int, int] | None) -> tuple[float, float]:
-    """Return the right and lower edge; an edge that rounding puts just outside the frame is moved onto its edge."""
-    x1, y1 = x + w, y + h
-    if size_wh is not None:
-        x1 = float(size_wh[0]) if 0 < x1 - size_wh[0] < 1e-6 else x1
-        y1 = float(size_wh[1]) if 0 < y1 - size_wh[1] < 1e-6 else y1
-    return x1, y1
-
-
-def _read_mask(
-    a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str, problems: list[Problem]
-) -> Mask | None:
+def _read_mask(found: Findings, a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str) -> Mask | None:
     """Return the mask from run lengths or polygons; None if there is none or it was derived from the box."""
     value = a.get("segmentation")
-    if not value or a.get("segmentation_from") in ("obb", "box"):
-        return None
-    if size_wh is None:
+    if not value or size_wh is None or a.get("segmentation_from") in ("obb", "box"):
         return None
     size_hw = (size_wh[1], size_wh[0])
     try:
         return Mask.from_rings(value, size_hw) if isinstance(value, list) else Mask.from_coco(value, size_hw)
     except (ValueError, TypeError, OverflowError) as error:
         text = f"a segmentation that cannot be read and is left out ({type(error).__name__}: {error})"
-        problems.append(Problem(where, "mask-malformed", text, "run lengths or polygons", severity="warning"))
+        found.warn(where, "mask-malformed", text, "run lengths or polygons")
         return None

@@ -21,38 +21,28 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import link_or_copy, open_regular, write_chunks, write_json
+from infrablend.core.files import link_or_copy, write_chunks, write_json
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_xml
+from infrablend.formats.annotation_files import files_with
 from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
     ignored_by_class,
     in_order,
-    is_ignored_name,
+    named_categories,
+    require_known,
     require_size,
     split_of_stem,
     split_parts,
     unmarked_regions,
 )
-from infrablend.formats.box_checks import (
-    OVERHANG_PX,
-    check_box,
-    clockwise_corners,
-    is_near,
-    is_rectangle,
-    obb_from_corners,
-    overhang_px,
-)
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import loses_occlusion
+from infrablend.formats.box_checks import is_near, is_rectangle, obb_from_corners, turned_box
+from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import PictureFolder, check_name
-from infrablend.formats.records import annotated_twice, make_dataset
+from infrablend.formats.records import Findings, annotated_twice
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "cvat"
@@ -87,7 +77,7 @@ def write(
         losses["ignore_as_class"] += unmarked_regions(image.instances, unsaid)
         if pictures:
             files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
-    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
+    return Written.of(files, losses)
 
 
 def _labels(categories: Sequence[Category]) -> list[dict[str, Any]]:
@@ -127,10 +117,9 @@ def _document(
         w, h = require_size(image)
         lines = [f'  <image id="{number}" name={quoteattr(image.name)} width="{w}" height="{h}">']
         groups = itertools.count(1)
+        require_known(image, known)
         for i in image.instances:
-            if i.category not in known:
-                raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
-            losses["occlusion_dropped"] += loses_occlusion(i, flag=False)
+            count_dropped(i, losses, "occlusion boxes")
             lines += _shapes(i, next(groups) if i.mask is not None else 0, losses)
         yield "\n".join([*lines, "  </image>", ""])
     yield "</annotations>\n"
@@ -178,17 +167,7 @@ def _run_lengths(window: NDArray[np.bool_]) -> list[int]:
 
 
 def _files(root: Path) -> list[Path]:
-    """Return the XML files in the root whose first bytes contain CVAT's root element."""
-    found = []
-    for path in sorted(p for p in root.glob("*.xml") if not leaves_folder(p)):
-        try:
-            with open_regular(path) as stream:
-                head = stream.read(4096)
-        except OSError:
-            continue
-        if b"<annotations>" in head:
-            found.append(path)
-    return found
+    return files_with(root, "*.xml", lambda head: b"<annotations>" in head, 4096)
 
 
 def detect(root: Path) -> Match:
@@ -199,19 +178,10 @@ def detect(root: Path) -> Match:
     return Match(NAME, True, f"CVAT for images: {', '.join(p.name for p in files)}")
 
 
-def _folder(root: Path, split: str, names: Sequence[str]) -> PictureFolder:
-    """Return the folder that contains most of the named pictures, among the usual places."""
-    places = [root / p for p in (f"images/{split}", "images", split, ".")]
-    return PictureFolder.scan(max(places, key=lambda p: sum((p / n).is_file() for n in names[:50])))
-
-
 def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
     """Read boxes, rotated boxes, masks and polygons, and find the pictures.
 
-    Args:
-        root: Folder with the XML files, and the pictures in `images/<split>/`, `images/`, `<split>/` or beside them.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude; None uses any `metadata.csv` or `.json`.
+    These are in `images/<split>/`, `images/`, `<split>/` or beside the XML files.
 
     Raises:
         DatasetError: There is no file of CVAT, or no picture can be read.
@@ -221,14 +191,12 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     if not files:
         missing = Problem(str(root), "annotation-missing", "no XML file of CVAT", "<split>.xml or annotations.xml")
         raise DatasetError(f"{root}: not CVAT's XML", [missing])
-    problems: list[Problem] = []
-    records: list[ImageRecord] = []
+    found = Findings(root)
+    records: dict[Path, ImageRecord] = {}
     names: dict[str, None] = {}
-    seen: set[Path] = set()
     twice: dict[str, list[ImageRecord]] = defaultdict(list)
     for path in files:
-        top, problem = read_xml(path, path.name)
-        problems += [problem] if problem else []
+        top = found.xml(path)
         if top is None:
             continue
         names |= dict.fromkeys(t for label in top.iter("label") if (t := (label.findtext("name") or "").strip()))
@@ -237,92 +205,82 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
             elements.setdefault(split_of_stem(element.get("subset") or path.stem), []).append(element)
         for split in [s for s in wanted if s in elements]:
             listed = [n for e in elements[split] if check_name(n := e.get("name"), "") is None and n]
-            folder = _folder(root, split, listed)
+            places = [root / p for p in (f"images/{split}", "images", split, ".")]
+            folder = PictureFolder.with_most(places, listed)
             for k, element in enumerate(elements[split]):
-                record = _read_image(element, f"{path.name}: image {element.get('id', k)}", split, folder, problems)
-                if record is not None and record.path in seen:
+                record = _read_image(found, element, f"{path.name}: image {element.get('id', k)}", split, folder)
+                if record is not None and records.setdefault(record.path, record) is not record:
                     twice[path.name].append(record)
-                elif record is not None:
-                    seen.add(record.path)
-                    records.append(record)
         if any(True for _ in top.iter("track")):
-            found = "tracks of a video task, which are not read"
+            text = "tracks of a video task, which are not read"
             todo = 'export the task as "CVAT for images 1.1"'
-            problems.append(Problem(path.name, "annotation-layout", found, "an `image` per frame", todo, "warning"))
-    problems += annotated_twice(twice)
-    names |= dict.fromkeys(i.category for r in records for i in r.instances)
-    categories = [Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names)]
-    notes = {"labels": NAME}
-    return make_dataset(root, NAME, records, categories, problems, notes, metadata=metadata, splits=wanted)
+            found.warn(path.name, "annotation-layout", text, "an `image` per frame", todo)
+    found.problems += annotated_twice(twice)
+    names |= dict.fromkeys(i.category for r in records.values() for i in r.instances)
+    return found.dataset(
+        NAME, records.values(), named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted
+    )  # fmt: skip
 
 
-def _read_image(
-    element: Any, where: str, split: Split, folder: PictureFolder, problems: list[Problem]
-) -> ImageRecord | None:
+def _read_image(found: Findings, element: Any, where: str, split: Split, folder: PictureFolder) -> ImageRecord | None:
     expected = f"a file in {folder.folder.name}/"
     name, picture, fault = folder.find_named(element.get("name"), where, expected, "put the pictures there")
     if fault is not None or picture is None:
-        problems += [fault] if fault else []
+        found.problems += [fault] if fault else []
         return None
     size_wh = to_size(element.get("width"), element.get("height"))
-    instances = tuple(_read_objects(element, where, size_wh, problems))
+    instances = tuple(_read_objects(found, element, where, size_wh))
     return ImageRecord("", picture, split, size_wh, instances, file_name=name)
 
 
 def _read_objects(
-    element: Any, where: str, size_wh: tuple[int, int] | None, problems: list[Problem]
-) -> Iterator[Instance]:
-    """Yield the objects of a picture; a box and a mask of one label and group are one object."""
-    found: dict[object, Instance] = {}
+    found: Findings, element: Any, where: str, size_wh: tuple[int, int] | None
+) -> Iterable[Instance]:  # fmt: skip
+    """Return the objects of a picture; a box and a mask of one label and group are one object."""
+    objects: dict[object, Instance] = {}
     for n, shape in enumerate(s for s in element if s.tag in ("box", "mask", "polygon")):
-        here = f"{where}: {shape.tag} {n}"
-        instance = _read_shape(shape, here, size_wh, problems)
+        instance = _read_shape(found, shape, f"{where}: {shape.tag} {n}", size_wh)
         if instance is None:
             continue
         group = to_int(shape.get("group_id"))
         key: object = (group, instance.category) if group else n
-        other = found.get(key)
+        other = objects.get(key)
         if other is None:
-            found[key] = instance
+            objects[key] = instance
         elif (other.mask is None) != (instance.mask is None):
             boxed, masked = (other, instance) if other.mask is None else (instance, other)
-            found[key] = replace(boxed, mask=masked.mask)
+            objects[key] = replace(boxed, mask=masked.mask)
         else:  # a group of several objects
-            found[n] = instance
-    yield from found.values()
+            objects[n] = instance
+    return objects.values()
 
 
-def _read_shape(shape: Any, where: str, size_wh: tuple[int, int] | None, problems: list[Problem]) -> Instance | None:
+def _read_shape(found: Findings, shape: Any, where: str, size_wh: tuple[int, int] | None) -> Instance | None:
     label = (shape.get("label") or "").strip()
     if not label:
-        problems.append(Problem(where, "category-unknown", "no label", "a label", "correct the annotation"))
+        found.add(where, "category-unknown", "no label", "a label", "correct the annotation")
         return None
     corners = mask = None
     if shape.tag == "box":
         edges = to_floats([shape.get(k) for k in _EDGES], 4)
         turn = to_floats([shape.get("rotation", "0")], 1)
         if edges is None or turn is None:
-            problems.append(Problem(where, "box-malformed", "no box", "xtl, ytl, xbr, ybr", "correct the annotation"))
+            found.add(where, "box-malformed", "no box", "xtl, ytl, xbr, ybr", "correct the annotation")
             return None
         if "rotation" in shape.attrib and is_near((*edges, *turn)):
             x0, y0, x1, y1 = edges
-            angle = math.radians(turn[0])
-            made = corners_of_cxcywha(np.array([((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, angle)]))[0]
-            corners = clockwise_corners(made)  # edges in the wrong order mirror the box
-            edges = tuple(float(v) for v in box_of_points(corners))
-            if size_wh is not None and 0 < overhang_px(corners, size_wh) <= OVERHANG_PX:
-                edges = tuple(min(max(v, 0.0), float(size_wh[k % 2])) for k, v in enumerate(edges))
+            cxcywha = ((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, math.radians(turn[0]))
+            corners, edges = turned_box(cxcywha, size_wh)
     else:
-        mask = _read_mask(shape, where, size_wh, problems)
+        mask = _read_mask(found, shape, where, size_wh)
         if mask is None:
             return None
         around = mask.box_xyxy
         if around is None:
-            problems.append(Problem(where, "mask-malformed", "no pixel", "a mask inside the frame", severity="warning"))
+            found.warn(where, "mask-malformed", "no pixel", "a mask inside the frame")
             return None
         edges = tuple(around.tolist())
-    box, problem = check_box(edges, size_wh, where)
-    problems += [problem] if problem is not None else []
+    box = found.box(edges, size_wh, where)
     if box is None:
         return None
     said = {a.get("name"): (a.text or "").strip() for a in shape.findall("attribute")}
@@ -334,8 +292,7 @@ def _read_shape(shape: Any, where: str, size_wh: tuple[int, int] | None, problem
     )  # fmt: skip
 
 
-def _read_mask(shape: Any, where: str, size_wh: tuple[int, int] | None, problems: list[Problem]) -> Mask | None:
-    """Return the mask of an element `mask` or `polygon`; None, with a problem, if it cannot be read."""
+def _read_mask(found: Findings, shape: Any, where: str, size_wh: tuple[int, int] | None) -> Mask | None:
     fault = "no size of the picture" if size_wh is None else ""
     if size_wh is not None:
         try:
@@ -345,7 +302,7 @@ def _read_mask(shape: Any, where: str, size_wh: tuple[int, int] | None, problems
             return Mask.from_array(_pixels(shape, size_wh))
         except (ValueError, OverflowError) as error:
             fault = str(error)[:120]
-    problems.append(Problem(where, "mask-malformed", fault, "run lengths or points inside the frame"))
+    found.add(where, "mask-malformed", fault, "run lengths or points inside the frame")
     return None
 
 

@@ -7,33 +7,19 @@ dataset's own folder is never written to.
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-
-from PIL import Image
 
 from infrablend.core.file_names import file_name
 from infrablend.core.files import write_bytes
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.images import load_background
+from infrablend.formats.images import load_background, png_bytes
 from infrablend.formats.video import Video
 
 FOLDER = "pictures"
 # Counts up when the same source would give other pixels.
 _VERSION = 1
-
-
-@dataclass(frozen=True)
-class VideoPart:
-    """Part of a video's frames to keep: columns from the left as a share of the width; 1 for all."""
-
-    left: float = 1.0
-
-
-WHOLE = VideoPart()
 
 
 def derived_folder(source: Path, form: str) -> Path:
@@ -44,12 +30,11 @@ def derived_folder(source: Path, form: str) -> Path:
     return cache_folder() / FOLDER / f"{file_name(source.stem)[:40]}-{digest}"
 
 
-def video_frames(
-    source: Path, numbers: Collection[int], part: VideoPart = WHOLE
-) -> tuple[Mapping[int, Path], list[Problem]]:
+def video_frames(source: Path, numbers: Collection[int], left: float = 1.0) -> tuple[Mapping[int, Path], list[Problem]]:
     """Return the pictures of some frames of a video by their numbers, and the faults of the video.
 
-    Frames that do not exist or cannot be decoded are missing in the result.
+    Frames that do not exist or cannot be decoded are missing in the result. `left` is the share of the width that is
+    kept, from the left edge.
 
     Raises:
         MissingDependencyError: PyAV is not installed.
@@ -58,7 +43,7 @@ def video_frames(
     """
     if not numbers:
         return {}, []
-    folder = derived_folder(source, f"frames {part.left}")
+    folder = derived_folder(source, f"frames {left}")
     paths = {n: folder / f"{n:06d}.png" for n in sorted(numbers)}
     missing = {n for n, path in paths.items() if not path.is_file()}
     if not missing:
@@ -67,8 +52,8 @@ def video_frames(
         for frame in video.frames():
             if frame.number in missing:
                 pixels = frame.pixels
-                pixels = pixels[:, : round(pixels.shape[1] * part.left)]
-                write_bytes(paths[frame.number], _png(Image.fromarray(pixels.copy())))
+                pixels = pixels[:, : round(pixels.shape[1] * left)]
+                write_bytes(paths[frame.number], png_bytes(pixels.copy(), 1))
             if frame.number >= max(missing):
                 break
         problems = video.problems()
@@ -90,10 +75,4 @@ def crop(source: Path, border_px: int) -> Path:
     if not pixels.size:
         found = f"{picture.size_wh[0]}x{picture.size_wh[1]} px, all of it border"
         raise DatasetError(f"{source}: {found}", [Problem(source.name, "image-size", found, "a larger picture")])
-    return write_bytes(path, _png(Image.fromarray(pixels.copy())))
-
-
-def _png(picture: Image.Image) -> bytes:
-    buffer = io.BytesIO()
-    picture.save(buffer, "PNG", compress_level=1)
-    return buffer.getvalue()
+    return write_bytes(path, png_bytes(pixels.copy(), 1))

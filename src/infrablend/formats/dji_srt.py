@@ -21,9 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infrablend.core.camera import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight_log import FlightLog, read_log_text, with_places, with_rolls
+from infrablend.formats.flight_log import FlightLog, gimbal_pitches, read_log_text, with_places, with_rolls
 
 _TIME = re.compile(r"\s*(\d{1,3}):(\d{1,2}):(\d{1,2})[,.](\d{1,3})\s*-->", re.ASCII)
 _NUMBER = r"([-+]?\d{1,12}(?:\.\d{1,12})?)"
@@ -156,15 +155,11 @@ def _log(
             continue
         column = np.array([given.get(name, math.nan) for _, given, _ in found], np.float64)
         if field == "pitch":
-            values["pitch_deg"] = np.array([pitch_of_gimbal(v) for v in column.tolist()], np.float64)
+            pitches, remarks = gimbal_pitches(column, path.name)
+            problems += remarks
+            values["pitch_deg"] = np.where(np.abs(pitches) <= 180, pitches, np.nan)
         else:
             values[field] = np.where(np.abs(column) <= _LIMITS[field], column, np.nan)
-    if "pitch_deg" in values:
-        values["pitch_deg"] = np.where(np.abs(values["pitch_deg"]) <= 180, values["pitch_deg"], np.nan)
-        back = int((values["pitch_deg"] > STRAIGHT_DOWN_DEG).sum())
-        if back:
-            text = f"{back} sample(s) with a gimbal that looks back under the aircraft"
-            problems.append(Problem(path.name, "log-pitch", text, "-90 to 90 degrees", severity="warning"))
     values, rolled = with_rolls(values, path.name)
     problems += rolled
     counter = next((c for c in _COUNTERS if names[c]), "")

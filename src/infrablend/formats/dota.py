@@ -15,14 +15,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from infrablend.core.boxes import box_of_points, corners_of_box
-from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
@@ -32,17 +30,16 @@ from infrablend.formats.base import (
     check_splits,
     ignored_by_class,
     in_order,
-    is_ignored_name,
+    named_categories,
+    require_known,
     require_size,
-    shorten,
-    sort_images,
     unmarked_regions,
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, clockwise_corners, overhang_px
-from infrablend.formats.capture import CaptureTable, facts_from_name, find_table, read_table
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import loses_occlusion
-from infrablend.formats.pictures import assign_ids, check_link, list_pictures, read_size
+from infrablend.formats.losses import Written, count_dropped
+from infrablend.formats.pictures import check_link, list_pictures
+from infrablend.formats.records import Findings
+from infrablend.formats.values import to_floats
 
 NAME = "dota"
 
@@ -91,7 +88,7 @@ def write(
         files.append(write_text(out / image.split / "labelTxt" / f"{stem}.txt", label_text(image, names, losses)))
         if pictures:
             files.append(link_or_copy(image.path, out / image.split / "images" / image.name))
-    return Written(tuple(files), {k: v for k, v in sorted(losses.items()) if v})
+    return Written.of(files, losses)
 
 
 def label_text(image: ImageRecord, names: Mapping[str, str], losses: Counter[str]) -> str:
@@ -101,14 +98,10 @@ def label_text(image: ImageRecord, names: Mapping[str, str], losses: Counter[str
     """
     require_size(image)
     lines = [f"{k}:{image.extra.get(k, _NOTHING)}" for k in ("imagesource", "gsd")]
+    require_known(image, names)
     for i in image.instances:
-        if i.category not in names:
-            raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
         losses["obb_from_box"] += i.corners_xy is None
-        losses["mask_dropped"] += i.mask is not None
-        losses["visibility_dropped"] += i.visibility is not None
-        losses["occlusion_dropped"] += loses_occlusion(i)
-        losses["truncated_dropped"] += i.truncated is True
+        count_dropped(i, losses, "mask", "visibility", "occlusion", "truncated")
         corners = corners_of_box(i.box_xyxy) if i.corners_xy is None else i.corners_xy
         numbers = " ".join(_number(v) for v in corners.reshape(-1).tolist())
         flag = 2 if i.difficult and i.extra.get("difficult") == 2 else int(i.difficult is True)
@@ -178,15 +171,8 @@ def detect(root: Path) -> Match:
     return Match(NAME, False, f"{labelled[0].name} holds no lines of eight numbers, a category and a flag")
 
 
-def _is_object(words: Sequence[str]) -> bool:
-    return len(words) in (9, 10) and _floats(words[:8]) is not None
-
-
-def _floats(words: Sequence[str]) -> list[float] | None:
-    try:
-        return [float(w) for w in words]
-    except ValueError:
-        return None
+def _is_object(words: list[str]) -> bool:
+    return len(words) in (9, 10) and to_floats(words[:8], 8) is not None
 
 
 # -- reading ---------------------------------------------------------------------------------------------------
@@ -194,11 +180,6 @@ def _floats(words: Sequence[str]) -> list[float] | None:
 
 def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
     """Read DOTA's folders; categories are numbered from 0 in the order of their names, since no file lists them.
-
-    Args:
-        root: The folder.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
 
     Raises:
         DatasetError: No label folder, or nothing can be read.
@@ -210,94 +191,54 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
             str(root), "annotation-missing", "no labelTxt or annfiles", "DOTA's folders", "check the path"
         )
         raise DatasetError(f"{root}: no DOTA dataset", [problem])
-    table_path = metadata or find_table(root)
-    table = read_table(table_path) if table_path else None
-    problems: list[Problem] = list(table.problems) if table else []
-    found: list[tuple[str, ImageRecord]] = []
+    found = Findings(root)
+    records: list[ImageRecord] = []
     for split, labels, pictures in folders:
         if split in wanted:
-            found += _read_split(root, split, labels, pictures, table, problems)
-    if not found:
-        raise DatasetError(f"{root}: no picture to read in the splits {', '.join(wanted)}", shorten(problems))
-    if table is not None and (unused := table.unused([key for key, _ in found])):
-        text = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
-        problems.append(Problem(root.name, "table-unused", text, "a picture for each row", severity="warning"))
-    ids = assign_ids([key for key, _ in found])
-    images = [replace(r, id=ids[key]) for key, r in found]
-    names = sorted({o.category for i in images for o in i.instances})
-    categories = tuple(Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names))
-    notes = {"labels": NAME, "table": table_path.name if table_path else None}
-    return Dataset(root, NAME, categories, sort_images(images), tuple(problems), notes)
+            records += _read_split(found, split, labels, pictures)
+    categories = named_categories(sorted({o.category for i in records for o in i.instances}))
+    return found.dataset(NAME, records, categories, {"labels": NAME}, metadata=metadata, splits=wanted)
 
 
-def _read_split(
-    root: Path,
-    split: Split,
-    labels: Path | None,
-    pictures: Path,
-    table: CaptureTable | None,
-    problems: list[Problem],
-) -> list[tuple[str, ImageRecord]]:
-    """Return (path below `root`, record) of every picture of a split; adds to `problems`."""
+def _read_split(found: Findings, split: Split, labels: Path | None, pictures: Path) -> list[ImageRecord]:
     files = {p.stem: p for p in _label_files(labels)} if labels else {}
-    records: list[tuple[str, ImageRecord]] = []
+    records: list[ImageRecord] = []
     unlabelled = 0
     taken: dict[str, str] = {}
     for name, path in list_pictures(pictures).items():
-        key = path.relative_to(root).as_posix()
+        key = found.place(path)
         if path.is_symlink() and (fault := check_link(path, pictures, key)):
-            problems.append(fault)
+            found.problems.append(fault)
             continue
         if path.stem in taken:
-            found = f"{name} and {taken[path.stem]} share a label file"
-            problems.append(Problem(key, "image-duplicate", found, "each stem once", "rename one of them"))
+            text = f"{name} and {taken[path.stem]} share a label file"
+            found.add(key, "image-duplicate", text, "each stem once", "rename one of them")
             continue
         taken[path.stem] = name
-        size_wh, problem = read_size(path, key)
+        size_wh = found.size(path, key)
         if size_wh is None:
-            problems += [problem] if problem else []
             continue
         file = files.get(path.stem)
         unlabelled += file is None
-        instances, extra = _read_file(root, file, size_wh, problems) if file else ((), {})
-        capture = _capture(name, key, table, problems)
-        record = ImageRecord("", path, split, size_wh, instances, capture, extra=extra, file_name=name)
-        records.append((key, record))
+        instances, extra = _read_file(found, file, size_wh) if file else ((), {})
+        records.append(ImageRecord("", path, split, size_wh, instances, extra=extra, file_name=name))
     for stem in sorted(set(files) - set(taken)):
-        where = files[stem].relative_to(root).as_posix()
-        expected = f"{stem}.png or the like in {pictures.relative_to(root).as_posix()}"
-        problems.append(Problem(where, "image-missing", "no picture of that name", expected, "restore it"))
+        expected = f"{stem}.png or the like in {found.place(pictures)}"
+        found.add(found.place(files[stem]), "image-missing", "no picture of that name", expected, "restore it")
     if unlabelled:
-        found = f"{unlabelled} picture(s) of {split} have no label file, taken as without objects"
-        problems.append(Problem(root.name, "label-missing", found, "a label file each", severity="warning"))
+        text = f"{unlabelled} picture(s) of {split} have no label file, taken as without objects"
+        found.warn(found.root.name, "label-missing", text, "a label file each")
     return records
 
 
-def _capture(name: str, key: str, table: CaptureTable | None, problems: list[Problem]) -> Capture:
-    facts = facts_from_name(name)
-    named = facts.capture if facts else Capture()
-    listed = table.find(key) if table else None
-    if listed is None:
-        return named
-    for conflict in listed.conflicts(named):
-        found = f"{conflict} (table, file name); the table is used"
-        problems.append(Problem(key, "metadata-disagrees", found, "the same", severity="warning"))
-    return listed.over(named)
-
-
 def _read_file(
-    root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem]
-) -> tuple[tuple[Instance, ...], dict[str, Any]]:
-    where = path.relative_to(root).as_posix()
-    text, problem = read_text(path, where, "a DOTA label file")
-    if problem is not None:
-        problems.append(problem)
-        return (), {}
+    found: Findings, path: Path, size_wh: tuple[int, int]
+) -> tuple[tuple[Instance, ...], dict[str, Any]]:  # fmt: skip
     extra: dict[str, Any] = {}
     instances: list[Instance] = []
     seen: set[str] = set()
-    for n, line in enumerate(text.splitlines(), 1):
-        here = f"{where}: line {n}"
+    for n, line in enumerate((found.text(path, "a DOTA label file") or "").splitlines(), 1):
+        here = f"{found.place(path)}: line {n}"
         if header := _HEADER.fullmatch(line.strip()):
             if header[2].strip().casefold() not in ("", _NOTHING, "none"):
                 extra[header[1].lower()] = header[2].strip()
@@ -306,21 +247,20 @@ def _read_file(
         if not words:
             continue
         if " ".join(words) in seen:
-            found = "the same line again, kept"
-            problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
+            found.warn(here, "object-duplicate", "the same line again, kept", "each object once")
         seen.add(" ".join(words))
-        instance = _object(words, size_wh, here, problems)
+        instance = _object(found, words, size_wh, here)
         if instance is not None:
             instances.append(instance)
     return tuple(instances), extra
 
 
-def _object(words: Sequence[str], size_wh: tuple[int, int], where: str, problems: list[Problem]) -> Instance | None:
-    numbers = _floats(words[:8]) if len(words) in (9, 10) else None
+def _object(found: Findings, words: list[str], size_wh: tuple[int, int], where: str) -> Instance | None:
+    numbers = to_floats(words[:8], 8) if len(words) in (9, 10) else None
     flag = words[9] if len(words) == 10 else None
     if numbers is None or flag not in (None, "0", "1", "2"):
         expected = "x1 y1 x2 y2 x3 y3 x4 y4 category difficult"
-        problems.append(Problem(where, "label-malformed", repr(" ".join(words)[:80]), expected, "correct the line"))
+        found.add(where, "label-malformed", repr(" ".join(words)[:80]), expected, "correct the line")
         return None
     corners = clockwise_corners(np.array(numbers, np.float64).reshape(4, 2))
     box, problem = check_box(box_of_points(corners).tolist(), size_wh, where)
@@ -328,10 +268,10 @@ def _object(words: Sequence[str], size_wh: tuple[int, int], where: str, problems
         over = overhang_px(corners, size_wh)
         problem = None
         if over > OVERHANG_PX:
-            found = f"oriented box reaches {over:.3g} px out of the frame, kept; its axis-aligned box is clipped"
+            text = f"oriented box reaches {over:.3g} px out of the frame, kept; its axis-aligned box is clipped"
             expected = f"at most {OVERHANG_PX} px outside {size_wh[0]}x{size_wh[1]} px"
-            problem = Problem(where, "box-overhang", found, expected, severity="warning")
-    problems += [problem] if problem is not None else []
+            problem = Problem(where, "box-overhang", text, expected, severity="warning")
+    found.problems += [problem] if problem is not None else []
     if box is None:
         return None
     # Later versions use 2 for objects too small to identify.

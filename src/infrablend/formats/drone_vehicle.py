@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,12 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, clockwise, corners_of_box
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import DatasetError
 from infrablend.formats import derived
-from infrablend.formats.annotation_files import read_xml
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box, is_near
-from infrablend.formats.pictures import is_picture_name, read_size
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.pictures import is_picture_name
+from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.values import to_floats
 
 NAME = "drone-vehicle"
@@ -66,25 +64,6 @@ def detect(root: Path) -> Match:
     return Match(NAME, True, f"pictures of {', '.join(folders)} in folders such as {next(iter(folders))}imgr")
 
 
-@dataclass
-class _Reading:
-    """State of reading one dataset.
-
-    Attributes:
-        root: Folder of the dataset.
-        crop: Whether to take the white border off.
-        problems: Problems found so far.
-        counts: Numbers of pictures and objects.
-        names: Number of objects with a name that is no class.
-    """
-
-    root: Path
-    crop: bool
-    problems: list[Problem] = field(default_factory=list)
-    counts: Counter[str] = field(default_factory=Counter)
-    names: Counter[str] = field(default_factory=Counter)
-
-
 def read(
     root: Path,
     *,
@@ -94,15 +73,9 @@ def read(
     border: str = "crop",
     unlabelled: str = "drop",
 ) -> Dataset:
-    """Read pictures and oriented boxes.
+    """Read pictures and oriented boxes; crops are PNG files in the cache folder.
 
-    Args:
-        root: Folder with `train`, `val` and `test`, or some of them.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude; None uses any `metadata.csv` or `.json`.
-        modality: `ir`, `rgb` or `both`; records of visible light have `modality` `visible` in their `extra`.
-        border: Whether to `crop` or `keep` the white border. Crops are PNG files in the cache folder.
-        unlabelled: Whether to `keep` or `drop` pictures without a label file.
+    Records of visible light have `modality` `visible` in their `extra`.
 
     Raises:
         DatasetError: An option has a wrong value, or no picture can be read.
@@ -112,126 +85,116 @@ def read(
         unlabelled=(unlabelled, KEEP_OR_DROP),
     )  # fmt: skip
     wanted = check_splits(splits)
-    state = _Reading(root, border == "crop")
+    found = Findings(root)
+    unknown: Counter[str] = Counter()
     records: list[ImageRecord] = []
     for split, folder in _folders(root).items():
         if split not in wanted:
             continue
         for kind in ("ir", "rgb") if modality == "both" else (modality,):
-            records += _read_split(state, split, folder, kind, unlabelled)
-    if state.names:
-        found = "names that are no class, left out: " + ", ".join(f"{n!r} {k}" for n, k in sorted(state.names.items()))
-        expected = f"one of {', '.join(c.name for c in CATEGORIES)}"
-        state.problems.append(Problem(root.name, "category-unknown", found, expected, severity="warning"))
-    if state.counts["clipped"]:
-        found = f"{state.counts['clipped']} object(s) that reach out of the picture; their boxes are clipped to it"
-        state.problems.append(Problem(root.name, "box-clipped", found, "boxes inside", severity="warning"))
+            records += _read_split(found, split, folder, kind, border == "crop", unlabelled, unknown)
+    if unknown:
+        text = "names that are no class, left out: " + ", ".join(f"{n!r} {k}" for n, k in sorted(unknown.items()))
+        found.warn(root.name, "category-unknown", text, f"one of {', '.join(c.name for c in CATEGORIES)}")
+    found.counts["unknown"] = unknown.total()
+    if found.counts["clipped"]:
+        text = f"{found.counts['clipped']} object(s) that reach out of the picture; their boxes are clipped to it"
+        found.warn(root.name, "box-clipped", text, "boxes inside")
     keys = ("pictures", "objects", "read", "clipped", "outside", "unknown", "unlabelled", "cropped", "pairs")
-    notes = {"labels": NAME, "modality": modality, "rows": {k: state.counts[k] for k in keys}}
-    return make_dataset(root, NAME, records, CATEGORIES, state.problems, notes, metadata=metadata, splits=wanted)
+    notes = {"labels": NAME, "modality": modality, "rows": found.rows(*keys)}
+    return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
 
 
-def _read_split(state: _Reading, split: Split, folder: Path, kind: str, unlabelled: str) -> list[ImageRecord]:
+def _read_split(
+    found: Findings, split: Split, folder: Path, kind: str, crop: bool, unlabelled: str, unknown: Counter[str]
+) -> list[ImageRecord]:
+    """Return the pictures of one kind in a split; `unknown` counts names that are no class."""
     pictures, labels = (folder / f"{split}{suffix}" for suffix in _KINDS[kind])
     twins = folder / f"{split}{_KINDS['rgb' if kind == 'ir' else 'ir'][0]}"
     names = sorted(p.name for p in pictures.iterdir() if is_picture_name(p.name)) if pictures.is_dir() else []
     records, without = [], 0
     for name in names:
         path, label = pictures / name, labels / f"{Path(name).stem}.xml"
-        where = path.relative_to(state.root).as_posix()
         without += not label.is_file()
         if not label.is_file() and unlabelled == "drop":
             continue
-        state.counts["pictures"] += 1
-        path_read, size_wh, offset, problem = _picture(state, path, where)
-        state.problems += [problem] if problem else []
+        found.counts["pictures"] += 1
+        made, size_wh, offset = _picture(found, path, crop)
         if size_wh is None:
             continue
-        instances = _instances(state, label, size_wh, offset) if label.is_file() else ()
+        instances = _instances(found, label, size_wh, offset, unknown) if label.is_file() else ()
         if instances is None:
             continue
         extra: dict[str, Any] = {"modality": "visible"} if kind == "rgb" else {}
         extra |= {} if label.is_file() else {"labelled": False}
         if (twins / name).is_file():
-            state.counts["pairs"] += 1
-            extra["twin"] = (twins / name).relative_to(state.root).as_posix()
-        file = f"{path.parent.name}/{path_read.name}"
-        records.append(ImageRecord("", path_read, split, size_wh, instances, extra=extra, file_name=file))
-    state.counts["unlabelled"] += without
-    where = f"{split}{_KINDS[kind][0]}"
-    state.problems += unlabelled_problems(where, without, unlabelled)
+            found.counts["pairs"] += 1
+            extra["twin"] = found.place(twins / name)
+        file = f"{pictures.name}/{made.name}"
+        records.append(ImageRecord("", made, split, size_wh, instances, extra=extra, file_name=file))
+    found.counts["unlabelled"] += without
+    found.problems += unlabelled_problems(pictures.name, without, unlabelled)
     stems = {Path(n).stem for n in names}
     for label in sorted(labels.glob("*.xml")) if labels.is_dir() else ():
         if label.stem not in stems and not label.name.startswith("."):
-            where = label.relative_to(state.root).as_posix()
-            state.problems.append(Problem(where, "image-missing", "no picture of that name", "restore it"))
+            found.add(found.place(label), "image-missing", "no picture of that name", "restore it")
     return records
 
 
-def _picture(
-    state: _Reading, path: Path, where: str
-) -> tuple[Path, tuple[int, int] | None, int, Problem | None]:  # fmt: skip
+def _picture(found: Findings, path: Path, crop: bool) -> tuple[Path, tuple[int, int] | None, int]:
     """Return the picture to read, its size (None if it cannot be read), and the width of the border taken off."""
-    size_wh, problem = read_size(path, where)
-    if size_wh is None:
-        return path, None, 0, problem
-    if size_wh != WITH_BORDER_WH or not state.crop:
-        return path, size_wh, 0, None
+    where = found.place(path)
+    size_wh = found.size(path, where)
+    if size_wh != WITH_BORDER_WH or not crop:
+        return path, size_wh, 0
     try:
-        cropped = derived.crop(path, BORDER_PX)
+        made = derived.crop(path, BORDER_PX)
     except DatasetError as error:
-        fault = error.problems[0]
-        return path, None, 0, Problem(where, fault.code, fault.found, fault.expected, fault.todo)
-    state.counts["cropped"] += 1
-    return cropped, (size_wh[0] - 2 * BORDER_PX, size_wh[1] - 2 * BORDER_PX), BORDER_PX, None
+        found.add_all(error.problems, where)
+        return path, None, 0
+    found.counts["cropped"] += 1
+    return made, (WITH_BORDER_WH[0] - 2 * BORDER_PX, WITH_BORDER_WH[1] - 2 * BORDER_PX), BORDER_PX
 
 
 def _instances(
-    state: _Reading, path: Path, size_wh: tuple[int, int], offset: int
-) -> tuple[Instance, ...] | None:  # fmt: skip
-    """Return the objects in a label file; None, with a problem, if it cannot be read."""
-    where = path.relative_to(state.root).as_posix()
-    top, problem = read_xml(path, where)
-    if problem is not None:
-        state.problems.append(problem)
+    found: Findings, path: Path, size_wh: tuple[int, int], offset: int, unknown: Counter[str]
+) -> tuple[Instance, ...] | None:
+    top = found.xml(path)
+    if top is None:
         return None
-    found = []
+    instances = []
     for n, element in enumerate(top.findall("object"), 1):
-        here = f"{where}: object {n}"
-        state.counts["objects"] += 1
+        here = f"{found.place(path)}: object {n}"
+        found.counts["objects"] += 1
         written = " ".join((element.findtext("name") or "").split())
         name = SPELLINGS.get(written.lower(), written.lower())
         if name not in {c.name for c in CATEGORIES}:
-            state.names[written[:40]] += 1
-            state.counts["unknown"] += 1
+            unknown[written[:40]] += 1
             continue
         corners = _corners(element)
         if corners is None:
             expected = "a polygon of four corners x1, y1 to x4, y4, or a bndbox"
-            state.problems.append(Problem(here, "annotation-layout", "no box", expected, "correct the annotation"))
+            found.add(here, "annotation-layout", "no box", expected, "correct the annotation")
             continue
-        corners = corners - offset
-        corners = clockwise(corners)
+        corners = clockwise(corners - offset)
+        # Boxes that are clipped are counted, not reported one by one.
         box, problem = check_box(box_of_points(corners).tolist(), size_wh, here)
         if box is None:
-            state.counts["outside"] += problem is not None and problem.code == "box-outside"
-            state.problems += [problem] if problem else []
+            found.counts["outside"] += problem is not None and problem.code == "box-outside"
+            found.problems += [problem] if problem else []
             continue
-        state.counts["clipped"] += problem is not None
-        state.counts["read"] += 1
-        found.append(Instance(name, box, corners))
-    return tuple(found)
+        found.counts["clipped"] += problem is not None
+        found.counts["read"] += 1
+        instances.append(Instance(name, box, corners))
+    return tuple(instances)
 
 
 def _corners(element: Any) -> NDArray[np.float64] | None:
     """Return the corners of an object, from its polygon or else its box; None if it has neither."""
-    polygon, box = element.find("polygon"), element.find("bndbox")
-    if polygon is not None:
-        numbers = to_floats([polygon.findtext(k) for k in _CORNERS], 8)
+    for tag, keys in (("polygon", _CORNERS), ("bndbox", ("xmin", "ymin", "xmax", "ymax"))):
+        place = element.find(tag)
+        numbers = None if place is None else to_floats([place.findtext(k) for k in keys], len(keys))
         if numbers is not None and is_near(numbers):
-            return np.array(numbers, np.float64).reshape(4, 2)
-    if box is not None:
-        edges = to_floats([box.findtext(k) for k in ("xmin", "ymin", "xmax", "ymax")], 4)
-        if edges is not None and is_near(edges):
-            return corners_of_box(np.array(edges, np.float64))
+            values = np.array(numbers, np.float64)
+            return values.reshape(4, 2) if tag == "polygon" else corners_of_box(values)
     return None

@@ -13,10 +13,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from infrablend.core.dataset import Category, Dataset
-from infrablend.errors import Problem
 from infrablend.formats import voc
 from infrablend.formats.base import Match, check_splits, require_options
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset
+from infrablend.formats.records import KEEP_OR_DROP, Findings
 
 NAME = "dut-anti-uav"
 OPTIONS = voc.OPTIONS
@@ -49,13 +48,13 @@ def read(
     """Read pictures and labels; see `voc.read` for the arguments and errors."""
     require_options(root, origin=(origin, ("0", "1")), unlabelled=(unlabelled, KEEP_OR_DROP))
     wanted = check_splits(splits)
-    found = voc.read_folder(root, wanted, "1" if origin == "1" else "0", unlabelled)
-    problems = list(found.problems)
-    others = [n for n in found.names if n != "UAV"]
+    found = Findings(root)
+    records = voc.read_folder(found, wanted, origin == "1", unlabelled)
+    others = [n for n in voc.names_of(records) if n != "UAV"]
     if others:
         text = f"{', '.join(others)}, taken as new categories"
-        problems.append(Problem(root.name, "category-unknown", text, "only UAV", severity="warning"))
+        found.warn(root.name, "category-unknown", text, "only UAV")
     categories = [*CATEGORIES, *(Category(k, n) for k, n in enumerate(others, 1))]
-    records = [replace(r, extra={**r.extra, "modality": "visible"}) for r in found.records]
-    notes = {"labels": NAME, "origin": int(origin), "modality": "visible", "rows": found.counts}
-    return make_dataset(root, NAME, records, categories, problems, notes, metadata=metadata, splits=wanted)
+    visible = [replace(r, extra={**r.extra, "modality": "visible"}) for r in records]
+    notes = {"labels": NAME, "origin": int(origin), "modality": "visible", "rows": found.rows(*voc.COUNTS)}
+    return found.dataset(NAME, visible, categories, notes, metadata=metadata, splits=wanted)

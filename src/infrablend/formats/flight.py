@@ -13,9 +13,8 @@ import shlex
 import statistics
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 from infrablend.core.capture import Capture, TimeOfDay
 from infrablend.core.dataset import Dataset, ImageRecord
@@ -23,9 +22,10 @@ from infrablend.core.files import open_regular
 from infrablend.core.format_table import FORMATS
 from infrablend.core.workspace import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.capture import pitch_note
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
-from infrablend.formats.values import is_place
+from infrablend.formats.values import is_place, to_time
 from infrablend.thermal.sky import sun_position, time_of
 
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
@@ -90,14 +90,16 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     known = [facts[_key(i)] for i in kept if _key(i) in facts]
     problems += _missing(dataset, images) + _cameras(dataset, known) + _clocks(dataset, facts.values())
     problems += _with_temperatures(dataset, known)
+    rows = _rows(kept, facts)
     note = {
         "pictures": len(images),
         "left_out": dict(sorted(Counter(left_out.values()).items())),
         "cameras": dict(sorted(Counter(_camera(f) for f in known).items())),
         "radiometric": sum(bool(f.raw) for f in known),
-        "facts": [row.to_json() for row in _rows(kept, facts)],
+        "facts": [asdict(row) for row in rows],
     }
-    notes = {**dataset.notes, "pitch": _pitch_note(kept, facts), "flight": note}
+    pitches = pitch_note({r.source or "none": r.count for r in rows if r.field == "pitch_deg"})
+    notes = {**dataset.notes, "pitch": pitches, "flight": note}
     return replace(dataset, images=tuple(images), problems=(*dataset.problems, *problems), notes=notes)
 
 
@@ -209,7 +211,6 @@ def _warning(dataset: Dataset, code: str, found: str, expected: str, todo: str =
 
 
 def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
-    """Return a record with the facts that it lacks."""
     if f is None:
         return image
     stated = Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False)
@@ -274,12 +275,8 @@ def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
 
 def _naive(captured: str | None) -> datetime | None:
     """Return a time of capture without its time zone; None for a date alone."""
-    if captured is None or len(captured) <= 10:
-        return None
-    try:
-        return datetime.fromisoformat(captured).replace(tzinfo=None)
-    except ValueError:
-        return None
+    when = to_time(captured) if captured is not None and len(captured) > 10 else None
+    return when.replace(tzinfo=None) if when else None
 
 
 # ---- What is missing, and what does not fit together
@@ -298,7 +295,6 @@ def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
 
 
 def _with_temperatures(dataset: Dataset, known: Sequence[CameraFacts]) -> list[Problem]:
-    """Return a warning if pictures contain temperatures, which are not used."""
     makers = [f.raw for f in known if f.raw]
     if not makers:
         return []
@@ -384,10 +380,6 @@ class FactRow:
     lowest: float | str | None = None
     highest: float | str | None = None
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {k: getattr(self, k) for k in ("field", "source", "count", "lowest", "highest")}
-
 
 def _rows(given: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> list[FactRow]:
     """Return the table of facts; `given` are the records as read, without facts from the pictures."""
@@ -408,10 +400,3 @@ def _rows(given: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> lis
         rows += [FactRow(name, source, len(v), min(v), max(v)) for source, v in sorted(values.items())]
         rows += [FactRow(name, "", lacking)] if lacking else []
     return rows
-
-
-def _pitch_note(given: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> str:
-    rows = [r for r in _rows(given, facts) if r.field == "pitch_deg"]
-    if len(rows) == 1:
-        return rows[0].source or "none"
-    return ", ".join(f"{r.source or 'none'} ({r.count} of {len(given)})" for r in rows)

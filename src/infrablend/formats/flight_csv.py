@@ -13,25 +13,26 @@ import csv
 import io
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from infrablend.core.camera import STRAIGHT_DOWN_DEG, pitch_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import comma_of, delimiter_of
 from infrablend.formats.flight_log import (
     MAX_DAMAGED,
     FlightLog,
     Values,
+    gimbal_pitches,
     in_order,
     read_log_text,
     with_places,
     with_rolls,
 )
+from infrablend.formats.values import to_number
 
 _HEADER_LINES = 5
 _UNIT = re.compile(r"[\s]*[(\[]\s*([A-Za-z/ ]+?)\s*[)\]]\s*$")
@@ -113,7 +114,7 @@ def read_flight_csv(path: Path) -> FlightLog:
     problems = []
     if lost > MAX_DAMAGED * len(rows) or kept.sum() < 2:
         found = f"{lost} of {len(rows)} row(s) without a time, or out of order"
-        column = next((columns[c] for c in dialect.elapsed if c in columns), None)
+        column = _first(columns, dialect.elapsed)
         if column is not None and column.unit not in _SECONDS:
             found += f"; column {column.title!r} has no known unit"
         problem = Problem(path.name, "log-times", found, "times that increase", "export the log again")
@@ -127,7 +128,7 @@ def read_flight_csv(path: Path) -> FlightLog:
     more += rolled
     start = float(elapsed[kept][0])
     times = elapsed[kept] - start
-    flags = next((columns[c] for c in dialect.recording if c in columns), None)
+    flags = _first(columns, dialect.recording)
     recordings = () if flags is None else _recordings([rows[k][flags.index] for k in np.flatnonzero(kept)], times)
     return FlightLog(
         path.name, dialect.name, times, values, height, None, clock_s[kept] if clock_s is not None else None, in_utc,
@@ -166,6 +167,10 @@ def _name_and_unit(title: str) -> tuple[str, str]:
     return (title[: unit.start()] if unit else title).strip().lower(), unit[1].lower() if unit else ""
 
 
+def _first(columns: Mapping[str, _Column], names: Iterable[str]) -> _Column | None:
+    return next((columns[n] for n in names if n in columns), None)
+
+
 def _columns(
     titles: Sequence[str], names: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], delimiter: str
 ) -> dict[str, _Column]:
@@ -187,16 +192,14 @@ def _times(
     path: Path, dialect: _Dialect, columns: Mapping[str, _Column], rows: Sequence[Sequence[str]]
 ) -> tuple[Values, Values | None, bool]:
     """Return the seconds of each row on one scale, the clock of each row if the log has dates, and if it is in UTC."""
-    clock = next((columns[c] for c in dialect.clock if c in columns), None)
+    clock = _first(columns, dialect.clock)
     date = columns.get(dialect.date) if dialect.date else None
     clock_s: Values | None = None
     if clock is not None:
         texts = [f"{row[date.index]} {row[clock.index]}" if date else row[clock.index] for row in rows]
         clock_s = np.array([_clock(t) for t in texts], np.float64)
-    column = next((columns[c] for c in dialect.elapsed if c in columns), None)
-    elapsed = np.full(len(rows), np.nan)
-    if column is not None:
-        elapsed = _elapsed(column, rows)
+    column = _first(columns, dialect.elapsed)
+    elapsed = np.full(len(rows), np.nan) if column is None else _elapsed(column, rows)
     dated = clock_s is not None and np.isfinite(clock_s).all() and bool((clock_s > 0).all())
     if clock_s is not None and not np.isfinite(elapsed).any():
         # Without dates the clock still gives the time within the day.
@@ -215,7 +218,7 @@ def _undated(
 ) -> list[Problem]:
     """Return a warning if the log has a column of dates that cannot be used, so that times of capture are unknown."""
     names = (dialect.date,) if dialect.date else dialect.clock
-    column = next((columns[c] for c in names if c in columns), None)
+    column = _first(columns, names)
     text = "" if column is None else next((t for row in rows if (t := row[column.index].strip())), "")
     if not text:
         return []
@@ -277,11 +280,8 @@ def _clock(text: str) -> float:
 
 
 def _number(text: str) -> float:
-    try:
-        value = float(text.strip())
-    except ValueError:
-        return math.nan
-    return value if math.isfinite(value) and abs(value) < 1e12 else math.nan
+    value = to_number(text.strip())
+    return value if value is not None and abs(value) < 1e12 else math.nan
 
 
 def _values(
@@ -296,17 +296,15 @@ def _values(
     taken = [rows[k] for k in np.flatnonzero(kept)]
     values: dict[str, Values] = {}
     for field, options in dialect.columns.items():
-        column = next((columns[c] for c in options if c in columns), None)
+        column = _first(columns, options)
         if column is None:
             continue
         problems += _contradictions(path, column)
         numbers = column.numbers(taken)
         if field == "pitch":
-            field, numbers = "pitch_deg", np.array([pitch_of_gimbal(v) for v in numbers.tolist()], np.float64)
-            back = int((numbers > STRAIGHT_DOWN_DEG).sum())
-            if back:
-                text = f"{back} sample(s) with a gimbal that looks back under the aircraft"
-                problems.append(Problem(path.name, "log-pitch", text, "-90 to 90 degrees", severity="warning"))
+            field = "pitch_deg"
+            numbers, remarks = gimbal_pitches(numbers, path.name)
+            problems += remarks
         limit = {"latitude_deg": 90.0, "longitude_deg": 180.0}.get(field, 360.0)
         values[field] = np.where(np.abs(numbers) <= limit, numbers, np.nan)
     for name in dialect.height:

@@ -6,14 +6,14 @@ import math
 import stat
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.camera import is_plausible_roll, roll_of_gimbal
+from infrablend.core.camera import STRAIGHT_DOWN_DEG, is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.values import is_place
 
@@ -89,10 +89,7 @@ class Coverage:
 
     def to_json(self) -> dict[str, float]:
         """Return plain JSON values."""
-        return {
-            "inside": self.inside, "before": self.before, "after": self.after, "in_gaps": self.in_gaps,
-            "largest_gap_s": round(self.largest_gap_s, 3),
-        }  # fmt: skip
+        return {**asdict(self), "largest_gap_s": round(self.largest_gap_s, 3)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +147,20 @@ def sample(log: FlightLog, at: Sequence[float], positions: Values | None = None)
         int(known.sum()), int(before.sum()), int(after.sum()), int(in_gap.sum()), float(steps.max(initial=0.0))
     )
     return Sampled(values, captured, coverage)
+
+
+def gimbal_pitches(column: Values, name: str) -> tuple[Values, list[Problem]]:
+    """Return the angles below the horizon of a gimbal's own pitches, and a warning of those that look back.
+
+    Args:
+        column: (n,) degrees as the log has them.
+        name: Name of the log's file.
+    """
+    pitches = np.array([pitch_of_gimbal(v) for v in column.tolist()], np.float64)
+    back = int((pitches > STRAIGHT_DOWN_DEG).sum())
+    found = f"{back} sample(s) with a gimbal that looks back under the aircraft"
+    warning = Problem(name, "log-pitch", found, "-90 to 90 degrees", severity="warning")
+    return pitches, [warning] if back else []
 
 
 def with_places(values: Mapping[str, Values]) -> dict[str, Values]:

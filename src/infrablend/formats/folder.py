@@ -16,29 +16,25 @@ from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, shorten, sort_images
-from infrablend.formats.capture import Captures, find_table, read_table
+from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits
 from infrablend.formats.pictures import list_pictures
+from infrablend.formats.records import Findings
 from infrablend.formats.yolo import (
     FoundPicture,
     Task,
     build_records,
     categories_of,
-    check_table,
     class_names,
     find_label,
     find_yaml,
-    orphan_labels,
     read_yaml,
+    report_orphans,
 )
 from infrablend.formats.yolo import native_writer as yolo_writer
 
 NAME = "folder"
 
 Labels = Literal["auto", "none", "yolo", "coco"]
-_SPLIT_NAMES: dict[str, Split] = {
-    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
-}  # fmt: skip
 # Folders without backgrounds.
 _SKIP = ("labels", "annotations", "coco", "scenes")
 
@@ -52,23 +48,20 @@ def detect(root: Path) -> Match:
     return Match(NAME, True, "a folder with pictures")
 
 
-def find_pictures(root: Path) -> tuple[list[tuple[Split, Path]], list[Problem]]:
+def _split_folders(found: Findings) -> list[tuple[Split, Path]]:
     """Return (split, folder) pairs: `train`, `val`, `test` (also in `images/`), else the whole folder as train."""
+    root = found.root
     for base in (root, root / "images"):
-        if not base.is_dir():
-            continue
-        folders = sorted(d for d in base.iterdir() if d.is_dir() and d.name.lower() in _SPLIT_NAMES)
-        split_folders = [(_SPLIT_NAMES[d.name.lower()], d) for d in folders]
-        if split_folders and any(list_pictures(d, _SKIP) for _, d in split_folders):
-            problems: list[Problem] = []
-            inside = {p for _, d in split_folders for p in list_pictures(d, _SKIP).values()}
+        folders = sorted(d for d in base.iterdir() if d.is_dir()) if base.is_dir() else []
+        named = [(SPLIT_FOLDERS[d.name.lower()], d) for d in folders if d.name.lower() in SPLIT_FOLDERS]
+        inside = {p for _, d in named for p in list_pictures(d, _SKIP).values()}
+        if inside:
             outside = [n for n, p in list_pictures(root, _SKIP).items() if p not in inside]
             if outside:
-                found = f"{len(outside)} picture(s) outside the split folders, left out: {', '.join(outside[:3])}"
-                expected = "all pictures in train, val or test"
-                problems.append(Problem(root.name, "image-unlisted", found, expected, severity="warning"))
-            return split_folders, problems
-    return [("train", root)], []
+                text = f"{len(outside)} picture(s) outside the split folders, left out: {', '.join(outside[:3])}"
+                found.warn(root.name, "image-unlisted", text, "all pictures in train, val or test")
+            return named
+    return [("train", root)]
 
 
 def _belongs_to(root: Path) -> Path | None:
@@ -97,13 +90,9 @@ def read(
 ) -> Dataset:
     """Read a folder of pictures. Nothing is decoded; sizes are read only where labels need them.
 
-    Args:
-        root: The folder; subfolders are entered.
-        splits: The splits wanted; without `train`, `val`, `test` subfolders everything is train.
-        metadata: Table of pitch and altitude (`capture.read_table`); None takes `metadata.csv` or `.json` in the
-            folder, if there. Names in HIT-UAV's grammar give pitch and altitude, too; the table counts more.
-        labels: `auto` reads one COCO file if there is one, else text files; `none` ignores labels.
-        task: What YOLO lines of nine numbers are, see `yolo.build_records`.
+    Without subfolders `train`, `val`, `test` everything is train. Names in HIT-UAV's grammar give pitch and altitude,
+    too; the table counts more. With `labels` auto, one COCO file is read if there is one, else text files. `task` says
+    what YOLO lines of nine numbers are, see `yolo.build_records`.
 
     Raises:
         DatasetError: No picture, or the labels asked for are not there.
@@ -125,37 +114,25 @@ def read(
             return replace(coco.read(root, splits=wanted, metadata=metadata), format=NAME)
         if labels == "coco":
             raise DatasetError(f"{root}: no COCO file", [Problem(str(root), "annotation-missing", "no COCO file")])
-    folders, problems = find_pictures(root)
+    found = Findings(root)
     pictures = [
-        FoundPicture(
-            name, path, split, None if labels == "none" else find_label(path, root), path.relative_to(root).as_posix()
-        )
-        for split, folder in folders
+        FoundPicture(name, path, split, None if labels == "none" else find_label(path, root))
+        for split, folder in _split_folders(found)
         if split in wanted
         for name, path in list_pictures(folder, _SKIP).items()
     ]
-    if not pictures:
-        problems.append(Problem(str(root), "image-missing", "no picture", "JPEG, PNG, BMP or TIFF files"))
-        raise DatasetError(f"{root}: no picture to read in the splits {', '.join(wanted)}", problems)
-    table_path = metadata or find_table(root)
-    table = read_table(table_path) if table_path else None
     labelled = [p for p in pictures if p.label is not None]
-    if labels == "yolo" and not labelled:
+    if labels == "yolo" and pictures and not labelled:
         problem = Problem(str(root), "annotation-missing", "no label file", "a .txt for each picture")
         raise DatasetError(f"{root}: no YOLO labels", [problem])
     names = _find_names(root, pictures) if labelled else None
-    captures = Captures(table, problems)
-    records, known = build_records(root, pictures, names, captures, problems, task)
-    problems += orphan_labels(root, pictures) if labels != "none" else []
-    problems += check_table(table, pictures, root)
-    if not records:
-        raise DatasetError(f"{root}: no picture can be read", shorten(problems))
-    notes = {
-        "labels": "yolo" if labelled else "none",
-        "table": table_path.name if table_path else None,
-        "pitch": captures.note(),
-    }
-    return Dataset(root, NAME, categories_of(known), sort_images(records), tuple(problems), notes)
+    records, known = build_records(found, pictures, names, task)
+    if labels != "none":
+        report_orphans(found, pictures)
+    return found.dataset(
+        NAME, records, categories_of(known), {"labels": "yolo" if labelled else "none"}, metadata=metadata,
+        splits=wanted, others=[found.place(p.path) for p in pictures],
+    )  # fmt: skip
 
 
 def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] | None:

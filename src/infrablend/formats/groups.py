@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import PurePosixPath
 from typing import Any, Literal
 
@@ -71,13 +71,7 @@ class Leakage:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        return {
-            "split": self.split,
-            "other": self.other,
-            "images": self.images,
-            "near": self.near,
-            "distance": self.distance,
-        }
+        return asdict(self)
 
 
 def leakage(images: Iterable[ImageRecord], distance: int = NEAR) -> tuple[Leakage, ...]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib
 import re
-from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -20,13 +19,10 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
-from infrablend.formats import derived
 from infrablend.formats.anti_uav import step_of
 from infrablend.formats.base import Match, check_splits
-from infrablend.formats.box_checks import check_box
 from infrablend.formats.matlab import object_workspace
-from infrablend.formats.pictures import read_size
-from infrablend.formats.records import make_dataset
+from infrablend.formats.records import Findings
 from infrablend.formats.values import to_floats
 from infrablend.formats.video import Video
 
@@ -45,7 +41,6 @@ _USUAL_DIFFERENCE = 1
 
 
 def _clips(root: Path) -> dict[str, Path]:
-    """Return the thermal clips by stem."""
     for name in _FOLDERS:
         folder = root / name
         found = {
@@ -69,13 +64,7 @@ def detect(root: Path) -> Match:
 def read(
     root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None, every: str = ""
 ) -> Dataset:  # fmt: skip
-    """Read frames and boxes of the thermal clips; there is no published split, so all are train.
-
-    Args:
-        root: Folder of the repository, its `Data` or its `Video_IR`.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude, by file or by clip; None uses any `metadata.csv` or `.json`.
-        every: Step in frames. Frames are PNG files in the cache folder.
+    """Read frames and boxes of the thermal clips, as PNG files in the cache; there is no published split: all is train.
 
     Raises:
         DatasetError: An option has a wrong value, or no frame can be read.
@@ -90,15 +79,13 @@ def read(
         )
         raise DatasetError(f"{root}: no clips of the Halmstad dataset", [problem])
     decoder = _require_decoder()
-    problems: list[Problem] = []
-    counts: Counter[str] = Counter()
+    found = Findings(root)
     records: list[ImageRecord] = []
     for clip, path in clips.items() if "train" in wanted else ():
-        counts["clips"] += 1
-        records += _read_clip(root, clip, path, step, decoder, problems, counts)
-    keys = ("clips", "undecoded", "frames", "objects", "read", "absent")
-    notes = {"labels": NAME, "rows": {k: counts[k] for k in keys}}
-    return make_dataset(root, NAME, records, CATEGORIES, problems, notes, metadata=metadata, splits=wanted)
+        found.counts["clips"] += 1
+        records += _read_clip(found, clip, path, step, decoder)
+    rows = found.rows("clips", "undecoded", "frames", "objects", "read", "absent")
+    return found.dataset(NAME, records, CATEGORIES, {"labels": NAME, "rows": rows}, metadata=metadata, splits=wanted)
 
 
 def _require_decoder() -> Any:
@@ -130,58 +117,42 @@ def _read_labels(path: Path, where: str, decoder: Any) -> tuple[list[Any], Probl
     return boxes, None
 
 
-def _read_clip(
-    root: Path, clip: str, path: Path, step: int, decoder: Any, problems: list[Problem], counts: Counter[str]
-) -> list[ImageRecord]:  # fmt: skip
+def _read_clip(found: Findings, clip: str, path: Path, step: int, decoder: Any) -> list[ImageRecord]:
     label = path.with_name(clip + _LABELS)
-    where = label.relative_to(root).as_posix()
+    where, here = found.place(label), found.place(path)
     boxes, problem = _read_labels(label, where, decoder)
     if problem is not None:
-        problems.append(problem)
-        counts["undecoded"] += 1
+        found.problems.append(problem)
+        found.counts["undecoded"] += 1
         return []
-    here = path.relative_to(root).as_posix()
     try:
         total = len(Video(path).timeline.times_s)
-        frames, faults = derived.video_frames(path, range(0, min(total, len(boxes)), step))
     except DatasetError as error:
-        problems += [Problem(here, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        found.add_all(error.problems, here)
         return []
-    problems += [Problem(here, p.code, p.found, p.expected, p.todo, p.severity) for p in faults]
+    frames = found.video_frames(path, range(0, min(total, len(boxes)), step))
+    if frames is None:
+        return []
     if abs(total - len(boxes)) > _USUAL_DIFFERENCE:
-        found = f"{len(boxes)} label(s) for {total} frame(s); what has no counterpart is left out"
-        problems.append(Problem(where, "annotation-length", found, "a label per frame", severity="warning"))
-    match = _CLIP.fullmatch(clip)
-    category = match[1].lower() if match else CATEGORIES[2].name
+        text = f"{len(boxes)} label(s) for {total} frame(s); what has no counterpart is left out"
+        found.warn(where, "annotation-length", text, "a label per frame")
+    category = clip.split("_")[1].lower()
     records = []
     for number, picture in frames.items():
-        size_wh, problem = read_size(picture, here)
-        problems += [problem] if problem else []
+        size_wh = found.size(picture, here)
         if size_wh is None:
             continue
-        counts["frames"] += 1
+        found.counts["frames"] += 1
         instances: tuple[Instance, ...] = ()
         numbers = None if boxes[number] is None else to_floats(boxes[number], 4)
-        if numbers is None:
-            counts["absent"] += 1
-        else:
-            counts["objects"] += 1
+        found.counts["absent" if numbers is None else "objects"] += 1
+        if numbers is not None:
             x, y, w, h = numbers
             # MATLAB counts from 1.
-            box, problem = check_box((x - 1, y - 1, x - 1 + w, y - 1 + h), size_wh, f"{where}: frame {number}")
-            problems += [problem] if problem else []
+            box = found.box((x - 1, y - 1, x - 1 + w, y - 1 + h), size_wh, f"{where}: frame {number}")
             if box is not None:
-                counts["read"] += 1
+                found.counts["read"] += 1
                 instances = (Instance(category, box, track_id=0),)
-        records.append(
-            ImageRecord(
-                "",
-                picture,
-                "train",
-                size_wh,
-                instances,
-                capture=Capture(sequence=clip, frame=number),
-                file_name=f"{clip}/{clip}_{number:05d}.png",
-            )
-        )
+        capture, name = Capture(sequence=clip, frame=number), f"{clip}/{clip}_{number:05d}.png"
+        records.append(ImageRecord("", picture, "train", size_wh, instances, capture, file_name=name))
     return records

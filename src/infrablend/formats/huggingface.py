@@ -28,7 +28,6 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Sp
 from infrablend.core.files import finite, link_or_copy, write_chunks
 from infrablend.core.format_table import FIELDS
 from infrablend.core.masks import Mask
-from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_lines
 from infrablend.formats.base import (
@@ -38,15 +37,16 @@ from infrablend.formats.base import (
     count_crowds,
     in_order,
     is_ignored_name,
+    require_known,
     require_size,
     shorten,
-    sort_images,
     split_parts,
 )
-from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import BOXES
-from infrablend.formats.pictures import PictureFolder, assign_ids
+from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near
+from infrablend.formats.losses import BOXES, Written
+from infrablend.formats.pictures import PictureFolder
+from infrablend.formats.records import Findings, with_ids
+from infrablend.formats.temperatures import scale_of_record
 from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "huggingface"
@@ -93,7 +93,7 @@ def write(
         files.append(write_chunks(out / split / FILE, table.lines(parts[split], typed[split], losses)))
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / image.split / image.name))
-    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n}, tuple(problems))
+    return Written.of(files, losses, problems)
 
 
 @dataclass(frozen=True)
@@ -140,9 +140,7 @@ class _Columns:
         """Return the line of a picture; the columns in `_NULLABLE` may be null."""
         w, h = require_size(image)
         facts, scale = image.capture.to_json(), image.capture.scale
-        unknown = [i.category for i in image.instances if i.category not in self.ids]
-        if unknown:
-            raise ValueError(f"{image.id}: category {unknown[0]!r} is not in the list of categories")
+        require_known(image, self.ids)
         return {
             "file_name": image.name,
             "width": w,
@@ -179,12 +177,8 @@ def _obb(i: Instance) -> list[float]:
     return _tidy(corners_of_box(i.box_xyxy) if i.corners_xy is None else i.corners_xy)
 
 
-def _has_extra(name: str) -> Callable[[Instance], bool]:
-    return lambda i: name in i.extra
-
-
-def _extra_box(name: str) -> Callable[[Instance], list[float]]:
-    return lambda i: _xywh(np.array(i.extra.get(name, i.box_xyxy), np.float64))
+def _extra_box(name: str) -> tuple[Callable[[Instance], bool], Callable[[Instance], list[float]]]:
+    return lambda i: name in i.extra, lambda i: _xywh(np.array(i.extra.get(name, i.box_xyxy), np.float64))
 
 
 _OPTIONAL: Mapping[str, tuple[Callable[[Instance], bool], Callable[[Instance], Any]]] = {
@@ -198,7 +192,7 @@ _OPTIONAL: Mapping[str, tuple[Callable[[Instance], bool], Callable[[Instance], A
     "truncated": (lambda i: i.truncated is not None, lambda i: bool(i.truncated)),
     "difficult": (lambda i: i.difficult is not None, lambda i: bool(i.difficult)),
     "occluded": (lambda i: "occluded" in i.extra, lambda i: bool(i.extra.get("occluded"))),
-    **{name: (_has_extra(name), _extra_box(name)) for name in BOXES},
+    **{name: _extra_box(name) for name in BOXES},
     "track_id": (lambda i: i.track_id is not None, lambda i: "" if i.track_id is None else str(i.track_id)),
 }
 """Columns of objects that are written if any object of the dataset needs them: when it does, and its value."""
@@ -278,15 +272,9 @@ def detect(root: Path) -> Match:
 
 
 @dataclass
-class _Reading:
-    """State of reading one dataset.
+class _Reading(Findings):
+    """What the reader found so far: also the categories by name, in the order in which they were found."""
 
-    Attributes:
-        problems: Problems found so far.
-        categories: Categories by name, in the order in which they were found.
-    """
-
-    problems: list[Problem] = field(default_factory=list)
     categories: dict[str, Category] = field(default_factory=dict)
 
     def category(self, name: object, number: object, ignore: object) -> str | None:
@@ -305,52 +293,44 @@ class _Reading:
 def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     """Read the lines of every split and find their pictures.
 
-    Args:
-        root: Folder with a folder per split.
-        splits: Splits to read; None reads all.
-
     Raises:
         DatasetError: There is no `metadata.jsonl`, or no picture can be read.
     """
     wanted = check_splits(splits)
-    state = _Reading()
-    found: list[tuple[str, ImageRecord]] = []
+    state = _Reading(root)
+    records: list[ImageRecord] = []
     for path, split in _files(root).items():
         if split not in wanted:
             continue
-        where = path.relative_to(root).as_posix()
+        where = state.place(path)
         folder = PictureFolder.scan(path.parent)
         seen: set[str] = set()
         for n, line in read_lines(path, where, "a line of JSON per picture", state.problems):
             record = _read_line(line, f"{where}: line {n}", split, folder, state)
-            if record is None:
-                continue
-            if record.name in seen:
+            if record is not None and record.name in seen:
                 twice = f"a second line for {record.name!r}"
-                state.problems.append(Problem(f"{where}: line {n}", "image-duplicate", twice, "each picture once"))
-                continue
-            seen.add(record.name)
-            found.append((f"{split}/{record.name}", record))
+                state.add(f"{where}: line {n}", "image-duplicate", twice, "each picture once")
+            elif record is not None:
+                seen.add(record.name)
+                records.append(record)
         if unlisted := sorted(set(folder.by_name) - seen):
             text = f"{len(unlisted)} picture(s) without a line, left out: {', '.join(unlisted[:3])}"
-            state.problems.append(Problem(where, "image-unlisted", text, "a line per picture", severity="warning"))
-    for path, split in _without_file(root).items() if found else ():
+            state.warn(where, "image-unlisted", text, "a line per picture")
+    for path, split in _without_file(root).items() if records else ():
         folder = PictureFolder.scan(path)
         if split not in wanted or not folder.by_name:
             continue
-        where = path.relative_to(root).as_posix()
+        where = state.place(path)
         for name in sorted(folder.by_name):
             record = _read_row({"file_name": name}, where, split, folder, state)
-            found += [] if record is None else [(f"{split}/{name}", record)]
+            records += [] if record is None else [record]
         text = f"{len(folder.by_name)} picture(s) without a {FILE}, read as pictures without objects"
-        state.problems.append(Problem(where, "image-unlisted", text, "a line per picture", severity="warning"))
-    if not found:
-        missing = Problem(str(root), "annotation-missing", "no picture with a line", f"<split>/{FILE}")
-        raise DatasetError(f"{root}: nothing to read in {', '.join(wanted)}", shorten([*state.problems, missing]))
-    ids = assign_ids([key for key, _ in found])
-    images = [replace(record, id=ids[key]) for key, record in found]
+        state.warn(where, "image-unlisted", text, "a line per picture")
+    if not records:
+        state.add(str(root), "annotation-missing", "no picture with a line", f"<split>/{FILE}")
+        raise DatasetError(f"{root}: nothing to read in {', '.join(wanted)}", shorten(state.problems))
     ordered = tuple(sorted(state.categories.values(), key=lambda c: c.id))
-    return Dataset(root, NAME, ordered, sort_images(images), tuple(state.problems), {"labels": NAME})
+    return Dataset(root, NAME, ordered, with_ids(records), tuple(state.problems), {"labels": NAME})
 
 
 def _read_line(line: str, where: str, split: Split, folder: PictureFolder, state: _Reading) -> ImageRecord | None:
@@ -359,7 +339,7 @@ def _read_line(line: str, where: str, split: Split, folder: PictureFolder, state
     except (ValueError, RecursionError):
         row = None
     if not isinstance(row, dict):
-        state.problems.append(Problem(where, "annotation-not-json", line[:80], "a JSON object", "correct the line"))
+        state.add(where, "annotation-not-json", line[:80], "a JSON object", "correct the line")
         return None
     return _read_row(row, where, split, folder, state)
 
@@ -374,7 +354,7 @@ def _read_row(
     size_wh = to_size(row.get("width"), row.get("height"))
     facts = {fact: _text(v) if isinstance(v := row.get(fact), str) else v for fact in FACTS}
     capture = Capture.from_json(facts, strict=False)
-    capture = replace(capture, radiometry=_read_scale(row, where, state))
+    capture = replace(capture, radiometry=state.checked(scale_of_record(row.get(_SCALE), NAME, where)))
     instances = _read_objects(row.get("objects"), where, size_wh, state)
     return ImageRecord("", picture, split, size_wh, instances, capture, file_name=name)
 
@@ -383,31 +363,18 @@ def _text(value: object) -> str | None:
     return value.removeprefix(_ON) if isinstance(value, str) and value else None
 
 
-def _read_scale(row: Mapping[str, Any], where: str, state: _Reading) -> Radiometry | None:
-    value = row.get(_SCALE)
-    if value is None:
-        return None
-    try:
-        return Radiometry(TemperatureScale.from_json(value if isinstance(value, dict) else {}), NAME)
-    except ValueError as error:
-        problem = Problem(where, "scale-malformed", str(error), "unit, slope_k, offset_k", severity="warning")
-        state.problems.append(problem)
-        return None
-
-
 def _read_objects(value: object, where: str, size_wh: tuple[int, int] | None, state: _Reading) -> tuple[Instance, ...]:
     columns = value if isinstance(value, dict) else {}
     boxes = columns.get("bbox")
     if not isinstance(boxes, list):
         if value is not None:
-            found = "objects without a list `bbox`"
-            state.problems.append(Problem(where, "annotation-layout", found, "bbox: [[x, y, w, h], ...]"))
+            state.add(where, "annotation-layout", "objects without a list `bbox`", "bbox: [[x, y, w, h], ...]")
         return ()
     # Columns of the wrong length cannot be assigned to objects.
     short = sorted(k for k, v in columns.items() if not isinstance(v, list) or len(v) != len(boxes))
     if short:
         found = f"column {', '.join(map(str, short[:3]))} of objects is no list of {len(boxes)} values"
-        state.problems.append(Problem(where, "annotation-layout", found, "a value per object", severity="warning"))
+        state.warn(where, "annotation-layout", found, "a value per object")
     rows = [{k: v[n] for k, v in columns.items() if k not in short} for n in range(len(boxes))]
     read = (_read_object(r, f"{where}: object {n}", size_wh, state) for n, r in enumerate(rows))
     return tuple(i for i in read if i is not None)
@@ -421,11 +388,9 @@ def _read_object(
     category = state.category(named, row.get("category_id", named), row.get("ignore"))
     xywh = to_floats(row.get("bbox"), 4)
     if category is None or xywh is None:
-        found, expected = json.dumps(row)[:80], "a category and a bbox [x, y, w, h]"
-        state.problems.append(Problem(where, "annotation-malformed", found, expected))
+        state.add(where, "annotation-malformed", json.dumps(row)[:80], "a category and a bbox [x, y, w, h]")
         return None
-    box, problem = check_box(_xyxy(xywh, size_wh), size_wh, where)
-    state.problems += [problem] if problem is not None else []
+    box = state.box(edges_of_xywh(xywh, size_wh), size_wh, where)
     if box is None:
         return None
     said = to_floats(row.get("obb"), 8) if row.get("oriented", True) is True else None
@@ -440,22 +405,12 @@ def _read_object(
     )  # fmt: skip
 
 
-def _xyxy(xywh: Sequence[float], size_wh: tuple[int, int] | None) -> tuple[float, float, float, float]:
-    """Return the edges of a box; edges that rounding puts just outside the frame are moved onto its edge."""
-    x, y, w, h = xywh
-    x1, y1 = x + w, y + h
-    if size_wh is not None:
-        x1 = float(size_wh[0]) if 0 < x1 - size_wh[0] < 1e-6 else x1
-        y1 = float(size_wh[1]) if 0 < y1 - size_wh[1] < 1e-6 else y1
-    return x, y, x1, y1
-
-
 def _read_occlusion(row: Mapping[str, Any], size_wh: tuple[int, int] | None) -> dict[str, Any]:
     """Return the flag, and the whole and the visible box where the object is hidden in part."""
     found: dict[str, Any] = {"occluded": row["occluded"]} if isinstance(row.get("occluded"), bool) else {}
     boxes = {name: to_floats(row.get(name), 4) for name in BOXES}
     if found.get("occluded") is True and all(b is not None and is_near(b) for b in boxes.values()):
-        found |= {name: list(_xyxy(b, size_wh)) for name, b in boxes.items() if b is not None}
+        found |= {name: list(edges_of_xywh(b, size_wh)) for name, b in boxes.items() if b is not None}
     return found
 
 
@@ -467,5 +422,5 @@ def _read_mask(value: object, size_wh: tuple[int, int] | None, where: str, state
         return Mask.from_coco({"size": list(size_hw), "counts": value}, size_hw)
     except (ValueError, OverflowError) as error:
         found = f"a segmentation that cannot be read and is left out ({error})"
-        state.problems.append(Problem(where, "mask-malformed", found, "COCO run lengths", severity="warning"))
+        state.warn(where, "mask-malformed", found, "COCO run lengths")
         return None

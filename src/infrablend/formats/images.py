@@ -69,18 +69,12 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
     if not path.is_file():
         raise _refuse(path, "image-missing", "no such file", "a picture file", "restore or unlist it")
     try:
-        with warnings.catch_warnings():
-            # PIL's own bomb warning becomes an error; our limit, checked below, is on top of it.
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            picture = open_picture(path)
-    except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        picture = open_picture(path)
+    except Image.DecompressionBombError as error:
         raise _refuse(path, "image-too-large", str(error), f"at most {MAX_PIXELS} px", "scale it down") from error
     except Exception as error:  # PIL's decoders raise what they like on broken headers
-        found = "no picture that can be read"
-        raise _refuse(
-            path, "image-unreadable", found, "a JPEG, PNG, BMP or TIFF file", "replace or remove it"
-        ) from error
+        found, expected = "no picture that can be read", "a JPEG, PNG, BMP or TIFF file"
+        raise _refuse(path, "image-unreadable", found, expected, "replace or remove it") from error
     with picture:
         size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] > MAX_PIXELS:
@@ -165,10 +159,18 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
     if picture.mode == "L":
         return np.array(picture, np.uint8), "L", problems
     rgb = np.array(picture, np.uint8)
-    if (rgb[..., 0] == rgb[..., 1]).all() and (rgb[..., 0] == rgb[..., 2]).all():
-        return np.ascontiguousarray(rgb[..., 0]), "RGB", problems
+    grey = grey_of_rgb(rgb)
+    if grey.ndim == 2:
+        return grey, "RGB", problems
     warn("image-colour", "three channels that differ, converted to grey", "a thermal picture in grey")
     return np.array(picture.convert("L"), np.uint8), "RGB", problems
+
+
+def grey_of_rgb(rgb: NDArray[Any]) -> NDArray[Any]:
+    """Return (h, w) the grey levels of (h, w, 3) three equal channels; other colour as it is."""
+    if (rgb[..., 0] == rgb[..., 1]).all() and (rgb[..., 0] == rgb[..., 2]).all():
+        return np.ascontiguousarray(rgb[..., 0])
+    return rgb
 
 
 def output_suffix(path: Path, kind: SaveKind) -> str:
@@ -211,10 +213,10 @@ def decode_image(data: bytes) -> NDArray[np.uint8] | NDArray[np.uint16]:
         return _grey(picture, Path())[0]
 
 
-def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
+def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], compress_level: int = 6) -> bytes:
     """Return a PNG file's bytes for (h, w) grey or (h, w, 3) colour pixels; same pixels, same bytes."""
     out = io.BytesIO()
-    Image.fromarray(pixels).save(out, "PNG", compress_level=6)
+    Image.fromarray(pixels).save(out, "PNG", compress_level=compress_level)
     return out.getvalue()
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -22,40 +22,30 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import link_or_copy, open_regular, write_chunks, write_text
+from infrablend.core.files import link_or_copy, write_chunks, write_text
 from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_json
+from infrablend.formats.annotation_files import files_with, read_json
 from infrablend.formats.base import (
     Match,
     category_ids,
     check_splits,
     ignored_by_class,
     in_order,
-    is_ignored_name,
+    named_categories,
+    require_known,
     require_size,
     split_of_stem,
     split_parts,
     unmarked_regions,
 )
-from infrablend.formats.box_checks import (
-    OVERHANG_PX,
-    check_box,
-    clockwise_corners,
-    is_near,
-    is_rectangle,
-    obb_from_corners,
-    overhang_px,
-)
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import loses_occlusion
+from infrablend.formats.box_checks import is_near, is_rectangle, obb_from_corners, overhang_px, turned_box
+from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import MAX_PIXELS, PictureFolder, check_name
-from infrablend.formats.records import annotated_twice, make_dataset
+from infrablend.formats.records import Findings, annotated_twice
 from infrablend.formats.values import to_bool, to_floats, to_id, to_share, to_size
 
 NAME = "label-studio"
@@ -93,7 +83,7 @@ def write(
         losses["ignore_as_class"] += unmarked_regions(image.instances, unsaid)
         if pictures:
             files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
-    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
+    return Written.of(files, losses)
 
 
 def _config(names: Sequence[str], masks: bool) -> str:
@@ -109,10 +99,9 @@ def _config(names: Sequence[str], masks: bool) -> str:
 def _task(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> dict[str, Any]:
     w, h = require_size(image)
     results = []
+    require_known(image, known)
     for n, i in enumerate(image.instances):
-        if i.category not in known:
-            raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
-        losses["occlusion_dropped"] += loses_occlusion(i, flag=False)
+        count_dropped(i, losses, "occlusion boxes")
         common = {"to_name": "image", "image_rotation": 0, "original_width": w, "original_height": h, "meta": _meta(i)}
         value = {**_rectangle(i, w, h, losses), "rectanglelabels": [i.category]}
         results.append({**common, "id": f"o{n}", "from_name": BOXES, "type": "rectanglelabels", "value": value})
@@ -208,18 +197,11 @@ def decode_brush(code: object, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
 
 
 def _files(root: Path) -> list[Path]:
-    """Return the JSON files in the root that begin like a list of tasks."""
-    found = []
-    for path in sorted(p for p in root.glob("*.json") if not leaves_folder(p)):
-        try:
-            with open_regular(path) as stream:
-                head = stream.read(100_000)
-        except OSError:
-            continue
-        tasks = head.lstrip().startswith(b"[") and b'"annotations"' in head and b'"result"' in head
-        if tasks:
-            found.append(path)
-    return found
+
+    def is_ours(head: bytes) -> bool:
+        return head.lstrip().startswith(b"[") and b'"annotations"' in head and b'"result"' in head
+
+    return files_with(root, "*.json", is_ours, 100_000)
 
 
 def detect(root: Path) -> Match:
@@ -231,12 +213,7 @@ def detect(root: Path) -> Match:
 
 
 def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
-    """Read tasks, as written here or as Label Studio exports them (JSON), and find the pictures.
-
-    Args:
-        root: Folder with the JSON files and `images/`.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude; None uses any `metadata.csv` or `.json`.
+    """Read tasks, as written here or as Label Studio exports them (JSON), and find the pictures in `images/`.
 
     Raises:
         DatasetError: There is no list of tasks, or no picture can be read.
@@ -246,7 +223,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     if not files:
         missing = Problem(str(root), "annotation-missing", "no list of tasks", "<split>.json")
         raise DatasetError(f"{root}: not Label Studio's JSON", [missing])
-    problems: list[Problem] = []
+    found = Findings(root)
     records: dict[Path, ImageRecord] = {}
     twice: dict[str, list[ImageRecord]] = defaultdict(list)
     folder = PictureFolder.scan(root / "images")
@@ -254,32 +231,24 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         try:
             tasks = read_json(path)
         except DatasetError as error:
-            problems += error.problems
+            found.problems += error.problems
             continue
         for n, task in enumerate(tasks if is_list(tasks) else ()):
-            record = _read_task(task, f"{path.name}: task {n}", split_of_stem(path.stem), folder, problems)
+            record = _read_task(found, task, f"{path.name}: task {n}", split_of_stem(path.stem), folder)
             if record is None or record.split not in wanted:
                 continue
-            if record.path in records:
+            if records.setdefault(record.path, record) is not record:
                 twice[path.name].append(record)
-            else:
-                records[record.path] = record
-    problems += annotated_twice(twice)
-    names = dict.fromkeys(i.category for r in records.values() for i in r.instances)
-    categories = [Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names)]
-    return make_dataset(
-        root, NAME, list(records.values()), categories, problems, {"labels": NAME}, metadata=metadata,
-        splits=wanted,
-    )  # fmt: skip
+    found.problems += annotated_twice(twice)
+    categories = named_categories(dict.fromkeys(i.category for r in records.values() for i in r.instances))
+    return found.dataset(NAME, records.values(), categories, {"labels": NAME}, metadata=metadata, splits=wanted)
 
 
-def _read_task(
-    task: object, where: str, split: Split, folder: PictureFolder, problems: list[Problem]
-) -> ImageRecord | None:
+def _read_task(found: Findings, task: object, where: str, split: Split, folder: PictureFolder) -> ImageRecord | None:
     data = task.get("data") if isinstance(task, dict) else None
     address = data.get("image") if isinstance(data, dict) else None
-    if not isinstance(task, dict) or not isinstance(address, str):
-        problems.append(Problem(where, "annotation-malformed", repr(task)[:80], "a task with data.image"))
+    if not isinstance(task, dict) or not isinstance(data, dict) or not isinstance(address, str):
+        found.add(where, "annotation-malformed", repr(task)[:80], "a task with data.image")
         return None
     name, split = _name_of(address, split)
     fault = check_name(name, where)
@@ -291,17 +260,17 @@ def _read_task(
     if fault is None and picture is None:
         fault = Problem(where, "image-missing", f"no picture {name!r}", "a file in images/", "put the pictures there")
     if fault is not None or picture is None:
-        problems += [fault] if fault else []
+        found.problems += [fault] if fault else []
         return None
     given = task.get("annotations")
     used = [a for a in given if isinstance(a, dict) and not a.get("was_cancelled")] if isinstance(given, list) else []
     results = used[-1].get("result") if used else []
     rows = [r for r in results if isinstance(r, dict)] if isinstance(results, list) else []
-    stated = [(data.get("width"), data.get("height"))] if isinstance(data, dict) else []
+    stated = [(data.get("width"), data.get("height"))]
     stated += [(r.get("original_width"), r.get("original_height")) for r in rows]
-    sizes = [s for w, h in stated if (s := to_size(w, h))]
-    instances = tuple(_read_objects(rows, where, problems))
-    return ImageRecord("", picture, split, sizes[0] if sizes else None, instances, file_name=name)
+    size_wh = next((s for w, h in stated if (s := to_size(w, h))), None)
+    instances = tuple(_read_objects(found, rows, where))
+    return ImageRecord("", picture, split, size_wh, instances, file_name=name)
 
 
 def _name_of(address: str, split: Split) -> tuple[str, Split]:
@@ -317,30 +286,30 @@ def _name_of(address: str, split: Split) -> tuple[str, Split]:
     return folders[-1], split
 
 
-def _read_objects(rows: Sequence[Mapping[str, Any]], where: str, problems: list[Problem]) -> Iterator[Instance]:
-    """Yield the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
-    found: dict[str, Instance] = {}
+def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str) -> Iterable[Instance]:
+    """Return the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
+    objects: dict[str, Instance] = {}
     for n, row in enumerate(rows):
         if row.get("type") not in ("rectanglelabels", "brushlabels", "polygonlabels"):
             continue
         here = f"{where}: result {row.get('id', n)}"
         try:
-            instance = _read_result(row, here, problems)
+            instance = _read_result(found, row, here)
         except ValueError as error:
-            problems.append(Problem(here, "annotation-malformed", str(error)[:120], "a rectangle, brush or polygon"))
+            found.add(here, "annotation-malformed", str(error)[:120], "a rectangle, brush or polygon")
             continue
         if instance is None:
             continue
         key = str(row.get("id", n))
-        owner = found.get(key.removesuffix("m")) if row["type"] == "brushlabels" else None
+        owner = objects.get(key.removesuffix("m")) if row["type"] == "brushlabels" else None
         if owner is not None and owner.mask is None:
-            found[key.removesuffix("m")] = replace(owner, mask=instance.mask)
+            objects[key.removesuffix("m")] = replace(owner, mask=instance.mask)
         else:
-            found[key if key not in found else f"{key} {n}"] = instance
-    yield from found.values()
+            objects[key if key not in objects else f"{key} {n}"] = instance
+    return objects.values()
 
 
-def _read_result(row: Mapping[str, Any], where: str, problems: list[Problem]) -> Instance | None:
+def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instance | None:
     """Return an object; None if its box is outside. ValueError if the row is malformed."""
     size_wh = to_size(row.get("original_width"), row.get("original_height"))
     value = row.get("value")
@@ -349,32 +318,27 @@ def _read_result(row: Mapping[str, Any], where: str, problems: list[Problem]) ->
         raise ValueError("no label, or no size of the picture")
     scale = np.array(size_wh, np.float64) / 100
     meta = said if isinstance(said := row.get("meta"), dict) else {}
-    oriented = meta.get("oriented") is True  # also where the angle is 0
     mask = corners = None
     if row["type"] == "rectanglelabels":
         numbers = to_floats([value.get(k, 0) for k in ("x", "y", "width", "height", "rotation")], 5)
         if numbers is None or not is_near(numbers):
             raise ValueError(f"a rectangle {str(value)[:60]}")
         (x, y), (w, h) = np.array(numbers[:2]) * scale, np.array(numbers[2:4]) * scale
-        edges = np.array([x, y, x + w, y + h])
-        if numbers[4] or oriented:
+        edges: Sequence[float] = (x, y, x + w, y + h)
+        if numbers[4] or meta.get("oriented") is True:  # also where the angle is 0
             angle = math.radians(numbers[4])
             # Turned about its first corner: the centre turns with it.
             cx = x + w / 2 * math.cos(angle) - h / 2 * math.sin(angle)
             cy = y + w / 2 * math.sin(angle) + h / 2 * math.cos(angle)
-            made = corners_of_cxcywha(np.array([(cx, cy, w, h, angle)]))[0]
-            corners = clockwise_corners(made)  # a negative width or height mirrors the box
-            edges = box_of_points(corners)
-        if overhang_px(edges.reshape(2, 2), size_wh) <= (OVERHANG_PX if corners is not None else 1e-6):
-            edges = np.clip(edges, 0, np.array([*size_wh, *size_wh], np.float64))
+            corners, edges = turned_box((cx, cy, w, h, angle), size_wh)
+        elif overhang_px(np.array(edges).reshape(2, 2), size_wh) <= 1e-6:
+            edges = np.clip(edges, 0, np.array([*size_wh, *size_wh], np.float64)).tolist()
     else:
         mask = _read_mask(row, value, size_wh)
-        around = mask.box_xyxy
-        if around is None:
+        if mask.box_xyxy is None:
             raise ValueError("a mask without a pixel")
-        edges = around
-    box, problem = check_box(edges.tolist(), size_wh, where)
-    problems += [problem] if problem is not None else []
+        edges = mask.box_xyxy.tolist()
+    box = found.box([float(v) for v in edges], size_wh, where)
     if box is None:
         return None
     flags = {k: to_bool(meta[k]) if k in meta else None for k in _FLAGS}

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
+from infrablend.core.dataset import Instance
 from infrablend.errors import Problem
 
 LOSSES: Mapping[str, str] = {
@@ -55,6 +57,11 @@ class Written:
     problems: tuple[Problem, ...] = ()
 
     @classmethod
+    def of(cls, files: Iterable[Path], losses: Mapping[str, int], problems: Iterable[Problem] = ()) -> Written:
+        """Return the result with the kinds of losses that occurred, sorted."""
+        return cls(tuple(files), {k: n for k, n in sorted(losses.items()) if n}, tuple(problems))
+
+    @classmethod
     def together(cls, parts: Iterable[Written]) -> Written:
         """Combine several results, in order."""
         files: list[Path] = []
@@ -67,9 +74,34 @@ class Written:
         return cls(tuple(files), dict(sorted(losses.items())), tuple(problems))
 
 
-@dataclass(frozen=True)
-class Text:
-    """Text of a file, and the losses counted while it was composed."""
+BOXES = ("amodal_box", "visible_box")
+"""Boxes of partly hidden objects in `Instance.extra`: whole and visible part; left, top, right, bottom in pixels."""
 
-    text: str
-    losses: Mapping[str, int] = field(default_factory=dict)
+
+def occlusion_fields(instance: Instance) -> dict[str, Any]:
+    """Return the flag `occluded` and the boxes that a label has."""
+    return {k: instance.extra[k] for k in ("occluded", *BOXES) if k in instance.extra}
+
+
+def _loses_boxes(i: Instance) -> bool:
+    return any(k in i.extra for k in BOXES)
+
+
+_DROPPED: Mapping[str, Callable[[Instance], bool]] = {
+    "obb": lambda i: i.corners_xy is not None,
+    "mask": lambda i: i.mask is not None,
+    "visibility": lambda i: i.visibility is not None,
+    "occlusion": lambda i: _loses_boxes(i) or i.extra.get("occluded") is True,
+    "occlusion boxes": _loses_boxes,
+    "truncated": lambda i: i.truncated is True,
+    "difficult": lambda i: i.difficult is True,
+}
+
+
+def count_dropped(instance: Instance, losses: Counter[str], *fields: str) -> None:
+    """Count the fields of an object that a format does not hold: `mask` as `mask_dropped`, and so on.
+
+    A format without the boxes of partly hidden objects, but with the flag `occluded`, drops `occlusion boxes`.
+    """
+    for name in fields:
+        losses[f"{name.split(' ')[0]}_dropped"] += _DROPPED[name](instance)

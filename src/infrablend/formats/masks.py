@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -34,16 +33,16 @@ from infrablend.formats.base import (
     count_crowds,
     in_order,
     is_ignored_name,
+    require_known,
     require_size,
     shorten,
-    sort_images,
 )
-from infrablend.formats.box_checks import check_box, clockwise_corners, is_near
+from infrablend.formats.box_checks import clockwise_corners, is_near
 from infrablend.formats.images import load_background, png_bytes
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import occlusion_fields, read_occlusion
-from infrablend.formats.pictures import PictureFolder, assign_ids, check_link
-from infrablend.formats.values import to_bool, to_floats, to_id, to_int, to_size
+from infrablend.formats.losses import Written, occlusion_fields
+from infrablend.formats.pictures import PictureFolder, check_link
+from infrablend.formats.records import Findings, with_ids
+from infrablend.formats.values import known, read_occlusion, to_bool, to_floats, to_id, to_int, to_size
 
 NAME = "masks"
 TAKES_TABLE = False  # the tables contain pitch and altitude
@@ -89,7 +88,7 @@ def write(
         for c in sorted(categories, key=lambda c: c.id)
     ]
     files.append(write_json(out / CATEGORIES_FILE, {"categories": names, "format": "masks of InfraBlend"}))
-    return Written(tuple(files), {k: v for k, v in sorted(losses.items()) if v})
+    return Written.of(files, losses)
 
 
 def instance_pixels(image: ImageRecord, losses: Counter[str]) -> NDArray[np.uint16]:
@@ -110,19 +109,14 @@ def instance_pixels(image: ImageRecord, losses: Counter[str]) -> NDArray[np.uint
     return pixels
 
 
-def _known(**fields: Any) -> dict[str, Any]:
-    return {k: v for k, v in fields.items() if v is not None}
-
-
 def _table(
     image: ImageRecord, pixels: NDArray[np.uint16], of_category: Mapping[str, int], ignored: set[str]
 ) -> dict[str, Any]:
     w, h = require_size(image)
     area = np.bincount(pixels.reshape(-1), minlength=len(image.instances) + 1)
     objects = []
+    require_known(image, of_category)
     for number, i in enumerate(image.instances, 1):
-        if i.category not in of_category:
-            raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
         row: dict[str, Any] = {
             "id": number,
             "category": i.category,
@@ -135,11 +129,11 @@ def _table(
         }
         if i.corners_xy is not None:
             row["corners_xy"] = i.corners_xy.tolist()
-        row |= _known(visibility=i.visibility, truncated=i.truncated, difficult=i.difficult)
+        row |= known(visibility=i.visibility, truncated=i.truncated, difficult=i.difficult)
         row |= occlusion_fields(i)
-        objects.append(row | _known(track_id=i.track_id, source_id=i.source_id))
+        objects.append(row | known(track_id=i.track_id, source_id=i.source_id))
     top: dict[str, Any] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
-    return top | image.capture.to_json() | _known(source_id=image.source_id)
+    return top | image.capture.to_json() | known(source_id=image.source_id)
 
 
 # -- reading ---------------------------------------------------------------------------------------------------
@@ -159,39 +153,28 @@ def detect(root: Path) -> Match:
 def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     """Read masks and their tables.
 
-    Args:
-        root: The folder with `categories.json`.
-        splits: Splits to read; None reads all.
-
     Raises:
         DatasetError: No list of categories, or nothing can be read.
     """
     wanted = check_splits(splits)
     categories = _read_categories(root)
     names = {c.name for c in categories}
-    problems: list[Problem] = []
-    found: list[tuple[str, ImageRecord]] = []
+    found = Findings(root)
+    records: list[ImageRecord] = []
     for split in wanted:
         base = root / "masks" / split
         listing = PictureFolder.scan(root / "images" / split)
-        named: set[str] = set()
-        for path in sorted(base.rglob("*.json")) if base.is_dir() else ():
-            if path.name.startswith("."):
-                continue
-            record = _read_table(root, path, split, listing, names, problems)
-            if record is not None:
-                named.add(record.name)
-                found.append((f"{split}/{record.name}", record))
-        unlisted = sorted(set(listing.by_name) - named)
+        tables = [p for p in sorted(base.rglob("*.json")) if not p.name.startswith(".")] if base.is_dir() else []
+        read = [r for p in tables if (r := _read_table(found, p, split, listing, names)) is not None]
+        records += read
+        unlisted = sorted(set(listing.by_name) - {r.name for r in read})
         if unlisted:
             text = f"{len(unlisted)} picture(s) of {split} without a table, left out: {', '.join(unlisted[:3])}"
-            problems.append(Problem(root.name, "image-unlisted", text, "a table per picture", severity="warning"))
-    if not found:
-        problems.append(Problem(str(root), "annotation-missing", "no table", "masks/<split>/<name>.json"))
-        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
-    ids = assign_ids([key for key, _ in found])
-    images = [replace(record, id=ids[key]) for key, record in found]
-    return Dataset(root, NAME, categories, sort_images(images), tuple(problems), {"labels": NAME})
+            found.warn(root.name, "image-unlisted", text, "a table per picture")
+    if not records:
+        found.add(str(root), "annotation-missing", "no table", "masks/<split>/<name>.json")
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(found.problems))
+    return Dataset(root, NAME, categories, with_ids(records), tuple(found.problems), {"labels": NAME})
 
 
 def _read_categories(root: Path) -> tuple[Category, ...]:
@@ -216,90 +199,84 @@ def _read_categories(root: Path) -> tuple[Category, ...]:
 
 
 def _read_table(
-    root: Path, path: Path, split: Split, listing: PictureFolder, names: set[str], problems: list[Problem]
+    found: Findings, path: Path, split: Split, listing: PictureFolder, names: set[str]
 ) -> ImageRecord | None:
-    where = path.relative_to(root).as_posix()
-    try:
-        top = read_json(path)
-    except DatasetError as error:
-        problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+    where = found.place(path)
+    top = found.json(path)
+    if top is None:
         return None
-    rows = top.get("objects") if isinstance(top, dict) else None
-    size_wh = to_size(top.get("width"), top.get("height")) if isinstance(top, dict) else None
+    rows, size_wh = top.get("objects"), to_size(top.get("width"), top.get("height"))
     if not is_list(rows) or size_wh is None:
-        found, expected = "no list `objects`, or no width and height", "a table of masks"
-        problems.append(Problem(where, "annotation-layout", found, expected, "leave it out"))
+        text = "no list `objects`, or no width and height"
+        found.add(where, "annotation-layout", text, "a table of masks", "leave it out")
         return None
     name, picture, fault = listing.find_named(top.get("file_name"), where, f"a file in images/{split}")
     if fault is not None or picture is None:
-        problems += [fault] if fault else []
+        found.problems += [fault] if fault else []
         return None
-    pixels = _read_pixels(root, path.with_suffix(".png"), size_wh, problems)
+    pixels = _read_pixels(found, path.with_suffix(".png"), size_wh)
     instances = []
     seen: set[int] = set()
     for n, row in enumerate(rows):
         here = f"{where}: object {row.get('id', n) if isinstance(row, dict) else n}"
-        instance = _read_object(row, pixels, size_wh, here, names, seen, problems)
+        instance = _read_object(found, row, pixels, size_wh, here, names, seen)
         if instance is not None:
             instances.append(instance)
-    if pixels is not None:
-        unknown = sorted(set(np.unique(pixels).tolist()) - seen - {0})
-        if unknown:
-            found = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
-            problems.append(Problem(where, "mask-unknown", found, "an object per value", severity="warning"))
+    unknown = [] if pixels is None else sorted(set(np.unique(pixels).tolist()) - seen - {0})
+    if unknown:
+        text = f"values {', '.join(map(str, unknown[:5]))} in the picture that no object has"
+        found.warn(where, "mask-unknown", text, "an object per value")
     capture = Capture.from_json(top, strict=False)
     source_id = to_id(top.get("source_id"))
     return ImageRecord("", picture, split, size_wh, tuple(instances), capture, source_id, file_name=name)
 
 
 def _read_pixels(
-    root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem]
+    found: Findings, path: Path, size_wh: tuple[int, int]
 ) -> NDArray[np.uint8] | NDArray[np.uint16] | None:
-    where = path.relative_to(root).as_posix()
+    where = found.place(path)
     if path.is_symlink() and (fault := check_link(path, path.parent, where)) is not None:
-        problems.append(fault)
+        found.problems.append(fault)
         return None
     try:
         loaded = load_background(path, size_wh)
     except DatasetError as error:
-        problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        found.add_all(error.problems, where)
         return None
     if loaded.mode == "RGB":
-        problems.append(Problem(where, "mask-malformed", "a colour picture", "16 or 8 bits per pixel, grey"))
+        found.add(where, "mask-malformed", "a colour picture", "16 or 8 bits per pixel, grey")
         return None
     return loaded.pixels
 
 
 def _read_object(
+    found: Findings,
     row: object,
     pixels: NDArray[Any] | None,
     size_wh: tuple[int, int],
     where: str,
     names: set[str],
     seen: set[int],
-    problems: list[Problem],
 ) -> Instance | None:
     number = to_int(row.get("id")) if isinstance(row, dict) else None
     box = to_floats(row.get("box_xyxy"), 4) if isinstance(row, dict) else None
     if not isinstance(row, dict) or number is None or box is None or number in seen:
-        problems.append(Problem(where, "annotation-malformed", json.dumps(row)[:80], "a new id and a box_xyxy"))
+        found.add(where, "annotation-malformed", json.dumps(row)[:80], "a new id and a box_xyxy")
         return None
     seen.add(number)
     if not isinstance(row.get("category"), str) or row["category"] not in names:
-        found, expected = f"category {row.get('category')!r}", f"one of {', '.join(sorted(names))}"
-        problems.append(Problem(where, "category-unknown", found, expected, f"add it to {CATEGORIES_FILE}"))
+        text, expected = f"category {row.get('category')!r}", f"one of {', '.join(sorted(names))}"
+        found.add(where, "category-unknown", text, expected, f"add it to {CATEGORIES_FILE}")
         return None
-    inside, problem = check_box(box, size_wh, where)
-    problems += [problem] if problem is not None else []
+    inside = found.box(box, size_wh, where)
     if inside is None:
         return None
-    corners = _corners(row.get("corners_xy"))
     mask = None
     if row.get("has_mask") is not False and pixels is not None:
         mask = Mask.from_array(pixels == number)
     visibility = to_floats([row.get("visibility")], 1)
     return Instance(
-        str(row["category"]), inside, corners, mask, visibility[0] if visibility else None,
+        str(row["category"]), inside, _corners(row.get("corners_xy")), mask, visibility[0] if visibility else None,
         to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
         to_id(row.get("source_id")), read_occlusion(row), to_id(row.get("track_id")),
     )  # fmt: skip

@@ -99,6 +99,11 @@ class PictureFolder:
             by_stem.setdefault(name.rpartition(".")[0], name)
         return cls(folder, by_name, by_stem)
 
+    @classmethod
+    def with_most(cls, places: Iterable[Path], names: Sequence[str]) -> PictureFolder:
+        """List the place that has most of the first names."""
+        return cls.scan(max(places, key=lambda place: sum((place / n).is_file() for n in names[:50])))
+
     def find(self, name: str, where: str) -> tuple[str, Path | None, Problem | None]:
         """Return the name with its extension, the file (None if missing), and a problem if it is a link leading out.
 
@@ -162,7 +167,7 @@ def assign_ids(names: Iterable[str]) -> dict[str, str]:
 
 
 def open_picture(path: Path, formats: Sequence[str] = PICTURE_FORMATS) -> Image.Image:
-    """Open a picture without decoding its pixels.
+    """Open a picture without decoding its pixels, and without a warning of its size: `MAX_PIXELS` is the limit here.
 
     Raises:
         OSError: There is no such file, or it is a folder, device or pipe, which would wait for ever.
@@ -170,15 +175,17 @@ def open_picture(path: Path, formats: Sequence[str] = PICTURE_FORMATS) -> Image.
     """
     if not path.is_file():
         raise FileNotFoundError("no such file")
-    return Image.open(path, formats=tuple(formats))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # our limit is below PIL's error and above its warning
+        return Image.open(path, formats=tuple(formats))
 
 
-def is_decodable(data: bytes, formats: Sequence[str] = PICTURE_FORMATS) -> bool:
+def is_decodable(data: bytes) -> bool:
     """Return whether the header of a picture can be read, and its size is at most `MAX_PIXELS`."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # our limit is below PIL's error and above its warning
-            with Image.open(io.BytesIO(data), formats=tuple(formats)) as picture:
+            warnings.simplefilter("ignore")
+            with Image.open(io.BytesIO(data), formats=PICTURE_FORMATS) as picture:
                 return bool(picture.width * picture.height <= MAX_PIXELS)
     except Exception:  # PIL's decoders raise what they like on broken headers
         return False
@@ -189,10 +196,8 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
     if path.is_symlink() and (problem := check_link(path, path.parent, where)) is not None:
         return None, problem
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # our limit is below PIL's error and above its warning
-            with open_picture(path) as picture:
-                size_wh = (int(picture.width), int(picture.height))
+        with open_picture(path) as picture:
+            size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] <= MAX_PIXELS:
             return size_wh, None
         found = f"{size_wh[0]}x{size_wh[1]} px"

@@ -1,71 +1,161 @@
-"""The last steps of readers whose files contain no ids and no pitch: from records to a dataset."""
+"""What readers share: the problems and counts on the way, and the last steps from records to a dataset."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats import derived
+from infrablend.formats.annotation_files import read_json, read_text, read_xml
 from infrablend.formats.base import shorten, sort_images
-from infrablend.formats.capture import Captures, find_table, read_table
-from infrablend.formats.pictures import assign_ids
+from infrablend.formats.box_checks import check_box
+from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
+from infrablend.formats.pictures import assign_ids, read_size
 
 KEEP_OR_DROP = ("keep", "drop")
 
 
-def make_dataset(
-    root: Path,
-    format: str,
-    records: Sequence[ImageRecord],
-    categories: Sequence[Category],
-    problems: Sequence[Problem],
-    notes: Mapping[str, Any],
-    *,
-    metadata: Path | None = None,
-    splits: Sequence[Split] = (),
-) -> Dataset:
-    """Return a dataset of records without ids, which get an id, and pitch and altitude from a table or their names.
+@dataclass
+class Findings:
+    """What a reader finds in the folder of a dataset: problems, and counts for its notes."""
 
-    Args:
-        root: Folder of the dataset, with the picture of every record, or the file that the picture was made from.
-        format: Name of the format.
-        records: Records of the reader.
-        categories: Categories of the dataset.
-        problems: Problems found so far.
-        notes: Facts of the reader, to which `pitch` (its sources) and `table` are added.
-        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
-        splits: Requested splits, for the error message if nothing is left.
+    root: Path
+    problems: list[Problem] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
 
-    Raises:
-        DatasetError: No record is left, or the table cannot be read.
-    """
-    found = list(problems)
-    inside = {_name_in(root, r): r for r in records}
-    if not inside:
-        asked = f" in the splits {', '.join(splits)}" if splits else ""
-        missing = Problem(str(root), "image-missing", "no usable picture" + asked, "JPEG, PNG, BMP or TIFF")
-        raise DatasetError(f"{root}: no picture to read", shorten([*found, missing]))
+    def add(self, where: str, code: str, found: str, expected: str = "", todo: str = "") -> None:
+        """Record an error: the item is left out."""
+        self.problems.append(Problem(where, code, found, expected, todo))
+
+    def warn(self, where: str, code: str, found: str, expected: str = "", todo: str = "") -> None:
+        """Record a warning: the item is kept."""
+        self.problems.append(Problem(where, code, found, expected, todo, "warning"))
+
+    def add_all(self, problems: Iterable[Problem], where: str) -> None:
+        """Record the problems of a file under its name in the dataset."""
+        self.problems += [replace(p, where=where) for p in problems]
+
+    def place(self, path: Path) -> str:
+        """Return the name of a file in problems: its path below the dataset's folder."""
+        return path.relative_to(self.root).as_posix()
+
+    def rows(self, *keys: str) -> dict[str, int]:
+        """Return some of the counts, for `Dataset.notes`."""
+        return {k: self.counts[k] for k in keys}
+
+    def checked(self, result: tuple[Any, Problem | None]) -> Any:
+        """Return a result after recording its problem, if there is one."""
+        value, problem = result
+        self.problems += [problem] if problem else []
+        return value
+
+    def box(self, xyxy: Sequence[float], size_wh: tuple[int, int] | None, where: str) -> NDArray[np.float64] | None:
+        """Return what `check_box` leaves of a box; None for no box, with a problem."""
+        box: NDArray[np.float64] | None = self.checked(check_box(xyxy, size_wh, where))
+        return box
+
+    def size(self, path: Path, where: str) -> tuple[int, int] | None:
+        """Return a picture's size from its header; None, with a problem, if it cannot be read."""
+        size_wh: tuple[int, int] | None = self.checked(read_size(path, where))
+        return size_wh
+
+    def text(self, path: Path, expected: str) -> str | None:
+        """Return the text of a file; None, with a problem, if it cannot be read."""
+        text, problem = read_text(path, self.place(path), expected)
+        if problem is not None:
+            self.problems.append(problem)
+            return None
+        return text
+
+    def xml(self, path: Path) -> Any:
+        """Return the root element of an XML file; None, with a problem, if it cannot be read."""
+        return self.checked(read_xml(path, self.place(path)))
+
+    def json(self, path: Path) -> dict[str, Any] | None:
+        """Return the object in a JSON file, empty if it holds something else; None, with problems, if unreadable."""
+        try:
+            top = read_json(path)
+        except DatasetError as error:
+            self.add_all(error.problems, self.place(path))
+            return None
+        return top if isinstance(top, dict) else {}
+
+    def video_frames(self, path: Path, numbers: Sequence[int], left: float = 1.0) -> Mapping[int, Path] | None:
+        """Return the pictures of a video's frames, see `derived.video_frames`; None, with problems, if unreadable."""
+        try:
+            frames, problems = derived.video_frames(path, numbers, left)
+        except DatasetError as error:
+            self.add_all(error.problems, self.place(path))
+            return None
+        self.add_all(problems, self.place(path))
+        return frames
+
+    def dataset(
+        self,
+        format: str,
+        records: Iterable[ImageRecord],
+        categories: Sequence[Category],
+        notes: Mapping[str, Any],
+        *,
+        metadata: Path | None = None,
+        splits: Sequence[Split] = (),
+        others: Iterable[str] = (),
+    ) -> Dataset:
+        """Return a dataset of records, which get an id, and pitch and altitude from a table or their names.
+
+        Args:
+            format: Name of the format.
+            records: Records without ids.
+            categories: Categories of the dataset.
+            notes: Facts of the reader, to which `pitch` (its sources) and `table` are added.
+            metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
+            splits: Requested splits, for the error message if nothing is left.
+            others: Further pictures that the table may have rows for.
+
+        Raises:
+            DatasetError: No record is left, or the table cannot be read.
+        """
+        root = self.root
+        inside = sorted(((_name_in(root, r), r) for r in records), key=lambda named: named[0])
+        names = [name for name, _ in inside]
+        if not inside:
+            asked = f" in the splits {', '.join(splits)}" if splits else ""
+            self.add(str(root), "image-missing", "no usable picture" + asked, "JPEG, PNG, BMP or TIFF")
+            raise DatasetError(f"{root}: no picture to read", shorten(self.problems))
+        table, more = table_of(root, metadata)
+        captures = Captures(table, self.problems)
+        ids = assign_ids(names)
+        complete = [
+            replace(record, id=ids[name], capture=captures.of(name, name, record.capture)) for name, record in inside
+        ]
+        if table is not None:
+            self.problems += table.problems
+            self.problems += table.remarks(root, [*names, *others], {r.capture.sequence for _, r in inside})
+        more |= {"pitch": captures.note()}
+        return Dataset(
+            root, format, tuple(categories), sort_images(complete), tuple(self.problems), {**notes, **more}
+        )  # fmt: skip
+
+
+def table_of(root: Path, metadata: Path | None) -> tuple[CaptureTable | None, dict[str, Any]]:
+    """Return the table of pitch and altitude, given or found in the folder, and its name as a note."""
     path = metadata or find_table(root)
-    table = read_table(path) if path else None
-    captures = Captures(table, found)
-    ids = assign_ids(inside)
-    complete = []
-    for name, record in sorted(inside.items()):
-        capture = captures.of(name, name, record.capture)
-        complete.append(replace(record, id=ids[name], capture=capture))
-    if table is not None:
-        found += table.problems
-        unused = table.unused(inside, {r.capture.sequence for r in inside.values()})
-        if unused:
-            text = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
-            found.append(
-                Problem(root.name, "table-unused", text, "a picture or sequence for each row", severity="warning")
-            )
-    more = {"table": path.name if path else None, "pitch": captures.note()}
-    return Dataset(root, format, tuple(categories), sort_images(complete), tuple(found), {**notes, **more})
+    return (read_table(path), {"table": path.name}) if path else (None, {"table": None})
+
+
+def with_ids(records: Sequence[ImageRecord]) -> tuple[ImageRecord, ...]:
+    """Return the records with ids made from split and name, sorted."""
+    names = [f"{r.split}/{r.name}" for r in records]
+    ids = assign_ids(names)
+    return sort_images(replace(r, id=ids[name]) for name, r in zip(names, records, strict=True))
 
 
 def _name_in(root: Path, record: ImageRecord) -> str:
@@ -95,3 +185,38 @@ def unlabelled_problems(where: str, count: int, choice: str, what: str = "no lab
     found = f"{count} picture(s) with {what}: {'kept, marked as not labelled' if kept else 'left out'}"
     todo = "add their labels, or leave them out with --read unlabelled=drop" if kept else ""
     return [Problem(where, "label-missing", found, "labels for each picture", todo, "warning")]
+
+
+ReadLabel = Callable[[Findings, Path, tuple[int, int]], list[Instance] | None]
+"""Reads a label file of a picture of some size; None if it cannot be read."""
+
+
+def with_label_files(
+    found: Findings, pictures: Mapping[str, Path], suffix: str, unlabelled: str, where: str, read_label: ReadLabel
+) -> Iterator[ImageRecord]:
+    """Read the pictures of one folder that have label files of their stems beside them.
+
+    Those that cannot be read, or whose labels cannot, are left out.
+
+    Args:
+        found: Problems, and counts, to which `unlabelled` is added.
+        pictures: Paths by file name.
+        suffix: Suffix of label files.
+        unlabelled: `keep` or `drop` pictures without a label file.
+        where: Name of the folder, for problems.
+        read_label: Reader of a label file.
+    """
+    missing = 0
+    for name, path in pictures.items():
+        label = path.with_suffix(suffix)
+        labelled = label.is_file()
+        missing += not labelled
+        if not labelled and unlabelled == "drop":
+            continue
+        size_wh = found.size(path, found.place(path))
+        instances = None if size_wh is None else read_label(found, label, size_wh) if labelled else []
+        if instances is not None:
+            extra = {} if labelled else {"labelled": False}
+            yield ImageRecord("", path, "train", size_wh, tuple(instances), extra=extra, file_name=name)
+    found.counts["unlabelled"] += missing
+    found.problems += unlabelled_problems(where, missing, unlabelled, f"no {suffix} file")

@@ -45,10 +45,6 @@ def _markers(root: Path) -> list[ShardFiles]:
 def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     """Read the labels of every shard, and unpack the pictures that are not in the cache yet.
 
-    Args:
-        root: Folder of the run in shards.
-        splits: Splits to read; None reads all.
-
     Raises:
         DatasetError: A shard is missing, damaged or of another run, or no frame can be read.
     """

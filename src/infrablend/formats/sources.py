@@ -173,27 +173,21 @@ BIRDSAI = Source(
   pages     = {1747--1756},
   year      = {2020}
 }""",
-    archives=(
+    archives=tuple(
         Archive(
-            part="train",
-            file="conservation_drones_train_real.zip",
-            url=_LILA + "conservation_drones_train_real.zip",
-            into="TrainReal",
-            size_bytes=2_271_707_323,
-            unpacked_bytes=2_400_000_000,
-            counts={"annotations/*.csv": 32, "images/*/*.jpg": 40_661},
+            part=part,
+            file=f"conservation_drones_{part}_real.zip",
+            url=f"{_LILA}conservation_drones_{part}_real.zip",
+            into=f"{part.title()}Real",
+            size_bytes=size,
+            unpacked_bytes=unpacked,
+            counts={"annotations/*.csv": tables, "images/*/*.jpg": pictures},
             checked=False,
-        ),
-        Archive(
-            part="test",
-            file="conservation_drones_test_real.zip",
-            url=_LILA + "conservation_drones_test_real.zip",
-            into="TestReal",
-            size_bytes=1_761_788_520,
-            unpacked_bytes=1_900_000_000,
-            counts={"annotations/*.csv": 16, "images/*/*.jpg": 21_336},
-            checked=False,
-        ),
+        )
+        for part, size, unpacked, tables, pictures in (
+            ("train", 2_271_707_323, 2_400_000_000, 32, 40_661),
+            ("test", 1_761_788_520, 1_900_000_000, 16, 21_336),
+        )
     ),
     limits=(
         "BIRDSAI says neither camera pitch nor altitude: inserted objects were seen from a pitch that was assumed.",
@@ -298,34 +292,21 @@ DUT_ANTI_UAV = Source(
   year    = {2022},
   note    = {arXiv:2205.10851}
 }""",
-    archives=(
+    archives=tuple(
         Archive(
-            part="train",
-            file="train.zip",
-            into="train",
-            size_bytes=744_616_230,
-            sha256="14f927290556df60e23cedfa80dffc10dc21e4a3b6843e150cfc49644376eece",
-            counts={"img/*.jpg": 5200, "xml/*.xml": 5200},
+            part=part,
+            file=f"{part}.zip",
+            into=part,
+            size_bytes=size,
+            sha256=digest,
+            counts={"img/*.jpg": pictures, "xml/*.xml": pictures},
             checked=False,
-        ),
-        Archive(
-            part="val",
-            file="val.zip",
-            into="val",
-            size_bytes=372_283_691,
-            sha256="238be0ceb3e7c5be6711ee3247e49df2750d52f91f54f5366c68bebac112ebf8",
-            counts={"img/*.jpg": 2600, "xml/*.xml": 2600},
-            checked=False,
-        ),
-        Archive(
-            part="test",
-            file="test.zip",
-            into="test",
-            size_bytes=271_153_425,
-            sha256="a671989a01cff98c684aeb084e59b86f4152c50499d86152eb970a9fc7fb1cbe",
-            counts={"img/*.jpg": 2200, "xml/*.xml": 2200},
-            checked=False,
-        ),
+        )
+        for part, size, pictures, digest in (
+            ("train", 744_616_230, 5200, "14f927290556df60e23cedfa80dffc10dc21e4a3b6843e150cfc49644376eece"),
+            ("val", 372_283_691, 2600, "238be0ceb3e7c5be6711ee3247e49df2750d52f91f54f5366c68bebac112ebf8"),
+            ("test", 271_153_425, 2200, "a671989a01cff98c684aeb084e59b86f4152c50499d86152eb970a9fc7fb1cbe"),
+        )
     ),
     by_hand="Google Drive asks before it hands out large files. In a browser:\n"
     "  train https://drive.google.com/open?id=1RVsSGPUKTdmoyoPTBTWwroyulLek1eTj\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -102,10 +101,8 @@ def deep_mode(image: ImageRecord) -> str:
     if image.path.suffix.lower() not in DEEP_SUFFIXES:
         return ""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with open_picture(image.path) as picture:
-                return str(picture.mode) if picture.mode.startswith(("I", "F")) else ""
+        with open_picture(image.path) as picture:
+            return str(picture.mode) if picture.mode.startswith(("I", "F")) else ""
     except Exception:  # unreadable pictures are reported where they are read
         return ""
 
@@ -179,6 +176,16 @@ def describe_scales(dataset: Dataset) -> dict[str, int]:
         text = "counts without a scale" if scale is None else f"{scale.describe()} ({image.capture.radiometry.source})"
         found[text] = found.get(text, 0) + 1
     return dict(sorted(found.items()))
+
+
+def scale_of_record(value: object, source: str, where: str) -> tuple[Radiometry | None, Problem | None]:
+    """Return the scale in a field of a label file, or None and what is wrong with it."""
+    if value is None:
+        return None, None
+    try:
+        return Radiometry(TemperatureScale.from_json(value if isinstance(value, dict) else {}), source), None
+    except ValueError as error:
+        return None, Problem(where, "scale-malformed", str(error), "unit, slope_k, offset_k", severity="warning")
 
 
 def info_of_scale(images: Iterable[ImageRecord]) -> dict[str, Any] | None:

@@ -55,7 +55,6 @@ def with_fitting_fields(dataset: Dataset) -> Dataset:
 
 
 def _class_names(categories: Sequence[Category]) -> dict[str, str]:
-    """Return the new name of every class whose name does not fit."""
     fitting = {c.name: escape_unfit(c.name.strip()) or _UNNAMED for c in categories}
     taken = {old for old, new in fitting.items() if old == new}
     names = {}

@@ -65,6 +65,5 @@ def _flights(facts: Mapping[str, CameraFacts]) -> Iterator[Sequence[_Picture]]:
 
 
 def _hours(gap: timedelta) -> str:
-    """Return a time difference, to the minute."""
     minutes = round(gap.total_seconds() / 60)
     return f"{'-' if minutes < 0 else ''}{abs(minutes) // 60}:{abs(minutes) % 60:02d} h"

@@ -79,7 +79,6 @@ def _candidates(root: Path) -> Iterator[str]:
 
 
 def _used(dataset: Dataset) -> set[Path]:
-    """Return the label files and tables that the reader of a plain folder reads."""
     root = dataset.root
     labels = {yolo.find_label(p, root) for p in list_pictures(root).values()}
     files = set(coco.find_files(root)) if dataset.notes.get("labels") == "coco" else set()

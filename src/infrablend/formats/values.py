@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+from collections.abc import Iterable, Mapping
+from datetime import date, datetime
+from typing import Any
 
+from infrablend.formats.losses import BOXES
 from infrablend.formats.pictures import MAX_PIXELS
 
 
@@ -18,19 +24,36 @@ def to_floats(value: object, count: int) -> tuple[float, ...] | None:
         if any(isinstance(v, bool) for v in value):
             return None
         return tuple(float(v) for v in value)
-    except (TypeError, ValueError, OverflowError):
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError):  # EXIF has fractions
+        return None
+
+
+def to_number(value: object) -> float | None:
+    """Return the finite number that a field means, or None."""
+    numbers = to_floats([value], 1)
+    return numbers[0] if numbers and math.isfinite(numbers[0]) else None
+
+
+def to_time(value: object) -> datetime | None:
+    """Return the date or time in ISO 8601 that a text field means, or None."""
+    try:
+        return datetime.fromisoformat(value.strip()) if isinstance(value, str) else None
+    except ValueError:
+        return None
+
+
+def iso_date(year: str, month: str, day: str) -> str | None:
+    """Return a date of three numbers as ISO 8601; None if there is no such day."""
+    try:
+        return date(int(year), int(month), int(day)).isoformat()
+    except ValueError:
         return None
 
 
 def to_int(value: object) -> int | None:
     """Return the whole number that a JSON or XML field means (4, "4", 4.0), or None."""
-    if isinstance(value, bool) or value is None:
-        return None
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return int(number) if math.isfinite(number) and number == int(number) else None
+    number = to_number(value)
+    return int(number) if number is not None and number == int(number) else None
 
 
 def to_id(value: object) -> int | str | None:
@@ -46,8 +69,23 @@ def to_bool(value: object) -> bool | None:
 
 def to_share(value: object) -> float | None:
     """Return the number in [0, 1] that a field means, or None."""
-    number = to_floats([value], 1)
-    return number[0] if number and 0 <= number[0] <= 1 else None
+    number = to_number(value)
+    return number if number is not None and 0 <= number <= 1 else None
+
+
+def read_occlusion(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a partly hidden object; boxes other than four finite numbers are left out."""
+    found: dict[str, Any] = {"occluded": fields["occluded"]} if isinstance(fields.get("occluded"), bool) else {}
+    for name in BOXES:
+        box = to_floats(fields.get(name), 4)
+        if box is not None and all(map(math.isfinite, box)):
+            found[name] = list(box)
+    return found
+
+
+def known(**fields: Any) -> dict[str, Any]:
+    """Return the fields that have a value."""
+    return {k: v for k, v in fields.items() if v is not None}
 
 
 def to_size(width: object, height: object) -> tuple[int, int] | None:
@@ -60,6 +98,13 @@ def number_text(value: float) -> str:
     """Return a coordinate as text, with up to eight decimals and none for whole numbers."""
     text = f"{value:.8f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
+
+
+def csv_text(head: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
+    """Return the text of a CSV table."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
+    return text.getvalue()
 
 
 def is_place(latitude_deg: float, longitude_deg: float) -> bool:

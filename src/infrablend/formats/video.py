@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
 from infrablend.formats.flight_log import MAX_LOG_BYTES
+from infrablend.formats.images import grey_of_rgb
 from infrablend.formats.pictures import MAX_PIXELS
 
 SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".m4v", ".ts", ".mts", ".webm", ".lrv", ".lrf")
@@ -156,7 +157,6 @@ class Video:
         return container, stream
 
     def _scan(self) -> Timeline:
-        """Return the times of the frames from the packets."""
         stamps: list[int | None] = []
         with contextlib.suppress(self._av.error.FFmpegError):  # what follows is missing when decoded, too
             for packet in self._container.demux(self._stream):
@@ -249,25 +249,21 @@ class Video:
 
     def problems(self) -> list[Problem]:
         """Return the faults of the video that were seen so far."""
-        where, todo = self.path.name, "copy the file from the card again"
-        found: list[Problem] = []
-        frames = len(self.timeline.times_s)
-        if self.damaged:
-            text = f"{self.damaged} frame(s) that cannot be decoded, missing"
-            found.append(Problem(where, "video-damaged", text, "an intact video", todo))
-        if frames < self.announced:
-            text = f"ends after {frames} of {self.announced} frames"
-            found.append(Problem(where, "video-truncated", text, "a complete video", todo))
-        if self.timeline.repeated:
-            text = f"{self.timeline.repeated} frame(s) with the time of the frame before"
-            found.append(Problem(where, "video-times", text, "times that increase", severity="warning"))
-        if self.other_size:
-            text = f"{self.other_size} frame(s) of another size than {self.size_wh[0]}x{self.size_wh[1]}, left out"
-            found.append(Problem(where, "image-size", text, "frames of one size"))
-        if self.turned:
-            text = "the container asks to turn the picture; pixels are taken as stored"
-            found.append(Problem(where, "video-turned", text, "no rotation", severity="warning"))
-        return found
+        where, again = self.path.name, "copy the file from the card again"
+        frames, repeated = len(self.timeline.times_s), self.timeline.repeated
+        missing = f"{self.damaged} frame(s) that cannot be decoded, missing"
+        early = f"ends after {frames} of {self.announced} frames"
+        other = f"{self.other_size} frame(s) of another size than {self.size_wh[0]}x{self.size_wh[1]}, left out"
+        turned = "the container asks to turn the picture; pixels are taken as stored"
+        same = f"{repeated} frame(s) with the time of the frame before"
+        faults = (
+            (self.damaged, Problem(where, "video-damaged", missing, "an intact video", again)),
+            (frames < self.announced, Problem(where, "video-truncated", early, "a complete video", again)),
+            (repeated, Problem(where, "video-times", same, "times that increase", severity="warning")),
+            (self.other_size, Problem(where, "image-size", other, "frames of one size")),
+            (self.turned, Problem(where, "video-turned", turned, "no rotation", severity="warning")),
+        )
+        return [problem for there, problem in faults if there]
 
 
 def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -294,13 +290,10 @@ def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:
                 return luminance.astype(np.uint16)
             return luminance.astype(np.uint8) if full else _FULL_RANGE[luminance]
     if max((int(c.bits) for c in picture.format.components), default=8) > 8 and not planar:
-        deep: NDArray[np.uint16] = picture.to_ndarray(format="rgb48le")
-        if (deep[..., 0] == deep[..., 1]).all() and (deep[..., 0] == deep[..., 2]).all():
-            return np.ascontiguousarray(deep[..., 0])
-    colour: NDArray[np.uint8] = picture.to_ndarray(format="rgb24")
-    if (colour[..., 0] == colour[..., 1]).all() and (colour[..., 0] == colour[..., 2]).all():
-        return np.ascontiguousarray(colour[..., 0])
-    return colour
+        deep = grey_of_rgb(picture.to_ndarray(format="rgb48le"))
+        if deep.ndim == 2:
+            return deep
+    return grey_of_rgb(picture.to_ndarray(format="rgb24"))
 
 
 _FULL_RANGE = np.clip(np.rint((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)

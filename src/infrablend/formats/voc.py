@@ -15,36 +15,32 @@ import math
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any
 from xml.sax.saxutils import escape
 
-import numpy as np
-
-from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.run_folder import kept_aside
-from infrablend.errors import Problem
-from infrablend.formats.annotation_files import read_text, read_xml
+from infrablend.formats.annotation_files import child_text, read_xml
 from infrablend.formats.base import (
+    SPLIT_FOLDERS,
     Match,
     category_ids,
     check_splits,
     ignored_by_class,
     in_order,
     is_ignored_name,
+    require_known,
     require_options,
     require_size,
     unmarked_regions,
 )
-from infrablend.formats.box_checks import OVERHANG_PX, check_box, overhang_px, snap
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import loses_occlusion
-from infrablend.formats.pictures import is_hidden, list_pictures, read_size, walk
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset, unlabelled_problems
+from infrablend.formats.box_checks import snap_edges, turned_box
+from infrablend.formats.losses import Written, count_dropped
+from infrablend.formats.pictures import is_hidden, list_pictures, walk
+from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.values import number_text, to_bool, to_floats, to_size
 
 NAME = "voc"
@@ -56,9 +52,6 @@ OPTIONS = {
 DATABASE = "InfraBlend VOC"
 """Value of `source/database` in our files, which makes HIT-UAV's reader ignore them."""
 
-SPLIT_FOLDERS: Mapping[str, Split] = {
-    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
-}  # fmt: skip
 # Folders that only separate pictures from annotations; without them, the paths of a picture and its XML are equal.
 _KINDS = {"annotations", "annotation", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "labels"}
 _LABELMAP = "labelmap.txt"
@@ -104,34 +97,16 @@ def detect(root: Path) -> Match:
 
 def _named(name: str, top: Any) -> Key:
     """Return the key of the picture that the XML file names; folders in that name are ignored."""
-    said = re.split(r"[\\/]", _text(top, "filename") or "")[-1]
+    said = re.split(r"[\\/]", child_text(top, "filename") or "")[-1]
     folder = key_of(name)[:-1]
     return (*folder, PurePosixPath(said).stem if re.search(r"\.\w{2,5}$", said) else said)
-
-
-def _text(element: Any, key: str) -> str | None:
-    value = element.findtext(key)
-    return value.strip() if value is not None else None
 
 
 # -- reading ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Read:
-    """Contents of the XML files of a folder.
-
-    Attributes:
-        records: Records of the pictures, without ids; those without an XML file have `labelled` False in `extra`.
-        names: Sorted names of the categories.
-        problems: Problems found.
-        counts: Number of `files`, `objects` in them, objects `read`, `parts` of objects, and `unlabelled` pictures.
-    """
-
-    records: tuple[ImageRecord, ...]
-    names: tuple[str, ...]
-    problems: tuple[Problem, ...]
-    counts: Mapping[str, int]
+COUNTS = ("files", "objects", "read", "parts", "unlabelled")
+"""What is counted: files, objects in them, objects read, parts of objects, and pictures without a file."""
 
 
 def read(
@@ -144,36 +119,35 @@ def read(
 ) -> Dataset:
     """Read VOC files and their pictures.
 
-    Args:
-        root: Folder of the dataset, or a folder that contains nothing else (`VOCdevkit/VOC2012`).
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
-        origin: Meaning of the numbers of a box, see the docstring of this module.
-        unlabelled: Whether to `keep` or `drop` pictures without an XML file.
-
     Raises:
         DatasetError: An option is unknown, or no picture can be read.
     """
     require_options(root, origin=(origin, ("0", "1")), unlabelled=(unlabelled, KEEP_OR_DROP))
     wanted = check_splits(splits)
-    found = read_folder(root, wanted, "1" if origin == "1" else "0", unlabelled)
-    order, problems = _labelmap(root)
-    names = [*order, *(n for n in found.names if n not in order)]
+    found = Findings(root)
+    order = _labelmap(found)
+    records = read_folder(found, wanted, origin == "1", unlabelled)
+    names = [*order, *(n for n in names_of(records) if n not in order)]
     categories = tuple(Category(k, n, "", is_ignored_name(n)) for k, n in enumerate(names))
-    notes = {"labels": NAME, "origin": int(origin), "rows": found.counts}
-    return make_dataset(
-        root, NAME, found.records, categories, [*problems, *found.problems], notes, metadata=metadata, splits=wanted
-    )
+    notes = {"labels": NAME, "origin": int(origin), "rows": found.rows(*COUNTS)}
+    return found.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], unlabelled: str) -> Read:
-    """Read all XML files below a folder with their pictures, and the pictures without an XML file."""
-    problems: list[Problem] = []
-    counts: Counter[str] = Counter()
+def names_of(records: Iterable[ImageRecord]) -> list[str]:
+    """Return the names of the categories, sorted."""
+    return sorted({i.category for r in records for i in r.instances})
+
+
+def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabelled: str) -> list[ImageRecord]:
+    """Read all XML files below a folder with their pictures, and the pictures without an XML file.
+
+    The records have no ids; those without an XML file have `labelled` False in `extra`.
+    """
+    root = found.root
     pictures: dict[Key, list[str]] = {}
     for name in (paths := list_pictures(root)):
         pictures.setdefault(key_of(name), []).append(name)
-    split_of = _splits(root, {key[-1] for key in pictures}, problems)
+    split_of = _splits(found, {key[-1] for key in pictures})
     records: dict[str, ImageRecord] = {}
     unlisted: list[str] = []
     skipped: set[str] = set()
@@ -182,69 +156,54 @@ def read_folder(root: Path, splits: Sequence[Split], origin: Literal["0", "1"], 
         if split is None:
             unlisted.append(name)
             split = "train"
-        if split not in splits:
-            skipped.update(pictures.get(key_of(name), ()))
-            continue
-        top, problem = _read_annotation(root, name)
-        picture: str | None = None
-        if problem is None:
-            picture, problem = _find_picture(name, top, pictures, records, problems)
+        top = _read_annotation(found, name) if split in splits else None
+        picture = None if top is None else _find_picture(found, name, top, pictures, records)
         if picture is None:
-            problems += [problem] if problem else []
             skipped.update(pictures.get(key_of(name), ()))
             continue
-        counts["files"] += 1
-        size_wh = _size(top, name, paths[picture], picture, problems)
-        instances = _objects(top, name, size_wh, origin, problems, counts)
-        file_name = _file_name(picture)
-        records[picture] = ImageRecord("", paths[picture], split, size_wh, instances, file_name=file_name)
+        found.counts["files"] += 1
+        size_wh = _size(found, top, name, paths[picture], picture)
+        instances = _objects(found, top, name, size_wh, from_one)
+        records[picture] = ImageRecord(
+            "", paths[picture], split, size_wh, instances, file_name=_file_name(picture)
+        )  # fmt: skip
     left = {
         name: split_of.get(key_of(name)[-1], "train") if split_of else _folder_split(name)
         for name in paths
         if name not in records and name not in skipped
     }
     left = {name: split for name, split in left.items() if split in splits}
-    problems += unlabelled_problems(root.name, len(left), unlabelled, "no XML file")
-    counts["unlabelled"] = len(left)
+    found.problems += unlabelled_problems(root.name, len(left), unlabelled, "no XML file")
+    found.counts["unlabelled"] = len(left)
     for name, split in left.items() if unlabelled == "keep" else ():
         unsaid = {"labelled": False}
         records[name] = ImageRecord("", paths[name], split, None, (), extra=unsaid, file_name=_file_name(name))
-    problems += _remarks(root.name, unlisted, counts["parts"])
-    counted = {k: counts[k] for k in ("files", "objects", "read", "parts", "unlabelled")}
-    categories = {i.category for r in records.values() for i in r.instances}
-    return Read(tuple(records.values()), tuple(sorted(categories)), tuple(problems), counted)
-
-
-def _read_annotation(root: Path, name: str) -> tuple[Any, Problem | None]:
-    """Return the root element of an XML file, and what is wrong with it."""
-    top, problem = read_xml(root / name, name)
-    if problem is None and top.tag != "annotation":
-        found = f"root element <{top.tag}>"
-        problem = Problem(name, "annotation-layout", found, "<annotation>", "use VOC or roLabelImg files")
-    return top, problem
-
-
-def _size(top: Any, where: str, path: Path, picture: str, problems: list[Problem]) -> tuple[int, int] | None:
-    """Return the size that the XML file states, else that of the picture."""
-    size_wh = to_size(_text(top, "size/width"), _text(top, "size/height"))
-    if size_wh is None:
-        found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}; the picture's size is used"
-        problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
-        size_wh, problem = read_size(path, picture)
-        problems += [problem] if problem else []
-    return size_wh
-
-
-def _remarks(where: str, unlisted: Sequence[str], parts: int) -> list[Problem]:
-    """Return warnings about files that no list names, and parts of objects."""
-    problems = []
     if unlisted:
-        found = f"{len(unlisted)} file(s) in no list of ImageSets/Main are read as train: {', '.join(unlisted[:3])}"
-        problems.append(Problem(where, "split-unknown", found, "every stem in one list", severity="warning"))
-    if parts:
-        found = f"{parts} part(s) of objects were left out"
-        problems.append(Problem(where, "part-unread", found, "objects without parts", severity="warning"))
-    return problems
+        text = f"{len(unlisted)} file(s) in no list of ImageSets/Main are read as train: {', '.join(unlisted[:3])}"
+        found.warn(root.name, "split-unknown", text, "every stem in one list")
+    if found.counts["parts"]:
+        text = f"{found.counts['parts']} part(s) of objects were left out"
+        found.warn(root.name, "part-unread", text, "objects without parts")
+    return list(records.values())
+
+
+def _read_annotation(found: Findings, name: str) -> Any:
+    top = found.xml(found.root / name)
+    if top is None or top.tag == "annotation":
+        return top
+    said = f"root element <{top.tag}>"
+    found.add(name, "annotation-layout", said, "<annotation>", "use VOC or roLabelImg files")
+    return None
+
+
+def _size(found: Findings, top: Any, where: str, path: Path, picture: str) -> tuple[int, int] | None:
+    said = child_text(top, "size/width"), child_text(top, "size/height")
+    size_wh = to_size(*said)
+    if size_wh is not None:
+        return size_wh
+    text = f"size {said[0]!r} x {said[1]!r}; the picture's size is used"
+    found.warn(where, "image-size-unknown", text, "width and height in px")
+    return found.size(path, picture)
 
 
 def _file_name(name: str) -> str:
@@ -260,27 +219,30 @@ def _folder_split(name: str) -> Split:
 
 
 def _find_picture(
-    name: str, top: Any, pictures: Mapping[Key, list[str]], taken: Mapping[str, ImageRecord], problems: list[Problem]
-) -> tuple[str | None, Problem | None]:
-    """Return the picture with the XML file's name, else the one named inside it; or None and the problem."""
+    found: Findings, name: str, top: Any, pictures: Mapping[Key, list[str]], taken: Mapping[str, ImageRecord]
+) -> str | None:
+    """Return the picture with the XML file's name, else the one named inside it; or None, with a problem."""
     own, named = key_of(name), _named(name, top)
-    said = _text(top, "filename") or ""
+    said = child_text(top, "filename") or ""
     choices = pictures.get(own) or pictures.get(named) or []
     if not choices:
-        found, todo = f"no picture {said or own[-1]!r}", "restore it"
-        return None, Problem(name, "image-missing", found, "a picture of the same name", todo)
+        text = f"no picture {said or own[-1]!r}"
+        found.add(name, "image-missing", text, "a picture of the same name", "restore it")
+        return None
     if named != own and own in pictures and named in pictures:
-        found = f"filename {said!r}, which is another picture; {choices[0]!r} is used"
-        problems.append(Problem(name, "name-disagrees", found, "the name of the XML file", severity="warning"))
+        text = f"filename {said!r}, which is another picture; {choices[0]!r} is used"
+        found.warn(name, "name-disagrees", text, "the name of the XML file")
     picture = next((c for c in choices if PurePosixPath(c).name == said), choices[0])
     if picture in taken:
-        found = f"a second file for {picture!r}"
-        return None, Problem(name, "image-duplicate", found, "each picture once", "leave out one of them")
-    return picture, None
+        text = f"a second file for {picture!r}"
+        found.add(name, "image-duplicate", text, "each picture once", "leave out one of them")
+        return None
+    return picture
 
 
-def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict[str, Split]:
+def _splits(found: Findings, stems: Collection[str]) -> dict[str, Split]:
     """Return the split per stem from the lists in `ImageSets/Main`; empty if there are none."""
+    root = found.root
     aside = kept_aside(root)
     lists = sorted(p for depth in ("", "*/", "*/*/") for p in root.glob(depth + "ImageSets/Main"))
     folders = [p for p in lists if p.relative_to(root).parts[0] not in aside]
@@ -291,111 +253,87 @@ def _splits(root: Path, stems: Collection[str], problems: list[Problem]) -> dict
             files.append(("trainval", "train"))
         for stem, split in files:
             path = folder / f"{stem}.txt"
-            if not path.is_file():
-                continue
-            where = path.relative_to(root).as_posix()
-            text, problem = read_text(path, where, "a list of stems")
-            problems += [problem] if problem else []
-            for line in text.splitlines():
+            text = found.text(path, "a list of stems") if path.is_file() else None
+            for line in (text or "").splitlines():
                 # Lists of a single class add 1, 0 or -1 to each stem; some tools do so in all lists.
                 listed = line if line in stems else line.strip()
                 listed = listed if listed in stems else re.sub(r"\s+(-1|0|1)$", "", listed)
                 if listed and split_of.setdefault(listed, split) != split and stem != "trainval":
-                    found = f"{listed!r} is also in {split_of[listed]}, which is used"
-                    problems.append(Problem(where, "split-twice", found, "each stem in one list", severity="warning"))
+                    said = f"{listed!r} is also in {split_of[listed]}, which is used"
+                    found.warn(found.place(path), "split-twice", said, "each stem in one list")
     return split_of
 
 
-def _labelmap(root: Path) -> tuple[list[str], list[Problem]]:
+def _labelmap(found: Findings) -> list[str]:
     """Return category names in the order of `labelmap.txt` (`name:colour:parts:actions`); none if it does not exist."""
-    path = root / _LABELMAP
-    if not path.is_file():
-        return [], []
-    text, problem = read_text(path, path.name, "a line per class")
-    entries = [s for s in text.splitlines() if not s.lstrip().startswith("#")]
+    path = found.root / _LABELMAP
+    text = found.text(path, "a line per class") if path.is_file() else None
+    entries = [s for s in (text or "").splitlines() if not s.lstrip().startswith("#")]
     # A name may contain colons; only three separate the fields.
     lines = [(s.rsplit(":", 3) if s.count(":") >= 3 else s.split(":"))[0].strip() for s in entries]
-    return list(dict.fromkeys(s for s in lines if s and s != "background")), [problem] if problem else []
+    return list(dict.fromkeys(s for s in lines if s and s != "background"))
 
 
 def _objects(
-    top: Any,
-    where: str,
-    size_wh: tuple[int, int] | None,
-    origin: Literal["0", "1"],
-    problems: list[Problem],
-    counts: Counter[str],
+    found: Findings, top: Any, where: str, size_wh: tuple[int, int] | None, from_one: bool
 ) -> tuple[Instance, ...]:
     instances = []
     for k, element in enumerate(top.findall("object")):
-        counts["objects"] += 1
-        counts["parts"] += len(element.findall("part"))
+        found.counts["objects"] += 1
+        found.counts["parts"] += len(element.findall("part"))
         here = f"{where}: object {k}"
-        name = _text(element, "name")
+        name = child_text(element, "name")
         if not name:
-            problems.append(Problem(here, "category-unknown", "no name", "a category's name", "correct the annotation"))
+            found.add(here, "category-unknown", "no name", "a category's name", "correct the annotation")
             continue
-        instance = _geometry(element, here, name, size_wh, origin, problems)
-        if instance is None:
-            continue
-        flags: dict[str, bool | None] = {}
-        for flag in ("truncated", "difficult", "occluded"):
-            value = _text(element, flag)
-            flags[flag] = None if value is None else to_bool(value)
-            if value and flags[flag] is None:
-                found = f"{flag} {value[:40]!r}, which is ignored"
-                problems.append(Problem(here, "flag-value", found, "0 or 1", severity="warning"))
-        extra: dict[str, Any] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
-        pose = _text(element, "pose")
-        if pose and pose != "Unspecified":
-            extra["pose"] = pose
-        inserted = to_bool(_text(element, "inserted")) is True
-        more = {**instance.extra, **extra}
-        instances.append(
-            replace(instance, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=more)
-        )
-    counts["read"] += len(instances)
+        instance = _object(found, element, here, name, size_wh, from_one)
+        if instance is not None:
+            instances.append(instance)
+    found.counts["read"] += len(instances)
     return tuple(instances)
 
 
-def _geometry(
-    element: Any,
-    where: str,
-    name: str,
-    size_wh: tuple[int, int] | None,
-    origin: Literal["0", "1"],
-    problems: list[Problem],
+def _object(
+    found: Findings, element: Any, where: str, name: str, size_wh: tuple[int, int] | None, from_one: bool
 ) -> Instance | None:
-    """Return the object with its box and any oriented box; None, with a problem, if the box is invalid."""
+    """Return an object with its box, any oriented box, and flags; None, with a problem, if the box is invalid."""
     turned = element.find("robndbox")
     keys = ("cx", "cy", "w", "h", "angle") if turned is not None else ("xmin", "ymin", "xmax", "ymax")
     base = turned if turned is not None else element.find("bndbox")
-    said = None if base is None else [_text(base, k) for k in keys]
+    said = None if base is None else [child_text(base, k) for k in keys]
     values = to_floats(said, len(keys))
     if values is None:
-        found = "no bndbox" if said is None else f"box {said}"[:120]
-        problems.append(Problem(where, "box-malformed", found, ", ".join(keys), "correct the annotation"))
+        text = "no bndbox" if said is None else f"box {said}"[:120]
+        found.add(where, "box-malformed", text, ", ".join(keys), "correct the annotation")
         return None
     corners = None
     if turned is not None:
         if not all(math.isfinite(v) and abs(v) < 1e9 for v in values) or values[2] <= 0 or values[3] <= 0:
             code = "box-empty" if all(math.isfinite(v) for v in values) else "box-not-finite"
             expected = "finite numbers, with width and height above 0"
-            problems.append(Problem(where, code, f"box {said}"[:120], expected, "correct the annotation"))
+            found.add(where, code, f"box {said}"[:120], expected, "correct the annotation")
             return None
-        corners = corners_of_cxcywha(np.array([values], np.float64))[0]
-        raw = tuple(float(v) for v in box_of_points(corners))
-        over = overhang_px(corners, size_wh) if size_wh else 0.0
-        if 0 < over <= OVERHANG_PX and size_wh is not None:
-            raw = tuple(min(max(v, 0.0), float(size_wh[i % 2])) for i, v in enumerate(raw))
+        corners, edges = turned_box(values, size_wh)
     else:
-        first = 1.0 if origin == "1" else 0.0
-        raw = (values[0] - first, values[1] - first, values[2], values[3])
-        if size_wh is not None:
-            raw = tuple(snap(v, size_wh[i % 2]) for i, v in enumerate(raw))
-    box, problem = check_box(raw, size_wh, where)
-    problems += [problem] if problem else []
-    return None if box is None else Instance(name, box, corners)
+        first = 1.0 if from_one else 0.0
+        edges = tuple(snap_edges((values[0] - first, values[1] - first, values[2], values[3]), size_wh))
+    box = found.box(edges, size_wh, where)
+    if box is None:
+        return None
+    flags: dict[str, bool | None] = {}
+    for flag in ("truncated", "difficult", "occluded"):
+        value = child_text(element, flag)
+        flags[flag] = None if value is None else to_bool(value)
+        if value and flags[flag] is None:
+            found.warn(where, "flag-value", f"{flag} {value[:40]!r}, which is ignored", "0 or 1")
+    extra: dict[str, Any] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
+    pose = child_text(element, "pose")
+    if pose and pose != "Unspecified":
+        extra["pose"] = pose
+    inserted = to_bool(child_text(element, "inserted")) is True
+    return Instance(
+        name, box, corners, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=extra
+    )  # fmt: skip
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -441,7 +379,7 @@ def write(
         files.append(write_text(out / "ImageSets" / "Main" / f"{name}.txt", "".join(f"{n}\n" for n in listed)))
     text = "# label:color_rgb:parts:actions\n" + "".join(f"{n}:::\n" for n in known)
     files.append(write_text(out / _LABELMAP, text))
-    return Written(tuple(files), {k: n for k, n in sorted(losses.items()) if n})
+    return Written.of(files, losses)
 
 
 def _xml(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> str:
@@ -454,13 +392,9 @@ def _xml(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> 
         f"  <size><width>{w}</width><height>{h}</height><depth>{image.extra.get('depth', 1)}</depth></size>",
         "  <segmented>0</segmented>",
     ]
+    require_known(image, known)
     for i in image.instances:
-        if i.category not in known:
-            raise ValueError(f"{image.id}: category {i.category!r} is not in the list of categories")
-        losses["obb_dropped"] += i.corners_xy is not None
-        losses["mask_dropped"] += i.mask is not None
-        losses["visibility_dropped"] += i.visibility is not None
-        losses["occlusion_dropped"] += loses_occlusion(i, flag=False)
+        count_dropped(i, losses, "obb", "mask", "visibility", "occlusion boxes")
         box = "".join(
             f"<{k}>{number_text(v)}</{k}>" for k, v in zip(("xmin", "ymin", "xmax", "ymax"), i.box_xyxy, strict=True)
         )

@@ -8,24 +8,19 @@ that nobody is visible, a missing one that the picture was not labelled. `count.
 
 from __future__ import annotations
 
-import datetime
 import math
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
-from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import Match, check_splits, require_options
-from infrablend.formats.box_checks import check_box, snap
+from infrablend.formats.base import Match, check_splits, option_error, require_options
+from infrablend.formats.box_checks import snap
 from infrablend.formats.pictures import by_folder, is_hidden, sidecar_labels
-from infrablend.formats.records import KEEP_OR_DROP, make_dataset
-from infrablend.formats.sidecar_labels import SidecarLabels
-from infrablend.formats.values import to_floats
+from infrablend.formats.records import KEEP_OR_DROP, Findings, with_label_files
+from infrablend.formats.values import iso_date, to_floats
 from infrablend.formats.yolo import parse_labels
 
 NAME = "wisard"
@@ -54,7 +49,6 @@ def modality_of(clip: str) -> str | None:
 
 
 def _clips(root: Path) -> dict[str, dict[str, Path]]:
-    """Return the pictures by clip folder (relative) and name."""
     return {f: p for f, p in by_folder(root).items() if modality_of(_clip_name(root, f)) is not None}
 
 
@@ -82,16 +76,7 @@ def read(
     logo: str = "auto",
     split: str = "train",
 ) -> Dataset:
-    """Read the clips below a folder.
-
-    Args:
-        root: Folder of clips, or one clip.
-        splits: Splits to read; only `split` has any pictures.
-        metadata: Table of pitch and altitude, by file or by clip (`sequence`); None uses any `metadata.csv` or `.json`.
-        modality: Clips to read: `ir`, `vis` or `all`; a warning counts the others.
-        unlabelled: Whether to `keep` or `drop` pictures without a label file.
-        logo: Region to ignore in `_FLIR_` clips, see `OPTIONS`.
-        split: Split of all clips.
+    """Read the clips below a folder, or one clip; a warning counts those of the other modality.
 
     Raises:
         DatasetError: An option has a wrong value, or no picture can be read.
@@ -105,73 +90,53 @@ def read(
     region = _logo_region(root, logo)
     wanted = check_splits(splits)
     (of_all,) = check_splits([split])
-    problems: list[Problem] = []
-    counts: Counter[str] = Counter()
-    beside = SidecarLabels(root, ".txt", unlabelled, _read_label, problems, counts)
+    found = Findings(root)
     records: list[ImageRecord] = []
     for folder, pictures in _clips(root).items() if of_all in wanted else ():
         clip = _clip_name(root, folder)
         kind = str(modality_of(clip))
         if modality not in (kind, "all"):
-            counts["other_clips"] += 1
-            counts["other_pictures"] += len(pictures)
+            found.counts["other_clips"] += 1
+            found.counts["other_pictures"] += len(pictures)
             continue
-        counts["clips"] += 1
-        _report_strays(root, folder, pictures, problems)
-        for p in beside.read(clip, pictures):
-            counts["logos"] += len(logos := _logo(clip, region, p.size_wh, p.where, problems))
-            frame = _FRAME.search(p.path.stem)
-            extra: dict[str, Any] = {} if p.labelled else {"labelled": False}
-            extra |= {"modality": "visible"} if kind == "vis" else {}
-            records.append(
-                ImageRecord(
-                    "",
-                    p.path,
-                    of_all,
-                    p.size_wh,
-                    (*p.instances, *logos),
-                    capture=Capture(sequence=clip, captured=_captured(clip), frame=int(frame[1]) if frame else None),
-                    extra=extra,
-                    file_name=f"{clip}/{p.name}",
-                )
-            )
-    problems += _summary(root, modality, logo, counts)
-    categories = CATEGORIES if counts["logos"] else CATEGORIES[:1]
+        found.counts["clips"] += 1
+        _report_strays(found, folder, pictures)
+        for r in with_label_files(found, pictures, ".txt", unlabelled, clip, _read_label):
+            logos = _logo(found, r, region) if "FLIR" in clip.split("_") else []
+            frame = _FRAME.search(r.path.stem)
+            capture = Capture(sequence=clip, captured=_captured(clip), frame=int(frame[1]) if frame else None)
+            extra = {**r.extra, "modality": "visible"} if kind == "vis" else r.extra
+            labels, name = (*r.instances, *logos), f"{clip}/{r.name}"
+            records.append(replace(r, split=of_all, instances=labels, capture=capture, extra=extra, file_name=name))
+    _summarise(found, modality, logo)
+    categories = CATEGORIES if found.counts["logos"] else CATEGORIES[:1]
     keys = ("clips", "labelled", "empty", "unlabelled", "objects", "read", "snapped", "without_area", "logos")
-    rows = {k: counts[k] for k in (*keys, "other_clips", "other_pictures")}
+    rows = found.rows(*keys, "other_clips", "other_pictures")
     notes = {"labels": NAME, "modality": modality, "logo": logo, "rows": rows}
-    return make_dataset(root, NAME, records, categories, problems, notes, metadata=metadata, splits=wanted)
+    return found.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
 def _captured(clip: str) -> str | None:
-    """Return the date at the start of a clip's name as ISO 8601; None if there is no valid date."""
     found = _DATE.match(clip)
-    try:
-        return None if found is None else datetime.date(2000 + int(found[1]), int(found[2]), int(found[3])).isoformat()
-    except ValueError:
-        return None
+    return iso_date(f"20{found[1]}", found[2], found[3]) if found else None
 
 
-def _report_strays(root: Path, folder: str, pictures: Mapping[str, Path], problems: list[Problem]) -> None:
+def _report_strays(found: Findings, folder: str, pictures: Mapping[str, Path]) -> None:
     stems = {path.stem for path in pictures.values()}
-    texts = sorted(p for p in (root / folder).glob("*.txt") if not is_hidden(p.name) and p.name != "count.txt")
+    texts = sorted(p for p in (found.root / folder).glob("*.txt") if not is_hidden(p.name) and p.name != "count.txt")
     strays = [p.name for p in texts if p.stem not in stems]
     if strays:
-        found = f"{len(strays)} label file(s) without a picture: {', '.join(strays[:3])}"
-        problems.append(Problem(folder, "image-missing", found, "a picture per label file", "restore them", "warning"))
+        text = f"{len(strays)} label file(s) without a picture: {', '.join(strays[:3])}"
+        found.warn(folder, "image-missing", text, "a picture per label file", "restore them")
 
 
-def _read_label(
-    root: Path, path: Path, size_wh: tuple[int, int], problems: list[Problem], counts: Counter[str]
-) -> list[Instance] | None:
-    """Return the people in a label file; None, with a problem, if it cannot be read."""
-    where = path.relative_to(root).as_posix()
-    text, problem = read_text(path, where, "a YOLO label file")
-    if problem is not None:
-        problems.append(problem)
+def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
+    where, counts = found.place(path), found.counts
+    text = found.text(path, "a YOLO label file")
+    if text is None:
         return None
     lines = parse_labels(text, where)
-    problems += lines.problems
+    found.problems += lines.problems
     counts["labelled"] += 1
     counts["empty"] += not lines.rows and not lines.problems
     counts["objects"] += sum(bool(line.strip()) for line in text.splitlines())
@@ -180,19 +145,18 @@ def _read_label(
     for n, number, values in lines.rows:
         here = f"{where}: line {n}"
         if number != 0 or len(values) != 4:
-            found = f"class {number} with {len(values)} numbers"
-            problems.append(Problem(here, "category-unknown", found, "0 cx cy w h", "correct the line"))
+            said = f"class {number} with {len(values)} numbers"
+            found.add(here, "category-unknown", said, "0 cx cy w h", "correct the line")
             continue
         cx, cy, bw, bh = values
         edges = ((cx - bw / 2) * w, (cy - bh / 2) * h, (cx + bw / 2) * w, (cy + bh / 2) * h)
         raw = [snap(v, size_wh[i % 2], _ROUNDING * size_wh[i % 2]) for i, v in enumerate(edges)]
         counts["snapped"] += any(a != b for a, b in zip(raw, edges, strict=True))
-        box, problem = check_box(raw, size_wh, here)
-        if problem is not None:
-            problems.append(problem)
-            counts["without_area"] += problem.code in ("box-empty", "box-outside")
+        box = found.box(raw, size_wh, here)
         if box is not None:
             instances.append(Instance("human", box))
+        else:
+            counts["without_area"] += found.problems[-1].code in ("box-empty", "box-outside")
     counts["read"] += len(instances)
     return instances
 
@@ -203,32 +167,27 @@ def _logo_region(root: Path, logo: str) -> tuple[float, ...] | None:
         return _LOGO_SHARES if logo == "auto" else None
     region = to_floats(logo.split(","), 4)
     if region is None or not all(map(math.isfinite, region)) or region[0] >= region[2] or region[1] >= region[3]:
-        expected = "auto, none, or x0,y0,x1,y1 in px with x0 < x1 and y0 < y1"
-        problem = Problem("option logo", "option-value", f"logo={logo}", expected)
-        raise DatasetError(f"{root}: an option has a value that is not allowed", [problem])
+        raise option_error(root, "logo", logo, "auto, none, or x0,y0,x1,y1 in px with x0 < x1 and y0 < y1")
     return region
 
 
-def _logo(
-    clip: str, region: tuple[float, ...] | None, size_wh: tuple[int, int], where: str, problems: list[Problem]
-) -> list[Instance]:
-    """Return the region of the burnt-in logo as an object to ignore; nothing for other cameras and `logo=none`."""
-    if region is None or "FLIR" not in clip.split("_"):
+def _logo(found: Findings, image: ImageRecord, region: tuple[float, ...] | None) -> list[Instance]:
+    """Return the region of the burnt-in logo as an object to ignore; nothing for `logo=none`."""
+    if region is None or image.size_wh is None:
         return []
     if max(region) <= 1:
-        region = tuple(v * size_wh[i % 2] for i, v in enumerate(region))
-    box, problem = check_box(region, size_wh, f"{where}: logo")
-    problems += [problem] if problem else []
+        region = tuple(v * image.size_wh[i % 2] for i, v in enumerate(region))
+    box = found.box(region, image.size_wh, f"{found.place(image.path)}: logo")
+    found.counts["logos"] += box is not None
     return [] if box is None else [Instance("Logo", box)]
 
 
-def _summary(root: Path, modality: str, logo: str, counts: Counter[str]) -> list[Problem]:
-    problems = []
+def _summarise(found: Findings, modality: str, logo: str) -> None:
+    name, counts = found.root.name, found.counts
     if counts["other_clips"]:
-        found = f"{counts['other_clips']} clip(s) with {counts['other_pictures']} pictures left out"
-        problems.append(Problem(root.name, "modality-excluded", found, f"modality={modality}", "", "warning"))
+        text = f"{counts['other_clips']} clip(s) with {counts['other_pictures']} pictures left out"
+        found.warn(name, "modality-excluded", text, f"modality={modality}")
     if counts["logos"] and logo == "auto":
-        found = f"the position of the logo in {counts['logos']} pictures of FLIR clips is assumed"
+        text = f"the position of the logo in {counts['logos']} pictures of FLIR clips is assumed"
         todo = "check it in one picture, and add --read logo=x0,y0,x1,y1 or --read logo=none"
-        problems.append(Problem(root.name, "logo-assumed", found, "a region given by an option", todo, "warning"))
-    return problems
+        found.warn(name, "logo-assumed", text, "a region given by an option", todo)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
@@ -30,10 +28,11 @@ from infrablend.core.format_table import (
 )
 from infrablend.core.spool import StoredImages
 from infrablend.errors import Problem
-from infrablend.formats.base import FormatModule, in_order, sort_images
+from infrablend.formats.base import FormatModule, in_order, numbered_from_one, sort_images
 from infrablend.formats.capture import facts_from_name, fits_table
 from infrablend.formats.losses import Written
 from infrablend.formats.pictures import assign_ids
+from infrablend.formats.values import csv_text
 from infrablend.formats.write_settings import WriteSettings
 
 
@@ -92,24 +91,20 @@ def write(
     else:
         writer = find_writer(name)
     if settings.category_ids == "from_one":
-        categories = [replace(c, id=n) for n, c in enumerate(sorted(categories, key=lambda c: c.id), 1)]
+        categories = numbered_from_one(categories)
     ordered, renamed = fitting_names(in_order(images), writer.layout, writer.misread)
     arguments = dict(writer.fixed) | {k: getattr(settings, k) for k in writer.takes - {"extra"}}
     if "extra" in writer.takes and source is not None and source.format == writer.reader:
         arguments["extra"] = source.extra
     written = load_writer(writer)(out, ordered, categories, **arguments)
-    parts = [written, _write_table(out, ordered, writer), Written(losses=_further_losses(ordered, writer))]
-    if renamed:
-        parts.append(Written(losses={"name_changed": renamed}))
-    return Written.together(parts)
+    losses = Counter(_further_losses(ordered, writer)) + Counter(name_changed=renamed)
+    return Written.together([written, _write_table(out, ordered, writer), Written(losses=losses)])
 
 
 def _native_not_writable(source: Dataset) -> Written:
     found = f"{source.format} is read but not written; native was left out"
-    todo = "ask for another format"
-    return Written(
-        problems=(Problem("native", "format-none", found, f"one of {', '.join(written_names())}", todo, "warning"),)
-    )
+    expected, todo = f"one of {', '.join(written_names())}", "ask for another format"
+    return Written(problems=(Problem("native", "format-none", found, expected, todo, "warning"),))
 
 
 def fitting_names(
@@ -175,14 +170,10 @@ def _write_table(out: Path, images: Sequence[ImageRecord], writer: Writer) -> Wr
     }
     if not rows:
         return Written()
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
     rows = {name: {k: v for k, v in facts.items() if fits_table(k, v)} for name, facts in rows.items()}
     columns = [n for n in FACTS if n in _COLUMNS or any(n in facts for facts in rows.values())]
-    table.writerow(("file", *columns))
-    for name, facts in rows.items():
-        table.writerow((name, *(facts.get(k, "") for k in columns)))
-    return Written((write_text(out / "metadata.csv", text.getvalue()),))
+    lines = ((name, *(facts.get(k, "") for k in columns)) for name, facts in rows.items())
+    return Written((write_text(out / "metadata.csv", csv_text(("file", *columns), lines)),))
 
 
 def _further_losses(images: Sequence[ImageRecord], writer: Writer) -> dict[str, int]:

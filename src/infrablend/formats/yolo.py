@@ -13,8 +13,8 @@ import contextlib
 import datetime
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
@@ -36,16 +36,13 @@ from infrablend.formats.base import (
     in_order,
     is_ignored_name,
     require_size,
-    shorten,
-    sort_images,
     stated_split,
 )
-from infrablend.formats.box_checks import check_box, clockwise_corners, overhang_px, snap
-from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
-from infrablend.formats.losses import Text, Written
-from infrablend.formats.occlusion import loses_occlusion
-from infrablend.formats.pictures import assign_ids, check_link, check_name, is_hidden, list_pictures, read_size, walk
+from infrablend.formats.box_checks import clockwise_corners, edges_of_shares, overhang_px, snap_edges
+from infrablend.formats.losses import Written, count_dropped
+from infrablend.formats.pictures import check_link, check_name, is_hidden, list_pictures, walk
 from infrablend.formats.polygons import outline, rasterise
+from infrablend.formats.records import Findings
 
 NAME = "yolo"
 
@@ -95,11 +92,7 @@ def _shares(points_xy: NDArray[np.float64], size_wh: tuple[int, int]) -> list[fl
     return [float(v) for v in (points_xy / np.array(size_wh, np.float64)).reshape(-1)]
 
 
-def _count_flags(instance: Instance, losses: Counter[str]) -> None:
-    losses["truncated_dropped"] += instance.truncated is True
-    losses["difficult_dropped"] += instance.difficult is True
-    losses["visibility_dropped"] += instance.visibility is not None
-    losses["occlusion_dropped"] += loses_occlusion(instance)
+_FLAGS = ("truncated", "difficult", "visibility", "occlusion")
 
 
 def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
@@ -111,28 +104,6 @@ def _box_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[
         return None
     losses["box_clipped"] += bool((box != instance.box_xyxy).any())
     return box
-
-
-def detect_text(image: ImageRecord, classes: Classes) -> Text:
-    """Return the text of an image's detect label file, and the losses; an image without objects gives empty text."""
-    size_wh = require_size(image)
-    w, h = size_wh
-    losses: Counter[str] = Counter()
-    lines = []
-    for instance in image.instances:
-        if instance.category not in classes:
-            losses["ignore_dropped"] += 1
-            continue
-        box = _box_in_frame(instance, size_wh, losses)
-        if box is None:
-            continue
-        _count_flags(instance, losses)
-        losses["obb_dropped"] += instance.corners_xy is not None
-        losses["mask_dropped"] += instance.mask is not None
-        x0, y0, x1, y1 = box.tolist()
-        values = ((x0 + x1) / 2 / w, (y0 + y1) / 2 / h, (x1 - x0) / w, (y1 - y0) / h)
-        lines.append(_line(classes[instance.category], values))
-    return Text("".join(lines), _counted(losses))
 
 
 def _corners_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> NDArray[np.float64] | None:
@@ -152,88 +123,76 @@ def _corners_in_frame(instance: Instance, size_wh: tuple[int, int], losses: Coun
     return corners
 
 
-def obb_text(image: ImageRecord, classes: Classes) -> Text:
-    """Return the text of an image's OBB label file, and the losses; corners are clockwise on screen."""
+def _box_values(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> list[float] | None:
+    box = _box_in_frame(instance, size_wh, losses)
+    if box is None:
+        return None
+    count_dropped(instance, losses, "obb", "mask")
+    x0, y0, x1, y1 = box.tolist()
+    w, h = size_wh
+    return [(x0 + x1) / 2 / w, (y0 + y1) / 2 / h, (x1 - x0) / w, (y1 - y0) / h]
+
+
+def _corner_values(instance: Instance, size_wh: tuple[int, int], losses: Counter[str]) -> list[float] | None:
+    corners = _corners_in_frame(instance, size_wh, losses)
+    if corners is None:
+        return None
+    count_dropped(instance, losses, "mask")
+    return _shares(corners, size_wh)
+
+
+def _polygon_values(
+    image: ImageRecord, instance: Instance, losses: Counter[str], without_mask: WithoutMask
+) -> list[float] | None:
+    """Return the polygon of the mask (`polygons.outline`) as shares of the frame; without one, the oriented box."""
     size_wh = require_size(image)
-    losses: Counter[str] = Counter()
-    lines = []
-    for instance in image.instances:
-        if instance.category not in classes:
-            losses["ignore_dropped"] += 1
-            continue
+    if instance.mask is None or instance.mask.area_px == 0:
+        if without_mask == "omit":
+            losses["without_mask_omitted"] += 1
+            return None
         corners = _corners_in_frame(instance, size_wh, losses)
         if corners is None:
-            continue
-        _count_flags(instance, losses)
-        losses["mask_dropped"] += instance.mask is not None
-        lines.append(_line(classes[instance.category], _shares(corners, size_wh)))
-    return Text("".join(lines), _counted(losses))
+            return None
+        losses["mask_from_obb"] += 1
+        points = corners
+    else:
+        if instance.mask.size_hw != (size_wh[1], size_wh[0]):
+            raise ValueError(f"{image.id}: mask of {instance.mask.size_hw} in a frame of {size_wh}")
+        made = outline(instance.mask)
+        points = made.polygon_xy
+        losses["mask_raster_px"] += made.raster_difference_px
+    count_dropped(instance, losses, "obb")
+    losses["box_dropped"] += not np.allclose(box_of_points(points), instance.box_xyxy, rtol=0, atol=0.03)
+    return _shares(points, size_wh)
 
 
-def seg_text(image: ImageRecord, classes: Classes, without_mask: WithoutMask = "omit") -> Text:
-    """Return the text of an image's seg label file, and the losses; each mask is one polygon (`polygons.outline`).
+def label_text(
+    image: ImageRecord, classes: Classes, task: Task, losses: Counter[str], without_mask: WithoutMask = "omit"
+) -> str:
+    """Return the text of an image's label file, and count losses; an image without objects gives empty text.
 
     Args:
         image: The image.
-        classes: Class numbers from `yolo_classes`.
-        without_mask: Whether to `omit` objects without a mask, or to write their oriented box, else their box (`obb`).
+        classes: Class numbers from `yolo_classes`; objects of other classes are left out.
+        task: What the lines are.
+        losses: Counts what the format cannot hold.
+        without_mask: For `seg`, whether to `omit` objects without a mask, or to write their oriented box, else their
+            box (`obb`).
     """
     size_wh = require_size(image)
-    losses: Counter[str] = Counter()
     lines = []
     for instance in image.instances:
         if instance.category not in classes:
             losses["ignore_dropped"] += 1
             continue
-        if instance.mask is None or instance.mask.area_px == 0:
-            if without_mask == "omit":
-                losses["without_mask_omitted"] += 1
-                continue
-            corners = _corners_in_frame(instance, size_wh, losses)
-            if corners is None:
-                continue
-            losses["mask_from_obb"] += 1
-            points = corners
+        if task == "seg":
+            values = _polygon_values(image, instance, losses, without_mask)
         else:
-            if instance.mask.size_hw != (size_wh[1], size_wh[0]):
-                raise ValueError(f"{image.id}: mask of {instance.mask.size_hw} in a frame of {size_wh}")
-            made = outline(instance.mask)
-            points = made.polygon_xy
-            losses["mask_raster_px"] += made.raster_difference_px
-        _count_flags(instance, losses)
-        losses["obb_dropped"] += instance.corners_xy is not None
-        losses["box_dropped"] += not np.allclose(box_of_points(points), instance.box_xyxy, rtol=0, atol=0.03)
-        lines.append(_line(classes[instance.category], _shares(points, size_wh)))
-    return Text("".join(lines), _counted(losses))
-
-
-def _counted(losses: Counter[str]) -> dict[str, int]:
-    return {k: v for k, v in sorted(losses.items()) if v}
-
-
-def label_text(image: ImageRecord, classes: Classes, task: Task, without_mask: WithoutMask = "omit") -> Text:
-    """Return the text of an image's label file for a task, and the losses."""
-    if task == "detect":
-        return detect_text(image, classes)
-    return obb_text(image, classes) if task == "obb" else seg_text(image, classes, without_mask)
-
-
-def write_frame(
-    out: Path, image: ImageRecord, classes: Classes, task: Task, *, without_mask: WithoutMask = "omit"
-) -> Written:
-    """Write one image: its labels to `labels/<split>/<name>.txt`, and a link to it as `images/<split>/<name>`.
-
-    The label file is written first, so that no picture is ever without one. Files appear complete or not at all.
-
-    Raises:
-        OutputError: A file cannot be written.
-        ValueError: `size_wh` is unknown.
-    """
-    name = PurePosixPath(image.name)
-    made = label_text(image, classes, task, without_mask)
-    label = write_text(out / "labels" / image.split / name.with_suffix(".txt"), made.text)
-    picture = link_or_copy(image.path, out / "images" / image.split / name)
-    return Written((label, picture), made.losses)
+            values = (_box_values if task == "detect" else _corner_values)(instance, size_wh, losses)
+        if values is not None:
+            count_dropped(instance, losses, *_FLAGS)
+            lines.append(_line(classes[instance.category], values))
+    return "".join(lines)
 
 
 class _QuotedForBoth(yaml.SafeDumper):
@@ -285,12 +244,6 @@ def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Probl
     return "".join(lines), tuple(problems)
 
 
-def write_data_yaml(out: Path, classes: Classes, splits: Iterable[str]) -> Written:
-    """Write `out/data.yaml`; see `data_yaml`."""
-    text, problems = data_yaml(classes, splits)
-    return Written((write_text(out / "data.yaml", text),), {}, problems)
-
-
 def write(
     out: Path,
     images: Iterable[ImageRecord],
@@ -300,27 +253,33 @@ def write(
     dont_care: Literal["drop", "keep"] = "drop",
     without_mask: WithoutMask = "omit",
 ) -> Written:
-    """Write a dataset: every image with `write_frame`, and `data.yaml` with `write_data_yaml`.
+    """Write `labels/<split>/<name>.txt`, links to the pictures as `images/<split>/<name>`, and `data.yaml`.
 
-    Crowds are left out like regions of ignored categories; `dont_care="keep"` writes them as objects of their class.
+    A label file is written before its picture, so that no picture is ever without one. Crowds are left out like regions
+    of ignored categories; `dont_care="keep"` writes them as objects of their class.
+
+    Raises:
+        OutputError: A file cannot be written.
+        ValueError: `size_wh` is unknown.
     """
     ordered = in_order(images)
     classes = yolo_classes(categories, dont_care)
     regions = {c.name for c in categories if c.ignore}
     losses: Counter[str] = Counter()
-
-    def frames() -> Iterator[Written]:
-        for image in ordered:
-            if any(i.is_crowd for i in image.instances):
-                kept = tuple(i for i in image.instances if dont_care == "keep" or not i.is_crowd)
-                losses["ignore_dropped"] += len(image.instances) - len(kept)
-                losses["ignore_as_class"] += count_crowds(kept, regions)
-                image = replace(image, instances=kept)
-            yield write_frame(out, image, classes, task, without_mask=without_mask)
-
-    written = Written.together(frames())
-    parts = [written, Written(losses=_counted(losses)), write_data_yaml(out, classes, {i.split for i in ordered})]
-    return Written.together(parts)
+    files: list[Path] = []
+    for image in ordered:
+        if any(i.is_crowd for i in image.instances):
+            kept = tuple(i for i in image.instances if dont_care == "keep" or not i.is_crowd)
+            losses["ignore_dropped"] += len(image.instances) - len(kept)
+            losses["ignore_as_class"] += count_crowds(kept, regions)
+            image = replace(image, instances=kept)
+        name = PurePosixPath(image.name)
+        label = out / "labels" / image.split / name.with_suffix(".txt")
+        files.append(write_text(label, label_text(image, classes, task, losses, without_mask)))
+        files.append(link_or_copy(image.path, out / "images" / image.split / name))
+    text, problems = data_yaml(classes, {i.split for i in ordered})
+    files.append(write_text(out / "data.yaml", text))
+    return Written.of(files, losses, problems)
 
 
 # -- reading one label file ------------------------------------------------------------------------------------
@@ -330,14 +289,13 @@ def write(
 class LabelLines:
     """Content of a label file: (line number, class, values) per object, and the problems."""
 
-    rows: tuple[tuple[int, int, tuple[float, ...]], ...]
-    problems: tuple[Problem, ...]
+    rows: list[tuple[int, int, tuple[float, ...]]] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
 
 
 def parse_labels(text: str, where: str) -> LabelLines:
     """Parse the text of a label file; malformed lines are left out and reported as errors."""
-    rows: list[tuple[int, int, tuple[float, ...]]] = []
-    problems: list[Problem] = []
+    found = LabelLines()
     seen: set[tuple[int, tuple[float, ...]]] = set()
     for n, line in enumerate(text.splitlines(), 1):
         words = line.split()
@@ -349,54 +307,47 @@ def parse_labels(text: str, where: str) -> LabelLines:
         except ValueError:
             numbers = []
         shape = len(numbers) == 5 or (len(numbers) >= 7 and len(numbers) % 2 == 1)
+        said, todo = repr(line[:80]), "correct the line"
         if not shape or not numbers[0].is_integer() or numbers[0] < 0:
             expected = "class cx cy w h, or class and three or more x y pairs"
-            problems.append(Problem(here, "label-malformed", repr(line[:80]), expected, "correct the line"))
+            found.problems.append(Problem(here, "label-malformed", said, expected, todo))
             continue
-        values = tuple(numbers[1:])
+        class_, values = int(numbers[0]), tuple(numbers[1:])
         if not all(math.isfinite(v) and abs(v) < 1000 for v in values):
-            problems.append(
-                Problem(here, "box-not-finite", repr(line[:80]), "finite shares of the picture", "correct the line")
-            )
+            found.problems.append(Problem(here, "box-not-finite", said, "finite shares of the picture", todo))
             continue
-        if (int(numbers[0]), values) in seen:
-            found = "a repeated line, kept"
-            problems.append(Problem(here, "object-duplicate", found, "each object once", severity="warning"))
-        seen.add((int(numbers[0]), values))
-        rows.append((n, int(numbers[0]), values))
-    return LabelLines(tuple(rows), tuple(problems))
+        if (class_, values) in seen:
+            text = "a repeated line, kept"
+            found.problems.append(Problem(here, "object-duplicate", text, "each object once", severity="warning"))
+        seen.add((class_, values))
+        found.rows.append((n, class_, values))
+    return found
 
 
 def _instances(
-    labels: LabelLines, names: Mapping[int, str], size_wh: tuple[int, int], where: str, task: Task
-) -> tuple[tuple[Instance, ...], list[Problem]]:
-    problems = list(labels.problems)
+    found: Findings, labels: LabelLines, names: Mapping[int, str], size_wh: tuple[int, int], where: str, task: Task
+) -> tuple[Instance, ...]:
+    found.problems += labels.problems
     instances: list[Instance] = []
-    w, h = size_wh
     for n, number, values in labels.rows:
         here = f"{where}: line {n}"
         if number not in names:
-            found, expected = f"class {number}", f"one of {sorted(names)}"
-            problems.append(Problem(here, "category-unknown", found, expected, "add it to data.yaml"))
+            found.add(here, "category-unknown", f"class {number}", f"one of {sorted(names)}", "add it to data.yaml")
             continue
         if len(values) == 4:
-            cx, cy, bw, bh = values[0] * w, values[1] * h, values[2] * w, values[3] * h
             points = None
-            raw: Sequence[float] = (cx - bw / 2, cy - bh / 2, cx + bw / 2, cy + bh / 2)
             # Rounding to ten decimals moves a box at the frame's edge up to 1e-7 px outside.
-            raw = [snap(raw[0], w), snap(raw[1], h), snap(raw[2], w), snap(raw[3], h)]
+            raw = snap_edges(edges_of_shares(values, size_wh), size_wh)
         else:
-            points = np.array(values, np.float64).reshape(-1, 2) * np.array([w, h], np.float64)
+            points = np.array(values, np.float64).reshape(-1, 2) * np.array(size_wh, np.float64)
             raw = [float(v) for v in box_of_points(points)]
-        box, problem = check_box(raw, size_wh, here)
-        if problem is not None:
-            problems.append(problem)
+        box = found.box(raw, size_wh, here)
         if box is None:
             continue
         corners = clockwise_corners(points) if points is not None and task == "obb" and len(points) == 4 else None
         mask = Mask.from_array(rasterise(points, size_wh)) if points is not None and corners is None else None
         instances.append(Instance(names[number], box, corners, mask))
-    return tuple(instances), problems
+    return tuple(instances)
 
 
 # -- reading folders -------------------------------------------------------------------------------------------
@@ -410,7 +361,6 @@ class FoundPicture:
     path: Path
     split: Split
     label: Path | None
-    unique_name: str
 
 
 def find_label(path: Path, root: Path) -> Path | None:
@@ -423,32 +373,34 @@ def find_label(path: Path, root: Path) -> Path | None:
             candidates.append(root.joinpath(*parts[:k], "labels", *parts[k + 1 :]).with_suffix(".txt"))
             break
     candidates.append((root / "labels" / relative).with_suffix(".txt"))
-    return next((c for c in candidates if c.is_file() and c.name not in ("classes.txt",)), None)
+    return next((c for c in candidates if c.is_file() and c.name != "classes.txt"), None)
 
 
-def orphan_labels(root: Path, pictures: Sequence[FoundPicture]) -> list[Problem]:
-    """Return a warning for every label file without a picture, in the folders with labels of the pictures.
+def _real_labels(path: Path, where: str) -> LabelLines | None:
+    """Return the lines of a label file; None for a note, a list, a count, or a file that cannot be read."""
+    text, fault = read_text(path, where, "a YOLO label file")
+    labels = parse_labels(text, where)
+    return labels if fault is None and labels.rows and not labels.problems else None
+
+
+def report_orphans(found: Findings, pictures: Sequence[FoundPicture]) -> None:
+    """Warn of every label file without a picture, in the folders with labels of the pictures.
 
     If no picture has a label file, there is one warning if folders `labels` contain some.
     """
     used = {p.label for p in pictures if p.label is not None}
-    problems: list[Problem] = []
-    if pictures and not used and (lost := _labels_elsewhere(root, {p.split for p in pictures})) is not None:
-        found = f"no picture has a label file, though there are label files such as {lost}"
+    if pictures and not used and (lost := _labels_elsewhere(found.root, {p.split for p in pictures})) is not None:
+        text = f"no picture has a label file, though there are label files such as {lost}"
         todo = "put each picture's label file where docs/formats/yolo.md says"
-        problems.append(Problem(root.name, "label-missing", found, "a label file per picture", todo, "warning"))
+        found.warn(found.root.name, "label-missing", text, "a label file per picture", todo)
     for path in sorted(f for folder in {u.parent for u in used} for f in folder.glob("*.txt")):
         if path in used or path.name == "classes.txt" or path.name.startswith("."):
             continue
-        where = path.relative_to(root).as_posix()
-        text, fault = read_text(path, where, "a YOLO label file")
-        labels = parse_labels(text, where)
-        if fault is None and labels.rows and not labels.problems:  # else it is a note, a list, a count
-            found = f"{len(labels.rows)} label(s) without a picture, left out"
-            problems.append(
-                Problem(where, "label-without-picture", found, "a picture of that name", severity="warning")
-            )
-    return problems
+        where = found.place(path)
+        labels = _real_labels(path, where)
+        if labels is not None:
+            text = f"{len(labels.rows)} label(s) without a picture, left out"
+            found.warn(where, "label-without-picture", text, "a picture of that name")
 
 
 def _labels_elsewhere(root: Path, splits: Collection[Split]) -> str | None:
@@ -460,102 +412,61 @@ def _labels_elsewhere(root: Path, splits: Collection[Split]) -> str | None:
             continue
         for name in sorted(n for n in names if n.endswith(".txt") and n != "classes.txt" and not is_hidden(n)):
             where = Path(base, name).relative_to(root).as_posix()
-            text, fault = read_text(Path(base, name), where, "a YOLO label file")
-            if fault is None and (labels := parse_labels(text, where)).rows and not labels.problems:
+            if _real_labels(Path(base, name), where) is not None:
                 return where
     return None
 
 
 def build_records(
-    root: Path,
-    pictures: Sequence[FoundPicture],
-    names: Mapping[int, str] | None,
-    captures: Captures,
-    problems: list[Problem],
-    task: Task | None,
+    found: Findings, pictures: Sequence[FoundPicture], names: Mapping[int, str] | None, task: Task | None
 ) -> tuple[list[ImageRecord], dict[int, str]]:
-    """Return image records with their labels, and the class names; problems are appended to `problems`.
+    """Return image records with their labels, without ids, and the class names.
 
     Args:
-        root: The dataset's folder.
+        found: Problems.
         pictures: Pictures of the folder.
         names: Category name per class number; None uses `class_<n>`, with a warning.
-        captures: Source of pitch and altitude.
-        problems: List to which problems are added.
         task: Meaning of lines of nine numbers: corners of an oriented box (`obb`) or of a polygon (`seg`). None decides
             for oriented boxes if all lines have five or nine numbers.
 
     Raises:
         DatasetError: There are labels, but the list of class names is empty.
     """
-    parsed: dict[str, LabelLines] = {}
+    root = found.root
+    parsed: dict[Path, LabelLines] = {}
     for p in pictures:
-        if p.label is None:
-            continue
-        where = p.label.relative_to(root).as_posix()
-        text, fault = read_text(p.label, where, "a YOLO label file")
-        if fault is not None:
-            problems.append(fault)
-        else:
-            parsed[p.unique_name] = parse_labels(text, where)
+        text = None if p.label is None else found.text(p.label, "a YOLO label file")
+        if p.label is not None and text is not None:
+            parsed[p.path] = parse_labels(text, found.place(p.label))
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
     if names is not None and not names and used:
-        found, expected = f"no class names, but labels of {len(used)} class(es)", "a name for each class"
+        said, expected = f"no class names, but labels of {len(used)} class(es)", "a name for each class"
         todo = "name them in data.yaml or classes.txt"
-        raise DatasetError(f"{root}: no class names", [Problem(root.name, "names", found, expected, todo)])
+        raise DatasetError(f"{root}: no class names", [Problem(root.name, "names", said, expected, todo)])
     known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
     if names is None and used:
-        found = f"no data.yaml and no classes.txt; the classes are named {', '.join(known.values())}"
-        problems.append(Problem(root.name, "names-missing", found, "names of the classes", severity="warning"))
+        said = f"no data.yaml and no classes.txt; the classes are named {', '.join(known.values())}"
+        found.warn(root.name, "names-missing", said, "names of the classes")
     if task is None:
         longer = [len(v) for labels in parsed.values() for _, _, v in labels.rows if len(v) != 4]
         task = "obb" if longer and all(n == 8 for n in longer) else "seg"
-    ids = assign_ids([p.unique_name for p in pictures])
     records = []
     unlabelled = 0
     for p in pictures:
-        where = p.path.relative_to(root).as_posix()
         size_wh: tuple[int, int] | None = None
         instances: tuple[Instance, ...] = ()
-        if p.unique_name in parsed:
-            size_wh, problem = read_size(p.path, where)
+        if p.label is not None and p.path in parsed:
+            size_wh = found.size(p.path, found.place(p.path))
             if size_wh is None:
-                problems += [problem] if problem else []
                 continue
-            label = p.label.relative_to(root).as_posix() if p.label else where
-            instances, more = _instances(parsed[p.unique_name], known, size_wh, label, task)
-            problems += more
+            instances = _instances(found, parsed[p.path], known, size_wh, found.place(p.label), task)
         else:
             unlabelled += 1
-        records.append(_record(p, ids[p.unique_name], size_wh, instances, captures, where))
+        records.append(ImageRecord("", p.path, p.split, size_wh, instances, file_name=p.name))
     if parsed and unlabelled:
-        found = f"{unlabelled} picture(s) without a label file are read as pictures without objects"
-        problems.append(Problem(root.name, "label-missing", found, "a label file per picture", severity="warning"))
+        said = f"{unlabelled} picture(s) without a label file are read as pictures without objects"
+        found.warn(root.name, "label-missing", said, "a label file per picture")
     return records, known
-
-
-def _record(
-    p: FoundPicture,
-    id_: str,
-    size_wh: tuple[int, int] | None,
-    instances: tuple[Instance, ...],
-    captures: Captures,
-    where: str,
-) -> ImageRecord:
-    capture = captures.of(p.unique_name, where)
-    return ImageRecord(id_, p.path, p.split, size_wh, instances, capture, file_name=p.name)
-
-
-def check_table(table: CaptureTable | None, pictures: Sequence[FoundPicture], root: Path) -> list[Problem]:
-    """Return the table's own problems, and a warning for rows that match no picture."""
-    if table is None:
-        return []
-    unused = table.unused([p.unique_name for p in pictures])
-    problems = list(table.problems)
-    if unused:
-        found = f"{len(unused)} row(s) of the table name no picture: {', '.join(unused[:3])}"
-        problems.append(Problem(root.name, "table-unused", found, "a picture per row", severity="warning"))
-    return problems
 
 
 # -- reading a dataset with data.yaml -------------------------------------------------------------------------
@@ -638,16 +549,12 @@ def class_names(value: object, where: str) -> dict[int, str]:
     Raises:
         DatasetError: It is neither.
     """
-    names = _numbered(value)
+    names = {k: str(v) for k, v in _by_number(value).items()}
     empty = isinstance(value, dict | list) and not value
     if (not names and not empty) or len(set(names.values())) != len(names):
         problem = Problem(where, "names", f"names: {value!r}"[:120], "a list, or numbers with one name each")
         raise DatasetError(f"{where}: no class names", [problem])
     return dict(sorted(names.items()))
-
-
-def _numbered(value: object) -> dict[int, str]:
-    return {k: str(v) for k, v in _by_number(value).items()}
 
 
 def _by_number(value: object) -> dict[int, Any]:
@@ -671,27 +578,26 @@ def detect(root: Path) -> Match:
         class_names(top["names"], path.name)
     except DatasetError as error:
         return Match(NAME, False, f"{path.name}: {error.problems[0].found if error.problems else error.message}")
-    folders, lists, _ = _split_places(root, top, SPLITS, path.name)
+    folders, lists = _split_places(Findings(root), top, SPLITS, path.name)
     if not folders and not lists:
         return Match(NAME, False, f"{path.name} names no folder or list of pictures that exists")
     return Match(NAME, True, f"{path.name} with {len(folders) + len(lists)} folder(s) or list(s) of pictures")
 
 
 def _split_places(
-    root: Path, top: Mapping[str, Any], splits: Sequence[Split], where: str
-) -> tuple[list[tuple[Split, Path]], list[tuple[Split, Path]], list[Problem]]:
+    found: Findings, top: Mapping[str, Any], splits: Sequence[Split], where: str
+) -> tuple[list[tuple[Split, Path]], list[tuple[Split, Path]]]:
     """Return (split, folder) and (split, text file that lists pictures) according to data.yaml.
 
     A folder named for several splits belongs to the one in its path, else to the first. The lists of all splits are
     returned, not only those of `splits`, because they may share folders.
     """
-    problems: list[Problem] = []
     folders: list[tuple[Split, Path]] = []
     lists: list[tuple[Split, Path]] = []
-    home = root
+    home = found.root
     base = top.get("path")
-    if isinstance(base, str) and base and check_name(base, where) is None and (root / base).is_dir():
-        home = root / base
+    if isinstance(base, str) and base and check_name(base, where) is None and (home / base).is_dir():
+        home = home / base
     # Splits that do not exist and only point to another one, see `data_yaml`.
     stand_ins = top.get("stand_ins")
     absent = stand_ins if isinstance(stand_ins, list) else []
@@ -699,61 +605,55 @@ def _split_places(
     said: dict[Path, list[Split]] = {}
     for split in SPLITS:
         value = None if split in absent else top.get(split)
-        entries = value if isinstance(value, list) else [value] if value else []
-        for entry in entries:
+        for entry in value if isinstance(value, list) else [value] if value else []:
             here = f"{where}: {split}"
             # Roboflow writes `../train/images` for folders beside data.yaml, which Ultralytics accepts too.
             name = str(entry).removeprefix("../") if isinstance(entry, str) else entry
             fault = check_name(name, here)
-            if fault is not None:
-                problems.append(fault)
-                continue
             folder = home / str(name)
-            if folder.is_dir():
+            if fault is not None:
+                found.problems.append(fault)
+            elif folder.is_dir():
                 said.setdefault(folder, []).append(split)
             elif folder.suffix.lower() == ".txt" and folder.is_file():
                 lists.append((split, folder))
             else:
-                found, expected = f"{entry!r} is not a folder", "a folder of pictures, or a .txt that lists them"
-                problems.append(Problem(here, "folder-missing", found, expected, severity="warning"))
+                expected = "a folder of pictures, or a .txt that lists them"
+                found.warn(here, "folder-missing", f"{entry!r} is not a folder", expected)
     for folder, claims in said.items():
         split = next((s for s in claims if s in folder.parts[-2:]), claims[0])
         if len(set(claims)) > 1:
-            found = f"{folder.name!r} is the folder of {' and '.join(claims)}; it is read as {split}"
-            problems.append(Problem(where, "split-twice", found, "a folder per split", severity="warning"))
+            text = f"{folder.name!r} is the folder of {' and '.join(claims)}; it is read as {split}"
+            found.warn(where, "split-twice", text, "a folder per split")
         if split in splits:
             folders.append((split, folder))
-    return folders, lists, problems
+    return folders, lists
 
 
-def _listed_pictures(
-    root: Path, lists: Sequence[tuple[Split, Path]], problems: list[Problem]
-) -> dict[Path, tuple[Split, str]]:
+def _listed_pictures(found: Findings, lists: Sequence[tuple[Split, Path]]) -> dict[Path, tuple[Split, str]]:
     """Return split and name of the pictures in lists (text files with one path per line, as Ultralytics reads them).
 
     Paths are relative to the list, else to the dataset. A picture listed twice belongs to the first split.
     """
-    found: dict[Path, tuple[Split, str]] = {}
+    root = found.root
+    listed: dict[Path, tuple[Split, str]] = {}
     for split, file in lists:
-        where = file.relative_to(root).as_posix()
-        text, fault = read_text(file, where, "a list of pictures")
-        problems += [fault] if fault else []
-        for n, line in enumerate(text.splitlines(), 1):
+        for n, line in enumerate((found.text(file, "a list of pictures") or "").splitlines(), 1):
             name = line.strip()
             if not name:
                 continue
-            here = f"{where}: line {n}"
+            here = f"{found.place(file)}: line {n}"
             fault = check_name(name, here)
             path = next((p for p in (file.parent / name, root / name) if not fault and p.is_file()), None)
             if path is None:
                 expected, todo = "a picture of the dataset", "correct the list"
-                problems.append(fault or Problem(here, "image-missing", f"no file {name!r}", expected, todo))
+                found.problems.append(fault or Problem(here, "image-missing", f"no file {name!r}", expected, todo))
             elif fault := check_link(path, root, here):
-                problems.append(fault)
-            elif found.setdefault(path, (split, _below_images(path, root)))[0] != split:
-                said = f"{name!r} is also in {found[path][0]}, which is used"
-                problems.append(Problem(here, "split-twice", said, "each picture in one list", severity="warning"))
-    return found
+                found.problems.append(fault)
+            elif listed.setdefault(path, (split, _below_images(path, root)))[0] != split:
+                text = f"{name!r} is also in {listed[path][0]}, which is used"
+                found.warn(here, "split-twice", text, "each picture in one list")
+    return listed
 
 
 def _below_images(path: Path, root: Path) -> str:
@@ -769,13 +669,7 @@ def read(
     metadata: Path | None = None,
     task: Task | None = None,
 ) -> Dataset:
-    """Read a YOLO dataset with its `data.yaml`.
-
-    Args:
-        root: Folder with `data.yaml`.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
-        task: Meaning of lines of nine numbers, see `build_records`.
+    """Read a YOLO dataset with its `data.yaml`; `task` is the meaning of lines of nine numbers, see `build_records`.
 
     Raises:
         DatasetError: There is no `data.yaml`, or no picture.
@@ -787,28 +681,22 @@ def read(
         raise DatasetError(f"{root}: no YOLO dataset", [problem])
     top = read_yaml(path)
     names = class_names(top["names"], path.name)
-    folders, lists, problems = _split_places(root, top, wanted, path.name)
-    problems += name_warnings(path, names)
+    found = Findings(root)
+    folders, lists = _split_places(found, top, wanted, path.name)
+    found.problems += name_warnings(path, names)
     if (said := top.get("nc")) is not None and said != len(names):
         expected = f"{len(names)}, the number of names; otherwise Ultralytics stops"
-        problems.append(Problem(path.name, "names", f"nc: {said!r}"[:120], expected, "correct it", "warning"))
-    listed = _listed_pictures(root, lists, problems)
+        found.warn(path.name, "names", f"nc: {said!r}"[:120], expected, "correct it")
+    listed = _listed_pictures(found, lists)
     in_folders = [(split, n, f) for split, folder in folders for n, f in list_pictures(folder, ("labels",)).items()]
     if twice := sum(f in listed for _, _, f in in_folders):
-        said = f"{twice} picture(s) both in a folder of one split and in a list; the list is used"
-        problems.append(Problem(path.name, "split-twice", said, "each picture in one split", severity="warning"))
+        text = f"{twice} picture(s) both in a folder of one split and in a list; the list is used"
+        found.warn(path.name, "split-twice", text, "each picture in one split")
     placed = [p for p in in_folders if p[2] not in listed] + [(split, n, f) for f, (split, n) in listed.items()]
-    found = [
-        FoundPicture(name, file, split, find_label(file, root), file.relative_to(root).as_posix())
-        for split, name, file in placed
-    ]
-    pictures = [p for p in found if p.split in wanted]
-    table_path = metadata or find_table(root)
-    table = read_table(table_path) if table_path else None
-    captures = Captures(table, problems)
-    records, known = build_records(root, pictures, names, captures, problems, task)
-    problems += orphan_labels(root, found) + check_table(table, found, root)
-    if not records:
-        raise DatasetError(f"{root}: no picture to read", shorten(problems))
-    notes = {"labels": "yolo", "table": table_path.name if table_path else None, "pitch": captures.note()}
-    return Dataset(root, NAME, categories_of(known), sort_images(records), tuple(problems), notes)
+    pictures = [FoundPicture(name, file, split, find_label(file, root)) for split, name, file in placed]
+    records, known = build_records(found, [p for p in pictures if p.split in wanted], names, task)
+    report_orphans(found, pictures)
+    return found.dataset(
+        NAME, records, categories_of(known), {"labels": "yolo"}, metadata=metadata, splits=wanted,
+        others=[found.place(p.path) for p in pictures],
+    )  # fmt: skip

@@ -19,7 +19,7 @@ from infrablend.formats import polygons
 from infrablend.formats.annotation_files import read_json, read_text, read_xml
 from infrablend.formats.base import require_options
 from infrablend.formats.box_checks import snap
-from infrablend.formats.pictures import assign_ids, read_size
+from infrablend.formats.pictures import assign_ids
 from infrablend.formats.polygons import outline, rasterise
 
 
@@ -154,22 +154,6 @@ def test_a_ragged_mask_stays_below_the_corner_limit() -> None:
     assert cv2.contourArea(made.polygon_xy.astype(np.float32)) > 0.7 * disc(95, 200).sum()
 
 
-def jpeg_header(width: int, height: int) -> bytes:
-    """A JPEG that contains only a header with its size."""
-    start = b"\xff\xd8\xff\xc0\x00\x0b\x08" + height.to_bytes(2, "big") + width.to_bytes(2, "big")
-    return start + b"\x01\x01\x11\x00\xff\xda\x00\x08\x01\x01\x00\x00\x3f\x00\xff\xd9"
-
-
-@pytest.mark.parametrize("side", [12000, 30000])
-def test_a_header_of_a_giant_picture_is_a_problem_not_memory(tmp_path: Path, side: int) -> None:
-    path = tmp_path / "a.jpg"
-    path.write_bytes(jpeg_header(side, side))
-    size, problem = read_size(path, "a.jpg")
-    assert size is None and problem is not None and problem.code == "image-too-large"
-    path.write_bytes(jpeg_header(640, 512))
-    assert read_size(path, "a.jpg") == ((640, 512), None)
-
-
 def test_files_too_large_to_parse_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a"
     with path.open("wb") as file:
@@ -188,11 +172,6 @@ def test_text_and_xml_that_cannot_be_read_are_problems(tmp_path: Path) -> None:
         assert text == "" and problem is not None and problem.code == "annotation-unreadable"
         root, problem = read_xml(tmp_path / name, name)
         assert root is None and problem is not None and problem.code == "annotation-not-xml"
-    bomb = '<!DOCTYPE a [<!ENTITY b "ha"><!ENTITY c "&b;&b;&b;">]><annotation>&c;</annotation>'
-    for text in (bomb, '<!DOCTYPE a SYSTEM "file:///etc/passwd"><a/>', "<a>"):
-        (tmp_path / "a").write_text(text)
-        root, problem = read_xml(tmp_path / "a", "a")
-        assert root is None and problem is not None and str(tmp_path) not in problem.found
 
 
 def test_unknown_values_of_options_are_named_all_at_once(tmp_path: Path) -> None:
@@ -212,6 +191,7 @@ def test_only_rounding_is_moved_onto_the_edge() -> None:
     [
         ("<annotation><object>", "damaged XML (no element found: line 1, column 20)"),
         ('<!DOCTYPE a [<!ENTITY e "x">]><a>&e;</a>', "XML with a document type or entities, which are refused"),
+        ('<!DOCTYPE a SYSTEM "file:///etc/passwd"><a/>', "XML with a document type or entities, which are refused"),
         ('<?xml version="1.0" encoding="nonsense"?><a/>', "XML that cannot be read (unknown encoding: nonsense)"),
     ],
 )
@@ -219,4 +199,4 @@ def test_xml_that_is_refused_is_explained_in_plain_words(text: str, words: str, 
     (tmp_path / "a.xml").write_text(text)
     problem = read_xml(tmp_path / "a.xml", "a.xml")[1]
     assert problem is not None and problem.found.startswith(words)
-    assert "Error" not in problem.found and "Forbidden" not in problem.found
+    assert "Error" not in problem.found and "Forbidden" not in problem.found and str(tmp_path) not in problem.found

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.core.dataset import Category, Dataset, Instance
+from infrablend.core.dataset import Category, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import birdsai, detection, yolo
+from infrablend.formats import birdsai, detection
 from infrablend.formats.reading import Reading
 from infrablend.formats.records import unlabelled_problems
-from tests.samples import picture
+from tests.samples import codes, picture
 
 SEQ = "0000000067_0000000025"
 
@@ -29,10 +29,6 @@ def frames(root: Path, numbers: list[int], table: str | None, split: str = "Trai
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(table)
     return root
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 ROWS = (
@@ -132,9 +128,6 @@ def test_various_folder_layouts(tmp_path: Path) -> None:
 
 
 def test_frames_in_another_format_are_not_claimed(tmp_path: Path) -> None:
-    d = birdsai.read(frames(tmp_path / "in", [0, 2], ROWS))
-    yolo.write(tmp_path / "out", d.images, d.categories)
-    assert detection.detect(tmp_path / "out").format == "yolo"
     picture(tmp_path / "bare" / f"{SEQ}_0000000001.jpg", 1)
     assert detection.detect(tmp_path / "bare").format == "birdsai"
     (tmp_path / "bare" / f"{SEQ}_0000000001.txt").write_text("0 0.5 0.5 0.1 0.1\n")

@@ -13,14 +13,14 @@ import yaml
 from PIL import Image
 
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import Category, Dataset
+from infrablend.core.dataset import Category
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import coco, detection, folder, writing, yolo
 from infrablend.formats.capture import Captures, read_table
 from infrablend.formats.hit_uav import CATEGORIES
 from infrablend.formats.reading import Reading
-from tests.samples import SAMPLES
+from tests.samples import SAMPLES, codes
 
 FLIGHT = Capture(sequence="flight")
 
@@ -29,10 +29,6 @@ def picture(path: Path, size_wh: tuple[int, int] = (100, 80)) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.full(size_wh[::-1], 90, np.uint8)).save(path)
     return path
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 def test_a_bare_folder_is_train(tmp_path: Path) -> None:

@@ -13,10 +13,11 @@ from PIL import Image
 
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import Category, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
 from infrablend.formats import hit_uav
 from infrablend.formats.capture import facts_from_name
+from tests.samples import codes
 
 
 @pytest.fixture
@@ -31,10 +32,6 @@ def change(root: Path, form: str, split: str, edit: Any) -> None:
     top = json.loads(path.read_text())
     edit(top)
     path.write_text(json.dumps(top))
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 def test_worked_example_of_the_paper_data() -> None:
@@ -106,11 +103,11 @@ def test_form_without_pictures_uses_those_of_another_form(tiny: Path) -> None:
     assert d.notes["pictures_borrowed"] == {"normal_json/train": 2}
 
 
-def test_angles_a_hair_above_pi_are_kept(tiny: Path) -> None:
+def test_angles_a_hair_above_pi_are_kept(tiny: Path, tmp_path: Path) -> None:
     change(tiny, "rotate_json", "test", lambda t: t["annotations"][0]["bbox"].__setitem__(4, 3.141593))
     d = hit_uav.read(tiny, form="rotate_json")
-    text, _ = hit_uav.native_files(d.images, d.categories, forms=["rotate_json"], ids="source")
-    again = json.loads(text["rotate_json/annotations/test.json"])
+    hit_uav.write(tmp_path / "out", d.images, d.categories, forms=["rotate_json"], ids="source", pictures=False)
+    again = json.loads((tmp_path / "out" / "rotate_json" / "annotations" / "test.json").read_text())
     assert again["annotations"][0]["bbox"] == [320.0, 256.0, 70.0, 30.0, 3.141593]
 
 

@@ -16,6 +16,7 @@ from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
 from infrablend.formats import detection, voc
 from infrablend.formats.reading import Reading
+from tests.samples import codes
 
 SIZE = "<size><width>100</width><height>80</height><depth>1</depth></size>"
 
@@ -35,10 +36,6 @@ def xml(path: Path, *objects: str, name: str = "", size: str = SIZE) -> Path:
     inside = "".join(f"<object>{o}</object>" for o in objects)
     path.write_text(f"<annotation><filename>{name or path.stem + '.png'}</filename>{size}{inside}</annotation>")
     return path
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 def boxes(dataset: Dataset) -> dict[str, list[list[float]]]:

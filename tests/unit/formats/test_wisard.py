@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import coco, detection, wisard, yolo
+from infrablend.formats import detection, wisard
 from infrablend.formats.reading import Reading
-from tests.samples import picture
+from tests.samples import codes, picture
 
 IR, FLIR, VIS = (
     "210529_Carnation_Enterprise_IR_0024",
@@ -27,10 +26,6 @@ def frame(root: Path, clip: str, name: str, label: str | None, size_wh: tuple[in
     if label is not None:
         path.with_suffix(".txt").write_text(label)
     return path
-
-
-def codes(dataset: Dataset, severity: str = "error") -> list[str]:
-    return [p.code for p in dataset.problems if p.severity == severity]
 
 
 def test_missing_and_empty_labels_are_not_the_same(tmp_path: Path) -> None:
@@ -171,12 +166,7 @@ def test_the_shared_clips_are_read(real_data: Path) -> None:
     assert d.notes["pitch"] == "none" and {i.capture.captured for i in d.images} == {"2021-04-17", "2021-09-24"}
 
 
-def test_clips_in_another_format_are_not_claimed(tmp_path: Path) -> None:
-    frame(tmp_path / "in", IR, "x 1.jpg", "0 0.5 0.5 0.25 0.5\n")
-    d = wisard.read(tmp_path / "in")
-    yolo.write(tmp_path / "yolo", d.images, d.categories)
-    coco.write(tmp_path / "coco", d.images, d.categories, pictures=True)
-    assert [detection.detect(tmp_path / n).format for n in ("yolo", "coco")] == ["yolo", "coco"]
-    frame(tmp_path / "deep", f"train/{IR}", "x 1.jpg", None)
-    match = wisard.detect(tmp_path / "deep")
+def test_clips_without_any_label_are_not_claimed(tmp_path: Path) -> None:
+    frame(tmp_path, f"train/{IR}", "x 1.jpg", None)
+    match = wisard.detect(tmp_path)
     assert not match.ok and "no label file" in match.reason

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, wit_uas, yolo
+from infrablend.formats import detection, wit_uas
 from infrablend.formats.images import load_background
 from infrablend.formats.reading import Reading
 from tests.samples import SAMPLES, picture
@@ -105,10 +105,6 @@ def test_any_text_gives_boxes_inside_the_frame(tmp_path_factory: pytest.TempPath
         assert 0 <= x0 < x1 <= 64 and 0 <= y0 < y1 <= 48
 
 
-def test_runs_in_another_format_are_not_claimed(tmp_path: Path) -> None:
-    frame(tmp_path / "in", f"train/{RUN}_flir", "0001.00", "1 2 30 40 h\n")
-    d = wit_uas.read(tmp_path / "in")
-    yolo.write(tmp_path / "yolo", d.images, d.categories)
-    assert detection.detect(tmp_path / "yolo").format == "yolo"
-    frame(tmp_path / "deep", f"train/{RUN}_flir", "0001.00", None)
-    assert not wit_uas.detect(tmp_path / "deep").ok
+def test_runs_without_any_label_are_not_claimed(tmp_path: Path) -> None:
+    frame(tmp_path, f"train/{RUN}_flir", "0001.00", None)
+    assert not wit_uas.detect(tmp_path).ok

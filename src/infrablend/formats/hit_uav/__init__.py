@@ -13,7 +13,7 @@ along the angle. An axis-aligned box in a form with integers is that of the orie
 
 from infrablend.formats.hit_uav.forms import CATEGORIES, FORMS, NAME, OPTIONS, TAKES_TABLE, Form, detect, find_forms
 from infrablend.formats.hit_uav.reading import read, remarks
-from infrablend.formats.hit_uav.writing import native_files, native_writer, write
+from infrablend.formats.hit_uav.writing import native_writer, write
 
 __all__ = [
     "CATEGORIES",
@@ -24,7 +24,6 @@ __all__ = [
     "Form",
     "detect",
     "find_forms",
-    "native_files",
     "native_writer",
     "read",
     "remarks",

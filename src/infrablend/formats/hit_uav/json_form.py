@@ -9,39 +9,36 @@ from typing import Any, Literal
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Split
 from infrablend.core.json_records import is_list
-from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_json, too_long
+from infrablend.errors import Problem
+from infrablend.formats.annotation_files import too_long
 from infrablend.formats.base import is_ignored_name
 from infrablend.formats.hit_uav.forms import Form
-from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture, relative_to, set_corners, set_geometry
+from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture, set_corners, set_geometry
 from infrablend.formats.pictures import PictureFolder, check_name
 from infrablend.formats.values import to_bool, to_floats, to_int, to_size
 
 
 def read_json_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]) -> FormData:
     """Return everything that the JSON files of one form state about the pictures of some splits."""
-    data = FormData(form)
+    data = FormData(root, form=form)
     for split in splits:
         path = folder / "annotations" / f"{split}.json"
-        where = relative_to(root, path)
+        where = data.place(path)
         if not path.is_file():
             if (folder / split).is_dir():
                 data.warn(where, "split-missing", "no annotation file for a folder of pictures", "a JSON file")
             continue
-        try:
-            top = read_json(path)
-        except DatasetError as error:
-            data.problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        top = data.json(path)
+        if top is None:
             continue
         key = "annotation" if form == "normal_json" else "annotations"
-        lists = {k: top.get(k) if isinstance(top, dict) else None for k in ("images", key, "categories")}
+        lists = {k: top.get(k) for k in ("images", key, "categories")}
         bad = [k for k, v in lists.items() if not is_list(v)]
         if bad:
-            data.add(
-                where, "annotation-layout", f"no list {', '.join(map(repr, bad))}", "HIT-UAV's keys", "use its files"
-            )
+            found = f"no list {', '.join(map(repr, bad))}"
+            data.add(where, "annotation-layout", found, "HIT-UAV's keys", "use its files")
             continue
-        data.files_read += 1
+        data.counts["files"] += 1
         for name, value in top.items():
             if name not in lists and (problem := too_long(where, name, value)):
                 data.problems.append(problem)
@@ -67,9 +64,8 @@ def _read_categories(data: FormData, records: Iterable[Any], where: str) -> dict
         if known is None:
             data.categories.append(category)
         elif known.id != number:
-            data.warn(
-                where, "category-id", f"{name!r} has id {number}", f"id {known.id} as in another file; names count"
-            )
+            expected = f"id {known.id} as in another file; names count"
+            data.warn(where, "category-id", f"{name!r} has id {number}", expected)
     return names
 
 
@@ -106,19 +102,15 @@ def _read_json_images(
             found = f"size {record.get('width')!r} x {record.get('height')!r}"
             data.warn(here, "image-size-unknown", found, "width and height in px")
         capture, extra = _json_facts(data, record, here)
-        if "depth" in record:
-            extra["depth"] = record["depth"]
-        if "source_id" in record:
-            extra["source_id"] = record["source_id"]
+        extra |= {k: record[k] for k in ("depth", "source_id") if k in record}
         picture = FormPicture(stem, name, path, split, size_wh, here, capture, number, extra)
         pictures[number] = picture
         data.pictures[stem] = picture
     unlisted = sorted(set(listing.by_name) - named)
     if unlisted:
-        found = (
-            f"{len(unlisted)} picture(s) in {folder.name}/ without an image record, left out: {', '.join(unlisted[:3])}"
-        )
-        data.warn(where, "image-unlisted", found + (" ..." if len(unlisted) > 3 else ""), "a record for every picture")
+        some = ", ".join(unlisted[:3]) + (" ..." if len(unlisted) > 3 else "")
+        found = f"{len(unlisted)} picture(s) in {folder.name}/ without an image record, left out: {some}"
+        data.warn(where, "image-unlisted", found, "a record for every picture")
     return pictures
 
 

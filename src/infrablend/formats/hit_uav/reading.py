@@ -27,16 +27,11 @@ _PEOPLE_CALLED_CAR = (4053, 4054, 4057, 4062, 4063, 4064, 4073, 4077)
 
 
 def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None = None) -> Dataset:
-    """Read every form in a HIT-UAV folder and unite them by file stem.
+    """Read every form in a HIT-UAV folder, or one of them, and unite them by file stem.
 
     Axis-aligned boxes come unchanged from normal_json (else normal_xml, else from the oriented box); oriented boxes
     from rotate_json (else rotate_xml); truncated, difficult and pose from any form that contains them. Disagreements
     between forms are reported as warnings and counted in `notes["disagreements"]`.
-
-    Args:
-        root: Folder that contains some of the four forms, or the folder of one form.
-        splits: Splits to read; None reads all.
-        form: Only form to read; None reads all.
 
     Raises:
         DatasetError: There is no form, the requested one is missing, or nothing can be read.

@@ -64,7 +64,7 @@ def unite(data: Sequence[FormData]) -> tuple[list[ImageRecord], dict[str, Any], 
     notes: dict[str, Any] = {
         "forms": {
             d.form: {
-                "files": d.files_read,
+                "files": d.counts["files"],
                 "pictures": len(d.pictures),
                 "objects": sum(len(p.objects) for p in d.pictures.values()),
             }
@@ -100,12 +100,8 @@ def _unite_picture(
     size_wh: tuple[int, int] | None = None
     for _, p in held:
         for conflict in capture.conflicts(p.capture):
-            differ(
-                "metadata",
-                p.where,
-                f"{conflict} (here, against the file name or another form)",
-                "equal values; the first is used",
-            )
+            said = f"{conflict} (here, against the file name or another form)"
+            differ("metadata", p.where, said, "equal values; the first is used")
         capture = capture.over(p.capture)
         if p.split != first.split:
             differ("metadata", p.where, f"split {p.split}", f"{first.split}, which is used")
@@ -171,14 +167,7 @@ def _pairs(ours: Sequence[FormObject], theirs: Sequence[FormObject]) -> list[tup
     pixel, which is widened. Objects left over are paired if they have the same index in both lists and touch.
     """
     ids, other = [o.source_id for o in ours], [o.source_id for o in theirs]
-    if (
-        ids
-        and other
-        and None not in ids
-        and None not in other
-        and len(set(ids)) == len(ids)
-        and len(set(other)) == len(other)
-    ):
+    if all(numbers and None not in numbers and len(set(numbers)) == len(numbers) for numbers in (ids, other)):
         place = {n: k for k, n in enumerate(other)}
         pairs: list[tuple[int | None, int | None]] = [(i, place.get(n)) for i, n in enumerate(ids)]
         return pairs + [(None, k) for k, n in enumerate(other) if n not in set(ids)]
@@ -216,20 +205,15 @@ def _unite_objects(
     united: list[FormObject] = []
     for i, k in _pairs(ours, picture.objects):
         if i is None and k is not None:
-            differ(
-                "objects",
-                picture.objects[k].where,
-                "an object that earlier forms do not contain, kept",
-                "the same objects",
-            )
+            found = "an object that earlier forms do not contain, kept"
+            differ("objects", picture.objects[k].where, found, "the same objects")
             united.append(picture.objects[k])
             continue
         a = ours[i or 0]
         united.append(a)
         if k is None:
-            differ(
-                "objects", a.where, f"an object that {form} does not contain, kept", "the same objects in every form"
-            )
+            found = f"an object that {form} does not contain, kept"
+            differ("objects", a.where, found, "the same objects in every form")
             continue
         b = picture.objects[k]
         if a.category != b.category:

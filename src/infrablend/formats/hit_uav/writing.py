@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 from xml.sax.saxutils import escape, quoteattr
@@ -18,22 +17,28 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Inst
 from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_stream import SPACED, Streamed, json_chunks
 from infrablend.formats.base import (
+    Numbered,
     category_ids,
     ignored_by_class,
     in_order,
     number_ids,
+    require_known,
     require_size,
-    split_parts,
     unmarked_regions,
 )
 from infrablend.formats.box_checks import is_rectangle, obb_from_corners
+from infrablend.formats.coco import source_id_field
 from infrablend.formats.hit_uav.forms import DATABASE, Form
-from infrablend.formats.losses import Written
-from infrablend.formats.occlusion import loses_occlusion
+from infrablend.formats.losses import Written, count_dropped
 
 # Digits written for an oriented box, enough to read corners back within 1e-6 px at 1000 px.
 _COORDINATE_DIGITS = 8
 _ANGLE_DIGITS = 10
+# What each form drops beside masks, visibility and occlusion.
+_DROPPED: Mapping[Form, Sequence[str]] = {
+    "normal_json": ("truncated", "difficult", "obb"), "rotate_json": ("truncated",), "normal_xml": ("obb",),
+    "rotate_xml": (),
+}  # fmt: skip
 _INFO = {"description": "HIT-UAV layout, written by InfraBlend"}
 
 
@@ -58,119 +63,36 @@ def write(
     Pictures are hard links to `ImageRecord.path` (copies where that is impossible), named by `ImageRecord.name`. Equal
     records give equal bytes. Losses are counted as `<form>.<kind>`, see `losses.LOSSES`.
 
-    Args:
-        out: Output folder, created if necessary.
-        images: Images with known `size_wh`.
-        categories: Categories with the ids to write.
-        forms: Forms to write.
-        ids: `new` numbers images and annotations from 0 over all splits, as HIT-UAV does, and keeps the source's id
-            as `source_id`; `source` writes the source's ids.
-        extra: Top-level fields (`info`, `licenses`, ...), e.g. `Dataset.extra`.
-        pictures: False writes only annotations.
+    New ids count from 0 over all splits, as HIT-UAV does, and keep the source's id as `source_id`. `extra` are
+    top-level fields (`info`, `licenses`, ...), e.g. `Dataset.extra`.
 
     Raises:
         OutputError: A file cannot be written.
         ValueError: A size, category or id is missing.
     """
     ordered = in_order(images)
-    texts = native_chunks(ordered, categories, forms=forms, ids=ids, extra=extra)
-    files = [write_chunks(out / name, chunks) for name, chunks in texts.files]
+    numbered = number_ids(ordered, ids, 0)
+    files: list[Path] = []
+    losses: dict[str, int] = {}
+    for form in forms:
+        counts: Counter[str] = Counter()
+        if form.endswith("_json"):
+            texts = _json_texts(form, numbered, categories, ids == "new", extra or {}, counts)
+        else:
+            texts = _xml_texts(form, ordered, categories, counts)
+        files += [write_chunks(out / form / name, chunks) for name, chunks in texts]
+        losses |= {f"{form}.{kind}": n for kind, n in counts.items()}
     for form in forms if pictures else ():
         for image in ordered:
             folder = out / form / ("JPEGImages" if form.endswith("_xml") else image.split)
             files.append(link_or_copy(image.path, folder / image.name))
-    return Written(tuple(files), texts.losses)
-
-
-def native_files(
-    images: Sequence[ImageRecord],
-    categories: Sequence[Category],
-    *,
-    forms: Sequence[Form] = ("normal_json", "rotate_json"),
-    ids: Literal["source", "new"] = "new",
-    extra: Mapping[str, Any] | None = None,
-) -> tuple[dict[str, str], dict[str, int]]:
-    """Return the text of every annotation file by POSIX path below the output folder, and the losses; see `write`."""
-    texts = native_chunks(images, categories, forms=forms, ids=ids, extra=extra)
-    whole = {name: "".join(chunks) for name, chunks in texts.files}
-    return whole, texts.losses
-
-
-@dataclass(frozen=True)
-class NativeTexts:
-    """Annotation files that are composed one after the other, in pieces.
-
-    Attributes:
-        files: POSIX path below the output folder and text of each file.
-        counted: Losses per form, complete once all texts are composed.
-    """
-
-    files: Iterator[tuple[str, Iterable[str]]]
-    counted: Mapping[Form, Counter[str]]
-
-    @property
-    def losses(self) -> dict[str, int]:
-        """Losses so far, by `<form>.<kind>`."""
-        return dict(sorted((f"{form}.{k}", v) for form, counts in self.counted.items() for k, v in counts.items() if v))
-
-
-def native_chunks(
-    images: Sequence[ImageRecord],
-    categories: Sequence[Category],
-    *,
-    forms: Sequence[Form] = ("normal_json", "rotate_json"),
-    ids: Literal["source", "new"] = "new",
-    extra: Mapping[str, Any] | None = None,
-) -> NativeTexts:
-    """Return every annotation file in pieces, and the losses; see `write`."""
-    ordered = in_order(images)
-    counted: dict[Form, Counter[str]] = {form: Counter() for form in forms}
-    numbers = number_ids(ordered, ids, 0)
-
-    def files() -> Iterator[tuple[str, Iterable[str]]]:
-        for form in forms:
-            if form.endswith("_json"):
-                parts = split_parts(ordered)
-                start = 0
-                for split, part in parts.items():
-                    end = start + len(part)
-                    numbered = _Numbered(part, numbers[0][start:end], numbers[1][start:end])
-                    top = _json_file(form, numbered, categories, ids == "new", extra or {}, counted[form])
-                    # ASCII, as in the original.
-                    chunks = json_chunks(top, counted[form], separators=SPACED, sort_keys=False)
-                    yield f"{form}/annotations/{split}.json", chunks
-                    start = end
-            else:
-                yield from _xml_texts(form, ordered, categories, counted[form])
-
-    return NativeTexts(files(), counted)
-
-
-@dataclass(frozen=True)
-class _Numbered:
-    """Images with their ids and those of their objects."""
-
-    images: Sequence[ImageRecord]
-    image_ids: Sequence[int]
-    object_ids: Sequence[Sequence[int]]
-
-    def __iter__(self) -> Iterator[tuple[ImageRecord, int, Sequence[int]]]:
-        """Yield each image with its id and the ids of its objects."""
-        return zip(self.images, self.image_ids, self.object_ids, strict=True)
+    return Written.of(files, losses)
 
 
 def _count_losses(instance: Instance, form: Form, unsaid: Collection[str], losses: Counter[str]) -> None:
     losses["ignore_as_class"] += unmarked_regions([instance], unsaid)
-    losses["mask_dropped"] += instance.mask is not None
-    losses["visibility_dropped"] += instance.visibility is not None
-    losses["occlusion_dropped"] += loses_occlusion(instance)
-    if form.endswith("_json"):
-        losses["truncated_dropped"] += instance.truncated is True
-    if form == "normal_json":
-        losses["difficult_dropped"] += instance.difficult is True
-    if form.startswith("normal"):
-        losses["obb_dropped"] += instance.corners_xy is not None
-    else:
+    count_dropped(instance, losses, "mask", "visibility", "occlusion", *_DROPPED[form])
+    if form.startswith("rotate"):
         losses["obb_from_box"] += instance.corners_xy is None
 
 
@@ -201,13 +123,6 @@ def _oriented_numbers(instance: Instance, losses: Counter[str]) -> list[float]:
     return [round(v, _COORDINATE_DIGITS) for v in numbers[:4]] + [round(numbers[4], _ANGLE_DIGITS)]
 
 
-def _source_fields(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
-    """Return the field `source_id`: the source's id if ids are new, or the field that was read."""
-    if new and item.source_id is not None:
-        return {"source_id": item.source_id}
-    return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
-
-
 def _marks(instance: Instance) -> dict[str, Any]:
     """Return InfraBlend's own fields: inserted; box drawn tightly, unlike HIT-UAV's bounds of the oriented box."""
     marks = {"inserted": instance.inserted, "tight_box": bool(instance.extra.get("tight_box"))}
@@ -222,9 +137,23 @@ _TOP: Mapping[str, Any] = {
 }
 
 
+def _json_texts(
+    form: Form,
+    numbered: Numbered,
+    categories: Sequence[Category],
+    new: bool,
+    extra: Mapping[str, Any],
+    losses: Counter[str],
+) -> Iterator[tuple[str, Iterable[str]]]:
+    for split, part in numbered.by_split().items():
+        top = _json_file(form, part, categories, new, extra, losses)
+        # ASCII, as in the original.
+        yield f"annotations/{split}.json", json_chunks(top, losses, separators=SPACED, sort_keys=False)
+
+
 def _json_file(
     form: Form,
-    numbered: _Numbered,
+    numbered: Numbered,
     categories: Sequence[Category],
     new: bool,
     extra: Mapping[str, Any],
@@ -235,10 +164,10 @@ def _json_file(
     of_category = category_ids(categories)
     unsaid = ignored_by_class(categories)
     image_record = _normal_image if normal else _rotate_image
-    images = Streamed(image_record(image, n) | _source_fields(image, new) for image, n, _ in numbered)
 
     def annotations() -> Iterator[dict[str, Any]]:
         for image, image_id, object_ids in numbered:
+            require_known(image, of_category)
             for instance, object_id in zip(image.instances, object_ids, strict=True):
                 _count_losses(instance, form, unsaid, losses)
                 ids = {"id": object_id, "image_id": image_id, "category_id": of_category[instance.category]}
@@ -247,16 +176,18 @@ def _json_file(
                 else:
                     difficult = bool(instance.difficult)
                     annotation = {**ids, "difficult": difficult, "bbox": _oriented_numbers(instance, losses)}
-                yield annotation | _source_fields(instance, new) | _marks(instance)
+                yield annotation | source_id_field(instance, new) | _marks(instance)
 
-    objects = Streamed(annotations())
-    if normal:
-        names = [{"supercategory": c.supercategory or c.name, "id": c.id, "name": c.name} for c in categories]
-        top = {k: extra.get(k, _TOP[k]) for k in ("info", "licenses")}
-        return top | {"images": images, "categories": names, "annotation": objects}
-    names = [{"id": c.id, "name": c.name} for c in categories]
-    top = {k: extra.get(k, v) for k, v in _TOP.items()}
-    return top | {"images": images, "categories": names, "annotations": objects}
+    names = [
+        ({"supercategory": c.supercategory or c.name} if normal else {}) | {"id": c.id, "name": c.name}
+        for c in categories
+    ]
+    return {
+        **{k: extra.get(k, _TOP[k]) for k in (("info", "licenses") if normal else _TOP)},
+        "images": Streamed(image_record(image, n) | source_id_field(image, new) for image, n, _ in numbered),
+        "categories": names,
+        "annotation" if normal else "annotations": Streamed(annotations()),
+    }
 
 
 def _normal_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
@@ -304,10 +235,10 @@ def _xml_texts(
             raise ValueError(f"{image.id}: the XML forms are flat, but {image.name!r} is in a folder")
         stem = image.name.rpartition(".")[0]
         stems[image.split].append(stem)
-        yield f"{form}/Annotations/{stem}.xml", (_xml_text(form, image, stem, known, unsaid, losses),)
+        yield f"Annotations/{stem}.xml", (_xml_text(form, image, stem, known, unsaid, losses),)
     stems["trainval"] = stems["train"] + stems["val"]
     for split in (*SPLITS, "trainval"):
-        yield f"{form}/ImageSets/Main/{split}.txt", (f"{s}\n" for s in stems[split])
+        yield f"ImageSets/Main/{split}.txt", (f"{s}\n" for s in stems[split])
 
 
 def _xml_text(
@@ -336,9 +267,8 @@ def _xml_text(
         "  <segmented>0</segmented>",
     ]
     pitch = "Unspecified" if image.capture.pitch_deg is None else f"{image.capture.pitch_deg:.10g}"
+    require_known(image, known)
     for instance in image.instances:
-        if instance.category not in known:
-            raise ValueError(f"{image.id}: category {instance.category!r} is not in the list of categories")
         _count_losses(instance, form, unsaid, losses)
         lines += ["  <object>"] + (["    <type>robndbox</type>"] if rotated else [])
         lines += [

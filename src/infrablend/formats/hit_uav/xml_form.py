@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import SPLITS, Category, Split
-from infrablend.formats.annotation_files import read_text, read_xml
+from infrablend.formats.annotation_files import child_text
 from infrablend.formats.base import is_ignored_name
 from infrablend.formats.hit_uav.forms import CATEGORIES, Form, xml_files
-from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture, relative_to, set_corners, set_geometry
+from infrablend.formats.hit_uav.records import FormData, FormObject, FormPicture, set_corners, set_geometry
 from infrablend.formats.pictures import PictureFolder, check_name
 from infrablend.formats.values import to_bool, to_floats, to_size
 
 
 def read_xml_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]) -> FormData:
     """Return everything that the XML files of one form state about the pictures of some splits."""
-    data = FormData(form, categories=list(CATEGORIES))
-    split_of = _read_image_sets(data, root, folder)
+    data = FormData(root, form=form, categories=list(CATEGORIES))
+    split_of = _read_image_sets(data, folder)
     listing = PictureFolder.scan(folder / "JPEGImages")
     unlisted: list[str] = []
     for path in xml_files(folder):
@@ -28,12 +28,12 @@ def read_xml_form(root: Path, form: Form, folder: Path, splits: Sequence[Split])
                 unlisted.append(path.stem)
             split = "train"
         if split in splits:
-            picture = _read_xml_file(data, root, path, listing, split)
+            picture = _read_xml_file(data, path, listing, split)
             if picture is not None and picture.stem in data.pictures:
                 data.add(picture.where, "image-duplicate", f"{picture.name!r} a second time", "each picture once")
             elif picture is not None:
                 data.pictures[picture.stem] = picture
-    where = relative_to(root, folder) if folder != root else folder.name
+    where = data.place(folder) if folder != root else folder.name
     if unlisted:
         found = f"{len(unlisted)} file(s) in no list of ImageSets/Main, taken as train: {', '.join(unlisted[:3])}"
         data.warn(where, "split-unknown", found, "every stem in one list")
@@ -45,59 +45,50 @@ def read_xml_form(root: Path, form: Form, folder: Path, splits: Sequence[Split])
     return data
 
 
-def _read_image_sets(data: FormData, root: Path, folder: Path) -> dict[str, Split]:
+def _read_image_sets(data: FormData, folder: Path) -> dict[str, Split]:
     """Return the split per stem; empty if there are no lists, which makes every picture train."""
     split_of: dict[str, Split] = {}
     there = {p.stem for p in xml_files(folder)}
     sets = folder / "ImageSets" / "Main"
     for split in SPLITS:
         path = sets / f"{split}.txt"
-        if not path.is_file():
-            continue
-        text, fault = read_text(path, relative_to(root, path), "a list of stems")
-        if fault is not None:
-            data.problems.append(fault)
-            continue
+        text = data.text(path, "a list of stems") if path.is_file() else ""
         # One stem per line; a stem may contain blanks.
-        lines = (line.strip() for line in text.splitlines())
+        lines = (line.strip() for line in (text or "").splitlines())
         for stem in (s for line in lines for s in ([line] if line in there else line.split())):
             if split_of.setdefault(stem, split) != split:
                 found = f"{stem!r} is also in {split_of[stem]}, which counts"
-                data.warn(relative_to(root, path), "split-twice", found, "each stem in one list")
+                data.warn(data.place(path), "split-twice", found, "each stem in one list")
     if not split_of:
-        data.warn(
-            relative_to(root, sets), "split-unknown", "no lists of splits; all is train", "train.txt, val.txt, test.txt"
-        )
+        expected = "train.txt, val.txt, test.txt"
+        data.warn(data.place(sets), "split-unknown", "no lists of splits; all is train", expected)
     return split_of
 
 
-def _read_xml_file(data: FormData, root: Path, path: Path, listing: PictureFolder, split: Split) -> FormPicture | None:
-    where = relative_to(root, path)
-    top, fault = read_xml(path, where)
-    if fault is not None:
-        data.problems.append(fault)
+def _read_xml_file(data: FormData, path: Path, listing: PictureFolder, split: Split) -> FormPicture | None:
+    where = data.place(path)
+    top = data.xml(path)
+    if top is None:
         return None
-    data.files_read += 1
-    if top is None or top.tag != "annotation":
-        found = f"root element <{getattr(top, 'tag', '')}>"
-        data.add(where, "annotation-layout", found, "<annotation>", "use HIT-UAV's files")
+    data.counts["files"] += 1
+    if top.tag != "annotation":
+        data.add(where, "annotation-layout", f"root element <{top.tag}>", "<annotation>", "use HIT-UAV's files")
         return None
-    raw_name = _text(top, "filename")
+    raw_name = child_text(top, "filename")
     fault = check_name(raw_name, where)
-    if fault is not None:
-        data.problems.append(fault)
-        return None
-    name, file, fault = listing.find(str(raw_name), where)
+    name, file = str(raw_name), None
+    if fault is None:
+        name, file, fault = listing.find(name, where)
     if fault is not None:
         data.problems.append(fault)
         return None
     stem = name.rpartition(".")[0] or name
-    size_wh = to_size(_text(top, "size/width"), _text(top, "size/height"))
+    size_wh = to_size(child_text(top, "size/width"), child_text(top, "size/height"))
     if size_wh is None:
-        found = f"size {_text(top, 'size/width')!r} x {_text(top, 'size/height')!r}"
+        found = f"size {child_text(top, 'size/width')!r} x {child_text(top, 'size/height')!r}"
         data.warn(where, "image-size-unknown", found, "width and height in px")
     extra: dict[str, Any] = {}
-    folder = _text(top, "folder") or ""
+    folder = child_text(top, "folder") or ""
     if data.form == "rotate_xml" and folder.isdigit():
         extra["date"] = folder
     picture = FormPicture(stem, name, file, split, size_wh, where, extra=extra)
@@ -107,14 +98,9 @@ def _read_xml_file(data: FormData, root: Path, path: Path, listing: PictureFolde
     return picture
 
 
-def _text(element: Any, key: str) -> str | None:
-    value = element.findtext(key)
-    return value.strip() if value is not None else None
-
-
 def _read_object(data: FormData, element: Any, where: str, size_wh: tuple[int, int] | None) -> FormObject | None:
     """Return one object, and enter a new category; None, with a problem, if it has no name or no usable box."""
-    label = _text(element, "name")
+    label = child_text(element, "name")
     if not label:
         data.add(where, "category-unknown", "no name", "a category's name", "correct the annotation")
         return None
@@ -124,19 +110,19 @@ def _read_object(data: FormData, element: Any, where: str, size_wh: tuple[int, i
         data.warn(where, "category-unknown", f"{label!r}, taken as a new category", "one of HIT-UAV's five")
     item = FormObject(where, label)
     for flag in ("truncated", "difficult"):
-        value = _text(element, flag)
+        value = child_text(element, flag)
         setattr(item, flag, to_bool(value))
         if value is not None and to_bool(value) is None:
             data.warn(where, "flag-value", f"{flag} {value!r}, ignored", "0 or 1")
-    pose = _text(element, "pose")
+    pose = child_text(element, "pose")
     if pose and pose != "Unspecified":
         item.extra["pose"] = pose
-    item.inserted = to_bool(_text(element, "inserted")) is True
+    item.inserted = to_bool(child_text(element, "inserted")) is True
     rotated = element.find("robndbox")
     if rotated is not None:
-        box: object = [_text(rotated, f) for f in ("cx", "cy", "w", "h", "angle")]
+        box: object = [child_text(rotated, f) for f in ("cx", "cy", "w", "h", "angle")]
     else:
-        edges = to_floats([_text(element, f"bndbox/{f}") for f in ("xmin", "ymin", "xmax", "ymax")], 4)
+        edges = to_floats([child_text(element, f"bndbox/{f}") for f in ("xmin", "ymin", "xmax", "ymax")], 4)
         # `set_geometry` takes width and height.
         box = None if edges is None else [edges[0], edges[1], edges[2] - edges[0], edges[3] - edges[1]]
     return item if set_geometry(data, item, box, rotated is not None, size_wh) else None

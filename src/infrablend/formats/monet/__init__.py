@@ -12,7 +12,7 @@ from infrablend.formats.monet.detection import NAME, detect, find_files
 from infrablend.formats.monet.options import ALTITUDE_KEYS, OPTIONS, PITCH_KEYS, TIME_KEYS
 from infrablend.formats.monet.reading import read
 from infrablend.formats.monet.telemetry import NEST
-from infrablend.formats.monet.writing import native_files, write
+from infrablend.formats.monet.writing import write
 
 __all__ = [
     "ALTITUDE_KEYS",
@@ -23,7 +23,6 @@ __all__ = [
     "TIME_KEYS",
     "detect",
     "find_files",
-    "native_files",
     "read",
     "write",
 ]

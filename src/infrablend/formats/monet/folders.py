@@ -9,13 +9,11 @@ from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Split
 from infrablend.errors import Problem
+from infrablend.formats.base import SPLIT_FOLDERS
 from infrablend.formats.monet.detection import SEQUENCE, SKIPPED_FOLDERS
 from infrablend.formats.pictures import PictureFolder, list_pictures
 
-_SPLITS: Mapping[str, Split] = {
-    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
-    "testing": "test",
-}  # fmt: skip
+_SPLITS: Mapping[str, Split] = {**SPLIT_FOLDERS, "testing": "test"}
 _NUMBERED = re.compile(r"[A-Za-z]+_\d+")
 _SAMPLE = 50
 

@@ -12,7 +12,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
-from infrablend.formats.annotation_files import read_json, too_long
+from infrablend.formats.annotation_files import too_long
 from infrablend.formats.base import check_splits, shorten, sort_images
 from infrablend.formats.capture import Captures
 from infrablend.formats.monet.detection import NAME, find_files
@@ -29,22 +29,21 @@ from infrablend.formats.monet.telemetry import (
     set_pitches,
 )
 from infrablend.formats.pictures import assign_ids, check_name
+from infrablend.formats.records import Findings
 from infrablend.formats.values import to_int
 
 _COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
 
 
-@dataclass(slots=True)
-class _Reading:
-    """What is known while a dataset is read: its pictures, options, the categories and problems found so far."""
+@dataclass(kw_only=True)
+class _Reading(Findings):
+    """What is known while a dataset is read: also its pictures, options, and the categories found so far."""
 
-    root: Path
     listing: Pictures
     options: MonetOptions
     splits: Sequence[Split]
     seen: set[str] = field(default_factory=set)
     categories: list[Category] = field(default_factory=list)
-    problems: list[Problem] = field(default_factory=list)
 
 
 def read(
@@ -60,12 +59,7 @@ def read(
     which most frames look down. Sequences without any pitch are left out, as in the paper; single frames without
     pitch are kept with pitch None. `notes` counts both.
 
-    Args:
-        root: Folder of the dataset, or of one of its splits.
-        splits: Splits to read; None reads all.
-        metadata: Table of pitch and altitude that overrides the telemetry; None uses `metadata.csv` or `.json` in
-            the folder, if it exists.
-        **options: Options as text, described in `OPTIONS`.
+    `root` may be the folder of one split. A table overrides the telemetry. The options are described in `OPTIONS`.
 
     Raises:
         DatasetError: There is no annotation file, nothing to read, no telemetry, a file in which more than half of
@@ -73,7 +67,7 @@ def read(
     """
     wanted = check_splits(splits)
     chosen = check_options(root, options)
-    dataset = _Reading(root, Pictures(root), chosen, wanted)
+    dataset = _Reading(root, listing=Pictures(root), options=chosen, splits=wanted)
     problems = dataset.problems
     files = find_files(root, chosen.annotations)
     notes: dict[str, Any] = {"labels": "coco", "annotations": [], "pictures": {}}
@@ -104,15 +98,13 @@ def _read_files(dataset: _Reading, files: Sequence[Path], notes: dict[str, Any])
     frames: list[Frame] = []
     extra: dict[str, Any] = {}
     for path in files:
-        where = path.relative_to(dataset.root).as_posix()
-        try:
-            top = read_json(path)
-        except DatasetError as error:
-            problems += [Problem(where, p.code, p.found, p.expected, p.todo) for p in error.problems]
+        where = dataset.place(path)
+        top = dataset.json(path)
+        if top is None:
             continue
         if not coco.is_coco(top):
-            found, expected = "no COCO keys, left out", "images with file_name, annotations, categories"
-            problems.append(Problem(where, "annotation-layout", found, expected, severity="warning"))
+            expected = "images with file_name, annotations, categories"
+            dataset.warn(where, "annotation-layout", "no COCO keys, left out", expected)
             continue
         names = [
             i["file_name"] for i in top["images"] if isinstance(i, dict) and check_name(i.get("file_name"), "") is None
@@ -144,16 +136,15 @@ def _nothing_found(root: Path, files: Sequence[Path], pattern: str | None, probl
 
 
 def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]) -> list[Frame]:
-    """Return the pictures of one annotation file with their labels and telemetry."""
-    root, problems, path = dataset.root, dataset.problems, PurePosixPath(where)
+    path = PurePosixPath(where)
     part, fields = _own_part(dataset, top, where, place)
-    captures = Captures(None, problems)
-    records = coco.read_records(part, dataset.listing.folder, "train", where, dataset.categories, captures, problems)
+    captures = Captures(None, dataset.problems)
+    records = coco.read_records(dataset, part, dataset.listing.folder, "train", where, dataset.categories, captures)
     tally = UnusableValues()
     frames = []
-    for _, record in records:
+    for record in records:
         number = record.source_id if isinstance(record.source_id, int) else -1
-        sequence = sequence_of(record.name, path.stem, real_path(root).name)
+        sequence = sequence_of(record.name, path.stem, real_path(dataset.root).name)
         known = replace(record.capture, sequence=sequence or record.capture.sequence)
         record = replace(record, split=_split_of(dataset, path, record.name), capture=known)
         frames.append(frame_of(record, where, fields.get(number, {}), dataset.options, tally))
@@ -161,7 +152,7 @@ def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tup
         "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
         "time": "ISO 8601",
     }  # fmt: skip
-    problems += tally.problems(where, expected)
+    dataset.problems += tally.problems(where, expected)
     return frames
 
 
@@ -203,9 +194,7 @@ def _own_part(
         images.append(r)
     if twice:
         found = f"{twice} picture(s) that another annotation file contains too; left out here"
-        dataset.problems.append(
-            Problem(where, "image-duplicate", found, "each picture once", "remove one of the files")
-        )
+        dataset.add(where, "image-duplicate", found, "each picture once", "remove one of the files")
     annotations = (a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
     return dict(top) | {"images": images, "annotations": annotations}, fields
 
@@ -214,11 +203,10 @@ def _leave_out(
     dataset: _Reading, frames: list[Frame], sequences: Iterable[Any], option: Literal["exclude", "empty"]
 ) -> dict[str, Any]:
     """Remove sequences (names, or pairs of split and name) from `frames`; report and count them."""
-    root, problems = dataset.root, dataset.problems
     why = "named in exclude" if option == "exclude" else "no telemetry in any frame"
     wanted = set(sequences)
-    out = [f for f in frames if f.sequence in wanted or (f.record.split, f.sequence) in wanted]
-    frames[:] = [f for f in frames if not (f.sequence in wanted or (f.record.split, f.sequence) in wanted)]
+    out = [f for f in frames if not wanted.isdisjoint((f.sequence, (f.record.split, f.sequence)))]
+    frames[:] = [f for f in frames if wanted.isdisjoint((f.sequence, (f.record.split, f.sequence)))]
     counts: dict[str, dict[str, Any]] = {}
     for f in out:
         entry = counts.setdefault(f"{f.record.split}/{f.sequence}", {"why": why, "images": 0, "labels": 0})
@@ -230,13 +218,10 @@ def _leave_out(
             f"{len(counts)} sequence(s) left out, {why}: {', '.join(sorted(counts))} ({images} images, {labels} labels)"
         )
         todo = "keep them with --read empty=keep" if option == "empty" else ""
-        problems.append(Problem(root.name, "sequence-excluded", found, todo=todo, severity="warning"))
+        dataset.warn(dataset.root.name, "sequence-excluded", found, todo=todo)
     if option == "exclude" and (unknown := sorted(wanted - {f.sequence for f in out})):
         there = ", ".join(sorted({str(f.sequence) for f in frames})[:20])
-        problems.append(
-            Problem("option exclude", "option-value", f"no sequence {', '.join(unknown)}", f"some of {there}",
-                    severity="warning")
-        )  # fmt: skip
+        dataset.warn("option exclude", "option-value", f"no sequence {', '.join(unknown)}", f"some of {there}")
     return dict(sorted(counts.items()))
 
 

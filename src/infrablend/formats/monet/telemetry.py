@@ -6,7 +6,6 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -14,10 +13,11 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import shorten
-from infrablend.formats.capture import Captures, find_table, read_table
+from infrablend.formats.capture import Captures
 from infrablend.formats.monet.folders import below_split
 from infrablend.formats.monet.options import MonetOptions
-from infrablend.formats.values import to_floats, to_int
+from infrablend.formats.records import table_of
+from infrablend.formats.values import to_int, to_number, to_time
 
 # Object in an image record that takes the telemetry if the source had none.
 NEST = "metadata"
@@ -74,11 +74,8 @@ def join_lists(top: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
 
 
 def _iso_time(value: Any) -> str | None:
-    """Return a time in normalised ISO 8601, or None if the value is not a time."""
-    try:
-        return datetime.fromisoformat(value.strip()).isoformat() if isinstance(value, str) else None
-    except ValueError:
-        return None
+    when = to_time(value)
+    return when.isoformat() if when else None
 
 
 @dataclass(slots=True)
@@ -121,16 +118,16 @@ def frame_of(
 ) -> Frame:
     """Return a picture with its telemetry; unusable values are counted."""
     here = f"(image {record.source_id})"
-    pitch_at, pitch = _find(fields, chosen.pitch, _number)
-    altitude_at, altitude = _find(fields, chosen.altitude, _number)
+    pitch_at, pitch = _find(fields, chosen.pitch, to_number)
+    altitude_at, altitude = _find(fields, chosen.altitude, to_number)
     time_at, time = _find(fields, chosen.time, _iso_time)
-    raw = _number(pitch)
+    raw = to_number(pitch)
     if raw is not None and chosen.radians:
         raw = math.degrees(raw)
     if pitch is not None and (raw is None or abs(raw) > 90 + BEYOND_DEG):
         tally.add("pitch", f"{_show(pitch)} {here}")
         raw = None
-    metres = _number(altitude)
+    metres = to_number(altitude)
     if altitude is not None and (metres is None or not 0 <= metres <= 1e5):
         tally.add("altitude", f"{_show(altitude)} {here}")
         metres = None
@@ -142,11 +139,6 @@ def frame_of(
     known = replace(record.capture, captured=captured, time_of_day=chosen.time_of_day or record.capture.time_of_day)
     kept = replace(record, capture=known, extra=extra, file_name=below_split(record.name))
     return Frame(kept, where, raw, metres, known.sequence)
-
-
-def _number(value: Any) -> float | None:
-    numbers = to_floats([value], 1)
-    return numbers[0] if numbers is not None and math.isfinite(numbers[0]) else None
 
 
 def _show(value: Any) -> str:
@@ -218,20 +210,16 @@ def apply_table(
     root: Path, metadata: Path | None, frames: Sequence[Frame], problems: list[Problem]
 ) -> tuple[Captures, str | None]:
     """Let a table complete or override the telemetry; return the sources of pitches and the table's name."""
-    path = metadata or find_table(root)
-    table = read_table(path) if path else None
+    table, name = table_of(root, metadata)
     captures = Captures(table, problems)
     for f in frames:
         r = f.record
         f.record = replace(r, capture=captures.of(r.name, f"{r.split}/{r.name}", r.capture))
     if table is not None:
         problems += table.problems
-        unused = table.unused([f.record.name for f in frames], {f.record.capture.sequence for f in frames})
-        if unused:
-            found = f"{len(unused)} row(s) of the table match no picture and no sequence: {', '.join(unused[:3])}"
-            expected = "a picture or sequence for each row"
-            problems.append(Problem(root.name, "table-unused", found, expected, severity="warning"))
-    return captures, path.name if path else None
+        sequences = {f.record.capture.sequence for f in frames}
+        problems += table.remarks(root, [f.record.name for f in frames], sequences)
+    return captures, name["table"]
 
 
 def require_pitch(root: Path, frames: Sequence[Frame], chosen: MonetOptions, problems: Sequence[Problem]) -> None:

@@ -15,7 +15,7 @@ from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.errors import Problem
 from infrablend.formats import coco
-from infrablend.formats.base import category_ids, in_order, number_ids, require_size
+from infrablend.formats.base import Numbered, in_order, number_ids, require_size
 from infrablend.formats.losses import Written
 from infrablend.formats.monet.folders import split_in
 from infrablend.formats.monet.options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
@@ -35,18 +35,14 @@ def write(
     extra: Mapping[str, Any] | None = None,
     pictures: bool = True,
 ) -> Written:
-    """Write `out/<split>/<sequence>.json` and pictures in `out/<split>/<sequence>/lwir/`, see `native_files`.
+    """Write `out/<split>/<sequence>.json` and pictures in `out/<split>/<sequence>/lwir/`.
 
-    Pictures are hard links to `ImageRecord.path` (copies where that is impossible).
+    Pictures are hard links to `ImageRecord.path` (copies where that is impossible). Image records keep the source's
+    fields, with pitch and altitude at their original place, else as `g_pitch` and `alt` in `metadata`. Annotations
+    equal those of `coco.write`: masks as run lengths, oriented boxes in `obb`.
 
-    Args:
-        out: Output folder, created if necessary.
-        images: Images with known `size_wh`.
-        categories: Categories with the ids to write.
-        ids: `new` numbers images and annotations from 1 over all files and keeps the source's id as `source_id`;
-            `source` writes the source's ids.
-        extra: Top-level fields `info` and `licenses`, e.g. `Dataset.extra`.
-        pictures: False writes only annotations.
+    New ids count from 1 over all files and keep the source's id as `source_id`. `extra` has the top-level fields `info`
+    and `licenses`, e.g. `Dataset.extra`.
 
     Raises:
         OutputError: A file cannot be written.
@@ -54,51 +50,27 @@ def write(
     """
     ordered = in_order(images)
     losses: Counter[str] = Counter()
-    texts = native_chunks(ordered, categories, losses, ids=ids, extra=extra)
-    files = [write_chunks(out / name, chunks) for name, chunks in texts.items()]
     folders = _folder_names(ordered)
+    texts = _chunks(ordered, categories, losses, folders, ids, extra or {})
+    files = [write_chunks(out / name, chunks) for name, chunks in texts.items()]
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / image.split / _picture_name(image, folders)))
-    found = {k: v for k, v in sorted(losses.items()) if v}
-    return Written(tuple(files), found, tuple(_pitch_remarks(ordered)))
+    return Written.of(files, losses, _pitch_remarks(ordered, folders))
 
 
-def native_files(
-    images: Sequence[ImageRecord],
-    categories: Sequence[Category],
-    *,
-    ids: Literal["source", "new"] = "new",
-    extra: Mapping[str, Any] | None = None,
-) -> tuple[dict[str, str], dict[str, int]]:
-    """Return the text of every annotation file by POSIX path below the output folder, and the losses; see `write`."""
-    losses: Counter[str] = Counter()
-    chunks = native_chunks(images, categories, losses, ids=ids, extra=extra)
-    texts = {name: "".join(pieces) for name, pieces in chunks.items()}
-    return texts, {k: v for k, v in sorted(losses.items()) if v}
-
-
-def native_chunks(
-    images: Sequence[ImageRecord],
+def _chunks(
+    ordered: Sequence[ImageRecord],
     categories: Sequence[Category],
     losses: Counter[str],
-    *,
-    ids: Literal["source", "new"] = "new",
-    extra: Mapping[str, Any] | None = None,
+    folders: Mapping[str | None, str],
+    ids: Literal["source", "new"],
+    extra: Mapping[str, Any],
 ) -> dict[str, Iterator[str]]:
-    """Return the text of every annotation file in pieces, by POSIX path below the output folder; see `write`.
-
-    Image records keep the source's fields, with pitch and altitude at their original place, else as `g_pitch` and
-    `alt` in `metadata`. Annotations equal those of `coco.write`: masks as run lengths, oriented boxes in `obb`.
-    `losses` is complete once all texts are composed.
-    """
-    ordered = in_order(images)
-    of_category = category_ids(categories)
-    ignored = {c.name for c in categories if c.ignore}
-    image_ids, object_ids = number_ids(ordered, ids, 1)
+    """Return the text of every annotation file in pieces, by POSIX path below the output folder."""
+    numbered = number_ids(ordered, ids, 1)
     new = ids == "new"
     # Without any pitch, nothing would identify these files as MONET.
     unknown = all(i.capture.pitch_deg is None for i in ordered)
-    folders = _folder_names(ordered)
     groups: dict[str, list[int]] = {}
     taken: set[tuple[str, str]] = set()
     for n, image in enumerate(ordered):
@@ -108,42 +80,28 @@ def native_chunks(
         taken.add((image.split, name))
         groups.setdefault(f"{image.split}/{folders[image.capture.sequence] or image.split}.json", []).append(n)
 
-    def records(group: Sequence[int]) -> Iterator[dict[str, Any]]:
-        for n in group:
-            record = _image_record(ordered[n], image_ids[n], _picture_name(ordered[n], folders), new, losses)
+    def records(part: Numbered) -> Iterator[dict[str, Any]]:
+        for image, number, _ in part:
+            record = _image_record(image, number, _picture_name(image, folders), new)
             if unknown:
                 _put(record, (NEST, PITCH_KEYS[0]), None)
             yield record
 
-    def annotations(group: Sequence[int]) -> Iterator[dict[str, Any]]:
-        for n in group:
-            image = ordered[n]
-            for instance, number in zip(image.instances, object_ids[n], strict=True):
-                a = coco.annotation_record(instance, require_size(image), new, "polygon")
-                a |= {"id": number, "image_id": image_ids[n], "category_id": of_category[instance.category]}
-                a["iscrowd"] |= int(instance.category in ignored)
-                yield a
+    def top(part: Numbered) -> dict[str, Any]:
+        return {
+            "info": extra.get("info", _INFO),
+            "licenses": extra.get("licenses", []),
+            "categories": coco.category_records(categories),
+            "images": Streamed(records(part)),
+            "annotations": Streamed(coco.annotation_records(part, categories, new, "polygon")),
+        }
 
-    common = {
-        "info": (extra or {}).get("info", _INFO),
-        "licenses": (extra or {}).get("licenses", []),
-        "categories": coco.category_records(categories),
-    }
-    return {
-        name: chain(
-            json_chunks(
-                {**common, "images": Streamed(records(group)), "annotations": Streamed(annotations(group))}, losses
-            ),
-            "\n",
-        )
-        for name, group in sorted(groups.items())
-    }
+    return {name: chain(json_chunks(top(numbered.part(group)), losses), "\n") for name, group in sorted(groups.items())}
 
 
-def _pitch_remarks(images: Sequence[ImageRecord]) -> list[Problem]:
+def _pitch_remarks(images: Sequence[ImageRecord], folders: Mapping[str | None, str]) -> list[Problem]:
     """Return a warning for sequences without any pitch, which the reader leaves out unless asked to keep them."""
     known: dict[tuple[str, str], bool] = {}
-    folders = _folder_names(images)
     for i in images:
         place = (i.split, folders[i.capture.sequence])
         known[place] = known.get(place, False) or i.capture.pitch_deg is not None
@@ -165,7 +123,6 @@ def _folder_names(images: Sequence[ImageRecord]) -> dict[str | None, str]:
 
 
 def _folder_name(sequence: str | None) -> str:
-    """Return a sequence as a folder name; empty if there is none."""
     text = (sequence or "").strip()
     name = file_name(text.replace("/", "__").replace("\\", "__")) if text.strip(".") else ""
     return "" if split_in([name]) else name
@@ -181,7 +138,7 @@ def _picture_name(image: ImageRecord, folders: Mapping[str | None, str]) -> str:
     return str(PurePosixPath(folder, "lwir", *parts))
 
 
-def _image_record(image: ImageRecord, number: int, name: str, new: bool, losses: Counter[str]) -> dict[str, Any]:
+def _image_record(image: ImageRecord, number: int, name: str, new: bool) -> dict[str, Any]:
     w, h = require_size(image)
     # Copies, because nested objects are changed below.
     fields = {k: dict(v) if isinstance(v, dict) else v for k, v in image.extra.get("fields", {}).items()}

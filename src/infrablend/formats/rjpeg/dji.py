@@ -27,11 +27,6 @@ def raw_segments(header: JpegHeader) -> tuple[Segment, ...]:
     return longest if sum(s.length for s in longest) >= _LEAST_BYTES else ()
 
 
-def has_raw_layer(header: JpegHeader) -> bool:
-    """Return whether a file has a raw layer."""
-    return bool(raw_segments(header))
-
-
 def counts(header: JpegHeader) -> NDArray[np.uint16]:
     """Return the (h, w) raw counts.
 

@@ -12,6 +12,7 @@ from PIL import Image
 
 from infrablend.errors import Problem
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader
+from infrablend.formats.values import to_number
 
 _SIGNATURE = b"Exif\0\0"
 _EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
@@ -95,24 +96,15 @@ def _text(value: Any) -> str:
     return value.replace("\0", " ").strip()[:200] if isinstance(value, str) else ""
 
 
-def number(value: Any) -> float | None:
-    """Return a finite number, or None."""
-    try:
-        found = float(value)
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return found if math.isfinite(found) else None
-
-
 def _positive(value: Any) -> float | None:
-    found = number(value)
+    found = to_number(value)
     return found if found is not None and found > 0 else None
 
 
 def _degrees(value: Any, reference: Any, negative: str, largest: float) -> float | None:
     if not isinstance(value, tuple) or len(value) != 3:
         return None
-    parts = [number(v) for v in value]
+    parts = [to_number(v) for v in value]
     if any(p is None or p < 0 for p in parts):
         return None
     degrees = math.fsum(p / 60**k for k, p in enumerate(parts) if p is not None)

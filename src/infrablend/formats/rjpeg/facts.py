@@ -11,13 +11,12 @@ from pathlib import Path
 
 from infrablend.core.camera import is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.rjpeg import lens
-from infrablend.formats.rjpeg.dji import has_raw_layer
-from infrablend.formats.rjpeg.exif import Exif, number, read_exif
+from infrablend.formats.rjpeg.dji import raw_segments
+from infrablend.formats.rjpeg.exif import Exif, read_exif
 from infrablend.formats.rjpeg.flir import SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, read_header
 from infrablend.formats.rjpeg.xmp import Xmp, read_xmp
-from infrablend.formats.values import is_place
+from infrablend.formats.values import is_place, to_number
 
 FIELDS = ("pitch_deg", "roll_deg", "yaw_deg", "altitude_m", "hfov_deg", "captured", "latitude_deg", "longitude_deg")
 """Facts in the order of tables. Pitch is the angle below the horizon, the height is that above the ground."""
@@ -40,6 +39,12 @@ _LASER_FACTOR = 2.0
 _LENS_FACTOR = 1.15
 # A picture that was only scaled keeps the ratio of its sides but for rounding.
 _SAME_RATIO = 0.01
+# Cameras state the focal length of the 35 mm camera with the same diagonal field of view, as EXIF asks: 9.1 mm on
+# 640x512 pixels of 12 um are 40 mm (diagonal), not 43 mm (width).
+_DIAGONAL_35MM = math.hypot(36.0, 24.0)
+# Pitch of the pixels, micrometres, where the file states neither a field of view nor a 35 mm equivalent: the FLIR core
+# inside the XT2. Maker and model as in EXIF, and the size of the picture in pixels.
+_PIXEL_PITCH_UM = {("DJI", "FLIR", (640, 512)): 17.0, ("DJI", "FLIR", (336, 256)): 17.0}
 _NUMBER = re.compile(r"([+-]?\d{1,15}(?:\.\d{0,15})?(?:[eE][+-]?\d{1,3})?)(?:/(\d{1,15}))?", re.ASCII)
 _EXIF_DATE = re.compile(r"(\d{4})[:\-](\d\d)[:\-](\d\d)[ T](\d\d):(\d\d):(\d\d)", re.ASCII)
 # DJI's cameras end file names with the lens: wide, zoom, visible; T and R are thermal.
@@ -118,7 +123,7 @@ def read_facts(path: Path) -> CameraFacts:
     exif, xmp = read_exif(header), read_xmp(header)
     problems = [*exif.problems, *xmp.problems]
     record = _camera_record(header, problems)
-    raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if has_raw_layer(header) else ""
+    raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if raw_segments(header) else ""
     facts: dict[str, Fact] = {}
     for key in _NUMBERS:
         if (text := xmp.values.get(key)) and _as_number(text) is None:
@@ -175,7 +180,6 @@ def _camera_record(header: JpegHeader, problems: list[Problem]) -> CameraRecord 
 
 
 def _xmp_number(xmp: Xmp, *names: tuple[str, str]) -> tuple[float, str] | None:
-    """Return the first of these properties that is a number, with its tag."""
     for namespace, name in names:
         found = _as_number(xmp.values.get((namespace, name)))
         if found is not None:
@@ -188,7 +192,7 @@ def _as_number(text: str | None) -> float | None:
     match = _NUMBER.fullmatch(text) if text else None
     if match is None or (match[2] is not None and not int(match[2])):
         return None
-    return number(float(match[1]) / int(match[2] or 1))
+    return to_number(float(match[1]) / int(match[2] or 1))
 
 
 def _is_flir(exif: Exif) -> bool:
@@ -271,7 +275,7 @@ def _add_field_of_view(
             both = f"{source} gives {fov:.1f} degrees across, {name} {other:.1f}; the first is used"
             warn("flight-lens", both, "one field of view")
     if exif.zoom is not None and exif.zoom > 1:
-        fov, source = lens.zoomed(fov, exif.zoom), f"{source}, DigitalZoomRatio"
+        fov, source = zoomed(fov, exif.zoom), f"{source}, DigitalZoomRatio"
     if 0.1 <= fov <= 170.0:
         facts["hfov_deg"] = Fact(round(fov, 4), source)
 
@@ -281,18 +285,34 @@ def _lens_statements(
 ) -> list[tuple[float, str]]:
     """Return what the file states about the lens as fields of view without zoom, the most reliable first."""
     found = []
-    pitch_um = lens.PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
+    pitch_um = _PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
     calibrated = _as_number(xmp.values.get((DJI, "CalibratedFocalLength")))
     if exif.focal_length_35mm is not None:
-        found.append((lens.fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"))
+        found.append((fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"))
     if record is not None and record.hfov_deg is not None:
         found.append((record.hfov_deg, "FLIR FieldOfView"))
     if exif.focal_length_mm is not None and pitch_um is not None:
-        fov = lens.fov_of_width(pitch_um * size_wh[0] / 1000, exif.focal_length_mm)
+        fov = fov_of_width(pitch_um * size_wh[0] / 1000, exif.focal_length_mm)
         found.append((fov, f"EXIF FocalLength, {pitch_um:g} um pixels"))
     if calibrated is not None and calibrated > 0:
-        found.append((lens.fov_of_width(size_wh[0], calibrated), "XMP drone-dji:CalibratedFocalLength"))
+        found.append((fov_of_width(size_wh[0], calibrated), "XMP drone-dji:CalibratedFocalLength"))
     return found
+
+
+def fov_of_35mm(focal_length_35mm: float, size_wh: tuple[int, int]) -> float:
+    """Return the horizontal field of view, degrees, of a 35 mm equivalent focal length in mm."""
+    width_mm = _DIAGONAL_35MM * size_wh[0] / math.hypot(*size_wh)
+    return fov_of_width(width_mm, focal_length_35mm)
+
+
+def fov_of_width(width: float, focal_length: float) -> float:
+    """Return the field of view, degrees, across a width in the unit of the focal length."""
+    return math.degrees(2 * math.atan(width / 2 / focal_length))
+
+
+def zoomed(hfov_deg: float, zoom: float) -> float:
+    """Return the field of view, degrees, that is left of one by digital zoom."""
+    return math.degrees(2 * math.atan(math.tan(math.radians(hfov_deg) / 2) / zoom))
 
 
 def _is_uncut(exif: Exif, size_wh: tuple[int, int], warn: Warn) -> bool:
@@ -319,7 +339,6 @@ def _clocks(exif: Exif, xmp: Xmp) -> dict[str, datetime]:
 
 
 def _as_time(text: str) -> datetime | None:
-    """Return the time in a text as EXIF has it; None for anything else."""
     match = _EXIF_DATE.match(text)
     try:
         return datetime(*(int(g) for g in match.groups())) if match else None  # type: ignore[arg-type]

@@ -168,7 +168,6 @@ class FlirBlock:
         return None if place is None else self._read(*place, "flir-records")
 
     def _read(self, start: int, length: int, code: str) -> bytes:
-        """Return bytes of the block, read from the segments that hold them."""
         if start + length > self.length:
             raise self._bad(code, f"a FLIR block of {self.length} bytes that points to byte {start + length}")
         parts, at = [], 0

@@ -13,7 +13,7 @@ from infrablend.errors import DatasetError
 from infrablend.formats.pictures import open_picture
 from infrablend.formats.rjpeg import dji
 from infrablend.formats.rjpeg.flir import MAX_LAYER_PIXELS, SIGNATURE, CameraRecord, FlirBlock
-from infrablend.formats.rjpeg.segments import APP1, JpegHeader, bad_file, read_header
+from infrablend.formats.rjpeg.segments import APP1, bad_file, read_header
 from infrablend.thermal.flir import apparent_kelvin, object_kelvin
 
 CONVERTED_UNITS: dict[str, tuple[float, float]] = {
@@ -71,15 +71,11 @@ def read_temperatures(path: Path) -> RawTemperatures:
     Raises:
         DatasetError: With one problem: the file has no raw layer (`raw-missing`), or a damaged one.
     """
-    return raw_of(read_header(path))
-
-
-def raw_of(header: JpegHeader) -> RawTemperatures:
-    """Return the raw layer of a file whose header is read already; see `read_temperatures`."""
+    header = read_header(path)
     if header.find(APP1, SIGNATURE):
         block = FlirBlock(header)
         return RawTemperatures("FLIR", block.counts(), block.camera())
-    if dji.has_raw_layer(header):
+    if dji.raw_segments(header):
         return RawTemperatures("DJI", dji.counts(header))
     raise bad_file(header.path, "raw-missing", "no radiometric layer", "a radiometric JPEG of DJI or FLIR")
 

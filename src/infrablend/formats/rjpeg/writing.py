@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from infrablend.formats.rjpeg import flir, xmp
-from infrablend.formats.rjpeg.facts import DJI, FLIR, PIX4D
-from infrablend.formats.rjpeg.lens import fov_of_35mm
+from infrablend.formats.rjpeg.facts import DJI, FLIR, PIX4D, fov_of_35mm
 from infrablend.formats.rjpeg.segments import APP1, APP3
 from infrablend.thermal.flir import Atmosphere, ObjectSettings, Planck
 

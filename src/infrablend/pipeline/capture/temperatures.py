@@ -22,8 +22,7 @@ from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.formats.coco import coco_chunks
 from infrablend.formats.images import png_bytes
 from infrablend.formats.losses import LOSSES
-from infrablend.formats.rjpeg.facts import read_facts
-from infrablend.formats.rjpeg.lens import zoomed
+from infrablend.formats.rjpeg.facts import read_facts, zoomed
 from infrablend.formats.rjpeg.temperatures import (
     RawTemperatures,
     read_converted,

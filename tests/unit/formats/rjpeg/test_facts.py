@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from infrablend.errors import DatasetError
-from infrablend.formats.rjpeg import lens
-from infrablend.formats.rjpeg.facts import DJI, CameraFacts, read_facts
+from infrablend.formats.rjpeg.facts import DJI, CameraFacts, fov_of_35mm, read_facts, zoomed
 from infrablend.formats.rjpeg.segments import APP1, read_header
 from infrablend.formats.rjpeg.writing import Maker, segment_bytes
 from infrablend.formats.rjpeg.xmp import EXTENDED, MAX_BYTES, STANDARD, read_xmp
@@ -34,7 +33,7 @@ def test_facts_of_both_makers_and_both_forms_of_xmp(maker: Maker, elements: bool
     assert found["pitch_deg"] == 47.5 and found["altitude_m"] == 61.25
     assert found["captured"] == "2026-01-12T06:30:00"
     assert found["latitude_deg"] == pytest.approx(46.2) and found["longitude_deg"] == pytest.approx(15.1)
-    assert found["hfov_deg"] == pytest.approx(lens.fov_of_35mm(40, (160, 128)), abs=1e-3)
+    assert found["hfov_deg"] == pytest.approx(fov_of_35mm(40, (160, 128)), abs=1e-3)
 
 
 def test_other_pictures_are_not_radiometric(tmp_path: Path) -> None:
@@ -78,11 +77,11 @@ def test_the_time_in_utc_gives_the_time_zone(tmp_path: Path) -> None:
 def test_the_35_mm_equivalent_is_that_of_the_diagonal() -> None:
     # DJI's M30T: 9.1 mm and 12 um pixels, 640 across; it states 40 mm.
     exact = math.degrees(2 * math.atan(640 * 0.012 / 2 / 9.1))
-    assert lens.fov_of_35mm(40, (640, 512)) == pytest.approx(exact, abs=0.2)
+    assert fov_of_35mm(40, (640, 512)) == pytest.approx(exact, abs=0.2)
 
 
 def test_digital_zoom_narrows_the_view() -> None:
-    assert math.tan(math.radians(lens.zoomed(40, 2) / 2)) == pytest.approx(math.tan(math.radians(20)) / 2)
+    assert math.tan(math.radians(zoomed(40, 2) / 2)) == pytest.approx(math.tan(math.radians(20)) / 2)
 
 
 def test_extended_xmp_is_joined_in_the_order_of_its_offsets(tmp_path: Path) -> None:
