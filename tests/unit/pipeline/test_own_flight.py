@@ -12,7 +12,7 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.frame_record import FrameRecord
 from infrablend.errors import DatasetError
-from infrablend.formats.rjpeg.lens import fov_of_35mm
+from infrablend.formats.rjpeg.facts import fov_of_35mm
 from infrablend.formats.rjpeg.writing import Maker
 from infrablend.pipeline.plans.request import RunRequest
 from infrablend.pipeline.runs.generate import prepare_run
