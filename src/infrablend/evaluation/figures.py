@@ -113,7 +113,6 @@ def _stratum(
     weights: NDArray[Any],
     groups: Sequence[str],
 ) -> dict[str, Any]:
-    """Return the figures of some images, ignoring all others."""
     matches = [_of_images(m, which) for m in matches]
     figures = drawn_figures(matches, which[None].astype(np.int32))[0]
     drawn = drawn_figures(matches, weights * which[None].astype(np.int32))

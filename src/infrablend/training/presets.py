@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from infrablend.evaluation.detections import Task
+
 PresetName = Literal["paper", "small", "smoke"]
-Task = Literal["detect", "obb", "segment"]
-TASKS: tuple[Task, ...] = ("detect", "obb", "segment")
-SUFFIX: Mapping[str, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
+SUFFIX: Mapping[Task, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,3 @@ def weights_bytes(preset: Preset) -> float:
     optimizer's two moments, and the final weights, all in half precision.
     """
     return _PARAMETERS_M.get(preset.model[-1:], _PARAMETERS_M["x"]) * 1e6 * 2 * (4 * 3 + 1)
-
-
-def tiles_expected(images: int, objects: int) -> int:
-    """Estimate the number of tiles cut from pictures with a number of objects (HIT-UAV: 1.6 per picture)."""
-    return images + math.ceil(0.08 * objects)

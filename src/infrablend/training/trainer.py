@@ -337,7 +337,6 @@ def _use_deterministic_algorithms(torch: Any, mode: bool, *, warn_only: bool = F
 
 
 def _loaded(loader: Any) -> tuple[int, int]:
-    """Return the numbers of images and labels that Ultralytics has loaded."""
     found = loader.dataset.labels
     return len(found), sum(len(label["cls"]) for label in found)
 

@@ -29,8 +29,9 @@ from infrablend.errors import (
     RecipeError,
 )
 from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
-from infrablend.pipeline.experiments import makers, training_setup
+from infrablend.pipeline.experiments import forecast, makers
 from infrablend.pipeline.experiments.dataset_facts import spread_images
+from infrablend.pipeline.experiments.graph import preset_inputs
 from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentRequest
 from infrablend.pipeline.experiments.results import check_claim
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
@@ -70,7 +71,7 @@ class Bench:
             "task": request.task,
             "seed": request.seed,
             "classes": names,
-            "settings": json.loads(json.dumps(training_setup.preset_inputs(request.chosen_preset()))),
+            "settings": json.loads(json.dumps(preset_inputs(request.chosen_preset()))),
             "start_asked": request.weights,
             "prepared": {
                 "images": 8,
@@ -137,7 +138,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Bench:
     monkeypatch.setattr(makers, "train_dataset", found.train)
     monkeypatch.setattr(makers, "evaluate_detector", found.evaluate)
     monkeypatch.setattr(makers, "compare_evaluations", found.compare)
-    monkeypatch.setattr(training_setup, "require_trainer", lambda device: None)
+    monkeypatch.setattr(forecast, "require_trainer", lambda device: None)
     return found
 
 
@@ -338,7 +339,7 @@ import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from infrablend import api
-from infrablend.pipeline.experiments import makers, training_setup
+from infrablend.pipeline.experiments import forecast, makers
 from tests.unit.pipeline.test_experiment import Bench, run
 bench = Bench()
 calls = []
@@ -354,7 +355,7 @@ makers.train_dataset = killing("train", bench.train)
 makers.evaluate_detector = killing("evaluate", bench.evaluate)
 makers.generate_run = killing("generate", makers.generate_run)
 makers.compare_evaluations = killing("compare", bench.compare)
-training_setup.require_trainer = lambda device: None
+forecast.require_trainer = lambda device: None
 run("pitch-alignment", Path({data!r}), Path({work!r}))
 """
 
@@ -573,7 +574,7 @@ def test_plan_requires_the_requested_device(
     def refuse(device: str) -> None:
         raise MissingDependencyError(f"no {device}")
 
-    monkeypatch.setattr(training_setup, "require_trainer", refuse)
+    monkeypatch.setattr(forecast, "require_trainer", refuse)
     plan("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cpu")
     with pytest.raises(MissingDependencyError, match="no cuda"):
         plan("pitch-alignment", data, tmp_path / "work", scale="smoke", device="cuda")
@@ -594,8 +595,8 @@ def test_misspelt_setting_is_refused_before_any_work(bench: Bench, data: Path, t
 def test_the_users_settings_win_over_those_of_the_file() -> None:
     """The key and the trainer use the same preset."""
     spec = load_experiment("hit-uav").trainings["aligned-longer"]
-    assert training_setup.training_preset(spec, ExperimentRequest("hit-uav")).passes == 18840
-    chosen = training_setup.training_preset(spec, ExperimentRequest("hit-uav", training={"passes": 4000}))
+    assert ExperimentRequest("hit-uav").preset(spec).passes == 18840
+    chosen = ExperimentRequest("hit-uav", training={"passes": 4000}).preset(spec)
     assert chosen.passes == 4000
 
 
@@ -711,7 +712,7 @@ def test_without_a_trainer_nothing_starts(
     def refuse(device: str) -> None:
         raise MissingDependencyError('pip install "infrablend[train]"')
 
-    monkeypatch.setattr(training_setup, "require_trainer", refuse)
+    monkeypatch.setattr(forecast, "require_trainer", refuse)
     with pytest.raises(MissingDependencyError):
         run("hit-uav-drone", data, tmp_path / "w")
     assert not (tmp_path / "w" / "generate").exists()

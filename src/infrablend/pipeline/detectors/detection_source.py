@@ -123,17 +123,17 @@ _FINDS: Mapping[Task, str] = {"detect": "boxes", "obb": "oriented boxes", "segme
 def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, problems: list[Problem]) -> Predictions:
     """Return the detections on these images by InfraBlend's keys; the keys of other tools may lack the split."""
     of: dict[str, str] = {}
+    lacking = []
     for image in images:
         key = image_key(image)
         name = next((n for n in (key, image.name) if n in saved.images), None)
-        if name is not None:
-            of[key] = name
-            if image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
-                found = "{}x{} px".format(*saved.sizes_wh[name])
-                problems.append(
-                    Problem(f"{file.name}, {name}", "prediction-size", found, "{}x{} px".format(*image.size_wh))
-                )
-    lacking = [image_key(i) for i in images if image_key(i) not in of]
+        if name is None:
+            lacking.append(key)
+            continue
+        of[key] = name
+        if image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
+            found, expected = ("{}x{} px".format(*size) for size in (saved.sizes_wh[name], image.size_wh))
+            problems.append(Problem(f"{file.name}, {name}", "prediction-size", found, expected))
     if lacking:
         found = f"no entry for {len(lacking)} of {len(images)} images: {', '.join(lacking[:3])}"
         todo = "give the dataset and split that the file was made from"
@@ -144,9 +144,7 @@ def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, pr
         problems.append(Problem(file.name, "prediction-images", found, severity="warning"))
     cut = sum(len(saved.images[n]) > MAX_DETECTIONS for n in of.values())
     if cut:
-        found = (
-            f"more than {MAX_DETECTIONS} detections in {cut} images: only those with the highest scores are evaluated"
-        )
+        found = f"more than {MAX_DETECTIONS} detections in {cut} images: only those with the best scores are evaluated"
         problems.append(Problem(file.name, "prediction-many", found, severity="warning"))
     first = np.arange(MAX_DETECTIONS)
     kept = {k: d if len(d := saved.images[n]) <= MAX_DETECTIONS else d.take(first) for k, n in of.items()}

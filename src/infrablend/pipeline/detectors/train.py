@@ -158,7 +158,6 @@ def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _machine_facts(device: str) -> dict[str, Any]:
-    """Return the facts about the machine for the record."""
     found: dict[str, Any] = {k: describe_machine()[k] for k in ("processor", "cores", "system")}
     if device != "cpu":
         import torch

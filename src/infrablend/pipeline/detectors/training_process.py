@@ -9,7 +9,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -82,23 +82,16 @@ def run_trainer(
             record["note"] = f"batch {end['batch']} rather than {preset.batch}: {why}"
     write_json(out / RECORD, record, durable=True)
     if stopped and not done:
-        reached = _last_epoch(record["sessions"])
-        if reached:
-            raise Interrupted(f"Stopped after epoch {reached} of {epochs}; the same command with --resume continues.")
-        raise Interrupted(
-            f"Stopped before the end of the first of {epochs} epochs; the same command with --resume starts it again."
-        )
+        reached = 0  # each session continued the one before or started again
+        for s in record["sessions"]:
+            reached = max(0 if "restarted" in s else reached, s["epoch"])
+        at, then = f"after epoch {reached} of {epochs}", "continues"
+        if not reached:
+            at, then = f"before the end of the first of {epochs} epochs", "starts it again"
+        raise Interrupted(f"Stopped {at}; the same command with --resume {then}.")
     if not done:
         raise _failure(out, code, last.get("error"), preset)
     return record
-
-
-def _last_epoch(sessions: Sequence[Mapping[str, Any]]) -> int:
-    """Return the last finished epoch of sessions that each continued the one before or started again."""
-    reached = 0
-    for s in sessions:
-        reached = max(0 if "restarted" in s else reached, s["epoch"])
-    return reached
 
 
 def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]) -> tuple[int, bool]:
@@ -138,7 +131,6 @@ def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None])
 
 
 def _failure(out: Path, code: int, event: Mapping[str, Any] | None, preset: Preset) -> InfraBlendError:
-    """Return the error that explains why the process failed."""
     if event is not None and event["code"] == "labels-dropped":
         return DatasetError(f"{out}: the trainer would drop labels: {event['message']}")
     if code == -9 or (event is not None and event["code"] == "out-of-memory"):

@@ -55,7 +55,6 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
 
 
 def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
-    """Return the record of a training after checking that it is the one the stage asks for."""
     inputs, data = job.stage.inputs, job.needs["data"].result
     record = _read_record(folder / "train.json", "a folder written by `infrablend train`")
     prepared, asked = record.get("prepared") or {}, dict(inputs["preset"])
@@ -80,7 +79,6 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
 
 
 def _check_run(job: StageJob, folder: Path) -> None:
-    """Check that a run of the generator is the one the stage asks for."""
     record = RunFolder(folder).read_run()
     spec: Generate = job.stage.spec
     recipe = read_recipe(spec.recipe, spec.settings).recipe
@@ -119,7 +117,6 @@ def _read_record(path: Path, expected: str) -> dict[str, Any]:
 
 
 def _require_equal(stage_id: str, folder: Path, pairs: Mapping[str, tuple[Any, Any]]) -> None:
-    """Raise an error that lists every pair of (found, expected) values that differ."""
     problems = [
         Problem(f"{stage_id}, {what}", "adopt-other", json.dumps(found), json.dumps(expected))
         for what, (found, expected) in pairs.items()

@@ -179,7 +179,6 @@ class Paster:
 
 
 def _shuffled_rounds(cuts: Sequence[CutOut], seed: int) -> Iterator[CutOut]:
-    """Yield all cut-outs in random order, then again in another order, without end."""
     number = 0
     while True:
         yield from (cuts[k] for k in stream(seed, "paste", "round", number).permutation(len(cuts)))

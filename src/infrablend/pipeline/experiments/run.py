@@ -16,7 +16,7 @@ from infrablend.core.machine import describe_machine, installed_versions, source
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
-from infrablend.pipeline.experiments import training_setup
+from infrablend.pipeline.experiments import forecast
 from infrablend.pipeline.experiments.adopting import adopt_result
 from infrablend.pipeline.experiments.forecast import LEARNING, estimate_bytes, free_bytes
 from infrablend.pipeline.experiments.graph import OTHER_SCALES
@@ -24,14 +24,7 @@ from infrablend.pipeline.experiments.makers import MAKERS
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.results import collect_results
-from infrablend.pipeline.experiments.stage import (
-    RECORD,
-    FinishedStage,
-    Stage,
-    StageJob,
-    find_finished,
-    stage_folder,
-)
+from infrablend.pipeline.experiments.stage import RECORD, FinishedStage, Stage, StageJob, find_finished, stage_folder
 from infrablend.report.results.write import write_page
 
 # Kinds of stages that continue what an interrupted run left; others start again.
@@ -106,8 +99,6 @@ def run_experiment(
 
 
 class _Run:
-    """One run: the stages finished so far, and whom to notify."""
-
     def __init__(self, prepared: PreparedExperiment, on_stage: OnStage | None, on_progress: OnProgress | None) -> None:
         self.prepared, self.graph, self.request = prepared, prepared.graph, prepared.request
         self.on_stage, self.on_progress = on_stage, on_progress
@@ -135,7 +126,8 @@ class _Run:
             except InfraBlendError as error:
                 self.write_unfinished(f"{type(error).__name__}: {stage.id}")
                 raise
-        page, facts = self.write()
+        facts = collect_results(self.prepared, self.finished)
+        page = write_page(facts, self.request.results_folder)
         left_out = {n: why for n, why in self.graph.left_out.items() if why != OTHER_SCALES}
         problems = tuple(Problem(n, "left-out", why, severity="warning") for n, why in left_out.items())
         scale, status = self.request.scale, facts["status"]
@@ -177,30 +169,20 @@ class _Run:
                     stage.id, adopt[stage.id], found.folder,
                 )  # fmt: skip
                 continue
-            needs = {s.id: made for s in self.needs_of(stage) if (made := self.find_or_read(s)) is not None}
+            needs: dict[str, FinishedStage] = {}
+            for need in (self.graph.by_id[i] for i in stage.needs.values()):
+                made = self.prepared.find(need)
+                if made is None and need.kind == "source" and not need.needs:  # given by the user
+                    made = self.make(need, {})
+                needs |= {} if made is None else {need.id: made}
             self.notify(stage, "adopted", number)
             self.make(stage, needs, adopt[stage.id])
-
-    def needs_of(self, stage: Stage) -> list[Stage]:
-        return [self.graph.by_id[i] for i in stage.needs.values()]
-
-    def find_or_read(self, stage: Stage) -> FinishedStage | None:
-        """Return a stage if it is finished; a source given by the user is read."""
-        found = self.prepared.find(stage)
-        if found is None and stage.kind == "source" and not stage.needs:
-            return self.make(stage, {})
-        return found
-
-    def write(self, stopped: str | None = None) -> tuple[Path, dict[str, Any]]:
-        """Write the page, its JSON and plots, and the index; the same records give the same bytes."""
-        facts = collect_results(self.prepared, self.finished, stopped)
-        return write_page(facts, self.request.results_folder), facts
 
     def write_unfinished(self, stopped: str) -> Path | None:
         """Write the page of a run that stopped; an error of the page must not hide what stopped the run."""
         self.finished = self.prepared.finished()  # later stages may be finished, too
         with contextlib.suppress(OutputError):
-            return self.write(stopped)[0]
+            return write_page(collect_results(self.prepared, self.finished, stopped), self.request.results_folder)
         return None
 
 
@@ -209,8 +191,8 @@ def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> No
     request = prepared.request
     todo = [s for s in prepared.graph.stages if s.id in missing]
     if any(s.kind in LEARNING for s in todo):
-        training_setup.require_trainer(request.device)
-    training_setup.require_training_settings(todo, request)
+        forecast.require_trainer(request.device)
+    forecast.require_training_settings(todo, request)
     needed, free = sum(estimate_bytes(s) for s in todo), free_bytes(request.work)
     if needed > free:
         found, expected = f"{free / 2**30:.1f} GiB free", f"about {needed / 2**30:.1f} GiB"
@@ -258,21 +240,17 @@ def make_stage(
             return done
         needs = {role: finished[i] for role, i in stage.needs.items() if i in finished}
         job = StageJob(stage, space.folder / "out", needs, request, on_progress)
-        head, started = _record_head(stage, key, needs), time.monotonic()
+        head = {
+            "kind": stage.kind,
+            "name": stage.name,
+            "key": key,
+            "inputs": dict(stage.inputs),
+            "needs": {role: made.record["key"] for role, made in needs.items()},
+            "machine": describe_machine(),
+            "packages": {"infrablend": __version__, **installed_versions(_PACKAGES)},
+            "commit": source_commit(),
+        }
+        started = time.monotonic()
         result = MAKERS[stage.kind](job) if adopt is None else adopt_result(job, adopt)
         space.finish({**head, "seconds": round(time.monotonic() - started, 3), "result": result})
     return FinishedStage.of(stage, folder, read_object(folder / RECORD) or {})  # exactly as a later run reads it
-
-
-def _record_head(stage: Stage, key: str, needs: Mapping[str, FinishedStage]) -> dict[str, Any]:
-    """Return the part of a stage's record that is known before it is made."""
-    return {
-        "kind": stage.kind,
-        "name": stage.name,
-        "key": key,
-        "inputs": dict(stage.inputs),
-        "needs": {role: made.record["key"] for role, made in needs.items()},
-        "machine": describe_machine(),
-        "packages": {"infrablend": __version__, **installed_versions(_PACKAGES)},
-        "commit": source_commit(),
-    }

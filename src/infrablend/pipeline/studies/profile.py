@@ -148,7 +148,6 @@ def profile_dataset(
 
 
 def _counter(total: int, on_progress: OnProgress | None) -> Callable[[], None]:
-    """Return a function that reports one more picture each time it is called."""
     report, done = paced(on_progress), itertools.count(1)
 
     def tick() -> None:
@@ -194,7 +193,6 @@ def _levels(
 
 
 def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tuple[ImageRecord, Background]]:
-    """Yield the readable grey pictures; add a problem for each of the others."""
     for image in images:
         try:
             picture = load_background(image.path, image.size_wh)
@@ -239,7 +237,6 @@ def _quality_table(quality: int) -> NDArray[np.int64]:
 def _table(
     fit: Fit, survey: Survey, reference: SensorProfile | None, of_reference: SurveySummary | None
 ) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
-    """Return the columns and rows of the comparison of pictures, fitted profile and shipped profile."""
     chains = [(fit.found, None), (fit.chain, fit.profile)]
     columns = ["pictures", "fitted"]
     if reference is not None and of_reference is not None:
