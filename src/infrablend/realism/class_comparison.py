@@ -60,13 +60,8 @@ def compare_class(
 ) -> ClassComparison:
     """Compare the objects of one class.
 
-    Args:
-        category: Name of the class.
-        real: All measured objects of the dataset.
-        inserted: All measured objects of the run.
-        pairs: Pairs of similar size.
-        redone: Objects measured again, by population: `floor` and `hard_paste` (with the keys of the pairs' real
-            objects), steps of the sensor chain (with the keys of the inserted ones).
+    `redone` are objects measured again, by population: `floor` and `hard_paste` (with the keys of the pairs' real
+    objects), steps of the sensor chain (with the keys of the inserted ones).
     """
     reals, inserts = [r for r, _ in pairs], [i for _, i in pairs]
     floor, hard = redone.get("floor", ()), redone.get("hard_paste", ())
@@ -313,12 +308,7 @@ def pair_by_size(real: Sequence[Measured], inserted: Sequence[Measured], most: i
     """Return (real, inserted) pairs whose box heights differ by at most a quarter of an octave.
 
     In random order, each inserted object is paired with the unused real one nearest in height, so both sides have the
-    same distribution of sizes. Objects without a partner are left out, as are those with a flaw.
-
-    Args:
-        real: Real objects; each is used at most once.
-        inserted: Inserted objects; each is used at most once.
-        most: Largest number of pairs.
+    same distribution of sizes. Each object is in one pair at most; those without a partner or with a flaw are left out.
     """
     rest = sorted((math.log2(m.height_px), m.key, m) for m in real if not m.flaw)
     usable = sorted((m for m in inserted if not m.flaw), key=lambda m: m.key)

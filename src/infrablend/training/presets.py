@@ -93,14 +93,7 @@ _RATE_320 = {("yolov8n", "cpu"): 25.0, ("yolov8s", "cpu"): 8.0, ("yolov8n", "gpu
 
 
 def estimate_seconds(preset: Preset, images: int, *, gpu: bool, cores: int = 2) -> float:
-    """Estimate the wall-clock seconds of a training, within a factor of two on the machines we measured.
-
-    Args:
-        preset: Settings of the training.
-        images: Number of pictures, or tiles.
-        gpu: Whether the training runs on a GPU.
-        cores: Number of processor cores, used without a GPU.
-    """
+    """Estimate the wall-clock seconds of a training on that many pictures or tiles, within a factor of two."""
     rate = _RATE_320.get((preset.model, "gpu" if gpu else "cpu"), 5.0) * (320 / preset.image_size) ** 2
     rate *= 1 if gpu else cores / 2
     epochs, shown = preset.epochs_for(images)

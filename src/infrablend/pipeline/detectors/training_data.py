@@ -182,8 +182,6 @@ def write_training_data(
     dataset: Dataset, out: Path, preset: Preset, task: Task, request: TrainRequest
 ) -> dict[str, Any]:
     """Write the data for the trainer to the folder `data` of a training, and return their counts."""
-    for name in (DATA, TILES, EIGHT_BIT):  # of a call that was killed here
-        shutil.rmtree(out / name, ignore_errors=True)
     images = [i for i in dataset.images if i.split in ("train", "val")]
     if has_deep_pictures(dataset):
         images = [*eight_bit_copies(images, out / EIGHT_BIT, request.agc)[0]]

@@ -132,11 +132,7 @@ def _without_unused_sources(experiment: Experiment, stages: Sequence[Stage]) -> 
 
 
 def _parents_first(experiment: Experiment) -> list[str]:
-    """Return the names of data items, each after those it is made from.
-
-    Raises:
-        DatasetError: Some are made from each other.
-    """
+    """Return the names of data items, each after those it is made from; refuse those made from each other."""
     order: list[str] = []
     rest = list(experiment.data)
     while rest:

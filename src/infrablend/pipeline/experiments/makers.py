@@ -165,9 +165,7 @@ def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
 
     Classes of the same name are one class, with the id of the first that has it; an id that is taken is replaced by the
     next free one. Such a class is ignored only if it is ignored in all datasets that have it.
-
-    Args:
-        parts: Names and datasets; a name that occurs again gets a number.
+    A name that occurs again gets a number.
     """
     categories: dict[str, Category] = {}
     images = []

@@ -136,11 +136,6 @@ class Paster:
     def replace_inserts(self, frame: ImageRecord, background: Path, out: Path) -> ImageRecord:
         """Write a frame with cut-outs in place of its inserted objects, and return its record.
 
-        Args:
-            frame: Frame of the run.
-            background: Picture of its background.
-            out: File to write.
-
         Raises:
             DatasetError: The picture cannot be read, or has 16 bits.
             OutputError: The file cannot be written.

@@ -108,10 +108,6 @@ def assign_folders(experiment: Experiment, folders: Sequence[tuple[str | None, P
     A folder without a name is matched with the sources of its format; if there are several, with those whose classes
     all have labels in it.
 
-    Args:
-        experiment: Experiment that needs the sources.
-        folders: Name of the source, or None, and folder.
-
     Raises:
         DatasetError: A folder matches no source or several, two match the same one, or a source has no folder.
     """

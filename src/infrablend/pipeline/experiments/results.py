@@ -28,13 +28,7 @@ _FIGURES = ("images", "instances", *METRICS)
 
 
 def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: str | None = None) -> dict[str, Any]:
-    """Return everything that the page shows, as plain JSON, from the records of finished stages alone.
-
-    Args:
-        prepared: The experiment.
-        finished: Its finished stages by id.
-        stopped: Reason why the run stopped; None if it did not.
-    """
+    """Return everything that the page shows, as plain JSON, from the records of finished stages alone."""
     experiment, graph, request = prepared.experiment, prepared.graph, prepared.request
     evaluations = {
         n: _evaluation(finished[i].result["metrics"])

@@ -84,11 +84,6 @@ def run_experiment(
 ) -> ExperimentReport:
     """Make the stages that are missing, in order, and write the page.
 
-    Args:
-        prepared: Experiment to run.
-        on_stage: Called when a stage is found, started, done or adopted.
-        on_progress: Called by stages that report progress.
-
     Raises:
         MissingDependencyError: The trainer is not installed; raised before anything is made.
         OutputError: The disk has too little space for the plan, or a folder cannot be written.
@@ -215,15 +210,7 @@ def make_stage(
     adopt: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> FinishedStage:
-    """Make a stage; runs and trainings continue what an interrupted run left.
-
-    Args:
-        stage: Stage to make.
-        key: Key of the stage.
-        finished: Finished stages by id, including those it needs.
-        request: Request of the experiment.
-        adopt: Folder of a result to use instead of making it.
-        on_progress: Called by stages that report progress.
+    """Make a stage, or adopt its result; runs and trainings continue what an interrupted run left.
 
     Raises:
         DatasetError: The result to adopt belongs to something else.

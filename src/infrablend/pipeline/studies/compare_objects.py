@@ -114,13 +114,7 @@ class Material:
 def measure_populations(
     run: Path, dataset: Dataset, request: ComparisonRequest, on_progress: OnProgress | None = None
 ) -> Material:
-    """Survey, pair and redo.
-
-    Args:
-        run: Folder of a finished run.
-        dataset: The dataset that the run was made from, with all splits that the run has frames of.
-        request: What to compare.
-        on_progress: Called after each picture.
+    """Survey a finished run and the dataset that it was made from, with all its splits; pair and redo objects.
 
     Raises:
         OutputError: `run` is not a run.

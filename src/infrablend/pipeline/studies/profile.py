@@ -280,11 +280,6 @@ def _table(
 
 
 def _require_exact(rendered: Dataset) -> None:
-    """Check that a run has inserted objects, and that their exact boxes are known.
-
-    Raises:
-        DatasetError: It has none, or they were enlarged or fitted, and its labels do not have the exact ones.
-    """
     if not any(o.inserted for image in rendered.images for o in image.instances):
         todo = "give a run of `infrablend generate` that inserts the annotated classes"
         none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
@@ -309,11 +304,6 @@ def _not_compared(rendered: Dataset, objects: Mapping[str, Any]) -> list[Problem
 
 
 def _require_own_profile(out: Path) -> None:
-    """Check that what `profile_dataset` replaces in a folder is an earlier profile and its plot.
-
-    Raises:
-        OutputError: It is not.
-    """
     path, plot = out / PROFILE_FILE, out / PLOT_FILE
     try:
         own = path.is_file() and bool(SensorProfile.model_validate_json(read_regular(path)))
