@@ -83,13 +83,12 @@ def _strata(
 ) -> dict[str, Any]:
     names = case.classes
     strata: dict[str, Any] = {"size": {}}
-    for a, name in enumerate(SIZE_BINS):
-        if a:
-            at_size = [_at_size(m, a) for m in matches]
-            stratum = _stratum(at_size, names, np.ones(len(case.images), np.bool_), weights, groups)
-            # All images are evaluated for each size; the count covers those with an object of this size.
-            stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
-            strata["size"][name] = stratum
+    for a, name in enumerate(list(SIZE_BINS)[1:], 1):
+        at_size = [_at_size(m, a) for m in matches]
+        stratum = _stratum(at_size, names, np.ones(len(case.images), np.bool_), weights, groups)
+        # All images are evaluated for each size; the count covers those with an object of this size.
+        stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
+        strata["size"][name] = stratum
     for kind, parts in image_strata(case.images).items():
         strata[kind] = {name: _stratum(matches, names, which, weights, groups) for name, which in parts.items()}
     return strata

@@ -5,7 +5,7 @@ A bootstrap draws images, or whole sequences, repeatedly with replacement.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,8 +47,9 @@ def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = Non
     wrong_images = of_image[~mixed][: int(before[-1]) if len(before) else 0]
     right, neutral, of = right[:, special], neutral[:, special], of_image[special]
     result = np.full((len(counts), len(IOUS)), np.nan)
-    for rows in _chunks(len(counts), max(len(wrong_images), len(special), 1)):
-        w = counts[rows]
+    step = max(1, _CELLS // max(len(wrong_images), len(special), 1))
+    for start in range(0, len(counts), step):
+        w = counts[start : start + step]
         total = (w * matches.objects[size]).sum(axis=1).astype(np.float64)
         some = total > 0
         passed = np.zeros((len(w), len(wrong_images) + 1), np.int32)
@@ -60,7 +61,7 @@ def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = Non
                 hits = np.cumsum(own * right[t], axis=1, dtype=np.int32)
                 misses = np.cumsum(own * ~(right[t] | neutral[t]), axis=1, dtype=np.int32) + base
                 ap = _area(hits.astype(np.float64), misses.astype(np.float64), np.maximum(total, 1.0))
-            result[rows.start : rows.stop, t] = np.where(some, ap, np.nan)
+            result[start : start + step, t] = np.where(some, ap, np.nan)
     return result
 
 
@@ -75,11 +76,6 @@ def _area(hits: FloatArray, misses: FloatArray, total: FloatArray) -> FloatArray
         at = at[at < recall.shape[1]]
         result[row] = reached[row, at].sum() / len(RECALLS)
     return result
-
-
-def _chunks(rows: int, columns: int) -> Iterator[slice]:
-    step = max(1, _CELLS // columns)
-    return (slice(k, min(k + step, rows)) for k in range(0, rows, step))
 
 
 def precision_by_recall(matches: ClassMatches) -> FloatArray:

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import load_json, replace_atomically, write_text
+from infrablend.core.files import load_json, replace_atomically
 from infrablend.core.parent_process import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
@@ -84,10 +84,6 @@ class Job:
     val_labels: int = 0
     tile: int = 0
     agc: dict[str, Any] | None = None
-
-    def write(self, path: Path) -> None:
-        """Write the file that `main` reads."""
-        write_text(path, json.dumps(asdict(self), indent=1, sort_keys=True))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def run_trainer(
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
     )  # fmt: skip
-    job.write(out / JOB)
+    write_json(out / JOB, asdict(job))
     record |= {"epochs": epochs, "device": device}
     write_json(out / RECORD, record, durable=True)
     began = time.monotonic()

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from infrablend import __version__
-from infrablend.core.files import output_error, read_object
+from infrablend.core.files import read_object
 from infrablend.core.machine import describe_machine, installed_versions, source_commit
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
@@ -182,7 +182,7 @@ class _Run:
 
 
 def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> None:
-    """Check everything that would otherwise stop the run hours later: trainer, settings, disk space, work folder."""
+    """Check everything that would otherwise stop the run hours later: trainer, settings, disk space."""
     request = prepared.request
     todo = [s for s in prepared.graph.stages if s.id in missing]
     if any(s.kind in LEARNING for s in todo):
@@ -195,10 +195,6 @@ def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> No
             f"experiment {prepared.experiment.name}: {request.work} has too little space",
             [Problem(str(request.work), "disk-full", found, expected, "give another --work")],
         )
-    try:
-        request.work.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise output_error(request.work, error) from error
 
 
 def make_stage(

@@ -339,15 +339,19 @@ def compare(
     with workspace(out, "comparison", RECORD, "overwrite") as space:
         material = measure_populations(run, dataset, request, on_progress)
         comparisons, people = _compare_classes(material)
-        facts = {
+        facts: dict[str, Any] = {
             "version": 1,
             "time_of_day": request.time_of_day,
             "most_pairs": request.most_pairs,
             "run": _run_facts(run, dataset, request),
             "unreadable": sorted(material.found.unreadable),
             "person_floor": people,
-            **_figures(comparisons),
+            "classes": {v.category: v.facts for v in comparisons},
+            "ablation": {v.category: v.ablation for v in comparisons},
         }
+        cars, persons = (named_as(known, facts["classes"]) for known in ("car", "person"))
+        if cars is not None and persons is not None:
+            facts["car_to_person_contrast"] = contrast_ratio(facts["classes"][cars], facts["classes"][persons])
         names = distinct_names([file_name(v.category.lower()) for v in comparisons])
         sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
         for sheet in sheets:
@@ -388,15 +392,6 @@ def _compare_classes(material: Material) -> tuple[list[ClassComparison], dict[st
             for population in ("real", "inserted", "floor")
         }
     return comparisons, people
-
-
-def _figures(comparisons: Sequence[ClassComparison]) -> dict[str, Any]:
-    by_name = {v.category: v.facts for v in comparisons}
-    facts: dict[str, Any] = {"classes": by_name, "ablation": {v.category: v.ablation for v in comparisons}}
-    cars, persons = named_as("car", by_name), named_as("person", by_name)
-    if cars is not None and persons is not None:
-        facts["car_to_person_contrast"] = contrast_ratio(by_name[cars], by_name[persons])
-    return facts
 
 
 def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[str, Any]:

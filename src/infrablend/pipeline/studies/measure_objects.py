@@ -190,22 +190,22 @@ class ObjectMeasurer:
         pixels = load_background(RunFolder(self._settings.run).image(record.image)).pixels
         picture, kept = eight_bit(pixels, self._settings.levels), _kept_of(source, record)
         image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
-        labels = [*kept, *record.inserted]
-        found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
-        drawn = self._contrasts(picture, source, record.inserted, labels, record.frame_id)
+
+        def contrasts_in(boxes: ImageRecord) -> list[tuple[Instance, ObjectContrast]]:
+            labels = [*kept, *boxes.instances]
+            return self._contrasts(picture, source, boxes.instances, labels, record.frame_id)
+
+        found = self._all_of("inserted", picture, source, [*kept, *record.inserted], record.inserted, record.frame_id)
+        drawn = contrasts_in(image)
         found.contrasts["inserted"] = [c for _, c in drawn]
-        looseness = Looseness.of_labels(self._recipe.labels)
+        looseness, fitted = Looseness.of_labels(self._recipe.labels), image
         if looseness.fit != "shape":
             # A margin is in addition to a fit, so the fitted boxes are compared with the visible extents.
             fitted, _ = loosen_image(image, Looseness(fit=looseness.fit))
-            labels = [*kept, *fitted.instances]
-            drawn = self._contrasts(picture, source, fitted.instances, labels, record.frame_id)
-        found.extents["inserted"] = _extents(picture, drawn, labels)
+            drawn = contrasts_in(fitted)
+        found.extents["inserted"] = _extents(picture, drawn, [*kept, *fitted.instances])
         if looseness:
-            written, _ = loosen_image(image, looseness)
-            labels = [*kept, *written.instances]
-            drawn = self._contrasts(picture, source, written.instances, labels, record.frame_id)
-            found.contrasts["as_written"] = [c for _, c in drawn]
+            found.contrasts["as_written"] = [c for _, c in contrasts_in(loosen_image(image, looseness)[0])]
         return found
 
     def _contrasts(
@@ -218,11 +218,10 @@ class ObjectMeasurer:
     ) -> list[tuple[Instance, ObjectContrast]]:
         """Return the contrasts of the objects of the wanted classes; objects with too small a ring are left out."""
         level, time = float(np.median(picture)), source.capture.time_of_day or "unknown"
-        wanted = [i for i in objects if i.category in self._settings.categories]
         return [
             (i, ObjectContrast(i.category, key, time, contrast, level))
-            for i in wanted
-            if (contrast := object_contrast(picture, i, labels)) is not None
+            for i in objects
+            if i.category in self._settings.categories and (contrast := object_contrast(picture, i, labels)) is not None
         ]
 
     def _all_of(
