@@ -42,27 +42,19 @@ REACHED = "infrablend_reached"
 
 @dataclass(frozen=True)
 class Job:
-    """Settings of the training process.
+    """Settings of the training process; those of `TrainRequest` and `Preset` are explained there.
 
     Attributes:
         data: Path of Ultralytics' data.yaml.
         out: Folder for checkpoint and weights.
-        task: detect, obb or segment.
         model: File of weights or name of a network description.
         device: `cpu`, `mps` or the number of a GPU.
-        epochs: Total number of epochs.
-        batch: Images per step.
-        image_size: Side of the network's input, px.
-        patience: Epochs without improvement before the training stops; 0 for never.
-        seed: Seed of everything random.
         images: Number of images the train split must have.
         labels: Number of labels the train split must have.
         shown: Images shown per epoch. If it differs from `images`, each epoch continues in the shuffled data where the
             last one ended.
-        arguments: Further arguments for Ultralytics.
         val_images: Number of images the val split must have; 0 if nothing depends on it.
         val_labels: Number of labels the val split must have.
-        tile: Side of the tiles, px; 0 if the images are whole pictures.
         agc: Automatic gain control that turned 16-bit pictures into the images, as JSON values; None for 8-bit ones.
     """
 

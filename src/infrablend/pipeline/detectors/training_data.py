@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes
-from infrablend.config.agc import DEFAULT_AGC, Agc
+from infrablend.config.agc import Agc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import read_regular
 from infrablend.core.format_table import writer_for_task
 from infrablend.errors import DatasetError, OutputError, Problem
-from infrablend.evaluation.detections import TASKS, Task
+from infrablend.evaluation.detections import TASKS
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import deep_mode, is_deep
@@ -36,10 +36,9 @@ _FEW_PICTURES = 100
 log = logging.getLogger(__name__)
 
 
-def select_training_data(
-    dataset: Dataset, preset: Preset, task: Task, classes: Sequence[str] | None, agc: Agc = DEFAULT_AGC
-) -> tuple[Dataset, dict[str, int]]:
+def select_training_data(dataset: Dataset, request: TrainRequest) -> tuple[Dataset, dict[str, int]]:
     """Return the dataset to train on and the labels left out by class; report all faults at once."""
+    task, classes = request.task, request.classes
     if task not in TASKS:
         raise OutputError(f"--task {task}: no such task; expected one of {', '.join(TASKS)}")
     known = [c.name for c in dataset.categories if not c.ignore]
@@ -49,7 +48,7 @@ def select_training_data(
     wanted = drop_classes(dataset, dropped)
     problems = [
         *_class_problems(dataset, known, classes),
-        *_split_problems(wanted, keep, preset),
+        *_split_problems(wanted, keep, request.chosen_preset()),
         *_shape_problems(wanted, keep, task),
     ]
     rejected = [p for p in dataset.problems if p.severity == "error"]
@@ -66,7 +65,7 @@ def select_training_data(
         raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
     for p in problems:
         log.warning("%s", p)
-    return _checked(wanted, agc), dict(sorted(left_out.items()))
+    return _checked(wanted, request.agc), dict(sorted(left_out.items()))
 
 
 def _class_problems(dataset: Dataset, known: Sequence[str], classes: Sequence[str] | None) -> list[Problem]:
@@ -178,10 +177,9 @@ def most_tiles(preset: Preset, split: str) -> int:
     return preset.tiles if split == "train" else min(preset.tiles or 256, 256)
 
 
-def write_training_data(
-    dataset: Dataset, out: Path, preset: Preset, task: Task, request: TrainRequest
-) -> dict[str, Any]:
+def write_training_data(dataset: Dataset, out: Path, request: TrainRequest) -> dict[str, Any]:
     """Write the data for the trainer to the folder `data` of a training, and return their counts."""
+    preset = request.chosen_preset()
     images = [i for i in dataset.images if i.split in ("train", "val")]
     if has_deep_pictures(dataset):
         images = [*eight_bit_copies(images, out / EIGHT_BIT, request.agc)[0]]
@@ -204,7 +202,7 @@ def write_training_data(
         images += [replace(i, split="val") for i in images[:8]]
         counts["val"] = "the first pictures of train: there is no val split, and nothing depends on it"
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
-    name = writer_for_task(task).name
+    name = writer_for_task(request.task).name
     written = writing.write(name, out / DATA, images, categories)
     for working in (TILES, EIGHT_BIT):
         shutil.rmtree(out / working, ignore_errors=True)

@@ -59,7 +59,7 @@ def plan_training(
         # Nothing is deleted: what may be replaced may also be resumed.
         with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
             pass
-    wanted, _ = select_training_data(dataset, preset, request.task, request.classes, request.agc)
+    wanted, _ = select_training_data(dataset, request)
     return plan_of(wanted, preset, device, request.seed)
 
 

@@ -27,16 +27,16 @@ log = logging.getLogger(__name__)
 
 
 def run_trainer(
-    out: Path, record: dict[str, Any], preset: Preset, task: str, device: str, seed: int, on_progress: OnProgress | None
+    out: Path, record: dict[str, Any], preset: Preset, device: str, on_progress: OnProgress | None
 ) -> dict[str, Any]:
     """Run the training process from the start or its last checkpoint, and return the finished record."""
     prepared = record["prepared"]
     epochs, shown = preset.epochs_for(prepared["images"])
     job = trainer.Job(
-        data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=task,
+        data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=record["task"],
         model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
-        image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=seed, images=prepared["images"],
-        labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
+        image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=record["seed"],
+        images=prepared["images"], labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
     )  # fmt: skip
