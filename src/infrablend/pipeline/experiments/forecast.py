@@ -19,7 +19,7 @@ from infrablend.core.files import read_object
 from infrablend.core.machine import available_cores
 from infrablend.core.workspace import partial_of
 from infrablend.errors import InfraBlendError
-from infrablend.pipeline.detectors.training_plan import require_settings
+from infrablend.pipeline.detectors.training_plan import require_arguments
 from infrablend.pipeline.experiments.graph import OTHER_SCALES
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
@@ -132,7 +132,7 @@ def require_training_settings(stages: Iterable[Stage], request: ExperimentReques
     """
     for stage in stages:
         if stage.kind == "train":
-            require_settings(request.preset(stage.spec))
+            require_arguments(request.preset(stage.spec))
 
 
 def _mean_objects(spec: Generate) -> float:
