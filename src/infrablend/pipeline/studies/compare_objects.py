@@ -10,7 +10,7 @@ compare: classifiers, medians, distances
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -161,10 +161,7 @@ def measure_populations(
         PictureJob(backgrounds[_background_key(r)], r) for r in records if any(o.category in chosen for o in r.inserted)
     ]
     found, report = Measurements(), paced(on_progress)
-    for done, part in enumerate(_run(settings, surveyed, request), 1):
-        found.extend(part)
-        if report is not None:
-            report(done, len(surveyed))
+    _run(found, settings, surveyed, request, report)
     if request.real is None:
         found.drop_without_real_object()
     pairs = {c: pair_by_size(found.of("real", c), found.of("inserted", c), request.most_pairs) for c in chosen}
@@ -182,10 +179,7 @@ def measure_populations(
         redo += [
             PictureJob(backgrounds[_background_key(by_id[k])], by_id[k], n) for k, n in numbers.items() if k in by_id
         ]
-    for done, part in enumerate(_run(settings, redo, request), len(surveyed) + 1):
-        found.extend(part)
-        if report is not None:
-            report(done, len(surveyed) + len(redo))
+    _run(found, settings, redo, request, report, len(surveyed))
     return Material(chosen, found, pairs, controlled, sensor)
 
 
@@ -282,7 +276,15 @@ def _numbers_by_picture(keys: Iterable[str]) -> dict[str, tuple[int, ...]]:
     return {name: tuple(sorted(numbers)) for name, numbers in sorted(found.items())}
 
 
-def _run(settings: MeasuringSettings, jobs: Sequence[PictureJob], request: ComparisonRequest) -> Iterator[Measurements]:
+def _run(
+    found: Measurements,
+    settings: MeasuringSettings,
+    jobs: Sequence[PictureJob],
+    request: ComparisonRequest,
+    report: Callable[[int, int], None] | None,
+    before: int = 0,
+) -> None:
+    """Add what is measured in pictures to `found`; `before` is the number of pictures that were reported earlier."""
     if not jobs:
         return
     spec = WorkerSpec(WORKER, settings)
@@ -290,10 +292,12 @@ def _run(settings: MeasuringSettings, jobs: Sequence[PictureJob], request: Compa
         Serial(spec) if request.in_process else ProcessPool(spec, PoolSettings(workers=max(1, request.workers)))
     )
     tasks = [Task(j.record.frame_id if j.record else image_key(j.background), j) for j in jobs]
-    for result in executor.run(tasks):
+    for done, result in enumerate(executor.run(tasks), before + 1):
         if result.failure is not None:
             raise result.failure.to_exception()
-        yield result.value
+        found.extend(result.value)
+        if report is not None:
+            report(done, before + len(jobs))
 
 
 @dataclass(frozen=True)
