@@ -212,7 +212,7 @@ def write_training_data(dataset: Dataset, out: Path, request: TrainRequest) -> d
                             "infrablend check lists them") for k, n in fatal.items()]  # fmt: skip
         raise DatasetError(f"{dataset.root}: the trainer would not see some labels", problems)
     for split, suffix in (("train", ""), ("val", "_val")):
-        files = (out / DATA / "labels" / split).rglob("*.txt")
+        files = sorted((out / DATA / "labels" / split).rglob("*.txt"))
         counts[f"images{suffix}"] = sum(i.split == split for i in images)
         counts[f"labels{suffix}"] = sum(len(read_regular(p).splitlines()) for p in files)
     return {**counts, "losses": dict(written.losses)}
