@@ -127,14 +127,8 @@ def finished_run(tmp_path_factory: pytest.TempPathFactory, write_tiny_hit_uav) -
 
     root = tmp_path_factory.mktemp("run")
     data = write_tiny_hit_uav(root / "data")
-    settings = {"labels.remove_covered": 1.0}
-    report = api.generate(
-        "hit-uav-drone",
-        data,
-        root / "out",
-        execution=api.Execution(renderer="flat", in_process=True),
-        settings=settings,
-    )
+    settings, flat = {"labels.remove_covered": 1.0}, api.Execution(renderer="flat", in_process=True)
+    report = api.generate("hit-uav-drone", data, root / "out", execution=flat, settings=settings)
     assert report.ok, report.problems
     return report.out
 

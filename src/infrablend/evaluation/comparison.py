@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from infrablend.core.arguments import require_names, require_whole
 from infrablend.core.files import open_regular, read_regular, replace_atomically
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.evaluation.detections import MATCHES, RECORD
-from infrablend.evaluation.figures import Draws
 from infrablend.evaluation.matching import ClassMatches
 from infrablend.evaluation.precision import draw_images, paired
 from infrablend.evaluation.truth import match_classes
@@ -82,7 +81,7 @@ def compare_evaluations(
     record, first = read_evaluation(ours[0])
     read = {folder: read_evaluation(folder) for folder in [*ours[1:], *theirs]}
     for folder, (other, _) in read.items():
-        require_same(other, Conditions.of(record), folder)
+        require_same(other, record, folder)
     if classes is not None:
         numbers = match_classes(first.classes, classes)
         unknown = [name for name, of in numbers.items() if not of]
@@ -94,11 +93,16 @@ def compare_evaluations(
         )
     a = [first, *(read[f][1] for f in ours[1:])]
     b = [read[f][1] for f in theirs]
-    return paired_facts(a, b, read[theirs[0]][0], Draws(bootstrap, (), seed), theirs[0].name)
+    return paired_facts(a, b, read[theirs[0]][0], theirs[0].name, bootstrap, seed)
 
 
 def paired_facts(
-    ours: Sequence[StoredMatches], theirs: Sequence[StoredMatches], record: Mapping[str, Any], draws: Draws, name: str
+    ours: Sequence[StoredMatches],
+    theirs: Sequence[StoredMatches],
+    record: Mapping[str, Any],
+    name: str,
+    draws: int,
+    seed: int,
 ) -> dict[str, Any]:
     """Return the differences by class; `record` and `name` are those of the second side, groups those of the first."""
     sides = [*ours, *theirs]
@@ -107,58 +111,38 @@ def paired_facts(
         raise DatasetError(
             f"{name}: evaluates {', '.join(theirs[0].classes)}; expected some of {', '.join(ours[0].classes)}"
         )
-    weights = draw_images(ours[0].groups, draws.number, draws.seed)
+    weights = draw_images(ours[0].groups, draws, seed)
     a, b = ([[j.matches[j.classes.index(n)] for n in both] for j in side] for side in (ours, theirs))
     return {
         "against": {"name": name, "detector": record["detector"]},
-        "draws": draws.number,
+        "draws": draws,
         "detectors": [len(ours), len(theirs)],
-        "classes": paired(a, b, both, weights, ours[0].groups, draws.seed),
+        "classes": paired(a, b, both, weights, ours[0].groups, seed),
         "left_out": sorted({n for j in sides for n in j.classes} - set(both)),
     }
 
 
-@dataclass(frozen=True)
-class Conditions:
-    """What two evaluations must have in common to be compared image by image."""
-
-    split: str
-    images: int
-    labels: str
-    task: str
-    ignore_regions: bool
-    group: str
-
-    @classmethod
-    def of(cls, record: Mapping[str, Any]) -> Conditions:
-        """Return the conditions that `evaluation.json` records."""
-        data, settings = record["dataset"], record["settings"]
-        return cls(
-            data["split"], data["images"], data["labels_sha256"],
-            record["task"], settings["ignore_regions"], settings["group"],
-        )  # fmt: skip
+_CONDITIONS = (
+    ("split", "dataset", "split", "give both the same --split"),
+    ("images", "dataset", "images", "evaluate both on the same split of the same dataset"),
+    ("labels", "dataset", "labels_sha256", "evaluate both on the same split and labels"),
+    ("task", None, "task", "give both the same --task"),
+    ("ignored regions", "settings", "ignore_regions", "treat regions alike in both"),
+    ("group", "settings", "group", "give both the same --group"),
+)
+"""What two evaluations must have in common to be compared: name, section and field in the record, and advice."""
 
 
-def require_same(record: Mapping[str, Any], ours: Conditions, where: Path) -> None:
-    """Raise DatasetError if an evaluation's record has other conditions than ours."""
-    theirs = Conditions.of(record)
-    problems = []
-
-    def differ(what: str, found: object, expected: object, todo: str) -> None:
+def require_same(record: Mapping[str, Any], ours: Mapping[str, Any], where: Path) -> None:
+    """Raise DatasetError if the record of an evaluation, in the folder `where`, has other conditions than ours."""
+    problems: list[Problem] = []
+    for what, section, field, todo in _CONDITIONS:
+        found, expected = ((r[section] if section else r)[field] for r in (record, ours))
+        if found == expected or (what in ("images", "labels") and problems):  # other splits have other images
+            continue
+        if what == "labels":
+            found, expected = "different labels or images", "the same"
         problems.append(Problem(str(where), f"other-{what}", f"{what}: {found}", str(expected), todo))
-
-    if theirs.split != ours.split:
-        differ("split", theirs.split, ours.split, "give both the same --split")
-    elif theirs.images != ours.images:
-        differ("images", theirs.images, ours.images, "evaluate both on the same split of the same dataset")
-    elif theirs.labels != ours.labels:
-        differ("labels", "different labels or images", "the same", "evaluate both on the same split and labels")
-    if theirs.task != ours.task:
-        differ("task", theirs.task, ours.task, "give both the same --task")
-    if theirs.ignore_regions != ours.ignore_regions:
-        differ("ignored regions", theirs.ignore_regions, ours.ignore_regions, "treat regions alike in both")
-    if theirs.group != ours.group:
-        differ("group", theirs.group, ours.group, "give both the same --group")
     if problems:
         raise DatasetError(f"{where}: cannot be compared image by image", problems)
 
@@ -199,7 +183,7 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], StoredMatches]:
             classes = tuple(str(n) for n in data["classes"])
             matches = tuple(_unpacked(data, k) for k in range(len(classes)))
             stored = StoredMatches(classes, matches, tuple(str(g) for g in data["groups"]))
-        if None in astuple(Conditions.of(record)) or record["detector"] is None:
+        if record["detector"] is None or any((record[s] if s else record)[f] is None for _, s, f, _ in _CONDITIONS):
             raise KeyError("settings")
     except FileNotFoundError as error:
         raise refuse(f"no {Path(str(error.filename)).name}") from error

@@ -58,21 +58,6 @@ class Detections:
     corners_xy: FloatArray | None = None
     masks: tuple[Mask, ...] | None = None
 
-    def __post_init__(self) -> None:
-        n = len(self.scores)
-        shapes = {
-            "boxes_xyxy": (self.boxes_xyxy, (n, 4)),
-            "scores": (self.scores, (n,)),
-            "classes": (self.classes, (n,)),
-            **({} if self.corners_xy is None else {"corners_xy": (self.corners_xy, (n, 4, 2))}),
-        }
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape:
-                raise ValueError(f"{name} must be {shape}, got {array.shape}")
-            array.setflags(write=False)
-        if self.masks is not None and len(self.masks) != n:
-            raise ValueError(f"{n} scores and {len(self.masks)} masks")
-
     def __len__(self) -> int:
         return len(self.scores)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.evaluation.coco import coco_precisions
-from infrablend.evaluation.detections import Detections, Task
-from infrablend.evaluation.matching import ClassMatches, match_all, overlaps, size_bins
+from infrablend.evaluation.matching import SIZE_BINS, ClassMatches, match_all, overlaps
 from infrablend.evaluation.precision import (
     MEASURES,
     RECALLS,
@@ -25,7 +23,7 @@ from infrablend.evaluation.precision import (
     operating_point,
     precision_by_recall,
 )
-from infrablend.evaluation.truth import Truth
+from infrablend.evaluation.truth import Case
 
 # Least overlap of a match in the confusion matrix.
 CONFUSION_IOU = 0.5
@@ -35,64 +33,33 @@ ALTITUDE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 150.0)
 _SINGLE_VALUES = 10
 
 
-@dataclass(frozen=True, eq=False)
-class Case:
-    """Detections and the labels to compare them with.
+def figures(
+    case: Case, groups: Sequence[str], draws: int, seed: int
+) -> tuple[dict[str, Any], tuple[ClassMatches, ...]]:
+    """Return the figures of an evaluation as in `evaluation.json`, and the matches of each class at all sizes.
 
-    Attributes:
-        images: Images of the split.
-        labels: Labels of each image.
-        found: Detections by `<split>/<name>` of the image.
-        class_of: Index of the evaluated class for each of the detector's classes; -1 for none.
-        classes: Names of the evaluated classes.
-        task: What is compared: boxes, oriented boxes or masks.
-    """
-
-    images: Sequence[ImageRecord]
-    labels: Sequence[Truth]
-    found: Mapping[str, Detections]
-    class_of: NDArray[np.int64]
-    classes: tuple[str, ...]
-    task: Task
-
-    @property
-    def compared(self) -> Mapping[str, Detections]:
-        """Detections as the task compares them: with corners for oriented boxes only."""
-        if self.task == "obb":
-            return self.found
-        return {key: replace(found, corners_xy=None) for key, found in self.found.items()}
-
-
-@dataclass(frozen=True)
-class Draws:
-    """Bootstrap draws of images.
-
-    Attributes:
-        number: Number of draws; 0 for no intervals.
+    Args:
+        case: Labels and detections.
         groups: Group of each image; those of one group are drawn together.
+        draws: Number of bootstrap draws; 0 for no intervals.
         seed: Seed of the draws.
     """
-
-    number: int
-    groups: tuple[str, ...]
-    seed: int
-
-
-def figures(case: Case, draws: Draws) -> tuple[dict[str, Any], tuple[ClassMatches, ...]]:
-    """Return the figures of an evaluation as in `evaluation.json`, and the matches of each class at all sizes."""
-    bins, found, names = size_bins(), case.compared, case.classes
-    matches = match_all(case.labels, found, case.class_of, len(names), case.task, bins)
-    coco = coco_precisions(case.labels, found, case.class_of, len(names), case.task)[0]
+    names, matches, coco = case.classes, match_all(case), coco_precisions(case)[0]
     ours = np.array([average_precisions(m)[0] for m in matches])
     if not np.allclose(coco, ours, rtol=0, atol=1e-6, equal_nan=True):
         raise AssertionError("pycocotools and our own matching disagree: a bug")
-    weights = draw_images(draws.groups, draws.number, draws.seed)
+    weights = draw_images(groups, draws, seed)
     confidence, points = operating_point(matches)
-    matrix = confusion_matrix(case.labels, found, case.class_of, len(names), case.task, confidence)
+    matrix = confusion_matrix(case, confidence)
+    table = np.array([(np.nanmean(coco[:, 0]), np.nanmean(coco)), *((ap[0], ap.mean()) for ap in coco)])
+    rows = _rows(names, len(case.images), matches, table, drawn_figures(matches, weights), groups)
+    means = [float(np.mean(of)) for of in zip(*(p for p in points if p is not None), strict=True)]
+    for row, point in zip(rows.values(), [means, *points], strict=True):
+        row["p"], row["r"] = point or (None, None)
     metrics = {
-        "classes": _table(case, matches, coco, points, drawn_figures(matches, weights), draws.groups),
+        "classes": rows,
         "confidence": confidence,
-        "strata": _strata(case, matches, list(bins), weights, draws.groups),
+        "strata": _strata(case, matches, weights, groups),
         "confusion": {
             "classes": [*names, "background"],
             "found_by_labelled": matrix.tolist(),
@@ -111,56 +78,17 @@ def figures(case: Case, draws: Draws) -> tuple[dict[str, Any], tuple[ClassMatche
     return metrics, tuple(_at_size(m, 0) for m in matches)
 
 
-def _table(
-    case: Case,
-    matches: Sequence[ClassMatches],
-    coco: NDArray[np.float64],
-    points: Sequence[tuple[float, float] | None],
-    drawn: NDArray[np.float64],
-    groups: Sequence[str],
-) -> dict[str, Any]:
-    """Return the rows of `all` and of each class."""
-    known = [p for p in points if p is not None]
-    everything = np.sum([m.objects[0] for m in matches], axis=0)
-    table: dict[str, Any] = {
-        "all": {
-            "images": len(case.images),
-            "instances": int(everything.sum()),
-            "p": float(np.mean([p for p, _ in known])),
-            "r": float(np.mean([r for _, r in known])),
-            "map50": float(np.nanmean(coco[:, 0])),
-            "map50_95": float(np.nanmean(coco)),
-            "ci": _intervals(drawn[:, 0], everything > 0, groups),
-        }
-    }
-    for k, name in enumerate(case.classes):
-        point, m = points[k], matches[k]
-        held = m.objects[0] > 0
-        table[name] = {
-            "images": int(held.sum()),
-            "instances": int(m.objects[0].sum()),
-            "p": None if point is None else point[0],
-            "r": None if point is None else point[1],
-            "map50": _number(coco[k, 0]),
-            "map50_95": _number(coco[k].mean()),
-            "ci": _intervals(drawn[:, k + 1], held, groups),
-        }
-    return table
-
-
 def _strata(
-    case: Case, matches: Sequence[ClassMatches], bins: Sequence[str], weights: NDArray[Any], groups: Sequence[str]
+    case: Case, matches: Sequence[ClassMatches], weights: NDArray[Any], groups: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the figures by size of objects, pitch, altitude and time of day."""
     names = case.classes
     strata: dict[str, Any] = {"size": {}}
-    for a, name in enumerate(bins):
-        if a:
-            at_size = [_at_size(m, a) for m in matches]
-            stratum = _stratum(at_size, names, np.ones(len(case.images), np.bool_), weights, groups)
-            # All images are evaluated for each size; the count covers those with an object of this size.
-            stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
-            strata["size"][name] = stratum
+    for a, name in enumerate(list(SIZE_BINS)[1:], 1):
+        at_size = [_at_size(m, a) for m in matches]
+        stratum = _stratum(at_size, names, np.ones(len(case.images), np.bool_), weights, groups)
+        # All images are evaluated for each size; the count covers those with an object of this size.
+        stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
+        strata["size"][name] = stratum
     for kind, parts in image_strata(case.images).items():
         strata[kind] = {name: _stratum(matches, names, which, weights, groups) for name, which in parts.items()}
     return strata
@@ -184,68 +112,67 @@ def _stratum(
     weights: NDArray[Any],
     groups: Sequence[str],
 ) -> dict[str, Any]:
-    """Return the figures of some images, ignoring all others."""
     matches = [_of_images(m, which) for m in matches]
     figures = drawn_figures(matches, which[None].astype(np.int32))[0]
     drawn = drawn_figures(matches, weights * which[None].astype(np.int32))
+    images = int(which.sum())
+    return {"images": images, "classes": _rows(names, images, matches, figures, drawn, groups)}
+
+
+def _rows(
+    names: Sequence[str],
+    images: int,
+    matches: Sequence[ClassMatches],
+    figures: NDArray[np.float64],
+    drawn: NDArray[np.float64],
+    groups: Sequence[str],
+) -> dict[str, dict[str, Any]]:
+    """Return the rows of `all` and of each class, with no interval without draws or if one group has all objects.
+
+    Args:
+        names: Names of the classes.
+        images: Number of images for the row `all`.
+        matches: Matches of each class.
+        figures: (1 + classes, 2) mAP50 and mAP50-95.
+        drawn: (draws, 1 + classes, 2) figures of each draw.
+        groups: Group of each image.
+    """
     objects = [m.objects[0] for m in matches]
-    objects = [np.sum(objects, axis=0), *objects]
     rows = {}
-    for k, (name, of) in enumerate(zip(("all", *names), objects, strict=True)):
+    for k, (name, of) in enumerate(zip(("all", *names), [np.sum(objects, axis=0), *objects], strict=True)):
+        several = len(drawn) and has_several_groups(of > 0, groups)
         rows[name] = {
-            "images": int((of > 0).sum()) if k else int(which.sum()),
+            "images": int((of > 0).sum()) if k else images,
             "instances": int(of.sum()),
-            "map50": _number(figures[k, 0]),
-            "map50_95": _number(figures[k, 1]),
-            "ci": _intervals(drawn[:, k], of > 0, groups),
+            **{m: None if np.isnan(value) else float(value) for m, value in zip(MEASURES, figures[k], strict=True)},
+            "ci": {m: interval(drawn[:, k, n]) for n, m in enumerate(MEASURES)} if several else None,
         }
-    return {"images": int(which.sum()), "classes": rows}
+    return rows
 
 
-def _number(value: float) -> float | None:
-    return None if np.isnan(value) else float(value)
-
-
-def _intervals(
-    drawn: NDArray[np.float64], held: NDArray[np.bool_], groups: Sequence[str]
-) -> dict[str, list[float] | None] | None:
-    """Return the intervals of (draws, 2) mAP50 and mAP50-95; None without draws or if one group has all objects."""
-    if not len(drawn) or not has_several_groups(held, groups):
-        return None
-    return {name: interval(drawn[:, k]) for k, name in enumerate(MEASURES)}
-
-
-def confusion_matrix(
-    truths: Sequence[Truth],
-    found: Mapping[str, Detections],
-    class_of: NDArray[np.int64],
-    classes: int,
-    task: Task,
-    confidence: float,
-) -> NDArray[np.int64]:
+def confusion_matrix(case: Case, confidence: float) -> NDArray[np.int64]:
     """Return (classes + 1, classes + 1) counts by detected class (row) and labelled class (column); last is background.
 
     Detections with at least the given confidence are matched in the order of their score, each to the unmatched label
     with the largest IoU of at least 0.5. Unmatched detections in regions to ignore are left out, in crowds those of the
     crowd's class.
     """
-    matrix = np.zeros((classes + 1, classes + 1), np.int64)
-    for truth in truths:
-        ours = found.get(truth.key)
+    background = len(case.classes)
+    matrix = np.zeros((background + 1, background + 1), np.int64)
+    for truth, found in zip(case.labels, case.found, strict=True):
         free = ~truth.ignore
-        if ours is not None:
-            ours = ours.take(np.flatnonzero((ours.scores >= confidence) & (class_of[ours.classes] >= 0)))
-            overlap, regions = overlaps(ours, truth, task), truth.regions_of(class_of[ours.classes])
-            for d, c in enumerate(class_of[ours.classes]):
-                value = np.where(free, overlap[d], 0.0)
-                if value.max(initial=0.0) >= CONFUSION_IOU:
-                    label = int(value.argmax())
-                    matrix[c, truth.classes[label]] += 1
-                    free[label] = False
-                elif not (overlap[d, regions[d]] >= CONFUSION_IOU).any():
-                    matrix[c, classes] += 1
+        sure = found.take(np.flatnonzero(found.scores >= confidence))
+        overlap, regions = overlaps(sure, truth, case.task), truth.regions_of(sure.classes)
+        for d, c in enumerate(sure.classes):
+            value = np.where(free, overlap[d], 0.0)
+            if value.max(initial=0.0) >= CONFUSION_IOU:
+                label = int(value.argmax())
+                matrix[c, truth.classes[label]] += 1
+                free[label] = False
+            elif not (overlap[d, regions[d]] >= CONFUSION_IOU).any():
+                matrix[c, background] += 1
         for c in truth.classes[free]:
-            matrix[classes, c] += 1
+            matrix[background, c] += 1
     return matrix
 
 
@@ -295,25 +222,17 @@ def list_found(case: Case, first: int, iou: float) -> dict[str, Any]:
     """
     candidates: list[tuple[float, int, int]] = []
     overlap: list[NDArray[np.float64]] = []
-    for k, truth in enumerate(case.labels):
-        detected = case.compared.get(truth.key)
-        if detected is None or not len(detected):
-            overlap.append(np.zeros((0, len(truth.boxes_xyxy))))
-            continue
-        shared = overlaps(detected, truth, case.task)
-        regions = truth.regions_of(case.class_of[detected.classes])
+    for k, (truth, found) in enumerate(zip(case.labels, case.found, strict=True)):
+        shared = overlaps(found, truth, case.task)
+        regions = truth.regions_of(found.classes)
         ignored = ((shared >= iou) & regions).any(axis=1) & ~(shared[:, ~truth.ignore] >= iou).any(axis=1)
         overlap.append(shared)
-        candidates += [
-            (-float(detected.scores[d]), k, d)
-            for d in range(len(detected))
-            if case.class_of[detected.classes[d]] >= 0 and not ignored[d]
-        ]
+        candidates += [(-float(found.scores[d]), k, int(d)) for d in np.flatnonzero(~ignored)]
     candidates.sort()
     hits: dict[tuple[int, int], dict[str, Any]] = {}
     for rank, (minus_score, k, d) in enumerate(candidates[:first], 1):
         truth = case.labels[k]
-        free = (truth.classes == case.class_of[case.found[truth.key].classes[d]]) & ~truth.ignore
+        free = (truth.classes == case.found[k].classes[d]) & ~truth.ignore
         free[[g for of, g in hits if of == k]] = False
         shared = np.where(free, overlap[k][d], 0.0)
         if shared.size and shared.max() >= iou:

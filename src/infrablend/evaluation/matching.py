@@ -9,9 +9,8 @@ Boxes, oriented boxes and masks overlap by their intersection over their union.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,14 @@ from numpy.typing import NDArray
 from pycocotools import mask as _coco
 
 from infrablend.evaluation.detections import Detections, FloatArray, Task
-from infrablend.evaluation.truth import Truth, long_sides
+from infrablend.evaluation.truth import Case, Truth, long_sides
 
 IOUS: FloatArray = np.linspace(0.5, 0.95, 10)
-IOUS.setflags(write=False)
-SIZE_EDGES_PX = (8, 16, 32, 64, 128)
-"""Edges of the size ranges, by the longer side. HIT-UAV's people are 10 to 30 px, its cars 20 to 80 px."""
+SIZE_BINS = {
+    "all": (0.0, float("inf")), "<8": (0.0, 8.0), "8-16": (8.0, 16.0), "16-32": (16.0, 32.0), "32-64": (32.0, 64.0),
+    "64-128": (64.0, 128.0), ">=128": (128.0, float("inf")),
+}  # fmt: skip
+"""Half-open ranges of the longer side, px. HIT-UAV's people are 10 to 30 px, its cars 20 to 80 px."""
 
 BoolArray = NDArray[np.bool_]
 
@@ -50,57 +51,36 @@ class ClassMatches:
     objects: NDArray[np.int32]
 
 
-def size_bins(edges_px: Sequence[float] = SIZE_EDGES_PX) -> dict[str, tuple[float, float]]:
-    """Return half-open ranges of the longer side in px by name: all sizes, then the ranges between the edges."""
-    ends = [0.0, *edges_px, float("inf")]
-    bins = {"all": (0.0, float("inf"))}
-    for low, high in itertools.pairwise(ends):
-        name = f"<{high:g}" if low == 0 else f">={low:g}" if high == float("inf") else f"{low:g}-{high:g}"
-        bins[name] = (low, high)
-    return bins
-
-
-def match_all(
-    truths: Sequence[Truth],
-    found: Mapping[str, Detections],
-    class_of: NDArray[np.int64],
-    classes: int,
-    task: Task,
-    bins: Mapping[str, tuple[float, float]],
-) -> tuple[ClassMatches, ...]:
-    """Match the detections of every class on every image.
-
-    Args:
-        truths: Labels by image.
-        found: Detections by image; images without an entry have none.
-        class_of: Index of the evaluated class for each of the detector's classes; -1 for none.
-        classes: Number of evaluated classes.
-        task: What is compared.
-        bins: Size ranges from `size_bins`.
-    """
+def match_all(case: Case, bins: Mapping[str, tuple[float, float]] = SIZE_BINS) -> tuple[ClassMatches, ...]:
+    """Match the detections of every class on every image, in each range of sizes."""
     ranges = np.array(list(bins.values()), np.float64)
-    a, t = len(ranges), len(IOUS)
-    objects = np.zeros((classes, a, len(truths)), np.int32)
-    gathered: list[list[tuple[FloatArray, NDArray[np.int32], BoolArray, BoolArray]]] = [[] for _ in range(classes)]
-    for number, truth in enumerate(truths):
-        ours = found.get(truth.key)
-        its_class = np.full(0, -1) if ours is None else class_of[ours.classes]
-        sizes = truth.long_sides_px
-        away = truth.ignore[None] | (sizes < ranges[:, :1]) | (sizes >= ranges[:, 1:])  # (a, g)
-        for c in range(classes):
+    classes, a, t = range(len(case.classes)), len(ranges), len(IOUS)
+    objects = np.zeros((len(classes), a, len(case.labels)), np.int32)
+    none = np.zeros((a, t, 0), np.bool_)
+    gathered = [[(np.zeros(0), np.zeros(0, np.int32), none, none)] for _ in classes]
+    for number, (truth, found) in enumerate(zip(case.labels, case.found, strict=True)):
+        away = truth.ignore[None] | _outside(truth, ranges)  # (a, g)
+        for c in classes:
             labels = np.flatnonzero((truth.classes == c) | (truth.classes == -1))
             objects[c, :, number] = (~away[:, labels]).sum(axis=1)
-            which = np.flatnonzero(its_class == c)
-            if ours is None or not len(which):
+            of = found.take(np.flatnonzero(found.classes == c))
+            if not len(of):
                 continue
-            of = ours.take(which)
             part = _part(truth, labels)
-            taken, neutral = match_image(overlaps(of, part, task), away[:, labels], part.ignore)
-            own = long_sides(of.boxes_xyxy, of.corners_xy)
-            outside = (own < ranges[:, :1]) | (own >= ranges[:, 1:])
-            neutral |= ~taken & outside[:, None]
-            gathered[c].append((of.scores, np.full(len(which), number, np.int32), taken, neutral))
-    return tuple(_joined(parts, objects[c], a, t) for c, parts in enumerate(gathered))
+            taken, neutral = match_image(overlaps(of, part, case.task), away[:, labels], part.ignore)
+            neutral |= ~taken & _outside(of, ranges)[:, None]
+            gathered[c].append((of.scores, np.full(len(of), number, np.int32), taken, neutral))
+    result = []
+    for c in classes:
+        scores, images, right, neutral = (np.concatenate(x, axis=-1) for x in zip(*gathered[c], strict=True))
+        order = np.argsort(-scores, kind="stable")
+        result.append(ClassMatches(scores[order], images[order], right[..., order], neutral[..., order], objects[c]))
+    return tuple(result)
+
+
+def _outside(of: Truth | Detections, ranges: FloatArray) -> BoolArray:
+    sizes = long_sides(of)
+    return np.asarray((sizes < ranges[:, :1]) | (sizes >= ranges[:, 1:]))
 
 
 def match_image(overlap: FloatArray, away: BoolArray, region: BoolArray) -> tuple[BoolArray, BoolArray]:
@@ -138,29 +118,14 @@ def match_image(overlap: FloatArray, away: BoolArray, region: BoolArray) -> tupl
 
 
 def _part(truth: Truth, which: NDArray[np.intp]) -> Truth:
-    return Truth(
-        truth.key,
-        truth.size_wh,
-        truth.boxes_xyxy[which],
-        truth.classes[which],
-        truth.ignore[which],
-        None if truth.corners_xy is None else truth.corners_xy[which],
-        None if truth.masks is None else tuple(truth.masks[int(k)] for k in which),
+    return replace(
+        truth,
+        boxes_xyxy=truth.boxes_xyxy[which],
+        classes=truth.classes[which],
+        ignore=truth.ignore[which],
+        corners_xy=None if truth.corners_xy is None else truth.corners_xy[which],
+        masks=None if truth.masks is None else tuple(truth.masks[int(k)] for k in which),
     )
-
-
-def _joined(
-    parts: Sequence[tuple[FloatArray, NDArray[np.int32], BoolArray, BoolArray]],
-    objects: NDArray[np.int32],
-    a: int,
-    t: int,
-) -> ClassMatches:
-    if not parts:
-        none = np.zeros((a, t, 0), np.bool_)
-        return ClassMatches(np.zeros(0), np.zeros(0, np.int32), none, none, objects)
-    scores, images, right, neutral = (np.concatenate(x, axis=-1) for x in zip(*parts, strict=True))
-    order = np.argsort(-scores, kind="stable")
-    return ClassMatches(scores[order], images[order], right[..., order], neutral[..., order], objects)
 
 
 def overlaps(found: Detections, truth: Truth, task: Task) -> FloatArray:
@@ -174,7 +139,7 @@ def overlaps(found: Detections, truth: Truth, task: Task) -> FloatArray:
     if task == "obb":
         assert found.corners_xy is not None and truth.corners_xy is not None
         both = quad_intersections(found.corners_xy, truth.corners_xy)
-        of_found, of_truth = quad_areas(found.corners_xy), quad_areas(truth.corners_xy)
+        of_found, of_truth = polygon_areas(found.corners_xy), polygon_areas(truth.corners_xy)
     else:
         low = np.maximum(found.boxes_xyxy[:, None, :2], truth.boxes_xyxy[None, :, :2])
         high = np.minimum(found.boxes_xyxy[:, None, 2:], truth.boxes_xyxy[None, :, 2:])
@@ -188,12 +153,8 @@ def _areas(boxes_xyxy: FloatArray) -> FloatArray:
     return np.asarray(np.prod(np.maximum(boxes_xyxy[:, 2:] - boxes_xyxy[:, :2], 0.0), axis=-1))
 
 
-def quad_areas(corners_xy: FloatArray) -> FloatArray:
-    """Return the (n,) areas of convex quadrilaterals (n, 4, 2), clockwise."""
-    return _shoelace(corners_xy)
-
-
-def _shoelace(polygons: FloatArray) -> FloatArray:
+def polygon_areas(polygons: FloatArray) -> FloatArray:
+    """Return the (n,) areas of convex polygons (n, k, 2), clockwise."""
     p = polygons - polygons[:, :1]
     q = np.roll(p, -1, axis=1)
     return np.asarray(np.maximum(0.5 * (p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]).sum(axis=1), 0.0))
@@ -214,7 +175,7 @@ def quad_intersections(a: FloatArray, b: FloatArray) -> FloatArray:
         polygon, other = a[rows], b[columns]
         for k in range(4):
             polygon = _clip_by_line(polygon, other[:, k], other[:, (k + 1) % 4])
-        area[rows, columns] = _shoelace(polygon)
+        area[rows, columns] = polygon_areas(polygon)
     return area
 
 

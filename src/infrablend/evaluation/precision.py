@@ -5,7 +5,7 @@ A bootstrap draws images, or whole sequences, repeatedly with replacement.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,17 +16,13 @@ from infrablend.evaluation.detections import FloatArray
 from infrablend.evaluation.matching import IOUS, ClassMatches
 
 RECALLS: FloatArray = np.linspace(0.0, 1.0, 101)
-RECALLS.setflags(write=False)
 CONFIDENCES: FloatArray = np.linspace(0.0, 1.0, 1000)
-CONFIDENCES.setflags(write=False)
 _CELLS = 4_000_000  # most cells of a working array
 LEVEL = 0.95
 MEASURES = ("map50", "map50_95")
 
 
-def average_precisions(
-    matches: ClassMatches, weights: NDArray[Any] | None = None, size: int = 0, thresholds: Sequence[int] | None = None
-) -> FloatArray:
+def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = None, size: int = 0) -> FloatArray:
     """Return COCO's (b, t) average precision (101 recalls) of one class, for several weightings of the images at once.
 
     Args:
@@ -34,17 +30,15 @@ def average_precisions(
         weights: (b, i) number of times each image counts, whole numbers; once each by default. Counting an image twice
             equals having it twice, except for the order of detections with equal scores.
         size: Index of the size range.
-        thresholds: Indices into `IOUS`; all by default.
 
     Returns:
         The average precision; NaN if a weighting has no object.
     """
     images = matches.objects.shape[1]
-    wanted = list(range(len(IOUS))) if thresholds is None else list(thresholds)
     counts = np.ones((1, images), np.int32) if weights is None else np.asarray(weights, np.int32)
     # Detections in images with weight 0, or neutral at every threshold, can be dropped.
     live = counts.any(axis=0)[matches.images] & ~matches.neutral[size].all(axis=0)
-    right, neutral = (x[size][wanted][:, live] for x in (matches.right, matches.neutral))
+    right, neutral = (x[size][:, live] for x in (matches.right, matches.neutral))
     of_image = matches.images[live]
     # Precision matters only at hits; false positives at every threshold are counted between them.
     mixed = (right | neutral).any(axis=0)
@@ -52,21 +46,22 @@ def average_precisions(
     before = np.cumsum(~mixed)[special]
     wrong_images = of_image[~mixed][: int(before[-1]) if len(before) else 0]
     right, neutral, of = right[:, special], neutral[:, special], of_image[special]
-    result = np.full((len(counts), len(wanted)), np.nan)
-    for rows in _chunks(len(counts), max(len(wrong_images), len(special), 1)):
-        w = counts[rows]
+    result = np.full((len(counts), len(IOUS)), np.nan)
+    step = max(1, _CELLS // max(len(wrong_images), len(special), 1))
+    for start in range(0, len(counts), step):
+        w = counts[start : start + step]
         total = (w * matches.objects[size]).sum(axis=1).astype(np.float64)
         some = total > 0
         passed = np.zeros((len(w), len(wrong_images) + 1), np.int32)
         np.cumsum(w[:, wrong_images], axis=1, out=passed[:, 1:])
         base, own = passed[:, before], w[:, of]
-        for t in range(len(wanted)):
+        for t in range(len(IOUS)):
             ap = np.zeros(len(w))
             if right[t].any():
                 hits = np.cumsum(own * right[t], axis=1, dtype=np.int32)
                 misses = np.cumsum(own * ~(right[t] | neutral[t]), axis=1, dtype=np.int32) + base
                 ap = _area(hits.astype(np.float64), misses.astype(np.float64), np.maximum(total, 1.0))
-            result[rows.start : rows.stop, t] = np.where(some, ap, np.nan)
+            result[start : start + step, t] = np.where(some, ap, np.nan)
     return result
 
 
@@ -81,11 +76,6 @@ def _area(hits: FloatArray, misses: FloatArray, total: FloatArray) -> FloatArray
         at = at[at < recall.shape[1]]
         result[row] = reached[row, at].sum() / len(RECALLS)
     return result
-
-
-def _chunks(rows: int, columns: int) -> Iterator[slice]:
-    step = max(1, _CELLS // columns)
-    return (slice(k, min(k + step, rows)) for k in range(0, rows, step))
 
 
 def precision_by_recall(matches: ClassMatches) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Labels of a split by evaluated class, the classes to evaluate, and the detector's classes that match them."""
+"""Labels of a split by evaluated class, the detections to compare with them, and the classes that match."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.errors import Problem
-from infrablend.evaluation.detections import FloatArray, Task
+from infrablend.evaluation.detections import Detections, FloatArray, Task, detections
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,21 +41,59 @@ class Truth:
     corners_xy: FloatArray | None = None
     masks: tuple[Mask, ...] | None = None
 
-    @property
-    def long_sides_px(self) -> FloatArray:
-        """(g,) longer side of each label, px."""
-        return long_sides(self.boxes_xyxy, self.corners_xy)
-
     def regions_of(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mark the (n, g) regions that ignore detections of (n,) classes: those of no class, and crowds of the same."""
         return np.asarray(self.ignore & ((self.classes == -1) | (self.classes == numbers[:, None])))
 
 
-def long_sides(boxes_xyxy: FloatArray, corners_xy: FloatArray | None) -> FloatArray:
-    """Return the (n,) longer side in px, of the oriented boxes if given, else of the boxes."""
-    if corners_xy is not None:
-        return np.asarray(cxcywha_of_corners(corners_xy)[:, 2:4].max(axis=1, initial=0.0))
-    return np.asarray((boxes_xyxy[:, 2:] - boxes_xyxy[:, :2]).max(axis=1, initial=0.0))
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Detections and the labels to compare them with.
+
+    Attributes:
+        images: Images of the split.
+        labels: Labels of each image.
+        found: Detections on each image, see `compared`.
+        classes: Names of the evaluated classes.
+        task: What is compared: boxes, oriented boxes or masks.
+    """
+
+    images: Sequence[ImageRecord]
+    labels: Sequence[Truth]
+    found: Sequence[Detections]
+    classes: tuple[str, ...]
+    task: Task
+
+
+def compared(
+    found: Mapping[str, Detections], labels: Sequence[Truth], class_of: NDArray[np.int64], task: Task
+) -> tuple[Detections, ...]:
+    """Return the detections on each labelled image as a task compares them: only evaluated classes, by their indices.
+
+    Args:
+        found: Detections by the key of the image; images without an entry have none.
+        labels: Labels of each image.
+        class_of: Index of the evaluated class for each of the detector's classes; -1 for none.
+        task: What is compared.
+    """
+    result = []
+    for truth in labels:
+        whole = found.get(truth.key, detections([], [], []))
+        ours = replace(
+            whole,
+            classes=class_of[whole.classes],
+            corners_xy=whole.corners_xy if task == "obb" else None,
+            masks=whole.masks if task == "segment" else None,
+        )
+        result.append(ours.take(np.flatnonzero(ours.classes >= 0)))
+    return tuple(result)
+
+
+def long_sides(of: Truth | Detections) -> FloatArray:
+    """Return the (n,) longer side in px, of the oriented boxes if there are any, else of the boxes."""
+    if of.corners_xy is not None:
+        return np.asarray(cxcywha_of_corners(of.corners_xy)[:, 2:4].max(axis=1, initial=0.0))
+    return np.asarray((of.boxes_xyxy[:, 2:] - of.boxes_xyxy[:, :2]).max(axis=1, initial=0.0))
 
 
 def image_key(image: ImageRecord) -> str:
@@ -127,7 +165,6 @@ def _truth(key: str, size_wh: tuple[int, int], objects: Sequence[tuple[Instance,
 
 
 def _box_mask(instance: Instance, size_wh: tuple[int, int]) -> Mask:
-    """Return a mask that fills the box of an object."""
     w, h = size_wh
     x0, y0, x1, y1 = (round(v) for v in instance.box_xyxy)
     filled = np.zeros((h, w), np.bool_)
@@ -165,16 +202,11 @@ def match_classes(detector: Sequence[str], wanted: Sequence[str]) -> dict[str, t
     """
     found: dict[str, tuple[int, ...]] = {}
     for name in wanted:
-        ways = (
-            [k for k, other in enumerate(detector) if other == name],
-            [k for k, other in enumerate(detector) if _letters(other) == _letters(name)],
-            [
-                k
-                for k, other in enumerate(detector)
-                if known_class(other) is not None and known_class(other) == known_class(name)
-            ],
-        )
-        found[name] = tuple(next((way for way in ways if way), []))
+        for rule in (str, class_key, known_class):
+            wanted_key = rule(name)
+            found[name] = tuple(k for k, n in enumerate(detector) if wanted_key is not None and rule(n) == wanted_key)
+            if found[name]:
+                break
     return found
 
 
@@ -186,7 +218,8 @@ def class_numbers(mapping: Mapping[str, tuple[int, ...]], detector: int) -> NDAr
     return numbers
 
 
-def _letters(name: str) -> str:
+def class_key(name: str) -> str:
+    """Return a class name without case and blanks, for comparison: `Other Vehicle` and `OtherVehicle` are one."""
     return "".join(c for c in name.casefold() if c.isalnum())
 
 

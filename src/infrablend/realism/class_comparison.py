@@ -42,7 +42,6 @@ class ClassComparison:
         ablation: Scores per step of the sensor chain; empty if there is none.
         pairs: (real, inserted) pairs, as scored.
         logistic: Score of the logistic classifier on these pairs; None if they are too few for folds.
-        boosting: Score of gradient boosting, likewise.
     """
 
     category: str
@@ -50,7 +49,6 @@ class ClassComparison:
     ablation: dict[str, Any]
     pairs: Pairs
     logistic: Score | None
-    boosting: Score | None
 
 
 def compare_class(
@@ -62,59 +60,64 @@ def compare_class(
 ) -> ClassComparison:
     """Compare the objects of one class.
 
-    Args:
-        category: Name of the class.
-        real: All measured objects of the dataset.
-        inserted: All measured objects of the run.
-        pairs: Pairs of similar size.
-        redone: Objects measured again, by population: `floor` and `hard_paste` (with the keys of the pairs' real
-            objects), steps of the sensor chain (with the keys of the inserted ones).
+    `redone` are objects measured again, by population: `floor` and `hard_paste` (with the keys of the pairs' real
+    objects), steps of the sensor chain (with the keys of the inserted ones).
     """
     reals, inserts = [r for r, _ in pairs], [i for _, i in pairs]
+    floor, hard = redone.get("floor", ()), redone.get("hard_paste", ())
     logistic, boosting = _both_scores(pairs)
-    facts: dict[str, Any] = {"n": len(pairs), "n_real": len(real), "n_inserted": len(inserted)}
-    facts |= _scores("auc", logistic, boosting)
-    facts["ci"] = facts.pop("auc_ci")
-    for name in ("floor", "hard_paste"):
-        facts |= compare_control(name, reals, redone.get(name, ()))
     partner = {i.key: r for r, i in pairs}
     steps: dict[str, Any] = {}
-    for step, objects in redone.items():
-        if step in ("floor", "hard_paste"):
-            continue
-        usable = [(partner[m.key], m) for m in objects if not m.flaw]
-        a, b = _both_scores(usable)
+    for step in (s for s in redone if s not in ("floor", "hard_paste")):
+        usable = _with_partners(redone[step], partner)
+        scores = _scores("auc", *_both_scores(usable))
         steps[step] = {
             "n": len(usable),
-            "auc_logistic": _auc_or_none(a),
-            "auc_boosting": _auc_or_none(b),
-            "ci": _interval(a),
+            "auc_logistic": scores["auc_logistic"],
+            "auc_boosting": scores["auc_boosting"],
+            "ci": scores["auc_ci"],
             "medians": _medians([m for _, m in usable]),
         }
-    if "chain_off" in steps:
-        facts["chain_off_logistic"] = steps["chain_off"]["auc_logistic"]
-        facts["chain_off_boosting"] = steps["chain_off"]["auc_boosting"]
-    facts["medians"] = {
-        "real": _medians(reals),
-        "inserted": _medians(inserts),
-        "floor": _medians([m for m in redone.get("floor", ()) if not m.flaw]),
-        "hard_paste": _medians([m for m in redone.get("hard_paste", ()) if not m.flaw]),
+    off = {
+        f"chain_off_{kind}": steps["chain_off"][f"auc_{kind}"]
+        for kind in ("logistic", "boosting")
+        if "chain_off" in steps
     }
-    facts["all_sizes"] = {"real": _box_measures(real), "inserted": _box_measures(inserted)}
-    facts["size_by_altitude"] = _sizes(real, inserted)
-    facts["separating_features"] = _separating_features(reals, inserts) if logistic is not None else []
-    facts["cnn"] = _cnn(pairs, redone.get("floor", ()))
-    facts["mmd_dct"] = _distances(reals, inserts)
-    facts["kid"] = _kid(reals, inserts)
-    return ClassComparison(category, facts, steps, pairs, logistic, boosting)
+    facts = {
+        "n": len(pairs),
+        "n_real": len(real),
+        "n_inserted": len(inserted),
+        **_scores("auc", logistic, boosting),
+        "ci": _interval(logistic),
+        **compare_control("floor", reals, floor),
+        **compare_control("hard_paste", reals, hard),
+        **off,
+        "medians": {
+            "real": _medians(reals),
+            "inserted": _medians(inserts),
+            "floor": _medians([m for m in floor if not m.flaw]),
+            "hard_paste": _medians([m for m in hard if not m.flaw]),
+        },
+        "all_sizes": {"real": _box_measures(real), "inserted": _box_measures(inserted)},
+        "size_by_altitude": _sizes(real, inserted),
+        "separating_features": [] if logistic is None else _separating_features(reals, inserts),
+        "cnn": _cnn(pairs, floor),
+        "mmd_dct": _distances(reals, inserts),
+        "kid": _kid(reals, inserts),
+    }
+    del facts["auc_ci"]
+    return ClassComparison(category, facts, steps, pairs, logistic)
 
 
 def compare_control(name: str, real: Sequence[Measured], made: Sequence[Measured]) -> dict[str, Any]:
     """Return the AUCs of untouched objects against a control made of them."""
-    by_key = {m.key: m for m in real}
-    usable = [(by_key[m.key], m) for m in made if not m.flaw and m.key in by_key]
-    facts = _scores(name, *_both_scores(usable))
-    return {f"{name}_n": len(usable), **facts}
+    usable = _with_partners(made, {m.key: m for m in real})
+    return {f"{name}_n": len(usable), **_scores(name, *_both_scores(usable))}
+
+
+def _with_partners(made: Sequence[Measured], partner: Mapping[str, Measured]) -> Pairs:
+    """Return pairs of the objects without a flaw and those that they were made of, by key."""
+    return [(partner[m.key], m) for m in made if not m.flaw and m.key in partner]
 
 
 def validity(facts: Mapping[str, Any], person_floor: float | None) -> dict[str, Any]:
@@ -159,25 +162,20 @@ def _too_few(pairs: Pairs) -> str | None:
     return None
 
 
-def _auc_or_none(s: Score | None) -> float | None:
-    return None if s is None else round(s.auc, 4)
-
-
 def _interval(s: Score | None) -> list[float] | None:
     return None if s is None else [round(v, 4) for v in s.interval]
 
 
 def _scores(name: str, logistic: Score | None, boosting: Score | None) -> dict[str, Any]:
     return {
-        f"{name}_logistic": _auc_or_none(logistic),
-        f"{name}_boosting": _auc_or_none(boosting),
+        f"{name}_logistic": None if logistic is None else round(logistic.auc, 4),
+        f"{name}_boosting": None if boosting is None else round(boosting.auc, 4),
         f"{name}_ci": _interval(logistic),
         f"{name}_boosting_ci": _interval(boosting),
     }
 
 
 def _medians(objects: Sequence[Measured]) -> dict[str, float | None]:
-    """Return the median of every feature and measure over the objects for which it is known."""
     found: dict[str, float | None] = {}
     for names, rows in ((FEATURES, [m.features for m in objects]), (MEASURES, [m.measures for m in objects])):
         for k, name in enumerate(names):
@@ -207,24 +205,17 @@ def _box_measures(objects: Sequence[Measured]) -> dict[str, Any]:
 
 
 def _sizes(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
-    heights = sorted({m.altitude_m for m in (*real, *inserted) if m.altitude_m is not None})
-    return {
-        f"{a:g}": {
-            f"{name}_{what}": value
-            for name, objects in (("real", real), ("inserted", inserted))
-            for what, value in _size([m for m in objects if m.altitude_m == a]).items()
-        }
-        for a in heights
-    }
-
-
-def _size(objects: Sequence[Measured]) -> dict[str, Any]:
-    sides = [max(m.box_xyxy[2] - m.box_xyxy[0], m.box_xyxy[3] - m.box_xyxy[1]) for m in objects]
-    return {"n": len(sides), "long_side_px": round(float(np.median(sides)), 2) if sides else None}
+    found: dict[str, Any] = {}
+    for a in sorted({m.altitude_m for m in (*real, *inserted) if m.altitude_m is not None}):
+        at_height = found[f"{a:g}"] = {}
+        for name, objects in (("real", real), ("inserted", inserted)):
+            sides = [float((m.box_xyxy[2:] - m.box_xyxy[:2]).max()) for m in objects if m.altitude_m == a]
+            at_height[f"{name}_n"] = len(sides)
+            at_height[f"{name}_long_side_px"] = round(float(np.median(sides)), 2) if sides else None
+    return found
 
 
 def _separating_features(real: Sequence[Measured], other: Sequence[Measured]) -> list[dict[str, Any]]:
-    """Return the features by how well each alone separates the two populations, best first."""
     a, b = (np.array([m.features for m in objects], np.float64) for objects in (real, other))
     y = np.repeat([0, 1], [len(a), len(b)])
     by_weight = weights(real, other)
@@ -245,16 +236,14 @@ def _separating_features(real: Sequence[Measured], other: Sequence[Measured]) ->
 
 
 def _cnn(pairs: Pairs, floor: Sequence[Measured]) -> dict[str, Any]:
-    """Return the scores of the small network on the pairs and on the real control."""
     if reason := missing("torch") or _too_few(pairs):
         return {"skipped": reason}
     s = score_crops([r for r, _ in pairs], [i for _, i in pairs])
-    facts: dict[str, Any] = {"auc": _auc_or_none(s), "ci": _interval(s)}
-    by_key = {r.key: r for r, _ in pairs}
-    usable = [(by_key[m.key], m) for m in floor if not m.flaw and m.key in by_key]
+    facts: dict[str, Any] = {"auc": round(s.auc, 4), "ci": _interval(s)}
+    usable = _with_partners(floor, {r.key: r for r, _ in pairs})
     if not _too_few(usable):
         s = score_crops([r for r, _ in usable], [m for _, m in usable])
-        facts |= {"floor": _auc_or_none(s), "floor_ci": _interval(s)}
+        facts |= {"floor": round(s.auc, 4), "floor_ci": _interval(s)}
     return facts
 
 
@@ -274,21 +263,11 @@ def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[s
 
 def _feature_distance(real: Sequence[Measured], a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
     """Return the distance of the inserted features `b` from the real `a`, and that of two halves of the real ones."""
-    apart = mmd(a, b)
-    facts = {"inserted": [round(apart.mean, 6), round(apart.sd, 6)]}
+    facts = {"inserted": [round(v, 6) for v in mmd(a, b)]}
     half = group_numbers(real) % 2 == 0
     if min(half.sum(), (~half).sum()) >= SUBSET:
-        floor = mmd(a[half], a[~half])
-        facts["real_halves"] = [round(floor.mean, 6), round(floor.sd, 6)]
+        facts["real_halves"] = [round(v, 6) for v in mmd(a[half], a[~half])]
     return facts
-
-
-@dataclass(frozen=True)
-class Distance:
-    """Mean and standard deviation of the distance over subsets."""
-
-    mean: float
-    sd: float
 
 
 def dct_features(crops: Sequence[Measured]) -> NDArray[np.float64]:
@@ -298,16 +277,11 @@ def dct_features(crops: Sequence[Measured]) -> NDArray[np.float64]:
     ).reshape(len(crops), _SIDE * _SIDE)
 
 
-def mmd(a: NDArray[np.float64], b: NDArray[np.float64]) -> Distance:
-    """Return the unbiased MMD^2 with the kernel (x.y / d + 1)^3 over subsets of 100 crops.
+def mmd(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float]:
+    """Return mean and standard deviation of the unbiased MMD^2 over subsets of 100 crops, of which each side has more.
 
-    The features are used without scaling.
-
-    Raises:
-        ValueError: One of the sets is smaller than a subset.
+    The kernel is (x.y / d + 1)^3, and the features are used without scaling.
     """
-    if min(len(a), len(b)) < SUBSET:
-        raise ValueError(f"MMD needs {SUBSET} crops on each side, got {len(a)} and {len(b)}")
     rng = stream(0, "mmd")
     found = []
     for _ in range(SUBSETS):
@@ -317,7 +291,7 @@ def mmd(a: NDArray[np.float64], b: NDArray[np.float64]) -> Distance:
         n = SUBSET
         within = (xx.sum() - np.trace(xx) + yy.sum() - np.trace(yy)) / (n * (n - 1))
         found.append(within - 2 * xy.mean())
-    return Distance(float(np.mean(found)), float(np.std(found)))
+    return float(np.mean(found)), float(np.std(found))
 
 
 def standardised(features: NDArray[np.float64], like: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -334,12 +308,7 @@ def pair_by_size(real: Sequence[Measured], inserted: Sequence[Measured], most: i
     """Return (real, inserted) pairs whose box heights differ by at most a quarter of an octave.
 
     In random order, each inserted object is paired with the unused real one nearest in height, so both sides have the
-    same distribution of sizes. Objects without a partner are left out, as are those with a flaw.
-
-    Args:
-        real: Real objects; each is used at most once.
-        inserted: Inserted objects; each is used at most once.
-        most: Largest number of pairs.
+    same distribution of sizes. Each object is in one pair at most; those without a partner or with a flaw are left out.
     """
     rest = sorted((math.log2(m.height_px), m.key, m) for m in real if not m.flaw)
     usable = sorted((m for m in inserted if not m.flaw), key=lambda m: m.key)

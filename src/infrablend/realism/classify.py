@@ -27,16 +27,11 @@ class Score:
         auc: AUC of the out-of-fold predictions; 0.5 is chance, 1 perfect separation.
         interval: 2.5 and 97.5 % quantile of the AUC over resampled backgrounds.
         predictions: (2n,) log odds of belonging to the second population; the real objects come first.
-        n: Number of pairs.
     """
 
     auc: float
     interval: tuple[float, float]
     predictions: NDArray[np.float64]
-    n: int
-
-    def __str__(self) -> str:
-        return f"{self.auc:.3f} [{self.interval[0]:.3f}, {self.interval[1]:.3f}]"
 
 
 def require_sklearn() -> None:
@@ -60,7 +55,7 @@ def score(real: Sequence[Measured], other: Sequence[Measured], kind: Kind) -> Sc
     y = np.repeat([0, 1], [len(real), len(other)])
     groups = group_numbers([*real, *other])
     predictions = out_of_fold(x, y, groups, kind)
-    return Score(auc(y, predictions), bootstrap(y, predictions, groups), predictions, len(real))
+    return Score(auc(y, predictions), bootstrap(y, predictions, groups), predictions)
 
 
 def group_numbers(objects: Sequence[Measured]) -> NDArray[np.int64]:

@@ -144,23 +144,23 @@ def compare_contrasts(
     """Return the contrast of real and inserted objects of one class by time of day, and the verdicts on them.
 
     Returns:
-        Time of day to `real`, `inserted` (see `contrast_figures`) and `checks` (see `contrast_checks`), as plain JSON
-        values. Times without inserted objects are left out.
+        Time of day to `real` and `inserted` (quantiles of contrast and of signal to clutter, and both slopes) and
+        `checks`: whether inserted objects are within the limits set by real ones. `slope_high` and `slope_middle` are
+        within 0.15 of the real slope. `change_p1` and `change_p5`, the quantiles of the largest change, are at least
+        0.8 of the real ones. Objects that are alone in their images have no slope: their quartiles of contrast,
+        `signed_p25` to `signed_p75`, are within 25 % of the real ones instead. Each check has `real`, `inserted`,
+        `found` (the difference or the ratio), its `ci` if known, `limit` and `holds`, which is None with fewer than 30
+        objects on either side. As plain JSON values; times without inserted objects are left out.
     """
     found = {}
     for time in TIMES:
         sides = [[o for o in side if o.time_of_day == time] for side in (real, inserted)]
         if sides[1]:
-            slopes = [_slopes(side) for side in sides]  # each resamples its images a thousand times
-            figures = [_figures(*of_side) for of_side in zip(sides, slopes, strict=True)]
+            slopes = [{level: slope_within_images(side, level) for level in LEVELS} for side in sides]
+            real_figures, inserted_figures = (_figures(*of_side) for of_side in zip(sides, slopes, strict=True))
             checks = _checks(sides[0], sides[1], slopes[0], slopes[1])
-            found[time] = {"real": figures[0], "inserted": figures[1], "checks": checks}
+            found[time] = {"real": real_figures, "inserted": inserted_figures, "checks": checks}
     return found
-
-
-def contrast_figures(objects: Sequence[ObjectContrast]) -> dict[str, Any]:
-    """Return quantiles of contrast and signal to clutter, and both slopes, of objects of one class and time of day."""
-    return _figures(objects, _slopes(objects))
 
 
 def _figures(objects: Sequence[ObjectContrast], slopes: Slopes) -> dict[str, Any]:
@@ -176,24 +176,6 @@ def _figures(objects: Sequence[ObjectContrast], slopes: Slopes) -> dict[str, Any
         "scr": _quantiles([o.contrast.scr for o in objects], (1, 5, 50), 2),
         "slope": {level: None if slope is None else slope.to_json() for level, slope in slopes.items()},
     }
-
-
-def contrast_checks(real: Sequence[ObjectContrast], inserted: Sequence[ObjectContrast]) -> dict[str, dict[str, Any]]:
-    """Return whether inserted objects are within the limits set by real ones of the same class and time of day.
-
-    `slope_high` and `slope_middle` are within 0.15 of the real slope. `change_p1` and `change_p5`, the quantiles of the
-    largest change, are at least 0.8 of the real ones. Objects that are alone in their images have no slope: their
-    quartiles of contrast, `signed_p25` to `signed_p75`, are within 25 % of the real ones instead.
-
-    Returns:
-        Name of the check to `real`, `inserted`, `found` (the difference or the ratio), its `ci` if known, `limit`
-        and `holds`, which is None with fewer than 30 objects on either side.
-    """
-    return _checks(real, inserted, _slopes(real), _slopes(inserted))
-
-
-def _slopes(objects: Sequence[ObjectContrast]) -> Slopes:
-    return {level: slope_within_images(objects, level) for level in LEVELS}
 
 
 def _checks(
@@ -213,7 +195,7 @@ def _checks(
                 "found": round(difference, 3),
                 "ci": [round(float(v), 3) for v in spread],
                 "limit": MAX_SLOPE_DIFFERENCE,
-                "holds": abs(difference) <= MAX_SLOPE_DIFFERENCE if _enough(a, b) else None,
+                "holds": abs(difference) <= MAX_SLOPE_DIFFERENCE if _is_enough(a) and _is_enough(b) else None,
             }
     if not real or not inserted:
         return checks
@@ -231,10 +213,6 @@ def _checks(
                 enough,
             )
     return checks
-
-
-def _enough(*slopes: Slope) -> bool:
-    return min(s.objects for s in slopes) >= MIN_COMPARED
 
 
 def _ratio_check(values: Sequence[float], limits: tuple[float, float | None], enough: bool) -> dict[str, Any]:

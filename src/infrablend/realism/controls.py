@@ -126,14 +126,7 @@ class Controls:
 
 
 def paste_controls(picture: Picture, labels: Labels, objects: Sequence[tuple[int, Instance]], key: str) -> Controls:
-    """Paste both controls of some of a picture's objects, each at its own free place in the same picture.
-
-    Args:
-        picture: (h, w) in 8-bit levels.
-        labels: All labels of the picture.
-        objects: Number and label of the objects to paste.
-        key: Key of the picture, for the random stream.
-    """
+    """Paste both controls of some of a picture's objects, given with their numbers, each at its own free place."""
     real, flat = picture.copy(), picture.copy()
     taken = ~labels.free
     placed: dict[int, Instance] = {}

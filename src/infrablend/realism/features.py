@@ -217,16 +217,7 @@ def measure(
     group: str,
     altitude_m: float | None = None,
 ) -> Measured:
-    """Measure one object.
-
-    Args:
-        picture: (h, w) in 8-bit levels.
-        instance: Label of the object; only box and category are used.
-        free: (h, w) pixels in no label's box.
-        key: See `Measured`.
-        group: See `Measured`.
-        altitude_m: See `Measured`.
-    """
+    """Measure one object by box and category of its label; `free` are the (h, w) pixels in no label's box."""
     box = np.array(instance.box_xyxy, np.float64)
     x0, y0, x1, y1 = pixel_box(box, picture.shape)
     inside = picture[y0:y1, x0:x1]

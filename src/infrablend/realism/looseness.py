@@ -183,7 +183,6 @@ def side_spreads(box: NDArray[np.float64], extent: NDArray[np.float64]) -> tuple
 
 
 def _median_factor(logs: Sequence[float], images: Sequence[str]) -> tuple[float, list[float]]:
-    """Return the median of factors, and its 95 % interval over resampled images."""
     values = np.array(logs, np.float64)
     names, number = np.unique(list(images), return_inverse=True)
     order = np.argsort(values, kind="stable")

@@ -54,7 +54,7 @@ def score_crops(real: Sequence[Measured], other: Sequence[Measured], epochs: int
     finally:
         torch.set_deterministic_debug_mode(before)
         torch.set_num_threads(threads)
-    return Score(auc(y, predictions), bootstrap(y, predictions, groups), predictions, len(real))
+    return Score(auc(y, predictions), bootstrap(y, predictions, groups), predictions)
 
 
 def _train(crops: NDArray[np.float32], y: NDArray[np.int64], epochs: int, fold: int) -> Any:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import cxcywha_of_corners
 from infrablend.evaluation.detections import Detections, Task
-from infrablend.evaluation.figures import Case
 from infrablend.evaluation.matching import IOUS, overlaps
-from infrablend.evaluation.truth import Truth
+from infrablend.evaluation.truth import Case, Truth
 from infrablend.training.environment import quiet_ultralytics
 
 
@@ -22,7 +21,6 @@ def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
     Ultralytics has no regions to ignore. Detections that overlap such a region, but no object of their class, by half
     are therefore removed first. It compares oriented boxes by a probabilistic overlap instead of the exact one.
     """
-    truths, found, class_of, classes, task = case.labels, case.compared, case.class_of, case.classes, case.task
     with quiet_ultralytics():
         import torch
         from ultralytics.engine.validator import BaseValidator
@@ -30,24 +28,20 @@ def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
 
         matcher = SimpleNamespace(iouv=torch.linspace(0.5, 0.95, len(IOUS)))
         right, scores, predicted, labels, images = [], [], [], [], []
-        for truth in truths:
+        for truth, found in zip(case.labels, case.found, strict=True):
             real = np.flatnonzero(~truth.ignore)
             labels.append(truth.classes[real])
             images.append(np.unique(truth.classes[real]))
-            ours = found.get(truth.key)
-            if ours is None:
-                continue
-            ours = _outside_regions(ours.take(np.flatnonzero(class_of[ours.classes] >= 0)), truth, class_of, task)
-            its = class_of[ours.classes]
+            ours = _outside_regions(found, truth, case.task)
             hit = np.zeros((len(ours), len(IOUS)), np.bool_)
             if len(ours) and len(real):
-                iou = _overlap(ours, truth, real, task)
+                iou = _overlap(ours, truth, real, case.task)
                 hit = BaseValidator.match_predictions(
-                    matcher, torch.from_numpy(its), torch.from_numpy(truth.classes[real]), iou
+                    matcher, torch.from_numpy(ours.classes), torch.from_numpy(truth.classes[real]), iou
                 ).numpy()
             right.append(hit)
             scores.append(ours.scores)
-            predicted.append(its)
+            predicted.append(ours.classes)
         target = np.concatenate([np.zeros(0, np.int64), *labels])
         if not len(target):
             return {}
@@ -59,32 +53,25 @@ def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
         )
     with_class = np.concatenate(images)
     table: dict[str, dict[str, Any]] = {
-        "all": _row(len(truths), len(target), p.mean(), r.mean(), ap[:, 0].mean(), ap.mean())
+        "all": _row(len(case.labels), len(target), p.mean(), r.mean(), ap[:, 0].mean(), ap.mean())
     }
     for k, c in enumerate(which):
         counts = int((with_class == c).sum()), int((target == c).sum())
-        table[classes[c]] = _row(*counts, p[k], r[k], ap[k, 0], ap[k].mean())
+        table[case.classes[c]] = _row(*counts, p[k], r[k], ap[k, 0], ap[k].mean())
     return table
 
 
-def _row(images: int, instances: int, p: float, r: float, map50: float, map50_95: float) -> dict[str, Any]:
-    return {
-        "images": images,
-        "instances": instances,
-        "p": float(p),
-        "r": float(r),
-        "map50": float(map50),
-        "map50_95": float(map50_95),
-    }
+def _row(images: int, instances: int, *measures: float) -> dict[str, Any]:
+    named = zip(("p", "r", "map50", "map50_95"), measures, strict=True)
+    return {"images": images, "instances": instances, **{name: float(value) for name, value in named}}
 
 
-def _outside_regions(ours: Detections, truth: Truth, class_of: NDArray[np.int64], task: Task) -> Detections:
+def _outside_regions(ours: Detections, truth: Truth, task: Task) -> Detections:
     if not truth.ignore.any() or not len(ours):
         return ours
     overlap = overlaps(ours, truth, task)
-    its = class_of[ours.classes]
-    object_ = (overlap * ((its[:, None] == truth.classes) & ~truth.ignore)).max(axis=1) >= IOUS[0]
-    region = (overlap * truth.regions_of(its)).max(axis=1) >= IOUS[0]
+    object_ = (overlap * ((ours.classes[:, None] == truth.classes) & ~truth.ignore)).max(axis=1) >= IOUS[0]
+    region = (overlap * truth.regions_of(ours.classes)).max(axis=1) >= IOUS[0]
     return ours.take(np.flatnonzero(object_ | ~region))
 
 

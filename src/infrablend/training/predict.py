@@ -24,6 +24,7 @@ from infrablend.core.boxes import box_of_points, corners_of_cxcywha
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, MissingDependencyError, ModelError, Problem
+from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.detections import TASKS, Detections, Predictions, Task, detections
 from infrablend.evaluation.truth import image_key
 from infrablend.formats.images import load_background
@@ -34,8 +35,7 @@ from infrablend.training.scale import Scale, training_agc, training_scale
 from infrablend.training.weights import require_ultralytics
 
 CONFIDENCE = 0.001
-IOU = 0.7
-MAX_DETECTIONS = 300
+IOU = 0.7  # of two detections of a class that overlap more, the one with the lower score is dropped
 Precision = Literal["auto", "float32", "bfloat16"]
 _TODO = "give weights.pt of a finished `infrablend train`, or best.pt or last.pt of an Ultralytics training"
 _GREY = 114  # padding, as in Ultralytics
@@ -201,9 +201,6 @@ def predict(
     images: Sequence[ImageRecord],
     *,
     image_size: int | None = None,
-    confidence: float = CONFIDENCE,
-    iou: float = IOU,
-    max_detections: int = MAX_DETECTIONS,
     batch: int | None = None,
     on_image: Callable[[int, int], None] | None = None,
 ) -> Predictions:
@@ -215,9 +212,6 @@ def predict(
             training; without one they are read by their high byte, as Ultralytics does.
         image_size: Longer side of the pictures for the network, px; 0 keeps their own size; by default the scale of the
             detector's training.
-        confidence: Least score.
-        iou: Overlap above which, of two detections of a class, the one with the lower score is dropped.
-        max_detections: Most detections per image.
         batch: Pictures per batch; by default 16 on a GPU, else 4.
         on_image: Called with the number of finished and of all pictures.
 
@@ -232,7 +226,7 @@ def predict(
     problems: list[Problem] = []
     with quiet_ultralytics():
         for group in _batches(images, detector, scale.image_size, at_once, problems):
-            ours = _run(detector, group, confidence, iou, max_detections)
+            ours = _run(detector, group)
             for (image, picture), its in zip(group, ours, strict=True):
                 found[image_key(image)], sizes[image_key(image)] = its, picture.size_wh
             if on_image is not None:
@@ -242,9 +236,9 @@ def predict(
     facts = detector.facts | {
         "image_size": scale.image_size,
         "image_size_from": scale.origin,
-        "confidence": confidence,
-        "iou": iou,
-        "max_detections": max_detections,
+        "confidence": CONFIDENCE,
+        "iou": IOU,
+        "max_detections": MAX_DETECTIONS,
     }
     return Predictions(detector.task, detector.classes, found, sizes, facts)
 
@@ -300,13 +294,10 @@ _Group = list[tuple[ImageRecord, _Picture]]
 def _batches(
     images: Sequence[ImageRecord], detector: Detector, image_size: int, at_once: int, problems: list[Problem]
 ) -> Iterator[_Group]:
-    """Yield batches of consecutive pictures of the same shape."""
     group: _Group = []
     for image in images:
         picture = _read(image, detector, image_size, problems)
-        if picture is None:
-            continue
-        if problems:  # the detections will not be used, but all problems are to be listed
+        if picture is None or problems:  # the detections will not be used, but all problems are to be listed
             continue
         if group and (len(group) >= at_once or group[0][1].pixels.shape != picture.pixels.shape):
             yield group
@@ -371,21 +362,21 @@ def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> _Pic
     return _Picture(padded, (width, height), (w / width, h / height), (left, top))
 
 
-def _run(detector: Detector, group: _Group, confidence: float, iou: float, most: int) -> list[Detections]:
+def _run(detector: Detector, group: _Group) -> list[Detections]:
     import torch
 
     try:
-        return _forward(detector, [p for _, p in group], confidence, iou, most)
+        return _forward(detector, [p for _, p in group])
     except (torch.OutOfMemoryError, MemoryError) as error:
         if len(group) == 1:
             raise ModelError(
                 f"{group[0][0].name}: memory does not hold one picture; take a smaller --image-size or --device cpu"
             ) from error
         middle = len(group) // 2
-        return [one for part in (group[:middle], group[middle:]) for one in _run(detector, part, confidence, iou, most)]
+        return [*_run(detector, group[:middle]), *_run(detector, group[middle:])]
 
 
-def _forward(detector: Detector, pictures: Sequence[_Picture], confidence: float, iou: float, most: int) -> list[Any]:
+def _forward(detector: Detector, pictures: Sequence[_Picture]) -> list[Any]:
     import torch
     from ultralytics.utils import nms
 
@@ -399,11 +390,11 @@ def _forward(detector: Detector, pictures: Sequence[_Picture], confidence: float
             said = said[0]
         kept = nms.non_max_suppression(
             said,
-            confidence,
-            iou,
+            CONFIDENCE,
+            IOU,
             nc=0 if detector.task == "detect" else len(detector.classes),
             multi_label=True,
-            max_det=most,
+            max_det=MAX_DETECTIONS,
             max_time_img=3600.0,  # results must not depend on speed
             rotated=detector.task == "obb",
             end2end=bool(getattr(detector.network, "end2end", False)),

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from infrablend.evaluation.detections import Task
+
 PresetName = Literal["paper", "small", "smoke"]
-Task = Literal["detect", "obb", "segment"]
-TASKS: tuple[Task, ...] = ("detect", "obb", "segment")
-SUFFIX: Mapping[str, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
+SUFFIX: Mapping[Task, str] = {"detect": "", "obb": "-obb", "segment": "-seg"}
 
 
 @dataclass(frozen=True)
@@ -93,14 +93,7 @@ _RATE_320 = {("yolov8n", "cpu"): 25.0, ("yolov8s", "cpu"): 8.0, ("yolov8n", "gpu
 
 
 def estimate_seconds(preset: Preset, images: int, *, gpu: bool, cores: int = 2) -> float:
-    """Estimate the wall-clock seconds of a training, within a factor of two on the machines we measured.
-
-    Args:
-        preset: Settings of the training.
-        images: Number of pictures, or tiles.
-        gpu: Whether the training runs on a GPU.
-        cores: Number of processor cores, used without a GPU.
-    """
+    """Estimate the wall-clock seconds of a training on that many pictures or tiles, within a factor of two."""
     rate = _RATE_320.get((preset.model, "gpu" if gpu else "cpu"), 5.0) * (320 / preset.image_size) ** 2
     rate *= 1 if gpu else cores / 2
     epochs, shown = preset.epochs_for(images)
@@ -118,8 +111,3 @@ def weights_bytes(preset: Preset) -> float:
     optimizer's two moments, and the final weights, all in half precision.
     """
     return _PARAMETERS_M.get(preset.model[-1:], _PARAMETERS_M["x"]) * 1e6 * 2 * (4 * 3 + 1)
-
-
-def tiles_expected(images: int, objects: int) -> int:
-    """Estimate the number of tiles cut from pictures with a number of objects (HIT-UAV: 1.6 per picture)."""
-    return images + math.ceil(0.08 * objects)

@@ -9,8 +9,9 @@ from typing import Any
 from infrablend.config.agc import DEFAULT_AGC, Agc
 from infrablend.core.arguments import require_names
 from infrablend.errors import OutputError, Problem
+from infrablend.evaluation.detections import Task
 from infrablend.training import weights
-from infrablend.training.presets import PRESETS, Preset, PresetName, Task
+from infrablend.training.presets import PRESETS, Preset, PresetName
 
 PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
 _LEAST = {"image_size": 1, "batch": 1}

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from infrablend.config.agc import Agc, agc_from_json
-from infrablend.core.files import load_json
+from infrablend.core.files import read_object
 from infrablend.errors import Problem
+from infrablend.training.files import RECORD, WEIGHTS
 
 # Default of Ultralytics, and the size in the paper.
 DEFAULT_SIZE = 640
-# Entry in the weights of `infrablend train`, and the record of the training beside them.
-MARK, RECORD = "infrablend", "train.json"
+# Entry in the weights of `infrablend train`.
+MARK = "infrablend"
 
 
 @dataclass(frozen=True)
@@ -56,14 +57,16 @@ def training_scale(weights: Path, checkpoint: Mapping[str, object]) -> Scale:
         checkpoint: Content of the file.
     """
     mark = checkpoint.get(MARK)
-    if isinstance(mark, Mapping):
-        return _of_settings(mark)
+    settings = mark if isinstance(mark, Mapping) else _record_of(weights).get("settings")
+    if isinstance(settings, Mapping):
+        tile, size = (_side(settings.get(key)) for key in ("tile", "image_size"))
+        if tile:
+            return Scale(0, f"trained on tiles of {tile} px at native resolution")
+        if size is None:
+            return Scale(DEFAULT_SIZE, "the record of the training contains no size", known=False)
+        return Scale(size, f"trained on whole pictures at {size} px")
     arguments = checkpoint.get("train_args")
     arguments = arguments if isinstance(arguments, Mapping) else {}
-    if weights.name == "weights.pt":
-        settings = _recorded_settings(weights.with_name(RECORD))
-        if settings is not None:
-            return _of_settings(settings)
     size = _side(arguments.get("imgsz"))
     if size is None:
         return Scale(DEFAULT_SIZE, "the weights do not contain their training size", known=False)
@@ -77,32 +80,16 @@ def training_agc(weights: Path, checkpoint: Mapping[str, object]) -> Agc | None:
     """Return the automatic gain control that a detector's 16-bit pictures went through; None for other detectors."""
     mark = checkpoint.get(MARK)
     found = mark.get("agc") if isinstance(mark, Mapping) else None
-    if found is None and weights.name == "weights.pt":
-        try:
-            found = load_json(weights.with_name(RECORD)).get("agc")
-        except (OSError, ValueError, AttributeError):
-            return None
+    found = _record_of(weights).get("agc") if found is None else found
     try:
         return agc_from_json(found) if isinstance(found, Mapping) else None
     except ValueError:
         return None
 
 
-def _of_settings(settings: Mapping[str, object]) -> Scale:
-    tile, size = (_side(settings.get(key)) for key in ("tile", "image_size"))
-    if tile:
-        return Scale(0, f"trained on tiles of {tile} px at native resolution")
-    if size is None:
-        return Scale(DEFAULT_SIZE, "the record of the training contains no size", known=False)
-    return Scale(size, f"trained on whole pictures at {size} px")
-
-
-def _recorded_settings(record: Path) -> Mapping[str, object] | None:
-    try:
-        settings = load_json(record)["settings"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return settings if isinstance(settings, dict) else None
+def _record_of(weights: Path) -> Mapping[str, object]:
+    """Return the record of the training beside the weights of `infrablend train`; empty for other weights."""
+    return (read_object(weights.with_name(RECORD)) or {}) if weights.name == WEIGHTS else {}
 
 
 def _side(value: object) -> int | None:

@@ -87,11 +87,8 @@ class Tile:
         )
 
     def _mask(self, mask: Mask) -> Mask:
-        part = self.crop(np.asarray(mask.to_array() * 255, np.uint8))
-        x, y = self.origin_xy
-        part[mask.size_hw[0] - y if mask.size_hw[0] - y < self.span_px else self.span_px :] = 0
-        part[:, mask.size_hw[1] - x if mask.size_hw[1] - x < self.span_px else self.span_px :] = 0
-        return Mask.from_array(part > 127)
+        # Padding is darker than half of 255, and so belongs to no mask.
+        return Mask.from_array(self.crop(np.asarray(mask.to_array() * 255, np.uint8)) > 127)
 
 
 def _area(box: NDArray[np.float64]) -> float:

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import load_json, replace_atomically, write_text
+from infrablend.core.files import load_json, replace_atomically
 from infrablend.core.parent_process import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
@@ -42,27 +42,19 @@ REACHED = "infrablend_reached"
 
 @dataclass(frozen=True)
 class Job:
-    """Settings of the training process.
+    """Settings of the training process; those of `TrainRequest` and `Preset` are explained there.
 
     Attributes:
         data: Path of Ultralytics' data.yaml.
         out: Folder for checkpoint and weights.
-        task: detect, obb or segment.
         model: File of weights or name of a network description.
         device: `cpu`, `mps` or the number of a GPU.
-        epochs: Total number of epochs.
-        batch: Images per step.
-        image_size: Side of the network's input, px.
-        patience: Epochs without improvement before the training stops; 0 for never.
-        seed: Seed of everything random.
         images: Number of images the train split must have.
         labels: Number of labels the train split must have.
         shown: Images shown per epoch. If it differs from `images`, each epoch continues in the shuffled data where the
             last one ended.
-        arguments: Further arguments for Ultralytics.
         val_images: Number of images the val split must have; 0 if nothing depends on it.
         val_labels: Number of labels the val split must have.
-        tile: Side of the tiles, px; 0 if the images are whole pictures.
         agc: Automatic gain control that turned 16-bit pictures into the images, as JSON values; None for 8-bit ones.
     """
 
@@ -84,10 +76,6 @@ class Job:
     val_labels: int = 0
     tile: int = 0
     agc: dict[str, Any] | None = None
-
-    def write(self, path: Path) -> None:
-        """Write the file that `main` reads."""
-        write_text(path, json.dumps(asdict(self), indent=1, sort_keys=True))
 
 
 @dataclass(frozen=True)
@@ -338,7 +326,6 @@ def _use_deterministic_algorithms(torch: Any, mode: bool, *, warn_only: bool = F
 
 
 def _loaded(loader: Any) -> tuple[int, int]:
-    """Return the numbers of images and labels that Ultralytics has loaded."""
     found = loader.dataset.labels
     return len(found), sum(len(label["cls"]) for label in found)
 

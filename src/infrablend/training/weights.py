@@ -16,6 +16,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import write_bytes
 from infrablend.core.user_folders import weights_folder
 from infrablend.errors import FetchError, MissingDependencyError
+from infrablend.evaluation.detections import Task
 from infrablend.training.presets import SUFFIX, Preset
 
 SCRATCH = "scratch"
@@ -45,14 +46,14 @@ class StartWeights:
     why: str = ""
 
 
-def find_start(wanted: str, preset: Preset, task: str, cache: Path | None = None) -> StartWeights:
+def find_start(wanted: str, preset: Preset, task: Task, cache: Path | None = None) -> StartWeights:
     """Return the weights to start from, after downloading them if needed.
 
     Args:
         wanted: A file, a name such as `yolov8s.pt`, `scratch`, or `auto`: the preset's published weights if they are
             available, else from scratch.
         preset: Settings that name the network.
-        task: One of `presets.TASKS`.
+        task: Task of the network.
         cache: Folder for downloaded weights; `core.user_folders.weights_folder()` by default.
 
     Raises:
@@ -111,7 +112,6 @@ def require_ultralytics() -> None:
 
 
 def _published(name: str, folder: Path) -> Path:
-    """Return the file of that name from the cache, after downloading it if needed."""
     path = folder / name
     note = ""
     if path.is_file():

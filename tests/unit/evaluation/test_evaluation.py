@@ -19,7 +19,7 @@ from infrablend.errors import DatasetError
 from infrablend.evaluation.coco import coco_precisions
 from infrablend.evaluation.detections import Predictions, detections, read_predictions, write_predictions
 from infrablend.evaluation.figures import confusion_matrix, image_strata
-from infrablend.evaluation.matching import match_all, quad_areas, quad_intersections, size_bins
+from infrablend.evaluation.matching import SIZE_BINS, match_all, polygon_areas, quad_intersections
 from infrablend.evaluation.precision import (
     average_precisions,
     draw_images,
@@ -29,7 +29,7 @@ from infrablend.evaluation.precision import (
     paired,
     precision_by_recall,
 )
-from infrablend.evaluation.truth import Truth, class_numbers, fingerprint, match_classes, truths
+from infrablend.evaluation.truth import Case, Truth, class_numbers, compared, fingerprint, match_classes, truths
 from tests.polygons import polygon_iou
 
 ALL = {"all": (0.0, float("inf"))}
@@ -41,8 +41,13 @@ def image(stem: str, *objects: tuple[str, list[float]], **facts: object) -> Imag
     return ImageRecord(stem, Path(f"{stem}.png"), "test", (200, 100), instances, Capture(**facts))
 
 
+def case(labels, found, classes=1, task="detect") -> Case:
+    names = tuple(str(k) for k in range(classes))
+    return Case((), labels, compared(found, labels, np.arange(classes), task), names, task)
+
+
 def matched(labels, found, classes=1, task="detect", bins=ALL):
-    return match_all(labels, found, np.arange(classes), classes, task, bins)
+    return match_all(case(labels, found, classes, task), bins)
 
 
 # Two people; one found exactly with high confidence, one with IoU 0.625 and lower confidence, and a false detection.
@@ -59,7 +64,7 @@ def test_average_precision_by_hand() -> None:
     # 51 of the 101 recalls (0 to 0.5) are reached at precision 1, the other 50 at 2/3, or never.
     assert ap[:3] == pytest.approx((51 + 50 * 2 / 3) / 101, abs=1e-12)
     assert ap[3:] == pytest.approx(51 / 101, abs=1e-12)
-    assert np.allclose(coco_precisions(labels, {"test/a.png": FOUND}, np.arange(1), 1, "detect")[0, 0], ap, atol=1e-12)
+    assert np.allclose(coco_precisions(case(labels, {"test/a.png": FOUND}))[0, 0], ap, atol=1e-12)
     curve = precision_by_recall(m)
     assert curve[50] == 1
     assert curve[51] == pytest.approx(2 / 3)
@@ -103,7 +108,7 @@ def test_detections_in_regions_to_ignore_count_neither_way() -> None:
     (m,) = matched(labels, found)
     assert m.neutral[0, 0].tolist() == [True, True, False]
     assert average_precisions(m)[0, 0] == pytest.approx(1.0)
-    assert coco_precisions(labels, found, np.arange(1), 1, "detect")[0, 0, 0] == pytest.approx(1.0)
+    assert coco_precisions(case(labels, found))[0, 0, 0] == pytest.approx(1.0)
     off, counts = truths([both], CATEGORIES, ["Person"], "detect", ignore_regions=False)
     assert counts == {"ignore_regions_left_out": 1}
     assert average_precisions(matched(off, found)[0])[0, 0] == pytest.approx(1 / 3)
@@ -126,18 +131,16 @@ def test_crowd_is_a_region_for_its_own_class_only(task: str) -> None:
     assert people.neutral[0, 0].tolist() == [False, True, True]
     assert not cars.neutral.any()
     assert not cars.objects.any()
-    assert coco_precisions(labels, {"test/a.png": found}, np.arange(2), 2, task)[0, 0] == pytest.approx(1)
+    assert coco_precisions(case(labels, {"test/a.png": found}, 2, task))[0, 0] == pytest.approx(1)
     left, counts = truths([record], CATEGORIES, ["Person", "Car"], task, ignore_regions=False)
     assert counts["crowds_left_out"] == 1
     assert len(left[0].classes) == 1
 
 
 def test_sizes_are_of_the_longer_side_and_others_are_ignored() -> None:
-    bins = size_bins()
-    assert list(bins) == ["all", "<8", "8-16", "16-32", "32-64", "64-128", ">=128"]
     sizes = image("a", ("Person", [0, 0, 4, 16]), ("Person", [50, 0, 60, 15.5]), ("Person", [100, 0, 140, 10]))
     labels, _ = truths([sizes], CATEGORIES, ["Person"], "detect")
-    (m,) = matched(labels, {"test/a.png": detections([[50, 0, 60, 15.5]], [0.9], [0])}, bins=bins)
+    (m,) = matched(labels, {"test/a.png": detections([[50, 0, 60, 15.5]], [0.9], [0])}, bins=SIZE_BINS)
     assert m.objects[:, 0].tolist() == [3, 0, 1, 1, 1, 0, 0]
     ap = [float(average_precisions(m, size=a)[0, 0]) for a in range(7)]
     assert ap[2] == pytest.approx(1.0)
@@ -190,10 +193,9 @@ def filled(box) -> Mask:
 @pytest.mark.parametrize("task", ["detect", "obb", "segment"])
 def test_our_matching_is_that_of_pycocotools_at_every_size_and_threshold(task: str) -> None:
     labels, found = made_up(120, task)
-    bins = size_bins()
-    matches = matched(labels, found, 3, task, bins)
-    ours = np.array([[average_precisions(m, size=a)[0] for m in matches] for a in range(len(bins))])
-    theirs = coco_precisions(labels, found, np.arange(3), 3, task, list(bins.values()))
+    matches = matched(labels, found, 3, task, SIZE_BINS)
+    ours = np.array([[average_precisions(m, size=a)[0] for m in matches] for a in range(len(SIZE_BINS))])
+    theirs = coco_precisions(case(labels, found, 3, task), list(SIZE_BINS.values()))
     assert ours[0, :, 0].min() > 0.2
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
 
@@ -348,7 +350,7 @@ def test_confusion_by_hand() -> None:
         [[0, 0, 10, 20], [50, 0, 90, 20], [0, 60, 10, 80], [160, 10, 170, 30], [100, 0, 140, 20]],
         [0.9, 0.8, 0.7, 0.9, 0.1], [1, 1, 0, 0, 1],
     )  # fmt: skip
-    matrix = confusion_matrix(labels, {"test/a.png": found}, np.arange(2), 2, "detect", 0.5)
+    matrix = confusion_matrix(case(labels, {"test/a.png": found}, 2), 0.5)
     # Rows: detected as person, car, nothing; columns: labelled person, car, nothing.
     assert matrix.tolist() == [[0, 0, 1], [1, 1, 0], [0, 1, 0]]
 
@@ -359,7 +361,7 @@ def test_quadrilaterals_meet_as_polygons_do() -> None:
         np.concatenate([rng.uniform(0, 40, (30, 2)), rng.uniform(2, 30, (30, 2)), rng.uniform(0, 3.2, (30, 1))], 1)
     )
     area = quad_intersections(a, a)
-    whole = quad_areas(a)
+    whole = polygon_areas(a)
     iou = area / (whole[:, None] + whole[None] - area)
     expected = np.array([[polygon_iou(p, q) for q in a] for p in a])
     np.testing.assert_allclose(iou, expected, rtol=0, atol=1e-9)
@@ -469,5 +471,5 @@ def test_a_crowd_hides_no_false_detections_of_other_classes() -> None:
     crowd = Instance("Person", np.array([100.0, 10, 180, 90]), extra={"iscrowd": 1})
     labels, _ = truths([replace(TWO, instances=(crowd,))], CATEGORIES, ["Person", "Car"], "detect")
     found = {"test/a.png": detections([[110, 20, 130, 40], [140, 20, 160, 40]], [0.9, 0.8], [0, 1])}
-    matrix = confusion_matrix(labels, found, np.arange(2), 2, "detect", 0.1)
+    matrix = confusion_matrix(case(labels, found, 2), 0.1)
     assert (matrix[0, 2], matrix[1, 2]) == (0, 1)

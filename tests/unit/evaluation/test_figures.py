@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from infrablend.evaluation.detections import Detections, detections
-from infrablend.evaluation.figures import Case, list_found
-from infrablend.evaluation.truth import Truth
+from infrablend.evaluation.figures import list_found
+from infrablend.evaluation.truth import Case, Truth, compared
 
 
 def truth(key: str, boxes: list[list[float]], ignore: list[bool] | None = None) -> Truth:
@@ -16,7 +16,7 @@ def truth(key: str, boxes: list[list[float]], ignore: list[bool] | None = None) 
 
 
 def case(labels: list[Truth], found: dict[str, Detections], class_of: list[int]) -> Case:
-    return Case((), labels, found, np.array(class_of), ("deer",), "detect")
+    return Case((), labels, compared(found, labels, np.array(class_of), "detect"), ("deer", "boar"), "detect")
 
 
 def test_detections_take_objects_in_the_order_of_scores_over_all_images() -> None:
@@ -52,6 +52,6 @@ def test_other_classes_and_regions_to_ignore_take_no_place() -> None:
 def test_a_crowd_takes_out_detections_of_its_own_class_only() -> None:
     one = truth("test/a", [[0, 0, 10, 10], [50, 50, 90, 90]], [False, True])
     found = {"test/a": detections([[60, 60, 70, 70], [60, 60, 70, 70], [0, 0, 10, 10]], [0.9, 0.8, 0.2], [0, 1, 0])}
-    listed = list_found(Case((), [one], found, np.array([0, 1]), ("deer", "boar"), "detect"), first=30, iou=0.3)
+    listed = list_found(case([one], found, [0, 1]), first=30, iou=0.3)
     assert listed["detections"] == 2
     assert [o["rank"] for o in listed["objects"]] == [2]

@@ -128,13 +128,8 @@ def test_one_picture_is_enough_and_recipes_take_the_file(charts, tmp_path):
     assert report.plot.read_bytes().startswith(b"\x89PNG")
     assert load_recipe("hit-uav-drone", {"sensor.profile": str(report.path)}).sensor.profile == report.profile
     settings = {"camera.pitch": {"fixed_deg": 40}, "sensor.profile": str(report.path)}
-    run = api.generate(
-        "hit-uav-drone",
-        folder,
-        tmp_path / "run",
-        execution=api.Execution(renderer="flat", in_process=True),
-        settings=settings,
-    )
+    flat = api.Execution(renderer="flat", in_process=True)
+    run = api.generate("hit-uav-drone", folder, tmp_path / "run", execution=flat, settings=settings)
     record = records(tmp_path / "run")[0].to_json()
     assert run.ok
     assert record["facts"]["sensor"]["profile"] == "mine"
@@ -271,9 +266,8 @@ def annotated(root, inserted, everywhere=False):
             labels.append(Instance("Person", box, inserted=(everywhere or n == 0) and k < inserted))
         path = root.parent / f"{root.name}-{n:02}.png"
         Image.fromarray(picture).save(path)
-        records.append(
-            ImageRecord(path.stem, path, "train", (384, 320), tuple(labels), capture=Capture(time_of_day="night"))
-        )
+        night = Capture(time_of_day="night")
+        records.append(ImageRecord(path.stem, path, "train", (384, 320), tuple(labels), capture=night))
     categories = (Category(0, "Person"),)
     write("coco", root, records, categories, source=Dataset(root.parent, "coco", categories, tuple(records)))
     return root

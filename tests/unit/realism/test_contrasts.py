@@ -18,8 +18,6 @@ from infrablend.realism.contrasts import (
     ObjectContrast,
     bound_local_share,
     compare_contrasts,
-    contrast_checks,
-    contrast_figures,
     object_contrast,
     slope_within_images,
 )
@@ -43,6 +41,10 @@ def crowd(slope, images=40, each=5, lift=60.0, time="night"):
         for ring in rng.uniform(60, 110, each):
             found.append(of_level(f"{k}", ring, 85 + own + lift + slope * (ring - 85) + rng.normal(0, 2), time=time))
     return found
+
+
+def contrast_checks(real, inserted):
+    return compare_contrasts(real, inserted)["night"]["checks"]
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.4, 1.0])
@@ -69,14 +71,15 @@ def test_clipped_objects_and_images_with_two_objects_have_no_slope():
 
 def test_figures_are_quantiles_of_the_stronger_end():
     objects = [ObjectContrast("Car", "a", "day", Contrast(120, 100 - d, 100, 100, 4), 90.0) for d in (10, 40, 60)]
-    figures = contrast_figures(objects)
+    compared = compare_contrasts([], objects)["day"]
+    figures = compared["inserted"]
     assert figures["signed"]["p50"] == -40
     assert figures["ground_level"]["p50"] == 10
     assert figures["ground_clutter"]["p95"] == 4
     assert figures["change"]["p50"] == 40
     assert figures["scr"]["p50"] == 8
     assert figures["n"] == 3
-    assert contrast_figures([])["signed"] == {}
+    assert compared["real"]["signed"] == {}
 
 
 def test_verdicts_on_slope_and_least_contrast():

@@ -37,10 +37,9 @@ def flight(tmp_path: Path) -> Path:
 def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path, tile: int) -> None:
     agc = PlateauAgc(mode="plateau", max_gain=1.0)
     request = TrainRequest(preset="smoke", settings={"tile": tile}, agc=agc)
-    preset = request.chosen_preset()
-    wanted, _ = select_training_data(detection.read(flight), preset, "detect", None, request.agc)
+    wanted, _ = select_training_data(detection.read(flight), request)
     assert has_deep_pictures(wanted)
-    counts = write_training_data(wanted, tmp_path / "out", preset, "detect", request)
+    counts = write_training_data(wanted, tmp_path / "out", request)
     assert counts["labels"] == 2
     files = sorted((tmp_path / "out" / "data" / "images" / "train").iterdir())
     pictures = [np.array(Image.open(p)) for p in files]
@@ -52,14 +51,13 @@ def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path
 
 
 def test_a_fixed_agc_needs_a_scale_and_depths_are_not_mixed(flight: Path) -> None:
-    preset = TrainRequest(preset="smoke").chosen_preset()
-    fixed = parse_agc("{mode: fixed, low_c: 0, high_c: 40}")
+    fixed = TrainRequest(preset="smoke", agc=parse_agc("{mode: fixed, low_c: 0, high_c: 40}"))
     with pytest.raises(DatasetError) as caught:
-        select_training_data(detection.read(flight), preset, "detect", None, fixed)
+        select_training_data(detection.read(flight), fixed)
     assert {p.code for p in caught.value.problems} == {"no-temperature-scale"}
     Image.fromarray(np.zeros((240, 320), np.uint8)).save(flight / "images" / "train" / "train0.tiff")
     with pytest.raises(DatasetError, match="8-bit pictures, as the others have"):
-        select_training_data(detection.read(flight), preset, "detect", None)
+        select_training_data(detection.read(flight), TrainRequest(preset="smoke"))
 
 
 def test_a_detector_keeps_the_agc_of_its_training(tmp_path: Path) -> None:
@@ -74,9 +72,8 @@ def test_a_detector_keeps_the_agc_of_its_training(tmp_path: Path) -> None:
 def test_pictures_of_floats_are_refused_before_the_training(flight: Path) -> None:
     for picture in sorted((flight / "images").rglob("*.tiff")):
         Image.fromarray(np.full((240, 320), 290.5, np.float32)).save(picture)
-    request = TrainRequest(preset="smoke")
     with pytest.raises(DatasetError) as caught:
-        select_training_data(detection.read(flight), request.chosen_preset(), "detect", None)
+        select_training_data(detection.read(flight), TrainRequest(preset="smoke"))
     assert {(p.where, p.code, p.found) for p in caught.value.problems} == {
         (f"{split}{k}", "image-depth", "mode F") for split in ("train", "val") for k in range(2)
     }

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +14,8 @@ from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.detections import TASKS, Predictions, Task, read_predictions
 from infrablend.evaluation.truth import image_key
+from infrablend.training import predict
 from infrablend.training.files import WEIGHTS
-
-if TYPE_CHECKING:
-    from infrablend.training.predict import Detector
 
 PREDICTIONS = "predictions.json"
 
@@ -39,16 +36,14 @@ class DetectionSource:
         self.task: Task | None = None
         self._path = path
         self._saved: Predictions | None = None
-        self._detector: Detector | None = None
+        self._detector: predict.Detector | None = None
         try:
             file = _file_of(path)
             if file.suffix == ".json":
                 self._saved = read_predictions(file)
                 self.classes, self.task = self._saved.classes, self._saved.task
             else:
-                from infrablend.training.predict import load_detector
-
-                self._detector = load_detector(file, device)
+                self._detector = predict.load_detector(file, device)
                 self.classes, self.task = self._detector.classes, self._detector.task
         except (DatasetError, ModelError) as error:
             problems += error.problems
@@ -58,9 +53,7 @@ class DetectionSource:
         if self._saved is not None:
             self._saved = _of_images(self._saved, images, self._path, problems)
         elif self._detector is not None:
-            from infrablend.training.predict import check_pictures
-
-            problems += check_pictures(images)
+            problems += predict.check_pictures(images)
 
     def on(
         self,
@@ -76,12 +69,10 @@ class DetectionSource:
                 found = f"--image-size {image_size} has no effect on saved detections"
                 problems.append(Problem(self.name, "image-size-unused", found, severity="warning"))
             return self._saved
-        from infrablend.training.predict import predict
-
         assert self._detector is not None
         if image_size is None:
             problems += self._detector.scale.warnings(self._path)
-        return predict(self._detector, images, image_size=image_size, on_image=on_image)
+        return predict.predict(self._detector, images, image_size=image_size, on_image=on_image)
 
 
 def _file_of(path: Path) -> Path:
@@ -123,17 +114,17 @@ _FINDS: Mapping[Task, str] = {"detect": "boxes", "obb": "oriented boxes", "segme
 def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, problems: list[Problem]) -> Predictions:
     """Return the detections on these images by InfraBlend's keys; the keys of other tools may lack the split."""
     of: dict[str, str] = {}
+    lacking = []
     for image in images:
         key = image_key(image)
         name = next((n for n in (key, image.name) if n in saved.images), None)
-        if name is not None:
-            of[key] = name
-            if image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
-                found = "{}x{} px".format(*saved.sizes_wh[name])
-                problems.append(
-                    Problem(f"{file.name}, {name}", "prediction-size", found, "{}x{} px".format(*image.size_wh))
-                )
-    lacking = [image_key(i) for i in images if image_key(i) not in of]
+        if name is None:
+            lacking.append(key)
+            continue
+        of[key] = name
+        if image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
+            found, expected = ("{}x{} px".format(*size) for size in (saved.sizes_wh[name], image.size_wh))
+            problems.append(Problem(f"{file.name}, {name}", "prediction-size", found, expected))
     if lacking:
         found = f"no entry for {len(lacking)} of {len(images)} images: {', '.join(lacking[:3])}"
         todo = "give the dataset and split that the file was made from"
@@ -144,9 +135,7 @@ def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, pr
         problems.append(Problem(file.name, "prediction-images", found, severity="warning"))
     cut = sum(len(saved.images[n]) > MAX_DETECTIONS for n in of.values())
     if cut:
-        found = (
-            f"more than {MAX_DETECTIONS} detections in {cut} images: only those with the highest scores are evaluated"
-        )
+        found = f"more than {MAX_DETECTIONS} detections in {cut} images: only those with the best scores are evaluated"
         problems.append(Problem(file.name, "prediction-many", found, severity="warning"))
     first = np.arange(MAX_DETECTIONS)
     kept = {k: d if len(d := saved.images[n]) <= MAX_DETECTIONS else d.take(first) for k, n in of.items()}

@@ -7,7 +7,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -17,18 +17,20 @@ from infrablend.core.files import write_bytes, write_text
 from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.coco import MAX_DETECTIONS
-from infrablend.evaluation.comparison import (
-    Conditions,
-    StoredMatches,
-    paired_facts,
-    read_evaluation,
-    require_same,
-    write_matches,
-)
-from infrablend.evaluation.detections import MATCHES, RECORD, Predictions, Task, write_predictions
-from infrablend.evaluation.figures import Case, Draws, figures, list_found
+from infrablend.evaluation.comparison import StoredMatches, paired_facts, read_evaluation, require_same, write_matches
+from infrablend.evaluation.detections import MATCHES, RECORD, write_predictions
+from infrablend.evaluation.figures import figures, list_found
 from infrablend.evaluation.precision import LEVEL
-from infrablend.evaluation.truth import Truth, class_numbers, evaluated_classes, fingerprint, image_key, truths
+from infrablend.evaluation.truth import (
+    Case,
+    Truth,
+    class_numbers,
+    compared,
+    evaluated_classes,
+    fingerprint,
+    image_key,
+    truths,
+)
 from infrablend.formats.base import shorten
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.groups import GROUPINGS, background_stem, group_images
@@ -88,56 +90,53 @@ def evaluate_detector(
 ) -> EvaluationReport:
     """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
-    other = None if against is None else read_evaluation(against)
+    rival = None if against is None else (against, *read_evaluation(against))
     problems: list[Problem] = []
     with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
         source = DetectionSource(weights, device, problems)
-        prepared = _prepare(dataset, source, settings, problems)
-        conditions = Conditions(
-            settings.split, len(prepared.labels), prepared.key, prepared.task, settings.ignore_regions, settings.group
-        )
-        if other is not None:
-            require_same(other[0], conditions, against or out)
-        predictions = source.on(prepared.images, settings.image_size, on_image, problems)
-        write_predictions(space.folder / PREDICTIONS, predictions)
-        case = prepared.case(predictions)
-        problems += _count_detections(predictions, case, prepared.counts)
-        if settings.list_first:
-            listed = {"first_detections": list_found(case, settings.list_first, settings.list_iou)}
-        else:
-            listed = {}
-        metrics, matches = figures(case, Draws(settings.bootstrap, prepared.groups, settings.seed))
-        stored = StoredMatches(case.classes, matches, prepared.groups)
-        problems += _no_match_warning(metrics["classes"], prepared.counts)
-        facts = {
+        case, numbers, groups, counts = _prepare(dataset, source, settings, problems)
+        facts: dict[str, Any] = {
             "infrablend": __version__,
             "dataset": {
                 "name": dataset.root.name,
                 "format": dataset.format,
                 "split": settings.split,
-                "images": len(prepared.images),
-                "labels_sha256": prepared.key,
+                "images": len(case.images),
+                "labels_sha256": fingerprint(case.images),
             },
-            "detector": {**predictions.facts, "task": predictions.task, "classes": list(predictions.classes)},
-            "task": prepared.task,
+            "task": case.task,
             "settings": {
                 "ignore_regions": settings.ignore_regions,
                 "max_detections": MAX_DETECTIONS,
                 "bootstrap": settings.bootstrap,
                 "group": settings.group,
-                "groups": len(set(prepared.groups)),
+                "groups": len(set(groups)),
                 "seed": settings.seed,
                 "level": LEVEL,
             },
-            "counts": prepared.counts,
-            **metrics,
-            **listed,
+        }
+        if rival is not None:
+            require_same(rival[1], facts, rival[0])
+        predictions = source.on(case.images, settings.image_size, on_image, problems)
+        write_predictions(space.folder / PREDICTIONS, predictions)
+        class_of = class_numbers(numbers, len(predictions.classes))
+        case = replace(case, found=compared(predictions.images, case.labels, class_of, case.task))
+        counts["detections"] = sum(len(d) for d in predictions.images.values())
+        foreign = counts["detections"] - sum(len(d) for d in case.found)
+        counts |= {"detections_of_other_classes": foreign} if foreign else {}
+        if settings.list_first:
+            facts["first_detections"] = list_found(case, settings.list_first, settings.list_iou)
+        metrics, matches = figures(case, groups, settings.bootstrap, settings.seed)
+        stored = StoredMatches(case.classes, matches, groups)
+        problems += _detection_warnings(metrics["classes"], counts["detections"])
+        facts |= metrics
+        facts |= {
+            "detector": {**predictions.facts, "task": predictions.task, "classes": list(predictions.classes)},
+            "counts": counts,
             "ultralytics": _by_ultralytics(case),
             "paired": None
-            if other is None
-            else paired_facts(
-                [stored], [other[1]], other[0], Draws(settings.bootstrap, (), settings.seed), (against or out).name
-            ),
+            if rival is None
+            else paired_facts([stored], [rival[2]], rival[1], rival[0].name, settings.bootstrap, settings.seed),
             "problems": [p.to_json() for p in problems],
         }
         write_matches(space.folder / MATCHES, stored)
@@ -152,28 +151,10 @@ def evaluate_detector(
 # -- inputs ----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class _Prepared:
-    """Inputs of an evaluation, apart from the detections."""
-
-    images: Sequence[ImageRecord]
-    labels: Sequence[Truth]
-    numbers: Mapping[str, tuple[int, ...]]
-    task: Task
-    groups: tuple[str, ...]
-    key: str
-    counts: dict[str, int] = field(default_factory=dict)
-
-    def case(self, predictions: Predictions) -> Case:
-        """Return the labels together with the detections."""
-        class_of = class_numbers(self.numbers, len(predictions.classes))
-        return Case(self.images, self.labels, predictions.images, class_of, tuple(self.numbers), self.task)
-
-
 def _prepare(
     dataset: Dataset, source: DetectionSource, settings: EvaluationSettings, problems: list[Problem]
-) -> _Prepared:
-    """Return the images, labels and classes to evaluate.
+) -> tuple[Case, Mapping[str, tuple[int, ...]], tuple[str, ...], dict[str, int]]:
+    """Return the labels without detections, the detector's classes of each class, groups of images, and counts.
 
     Raises:
         ModelError, DatasetError: They cannot be evaluated; the message lists all problems.
@@ -208,7 +189,7 @@ def _prepare(
             f"{dataset.root.name}, split {split}: no object of {', '.join(names)}",
             [Problem(f"split {split}", "no-instances", "no object of the evaluated classes", "some", todo)],
         )
-    return _Prepared(images, labels, numbers, task, groups, fingerprint(images), counts)
+    return Case(images, labels, (), names, task), numbers, groups, counts
 
 
 def _empty_split(dataset: Dataset, split: str) -> Problem:
@@ -292,26 +273,16 @@ def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
 # -- figures ---------------------------------------------------------------------------------------------------
 
 
-def _count_detections(predictions: Predictions, case: Case, counts: dict[str, int]) -> list[Problem]:
-    """Count all detections and those of classes not evaluated; return a warning if there are none."""
-    counts["detections"] = sum(len(d) for d in predictions.images.values())
-    foreign = sum(int((case.class_of[d.classes] < 0).sum()) for d in predictions.images.values())
-    if foreign:
-        counts["detections_of_other_classes"] = foreign
-    if counts["detections"]:
-        return []
-    found = f"no detection of {', '.join(case.classes)}"
-    return [Problem("detector", "no-detections", found, "a trained detector", severity="warning")]
-
-
-def _no_match_warning(table: Mapping[str, Mapping[str, Any]], counts: Mapping[str, int]) -> list[Problem]:
-    """Return a warning if there are detections, but the AP of every class rounds to 0.000."""
-    best = max(row["map50"] for row in table.values() if row["map50"] is not None)
-    if not counts["detections"] or best >= _LEAST_AP:
-        return []
-    found = f"{counts['detections']} detections, hardly any on an object: mAP50 is below {_LEAST_AP} in every class"
-    todo = "check that the training is finished, and that its images and classes resemble these"
-    return [Problem("detector", "no-hits", found, "a trained detector", todo, severity="warning")]
+def _detection_warnings(table: Mapping[str, Mapping[str, Any]], detections: int) -> list[Problem]:
+    """Return a warning if there are no detections, or if the AP of every class rounds to 0.000."""
+    code, found, todo = "no-detections", f"no detection of {', '.join(c for c in table if c != 'all')}", ""
+    if detections:
+        if max(row["map50"] for row in table.values() if row["map50"] is not None) >= _LEAST_AP:
+            return []
+        code = "no-hits"
+        found = f"{detections} detections, hardly any on an object: mAP50 is below {_LEAST_AP} in every class"
+        todo = "check that the training is finished, and that its images and classes resemble these"
+    return [Problem("detector", code, found, "a trained detector", todo, severity="warning")]
 
 
 def _by_ultralytics(case: Case) -> dict[str, Any] | None:

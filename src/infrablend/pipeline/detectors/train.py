@@ -79,13 +79,13 @@ def train_dataset(
         RenderError: The trainer failed; its log gives the reason.
         Interrupted: The user stopped the training; `resume` continues it.
     """
-    preset, task = request.chosen_preset(), request.task
+    preset = request.chosen_preset()
     weights.require_ultralytics()
     device = choose_device(request.device)
     require_arguments(preset)
-    wanted, left_out = select_training_data(dataset, preset, task, request.classes, request.agc)
+    wanted, left_out = select_training_data(dataset, request)
     asked = {
-        "preset": preset.name, "task": task, "seed": request.seed, "settings": dataclasses.asdict(preset),
+        "preset": preset.name, "task": request.task, "seed": request.seed, "settings": dataclasses.asdict(preset),
         "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
         "start_asked": request.weights, "content": content_digest(wanted),
     }  # fmt: skip
@@ -105,17 +105,17 @@ def train_dataset(
                 log.warning("%s: was not prepared to the end; the training starts again", out)
             _remove_working_files(folder)
             require_space(folder, plan_of(wanted, preset, device, request.seed).disk_bytes)
-            start = weights.find_start(request.weights, preset, task)
+            start = weights.find_start(request.weights, preset, request.task)
             record = {
                 "infrablend": __version__, **command_facts(), **asked,
                 "left_out": left_out, "sessions": [],
                 "machine": _machine_facts(device), "start": dataclasses.asdict(start),
             }  # fmt: skip
             write_json(folder / RECORD, record, durable=True)
-            record["prepared"] = write_training_data(wanted, folder, preset, task, request)
+            record["prepared"] = write_training_data(wanted, folder, request)
             write_json(folder / RECORD, record, durable=True)
         if "epochs_done" not in record:
-            record = run_trainer(folder, record, preset, task, device, request.seed, on_progress)
+            record = run_trainer(folder, record, preset, device, on_progress)
         _remove_working_files(folder)
         space.finish(record)
     return TrainReport(out, out / WEIGHTS, record)
@@ -158,7 +158,6 @@ def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _machine_facts(device: str) -> dict[str, Any]:
-    """Return the facts about the machine for the record."""
     found: dict[str, Any] = {k: describe_machine()[k] for k in ("processor", "cores", "system")}
     if device != "cpu":
         import torch

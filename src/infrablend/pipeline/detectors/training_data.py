@@ -6,22 +6,23 @@ import logging
 import shlex
 import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.classes import drop_classes
-from infrablend.config.agc import DEFAULT_AGC, Agc
+from infrablend.config.agc import Agc
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.files import read_regular
 from infrablend.core.format_table import writer_for_task
 from infrablend.errors import DatasetError, OutputError, Problem
+from infrablend.evaluation.detections import TASKS
 from infrablend.formats import writing
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import deep_mode, is_deep
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
-from infrablend.training import presets, tiles
+from infrablend.training import tiles
 from infrablend.training.files import DATA, EIGHT_BIT, TILES
 from infrablend.training.presets import Preset
 from infrablend.training.request import TrainRequest
@@ -35,12 +36,11 @@ _FEW_PICTURES = 100
 log = logging.getLogger(__name__)
 
 
-def select_training_data(
-    dataset: Dataset, preset: Preset, task: str, classes: Sequence[str] | None, agc: Agc = DEFAULT_AGC
-) -> tuple[Dataset, dict[str, int]]:
+def select_training_data(dataset: Dataset, request: TrainRequest) -> tuple[Dataset, dict[str, int]]:
     """Return the dataset to train on and the labels left out by class; report all faults at once."""
-    if task not in presets.TASKS:
-        raise OutputError(f"--task {task}: no such task; expected one of {', '.join(presets.TASKS)}")
+    task, classes = request.task, request.classes
+    if task not in TASKS:
+        raise OutputError(f"--task {task}: no such task; expected one of {', '.join(TASKS)}")
     known = [c.name for c in dataset.categories if not c.ignore]
     keep = [c for c in known if classes is None or c in classes]
     dropped = [c.name for c in dataset.categories if c.name not in keep]
@@ -48,7 +48,7 @@ def select_training_data(
     wanted = drop_classes(dataset, dropped)
     problems = [
         *_class_problems(dataset, known, classes),
-        *_split_problems(wanted, keep, preset),
+        *_split_problems(wanted, keep, request.chosen_preset()),
         *_shape_problems(wanted, keep, task),
     ]
     rejected = [p for p in dataset.problems if p.severity == "error"]
@@ -65,11 +65,10 @@ def select_training_data(
         raise DatasetError(message, [*wrong, *rejected[:_REJECTED_SHOWN]])
     for p in problems:
         log.warning("%s", p)
-    return _checked(wanted, agc), dict(sorted(left_out.items()))
+    return _checked(wanted, request.agc), dict(sorted(left_out.items()))
 
 
 def _class_problems(dataset: Dataset, known: Sequence[str], classes: Sequence[str] | None) -> list[Problem]:
-    """Return what is wrong with the choice of classes."""
     unknown = [c for c in classes or () if c not in known]
     if unknown:
         expected = f"classes of the dataset ({', '.join(known) or 'it has none'})"
@@ -97,7 +96,7 @@ def _split_problems(wanted: Dataset, keep: Sequence[str], preset: Preset) -> Ite
         found, expected = f"{splits['train']} pictures", f"{_FEW_PICTURES} or more: a detector finds little after fewer"
         todo = "give more pictures, or take its figures as those of a test run"
         yield Problem("split train", "few-pictures", found, expected, todo, severity="warning")
-    objects = _objects_of_train(wanted)
+    objects = _objects_of(wanted.images, "train")
     for name in keep:
         if splits["train"] and not objects[name]:
             todo = _classes_line([c for c in keep if objects[c]])
@@ -113,15 +112,15 @@ def _shape_problems(wanted: Dataset, keep: Sequence[str], task: str) -> Iterator
     bare = Counter(o.category for i in wanted.images for o in i.instances if lacks(o))
     todo, code, what = "train --task detect", "obb-missing", "oriented box"
     if task == "segment":
-        code, what, objects = "mask-missing", "mask", _objects_of_train(wanted)
+        code, what, objects = "mask-missing", "mask", _objects_of(wanted.images, "train")
         with_masks = _classes_line([c for c in keep if objects[c] and not bare[c]])
         todo += f", or {with_masks}" if with_masks else ""
     for name, count in bare.items():
         yield Problem(f"class {name}", code, f"{count} objects without {what}", "one for each", todo)
 
 
-def _objects_of_train(wanted: Dataset) -> Counter[str]:
-    return Counter(o.category for i in wanted.images if i.split == "train" for o in i.instances)
+def _objects_of(images: Iterable[ImageRecord], split: str) -> Counter[str]:
+    return Counter(o.category for i in images if i.split == split for o in i.instances)
 
 
 def _classes_line(names: Sequence[str]) -> str:
@@ -160,12 +159,9 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
             Problem(i.id, "image-depth", "16 bits per pixel", "8-bit pictures, as the others have", todo) for i in deep
         ]
     elif agc.needs_scale:
-        for i in deep:
-            if i.capture.radiometry is None or i.capture.scale is None:
-                expected = "a temperature scale, which a fixed AGC needs"
-                problems.append(
-                    Problem(i.id, "no-temperature-scale", "none", expected, "state it: --read unit=centikelvin")
-                )
+        expected, todo = "a temperature scale, which a fixed AGC needs", "state it: --read unit=centikelvin"
+        lacking = [i for i in deep if i.capture.radiometry is None or i.capture.scale is None]
+        problems += [Problem(i.id, "no-temperature-scale", "none", expected, todo) for i in lacking]
     if problems:
         raise DatasetError(f"{dataset.root}: cannot be trained on", problems)
     return replace(dataset, images=tuple(images))
@@ -181,20 +177,17 @@ def most_tiles(preset: Preset, split: str) -> int:
     return preset.tiles if split == "train" else min(preset.tiles or 256, 256)
 
 
-def write_training_data(
-    dataset: Dataset, out: Path, preset: Preset, task: str, request: TrainRequest
-) -> dict[str, Any]:
+def write_training_data(dataset: Dataset, out: Path, request: TrainRequest) -> dict[str, Any]:
     """Write the data for the trainer to the folder `data` of a training, and return their counts."""
-    for name in (DATA, TILES, EIGHT_BIT):  # of a call that was killed here
-        shutil.rmtree(out / name, ignore_errors=True)
+    preset = request.chosen_preset()
     images = [i for i in dataset.images if i.split in ("train", "val")]
     if has_deep_pictures(dataset):
         images = [*eight_bit_copies(images, out / EIGHT_BIT, request.agc)[0]]
+    objects = {s: _objects_of(images, s) for s in ("train", "val")}
     counts: dict[str, Any] = {
         "pictures": dict(Counter(i.split for i in images)),
-        "objects": {s: dict(sorted(Counter(o.category for i in images if i.split == s for o in i.instances).items()))
-                    for s in ("train", "val")},
-    }  # fmt: skip
+        "objects": {s: dict(sorted(of_split.items())) for s, of_split in objects.items()},
+    }
     if preset.tile:
         cut: list[ImageRecord] = []
         for split in ("train", "val"):
@@ -209,7 +202,7 @@ def write_training_data(
         images += [replace(i, split="val") for i in images[:8]]
         counts["val"] = "the first pictures of train: there is no val split, and nothing depends on it"
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
-    name = writer_for_task(task).name
+    name = writer_for_task(request.task).name
     written = writing.write(name, out / DATA, images, categories)
     for working in (TILES, EIGHT_BIT):
         shutil.rmtree(out / working, ignore_errors=True)
@@ -218,13 +211,8 @@ def write_training_data(
         problems = [Problem(name, k, f"{n} labels would be lost", "none",
                             "infrablend check lists them") for k, n in fatal.items()]  # fmt: skip
         raise DatasetError(f"{dataset.root}: the trainer would not see some labels", problems)
-    labels = {s: sum(len(read_regular(p).splitlines()) for p in (out / DATA / "labels" / s).rglob("*.txt"))
-              for s in ("train", "val")}  # fmt: skip
-    return {
-        **counts,
-        "images": sum(i.split == "train" for i in images),
-        "labels": labels["train"],
-        "images_val": sum(i.split == "val" for i in images),
-        "labels_val": labels["val"],
-        "losses": dict(written.losses),
-    }
+    for split, suffix in (("train", ""), ("val", "_val")):
+        files = sorted((out / DATA / "labels" / split).rglob("*.txt"))
+        counts[f"images{suffix}"] = sum(i.split == split for i in images)
+        counts[f"labels{suffix}"] = sum(len(read_regular(p).splitlines()) for p in files)
+    return {**counts, "losses": dict(written.losses)}

@@ -53,13 +53,13 @@ def plan_training(
     """
     preset = request.chosen_preset()
     device = choose_device(request.device, planning=True)
-    require_settings(preset)
+    require_arguments(preset)
     weights.require_known(request.weights)
     if out is not None and (out.exists() or partial_of(out).exists()):
         # Nothing is deleted: what may be replaced may also be resumed.
         with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
             pass
-    wanted, _ = select_training_data(dataset, preset, request.task, request.classes, request.agc)
+    wanted, _ = select_training_data(dataset, request)
     return plan_of(wanted, preset, device, request.seed)
 
 
@@ -113,17 +113,14 @@ def choose_device(wanted: str, *, planning: bool = False) -> str:
     )
 
 
-def require_settings(preset: Preset) -> None:
-    """Raise OutputError for settings that the trainer would refuse; without Ultralytics nothing is checked."""
-    if not weights.missing_packages():
-        require_arguments(preset)
-
-
 def require_arguments(preset: Preset) -> None:
-    """Raise OutputError if Ultralytics refuses arguments set by the user; the check is slow, so presets skip it."""
+    """Raise OutputError if Ultralytics refuses arguments set by the user; nothing is checked where it is missing.
+
+    The check is slow, so the presets' own arguments skip it.
+    """
     own = PRESETS[preset.name].arguments if preset.name in PRESETS else {}
     given = {k: v for k, v in preset.arguments.items() if k not in own or own[k] != v}
-    wrong = environment.wrong_arguments(given) if given else ""
+    wrong = environment.wrong_arguments(given) if given and not weights.missing_packages() else ""
     if wrong:
         where = " ".join(f"--set {k}" for k in given)
         raise OutputError(

@@ -9,7 +9,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +27,20 @@ log = logging.getLogger(__name__)
 
 
 def run_trainer(
-    out: Path, record: dict[str, Any], preset: Preset, task: str, device: str, seed: int, on_progress: OnProgress | None
+    out: Path, record: dict[str, Any], preset: Preset, device: str, on_progress: OnProgress | None
 ) -> dict[str, Any]:
     """Run the training process from the start or its last checkpoint, and return the finished record."""
     prepared = record["prepared"]
     epochs, shown = preset.epochs_for(prepared["images"])
     job = trainer.Job(
-        data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=task,
+        data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=record["task"],
         model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
-        image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=seed, images=prepared["images"],
-        labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
+        image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=record["seed"],
+        images=prepared["images"], labels=prepared["labels"], shown=shown, arguments=dict(preset.arguments),
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
     )  # fmt: skip
-    job.write(out / JOB)
+    write_json(out / JOB, asdict(job))
     record |= {"epochs": epochs, "device": device}
     write_json(out / RECORD, record, durable=True)
     began = time.monotonic()
@@ -82,23 +83,16 @@ def run_trainer(
             record["note"] = f"batch {end['batch']} rather than {preset.batch}: {why}"
     write_json(out / RECORD, record, durable=True)
     if stopped and not done:
-        reached = _last_epoch(record["sessions"])
-        if reached:
-            raise Interrupted(f"Stopped after epoch {reached} of {epochs}; the same command with --resume continues.")
-        raise Interrupted(
-            f"Stopped before the end of the first of {epochs} epochs; the same command with --resume starts it again."
-        )
+        reached = 0  # each session continued the one before or started again
+        for s in record["sessions"]:
+            reached = max(0 if "restarted" in s else reached, s["epoch"])
+        at, then = f"after epoch {reached} of {epochs}", "continues"
+        if not reached:
+            at, then = f"before the end of the first of {epochs} epochs", "starts it again"
+        raise Interrupted(f"Stopped {at}; the same command with --resume {then}.")
     if not done:
         raise _failure(out, code, last.get("error"), preset)
     return record
-
-
-def _last_epoch(sessions: Sequence[Mapping[str, Any]]) -> int:
-    """Return the last finished epoch of sessions that each continued the one before or started again."""
-    reached = 0
-    for s in sessions:
-        reached = max(0 if "restarted" in s else reached, s["epoch"])
-    return reached
 
 
 def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]) -> tuple[int, bool]:
@@ -138,7 +132,6 @@ def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None])
 
 
 def _failure(out: Path, code: int, event: Mapping[str, Any] | None, preset: Preset) -> InfraBlendError:
-    """Return the error that explains why the process failed."""
     if event is not None and event["code"] == "labels-dropped":
         return DatasetError(f"{out}: the trainer would drop labels: {event['message']}")
     if code == -9 or (event is not None and event["code"] == "out-of-memory"):

@@ -14,7 +14,7 @@ from infrablend.config.experiment import Generate
 from infrablend.config.loading import read_recipe
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import LINK_OUT, link_or_copy, load_json
+from infrablend.core.files import LINK_OUT, link_or_copy, read_object
 from infrablend.core.run_folder import RUN_FILE, RunFolder
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
@@ -55,9 +55,11 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
 
 
 def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
-    """Return the record of a training after checking that it is the one the stage asks for."""
     inputs, data = job.stage.inputs, job.needs["data"].result
-    record = _read_record(folder / "train.json", "a folder written by `infrablend train`")
+    record = read_object(folder / "train.json")
+    if record is None:
+        path, expected = str(folder / "train.json"), "a folder written by `infrablend train`"
+        raise DatasetError("nothing to adopt", [Problem(path, "adopt-record", "cannot be read", expected)])
     prepared, asked = record.get("prepared") or {}, dict(inputs["preset"])
     settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
     classes = list(inputs["classes"] or data["classes"])
@@ -80,7 +82,6 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
 
 
 def _check_run(job: StageJob, folder: Path) -> None:
-    """Check that a run of the generator is the one the stage asks for."""
     record = RunFolder(folder).read_run()
     spec: Generate = job.stage.spec
     recipe = read_recipe(spec.recipe, spec.settings).recipe
@@ -109,17 +110,7 @@ def _adopt_file(folder: Path, source: Path, target: Path) -> Path:
     return link_or_copy(source, target)
 
 
-def _read_record(path: Path, expected: str) -> dict[str, Any]:
-    try:
-        found = load_json(path)
-    except (OSError, ValueError) as error:
-        problem = Problem(str(path), "adopt-record", f"cannot be read ({error})", expected)
-        raise DatasetError("nothing to adopt", [problem]) from error
-    return found if isinstance(found, dict) else {}
-
-
 def _require_equal(stage_id: str, folder: Path, pairs: Mapping[str, tuple[Any, Any]]) -> None:
-    """Raise an error that lists every pair of (found, expected) values that differ."""
     problems = [
         Problem(f"{stage_id}, {what}", "adopt-other", json.dumps(found), json.dumps(expected))
         for what, (found, expected) in pairs.items()

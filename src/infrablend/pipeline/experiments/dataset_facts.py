@@ -19,11 +19,6 @@ def read_dataset(
     return detection.read(folder, Reading(splits=splits, options=options or {}))
 
 
-def class_key(name: str) -> str:
-    """Return a class name without case and blanks, for comparison: `Other Vehicle` and `OtherVehicle` are one."""
-    return "".join(c for c in name.casefold() if c.isalnum())
-
-
 def dataset_facts(dataset: Dataset) -> dict[str, Any]:
     """Return images and labels per split, classes and kinds of labels. Regions to ignore are not a class."""
     ignored = {c.name for c in dataset.categories if c.ignore}

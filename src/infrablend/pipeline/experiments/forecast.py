@@ -6,8 +6,9 @@ Times come from finished stages in the work folder, or else from constants.
 from __future__ import annotations
 
 import contextlib
+import math
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,12 +18,15 @@ from infrablend.config.loading import read_recipe
 from infrablend.core.files import read_object
 from infrablend.core.machine import available_cores
 from infrablend.core.workspace import partial_of
-from infrablend.pipeline.experiments import training_setup
+from infrablend.errors import InfraBlendError
+from infrablend.pipeline.detectors.training_plan import require_arguments
 from infrablend.pipeline.experiments.graph import OTHER_SCALES
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder
-from infrablend.pipeline.experiments.training_setup import runs_on_gpu, training_preset, training_seconds
+from infrablend.training.predict import pick_device
+from infrablend.training.presets import estimate_seconds
+from infrablend.training.weights import require_ultralytics
 
 LEARNING = ("train", "evaluate")
 """Kinds of stages that need the trainer."""
@@ -58,7 +62,6 @@ def measured_rates(work: Path) -> Rates:
 
 
 def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
-    """Return the time that a stage took and its number of images; 0 images if the kind is no basis for estimates."""
     result, seconds = record["result"], float(record["seconds"])
     match record["kind"]:
         case "train":
@@ -67,7 +70,7 @@ def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
             return seconds, int(result["metrics"]["classes"]["all"]["images"])
         case "world":
             return seconds, sum(result["images"].values())
-    return seconds, 0
+    return seconds, 0  # no basis for estimates
 
 
 def _network(inputs: Mapping[str, Any]) -> str:
@@ -76,15 +79,18 @@ def _network(inputs: Mapping[str, Any]) -> str:
     return " ".join(str(preset[k]) for k in ("model", "image_size") if k in preset)
 
 
-def estimate_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> float:
+def stage_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> float:
     """Return about how many seconds a stage takes."""
     images = sum(stage.images.values())
     known = rates.get((stage.kind, _network(stage.inputs)))
     if stage.kind == "train":
         if known is not None and (passes := stage.inputs["preset"].get("passes")):
             return START_S + float(passes) * known
-        gpu = runs_on_gpu(request.device)
-        return training_seconds(training_preset(stage.spec, request), stage.images.get("train", 0), gpu=gpu)
+        preset, shown = request.preset(stage.spec), stage.images.get("train", 0)
+        if preset.tile:  # with about five objects in a picture, for which HIT-UAV needs 1.4 tiles
+            shown += math.ceil(0.08 * (5 * shown))
+        shown = min(shown, preset.tiles) if preset.tiles else shown
+        return estimate_seconds(preset, shown, gpu=_runs_on_gpu(request.device), cores=available_cores())
     if known is not None:
         return START_S + images * known
     match stage.kind:
@@ -93,7 +99,7 @@ def estimate_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> 
         case "generate":
             return START_S + images * (FRAME_S + OBJECT_S * _mean_objects(stage.spec)) / available_cores()
         case "evaluate":
-            return START_S + images * PREDICT_S["gpu" if runs_on_gpu(request.device) else "cpu"]
+            return START_S + images * PREDICT_S["gpu" if _runs_on_gpu(request.device) else "cpu"]
         case "paste":
             return START_S + images * PASTE_S
         case "compare":
@@ -101,8 +107,35 @@ def estimate_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> 
     return images * COPY_S
 
 
+def _runs_on_gpu(device: str) -> bool:
+    try:
+        return device != "cpu" and pick_device(device) != "cpu"
+    except InfraBlendError:  # reported where a training is required, not where its time is estimated
+        return False
+
+
+def require_trainer(device: str) -> None:
+    """Check that Ultralytics and the device are available, before anything is made.
+
+    Raises:
+        MissingDependencyError: One of them is not.
+    """
+    require_ultralytics()
+    pick_device(device)
+
+
+def require_training_settings(stages: Iterable[Stage], request: ExperimentRequest) -> None:
+    """Check the settings of all trainings now rather than hours later; without Ultralytics only our own fields.
+
+    Raises:
+        OutputError: The trainer does not know a setting.
+    """
+    for stage in stages:
+        if stage.kind == "train":
+            require_arguments(request.preset(stage.spec))
+
+
 def _mean_objects(spec: Generate) -> float:
-    """Return the mean number of objects that a recipe inserts into a frame."""
     total = 0.0
     for o in read_recipe(spec.recipe, spec.settings).recipe.objects:
         if isinstance(o.count, int):
@@ -161,31 +194,30 @@ def plan_experiment(prepared: PreparedExperiment) -> ExperimentPlan:
     required = prepared.required(finished | adopted)
     todo = [s for s in graph.stages if s.id in (chosen & required) - finished - adopted]
     if request.device not in ("auto", "cpu") and any(s.kind in LEARNING for s in todo):
-        training_setup.require_trainer(request.device)
-    training_setup.require_training_settings(todo, request)
+        require_trainer(request.device)
+    require_training_settings(todo, request)
     rates = measured_rates(request.work)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for s in graph.stages:
         if s.id not in chosen:
             continue
-        key = graph.keys[s.id]
-        if s.id in finished:
-            status = "done"
-        elif s.id in adopted:
-            status = "adopted"
-        elif s.id in required:
-            begun = partial_of(stage_folder(request.work, s, key)).is_dir()
+        status = "done" if s.id in finished else "adopted" if s.id in adopted else "not needed"
+        if status == "not needed" and s.id in required:
+            begun = partial_of(stage_folder(request.work, s, graph.keys[s.id])).is_dir()
             status = "interrupted" if begun else "to do"
-        else:
-            status = "not needed"
         work = status not in NO_WORK
-        row: dict[str, Any] = {"stage": s.id, "key": key, "images": sum(s.images.values()), "status": status}
-        row["needs"] = sorted(s.needs.values())
-        if s.kind == "train":
-            row["training"] = dict(s.inputs["preset"])
-        row["about_s"] = round(estimate_seconds(s, rates, request), 1) if work else 0.0
-        row["disk_bytes"] = estimate_bytes(s) if work else 0
-        rows.append(row)
+        rows.append(
+            {
+                "stage": s.id,
+                "key": graph.keys[s.id],
+                "images": sum(s.images.values()),
+                "status": status,
+                "needs": sorted(s.needs.values()),
+                **({"training": dict(s.inputs["preset"])} if s.kind == "train" else {}),
+                "about_s": round(stage_seconds(s, rates, request), 1) if work else 0.0,
+                "disk_bytes": estimate_bytes(s) if work else 0,
+            }
+        )
     facts = {
         "experiment": prepared.experiment.name,
         "scale": request.scale,

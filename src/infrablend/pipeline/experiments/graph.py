@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,18 +24,19 @@ from infrablend.config.experiment import (
 )
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import NOT_IN_KEY, Recipe
-from infrablend.core.dataset import SPLITS
+from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.files import sha256_of
 from infrablend.core.shipped import Scale
 from infrablend.core.validation_messages import did_you_mean
 from infrablend.errors import DatasetError, InfraBlendError, Problem
+from infrablend.evaluation.truth import class_key
 from infrablend.fetching.fetch import require_source
 from infrablend.pipeline.datasets.content import content_digest
-from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset
+from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage, stage_keys
-from infrablend.pipeline.experiments.training_setup import preset_inputs, training_preset
 from infrablend.report.card import WORLD_FILE
+from infrablend.training.presets import Preset
 
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "paper": 1000}
 """Number of bootstrap draws at each scale."""
@@ -122,7 +123,6 @@ def build_graph(experiment: Experiment, given: Mapping[str, Path], request: Expe
 
 
 def _without_unused_sources(experiment: Experiment, stages: Sequence[Stage]) -> tuple[Stage, ...]:
-    """Return the stages without sources that nothing at this scale needs."""
     counted = {d for f in experiment.facts for d in f.data}
     used = set()
     for s in reversed(stages):
@@ -132,11 +132,7 @@ def _without_unused_sources(experiment: Experiment, stages: Sequence[Stage]) -> 
 
 
 def _parents_first(experiment: Experiment) -> list[str]:
-    """Return the names of data items, each after those it is made from.
-
-    Raises:
-        DatasetError: Some are made from each other.
-    """
+    """Return the names of data items, each after those it is made from; refuse those made from each other."""
     order: list[str] = []
     rest = list(experiment.data)
     while rest:
@@ -150,8 +146,6 @@ def _parents_first(experiment: Experiment) -> list[str]:
 
 
 class _Builder:
-    """Stages, problems and reasons for leaving something out, collected while walking through the file."""
-
     def __init__(self, experiment: Experiment, given: Mapping[str, Path], request: ExperimentRequest) -> None:
         self.experiment, self.given, self.request = experiment, given, request
         self.stages: dict[str, Stage] = {}
@@ -174,12 +168,8 @@ class _Builder:
             return
         self.made_by[name] = f"source:{name}"
 
-    def _limits(self, source: Source) -> dict[str, int]:
-        return {str(s): n for s, n in source.limits.get(self.request.scale, {}).items()}
-
     def _add_stand_in(self, name: str, source: Source) -> None:
-        """Add a virtual world in place of a dataset that was not given."""
-        limits = self._limits(source)
+        limits = _at_scale(source.limits, self.request)
         count = source.stand_in_images.get(self.request.scale, STAND_IN_IMAGES)
         inputs: dict[str, Any] = {
             "layout": source.stand_in,
@@ -195,7 +185,7 @@ class _Builder:
         self.stand_ins.append(name)
 
     def _add_given(self, name: str, source: Source, path: Path) -> None:
-        limits = self._limits(source)
+        limits = _at_scale(source.limits, self.request)
         virtual = (path / WORLD_FILE).is_file()
         options = {} if virtual else dict(source.options)
         if virtual:
@@ -243,14 +233,15 @@ class _Builder:
         of_scale = self.experiment.settings.get(self.request.scale, {})
         spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}})
         inputs = {
-            "preset": preset_inputs(training_preset(spec, self.request)),
+            "preset": preset_inputs(self.request.preset(spec)),
             "scale": self.request.scale,
             "seed": self.request.seed + spec.reseed,
             "task": spec.task,
             "classes": spec.classes,
             "weights": spec.weights,
-            **_content_of_weights(spec.weights),
         }
+        if Path(spec.weights).is_file():  # training them anew must train what starts from them
+            inputs["weights_sha256"] = sha256_of(Path(spec.weights))
         images = self.stages[self.made_by[spec.data]].images
         used = {s: images[s] for s in ("train", "val") if s in images}
         self.add(Stage("train", name, inputs, {"data": self.made_by[spec.data]}, spec, used))
@@ -292,6 +283,10 @@ class _Builder:
         self.add(Stage("compare", name, inputs, needs, spec, images))
 
 
+def _at_scale(limits: Mapping[Scale, Mapping[Split, int]], request: ExperimentRequest) -> dict[str, int]:
+    return {str(s): n for s, n in limits.get(request.scale, {}).items()}
+
+
 def _limited(images: Mapping[str, int], limits: Mapping[str, int]) -> dict[str, int]:
     return {s: min(n, limits.get(s, n)) for s, n in images.items()}
 
@@ -305,13 +300,21 @@ DataInputs = tuple[dict[str, Any], dict[str, int]]
 def _run_inputs(spec: Generate, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     recipe = read_recipe(spec.recipe, spec.settings).recipe
     times = recipe.configurations + int(recipe.output.originals)
-    inputs = {**recipe_inputs(spec), "seed": request.seed, "renderer": request.renderer}
+    own = {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}
+    inputs = {
+        "recipe": deciding_fields(recipe),
+        "models": sorted(own.values()),  # the user's own models count by their content
+        "splits": list(spec.splits),
+        "version": __version__,
+        "seed": request.seed,
+        "renderer": request.renderer,
+    }
     return inputs, {s: images["of"][s] * times for s in spec.splits if s in images["of"]}
 
 
 def _convert_inputs(spec: Convert, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     inputs = spec.model_dump(mode="json", exclude={"kind", "of", "match", "images"}, exclude_defaults=True)
-    limits: dict[str, int] = {str(s): n for s, n in spec.images.get(request.scale, {}).items()}
+    limits = _at_scale(spec.images, request)
     inputs = {**inputs, "splits": list(spec.splits), "seed": request.seed} | ({"images": limits} if limits else {})
     like = images.get("match", images["of"])  # a part that matches another item has as many images as that item
     return inputs, _limited({s: like[s] for s in spec.splits if s in like}, limits)
@@ -326,7 +329,7 @@ def _split_inputs(spec: Resplit, images: ImagesByRole, request: ExperimentReques
 def _merge_inputs(spec: Merge, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     parts, made = [], Counter[str]()
     for part, of_part in zip(spec.parts, images.values(), strict=True):
-        limits: dict[str, int] = {str(s): n for s, n in part.images.get(request.scale, {}).items()}
+        limits = _at_scale(part.images, request)
         parts.append({"name": part.of, "splits": list(part.splits), "images": limits})
         made.update(_limited({s: of_part[s] for s in part.splits if s in of_part}, limits))
     return {"parts": parts, "seed": request.seed + spec.reseed}, dict(made)
@@ -346,21 +349,9 @@ _DATA_INPUTS: Mapping[str, Callable[[Any, ImagesByRole, ExperimentRequest], Data
 }
 
 
-def _content_of_weights(weights: str) -> dict[str, str]:
-    """Return the digest of start weights that are a file: training them anew must train what starts from them."""
-    return {"weights_sha256": sha256_of(Path(weights))} if Path(weights).is_file() else {}
-
-
-def recipe_inputs(spec: Generate) -> dict[str, Any]:
-    """Return the contribution of a run's recipe to the stage's key; the user's own models count by their content."""
-    recipe = read_recipe(spec.recipe, spec.settings).recipe
-    own = {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}
-    return {
-        "recipe": deciding_fields(recipe),
-        "models": sorted(own.values()),
-        "splits": list(spec.splits),
-        "version": __version__,
-    }
+def preset_inputs(preset: Preset) -> dict[str, Any]:
+    """Return everything of a preset that decides a training, as plain JSON."""
+    return {k: v for k, v in asdict(preset).items() if k != "summary"}
 
 
 def deciding_fields(recipe: Recipe) -> dict[str, Any]:

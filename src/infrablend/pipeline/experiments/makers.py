@@ -12,6 +12,7 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.tasks import paced
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
+from infrablend.evaluation.truth import class_key
 from infrablend.formats.base import sort_images
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.capture.world import make_world
@@ -22,10 +23,9 @@ from infrablend.pipeline.datasets.split import split_dataset
 from infrablend.pipeline.detectors.evaluate import evaluate_detector
 from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.detectors.train import train_dataset
-from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset, spread_images
+from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset, spread_images
 from infrablend.pipeline.experiments.pasting import make_paste
 from infrablend.pipeline.experiments.stage import StageJob
-from infrablend.pipeline.experiments.training_setup import preset_settings
 from infrablend.pipeline.plans.request import Execution, RunRequest
 from infrablend.pipeline.runs.generate import generate_run
 from infrablend.training.request import TrainRequest
@@ -50,7 +50,6 @@ def _make_source(job: StageJob) -> dict[str, Any]:
 
 
 def _make_world(job: StageJob) -> dict[str, Any]:
-    """Render a virtual world that stands in for a dataset."""
     inputs, out = job.stage.inputs, job.out
     if inputs["layout"] == "sky":
         write_sky_pictures(out, inputs["images"], inputs["seed"], inputs["classes"])
@@ -74,13 +73,12 @@ def _make_run(job: StageJob) -> dict[str, Any]:
         reading=Reading(splits=spec.splits, options=source.reader_options),
         execution=execution,
     )
-    report = None
     for _ in range(2):
         report = job.resume_or_restart(lambda existing: generate_run(replace(run, existing=existing), job.on_progress))
         if not report.counts.get("failed_frames"):
             break
     else:
-        problems = [p for p in report.problems if p.code.startswith("frame-")] if report else []
+        problems = [p for p in report.problems if p.code.startswith("frame-")]
         raise RenderError(f"{job.stage.id}: frames failed twice; run the same command to try them again", problems)
     made = read_dataset(job.out / "coco")
     counts = {k: report.counts[k] for k in ("frames", "objects_inserted", "skipped_backgrounds") if k in report.counts}
@@ -102,7 +100,6 @@ def _make_part(job: StageJob) -> dict[str, Any]:
 
 
 def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:
-    """Return the images of a split that the part contains."""
     spec: Convert = job.stage.spec
     known = {c.name for c in dataset.categories}
     without = tuple(c for c in spec.without if c in known)
@@ -112,7 +109,8 @@ def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[Imag
         wanted = replace(wanted, images=_matchable_images(part, spec.like, without))
     if (most := job.stage.inputs.get("images", {}).get(split)) is not None:
         wanted = replace(wanted, images=min(most, len(part.images) if wanted.images is None else wanted.images))
-    if split != "train" and (wanted.images == 0 or not _has_class(part, spec.with_class)):
+    shown = {None, *(o.category for i in part.images for o in i.instances)}
+    if split != "train" and (wanted.images == 0 or spec.with_class not in shown):
         return ()  # a training can do without val
     if (match := job.needs.get("match")) is not None:
         n = match.result["images"].get(split, 0)
@@ -123,10 +121,6 @@ def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[Imag
     return select(part, wanted)[0].images if part.images and wanted else part.images
 
 
-def _has_class(part: Dataset, category: str | None) -> bool:
-    return category is None or any(o.category == category for i in part.images for o in i.instances)
-
-
 def _matchable_images(part: Dataset, like: str, without: Sequence[str]) -> int:
     """Return how many images to draw so that the images with the class can match them in number."""
     classes = [{o.category for o in i.instances} for i in part.images]
@@ -135,7 +129,6 @@ def _matchable_images(part: Dataset, like: str, without: Sequence[str]) -> int:
 
 
 def _make_merge(job: StageJob) -> dict[str, Any]:
-    """Write the images of several data items as one dataset."""
     spec: Merge = job.stage.spec
     parts = []
     for k, (part, asked) in enumerate(zip(spec.parts, job.stage.inputs["parts"], strict=True)):
@@ -169,9 +162,7 @@ def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
 
     Classes of the same name are one class, with the id of the first that has it; an id that is taken is replaced by the
     next free one. Such a class is ignored only if it is ignored in all datasets that have it.
-
-    Args:
-        parts: Names and datasets; a name that occurs again gets a number.
+    A name that occurs again gets a number.
     """
     categories: dict[str, Category] = {}
     images = []
@@ -193,7 +184,6 @@ def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
 
 
 def _make_split(job: StageJob) -> dict[str, Any]:
-    """Write a dataset with new splits."""
     spec: Resplit = job.stage.spec
     source, out = job.needs["of"], job.out
     dataset = read_dataset(source.dataset, options=source.reader_options)
@@ -216,12 +206,11 @@ def _make_split(job: StageJob) -> dict[str, Any]:
 
 
 def _make_training(job: StageJob) -> dict[str, Any]:
-    """Train a detector."""
     spec: Training = job.stage.spec
     data = job.needs["data"]
     request = TrainRequest(
         preset=job.request.scale,
-        settings=preset_settings(spec, job.request),
+        settings={**spec.settings, **job.request.training},
         task=spec.task,
         weights=spec.weights,
         device=job.request.device,
@@ -237,7 +226,6 @@ def _make_training(job: StageJob) -> dict[str, Any]:
 
 
 def _make_evaluation(job: StageJob) -> dict[str, Any]:
-    """Evaluate a detector."""
     spec: Evaluation = job.stage.spec
     training, data = job.needs["training"], job.needs["data"]
     report = evaluate_detector(
@@ -277,7 +265,6 @@ def _evaluated_classes(
 
 
 def _make_comparison(job: StageJob) -> dict[str, Any]:
-    """Compare detectors on the same images."""
     a, b = ([made.folder / "out" for role, made in job.needs.items() if role.startswith(side)] for side in "ab")
     found = compare_evaluations(a, b, bootstrap=job.stage.inputs["bootstrap"], seed=job.request.seed)
     return {"classes": found["classes"], "left_out": found["left_out"]}

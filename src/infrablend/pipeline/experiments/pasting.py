@@ -55,16 +55,12 @@ def make_paste(job: StageJob) -> dict[str, Any]:
         images.append(paster.replace_inserts(frame, background, out / "images" / frame.split / frame.name))
         if report is not None:
             report(number, len(made.images))
-    coco.write(out, images, with_category(made.categories, spec.category))
+    categories = list(made.categories)
+    if all(c.name != spec.category for c in categories):
+        categories.append(Category(max((c.id for c in categories), default=0) + 1, spec.category))
+    coco.write(out, images, categories)
     pasted = {"cut_outs": len(cuts), "unusable": dict(unusable), **paster.counts}
     return {**dataset_facts(read_dataset(out)), "pasted": pasted, "dataset": "out", "there": ["out"]}
-
-
-def with_category(categories: Sequence[Category], name: str) -> list[Category]:
-    """Return the categories, with one of that name."""
-    if any(c.name == name for c in categories):
-        return list(categories)
-    return [*categories, Category(max((c.id for c in categories), default=0) + 1, name)]
 
 
 def cut_objects(dataset: Dataset, category: str) -> tuple[list[CutOut], Counter[str]]:
@@ -136,11 +132,6 @@ class Paster:
     def replace_inserts(self, frame: ImageRecord, background: Path, out: Path) -> ImageRecord:
         """Write a frame with cut-outs in place of its inserted objects, and return its record.
 
-        Args:
-            frame: Frame of the run.
-            background: Picture of its background.
-            out: File to write.
-
         Raises:
             DatasetError: The picture cannot be read, or has 16 bits.
             OutputError: The file cannot be written.
@@ -179,7 +170,6 @@ class Paster:
 
 
 def _shuffled_rounds(cuts: Sequence[CutOut], seed: int) -> Iterator[CutOut]:
-    """Yield all cut-outs in random order, then again in another order, without end."""
     number = 0
     while True:
         yield from (cuts[k] for k in stream(seed, "paste", "round", number).permutation(len(cuts)))

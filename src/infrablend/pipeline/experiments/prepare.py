@@ -10,9 +10,10 @@ from infrablend.config.experiment import Experiment, Source, load_experiment
 from infrablend.config.experiment_seeds import repeat_seeds
 from infrablend.core.output import require_apart
 from infrablend.errors import DatasetError, Problem
+from infrablend.evaluation.truth import class_key
 from infrablend.formats import detection
 from infrablend.pipeline.experiments.adopting import ADOPTABLE
-from infrablend.pipeline.experiments.dataset_facts import class_key, dataset_facts, read_dataset
+from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.graph import StageGraph, build_graph, unknown_stage, where_to_get
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage, find_finished
@@ -107,10 +108,6 @@ def assign_folders(experiment: Experiment, folders: Sequence[tuple[str | None, P
     A folder without a name is matched with the sources of its format; if there are several, with those whose classes
     all have labels in it.
 
-    Args:
-        experiment: Experiment that needs the sources.
-        folders: Name of the source, or None, and folder.
-
     Raises:
         DatasetError: A folder matches no source or several, two match the same one, or a source has no folder.
     """
@@ -141,7 +138,6 @@ def assign_folders(experiment: Experiment, folders: Sequence[tuple[str | None, P
 
 
 def _matching_sources(experiment: Experiment, folder: Path, format: str | None) -> list[str]:
-    """Return the names of the sources that a folder can be."""
     names = [n for n, s in experiment.sources.items() if s.format == format]
     if len(names) < 2:
         return names
@@ -151,7 +147,6 @@ def _matching_sources(experiment: Experiment, folder: Path, format: str | None) 
 
 
 def _no_single_source(experiment: Experiment, folder: Path, format: str | None, names: Sequence[str]) -> Problem:
-    """Return the problem of a folder that is no source of the experiment, or that can be several."""
     if len(names) > 1:
         found, todo = f"it can be {' or '.join(names)}", f"name it: --data {names[0]}={folder}"
         return Problem(str(folder), "data-kind", found, "labels of the classes of one of them alone", todo)

@@ -10,7 +10,7 @@ from typing import Any
 from infrablend.annotation.looseness import COUNTS
 from infrablend.config.experiment import METRICS, Check, FactsRow, Row, Training
 from infrablend.core.file_names import real_path
-from infrablend.pipeline.experiments.dataset_facts import class_key
+from infrablend.evaluation.truth import class_key
 from infrablend.pipeline.experiments.graph import OTHER_SCALES, StageGraph
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage
@@ -29,13 +29,7 @@ _FIGURES = ("images", "instances", *METRICS)
 
 
 def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: str | None = None) -> dict[str, Any]:
-    """Return everything that the page shows, as plain JSON, from the records of finished stages alone.
-
-    Args:
-        prepared: The experiment.
-        finished: Its finished stages by id.
-        stopped: Reason why the run stopped; None if it did not.
-    """
+    """Return everything that the page shows, as plain JSON, from the records of finished stages alone."""
     experiment, graph, request = prepared.experiment, prepared.graph, prepared.request
     evaluations = {
         n: _evaluation(finished[i].result["metrics"])
@@ -69,7 +63,7 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
         "at_other_scales": [n for n, why in graph.left_out.items() if why == OTHER_SCALES],
         "command": _command(prepared),
         **_provenance([finished[s.id].record for s in graph.stages if s.id in finished]),
-        "sources": dict(_sources(prepared, finished)),
+        "sources": _sources(prepared, finished),
         "stages": [_stage_row(s, graph, finished, required) for s in graph.stages],
         "trainings": {
             n: _training(finished[i].result["record"], t)
@@ -93,7 +87,6 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
 
 
 def _evaluation(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of an evaluation that the page shows, and its list of objects if it has one."""
     listed = {_IF_LISTED: metrics[_IF_LISTED]} if _IF_LISTED in metrics else {}
     return {k: metrics.get(k) for k in _OF_EVALUATION} | listed
 
@@ -122,7 +115,6 @@ def _provenance(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _distinct_values(records: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Return every value that occurs, by field."""
     names = sorted({k for r in records for k in r})
     return {k: list(dict.fromkeys(r[k] for r in records if r.get(k) is not None)) for k in names}
 
@@ -132,43 +124,32 @@ def _training_device(record: Mapping[str, Any]) -> dict[str, Any]:
     return {"trained_on": str(trained["device"])} if trained.get("device") else {}
 
 
-def _sources(prepared: PreparedExperiment, finished: Finished) -> Iterator[tuple[str, dict[str, Any]]]:
-    for name, s in prepared.experiment.sources.items():
-        found = finished.get(f"source:{name}")
-        if found is None:
-            continue
-        row = {
+def _sources(prepared: PreparedExperiment, finished: Finished) -> dict[str, dict[str, Any]]:
+    return {
+        name: {
             "title": s.title,
             "stand_in": name in prepared.graph.stand_ins,
-            "images": found.result["images"],
-            "whole": found.result["whole"],
+            "images": finished[i].result["images"],
+            "whole": finished[i].result["whole"],
             "paper_images": dict(s.paper_images),
         }
-        yield name, row
-
-
-def _stage_row(stage: Stage, graph: StageGraph, finished: Finished, required: set[str]) -> dict[str, Any]:
-    made = finished.get(stage.id)
-    return {
-        "stage": stage.id,
-        "key": graph.keys[stage.id],
-        "images": _image_count(stage, made),
-        "seconds": None if made is None else made.record["seconds"],
-        "status": "missing" if made is None and stage.id in required else "not needed" if made is None else "complete",
-        **{k: None if made is None else made.result.get(k) for k in _OF_STAGE},
+        for name, s in prepared.experiment.sources.items()
+        if (i := f"source:{name}") in finished
     }
 
 
-def _image_count(stage: Stage, made: FinishedStage | None) -> int | None:
+def _stage_row(stage: Stage, graph: StageGraph, finished: Finished, required: set[str]) -> dict[str, Any]:
+    row = {"stage": stage.id, "key": graph.keys[stage.id]}
+    made = finished.get(stage.id)
     if made is None:
-        return None
-    if stage.kind in _DATA_KINDS:
-        return int(sum(made.result["images"].values()))
-    return sum(stage.images.values())
+        status = "missing" if stage.id in required else "not needed"
+        return {**row, "images": None, "seconds": None, "status": status, **dict.fromkeys(_OF_STAGE)}
+    images = made.result["images"] if stage.kind in _DATA_KINDS else stage.images
+    facts = {"images": sum(images.values()), "seconds": made.record["seconds"], "status": "complete"}
+    return {**row, **facts, **{k: made.result.get(k) for k in _OF_STAGE}}
 
 
 def _training(record: Mapping[str, Any], spec: Training) -> dict[str, Any]:
-    """Return a training's record without paths of the machine."""
     kept = {k: record[k] for k in _OF_TRAINING if k in record}
     start = dict(record.get("start") or {})
     if start.get("model"):
@@ -188,32 +169,24 @@ def _rows(
             continue
         figures = [_class_figures(evaluations.get(e, {}), row.category) for e in names]
         if names == [default] and figures[0] is not None:
-            shown.add(find_class(evaluations[names[0]]["classes"], row.category) or "")
+            shown.add(class_key(row.category))
         yield _row(row, names, figures, next((left_out[e] for e in names if e in left_out), None))
     of_table = evaluations.get(default or "", {}).get("classes", {})
     for name in sorted(of_table):
-        if name not in shown:
+        if class_key(name) not in shown:
             yield _row(Row(title=name, category=name), [default or ""], [of_table[name]], None)
 
 
-def _class_figures(evaluation: Mapping[str, Any], category: str) -> Mapping[str, Any] | None:
-    """Return the figures of a class in an evaluation, or None."""
-    figures = evaluation.get("classes", {})
-    found: Mapping[str, Any] | None = figures.get(find_class(figures, category))
-    return found
+def _class_figures(found: Mapping[str, Any], category: str) -> Mapping[str, Any] | None:
+    """Return the figures of a class in an evaluation or comparison, whatever its case and blanks, or None."""
+    classes: Mapping[str, Any] = found.get("classes", {})
+    return next((of for name, of in classes.items() if class_key(name) == class_key(category)), None)
 
 
 def _row(
     row: Row, names: Sequence[str], figures: Sequence[Mapping[str, Any] | None], why: str | None
 ) -> dict[str, Any]:
-    """Return the paper's figures, ours, and their differences.
-
-    Args:
-        row: Row of the file.
-        names: Evaluations that give our figures.
-        figures: Figures of the row's class in each of them.
-        why: Reason why they are missing, if one is known.
-    """
+    """Return the paper's figures, ours from the named evaluations, and their differences, or why ours are missing."""
     known = [f for f in figures if f is not None]
     ours = None if len(known) < len(names) else known[0] if len(known) == 1 else _means(known)
     paper = row.paper.model_dump()
@@ -244,7 +217,6 @@ def _means(figures: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _dataset_row(row: FactsRow, graph: StageGraph, finished: Finished) -> dict[str, Any]:
-    """Return a dataset's numbers in the paper and ours."""
     by_name = {s.name: s.id for s in graph.stages if s.kind in _DATA_KINDS and s.kind != "world"}
     parts = [finished[by_name[d]].result if by_name.get(d) in finished else None for d in row.data]
     paper = {"images": row.images, "classes": row.classes, "labels": list(row.labels)}
@@ -261,11 +233,6 @@ def _dataset_row(row: FactsRow, graph: StageGraph, finished: Finished) -> dict[s
         }
     why = next((graph.left_out[d] for d in row.data if d in graph.left_out), "not made yet")
     return {"title": row.title, "paper": paper, "ours": ours, "missing": None if ours else why}
-
-
-def find_class(figures: Mapping[str, Any], category: str) -> str | None:
-    """Return the name under which an evaluation lists a class, whatever its case and blanks, or None."""
-    return next((n for n in figures if class_key(n) == class_key(category)), None)
 
 
 def check_claim(
@@ -296,9 +263,7 @@ def _check_interval(
     check: Check, comparisons: Mapping[str, Any], left_out: Mapping[str, str], verdict: bool
 ) -> dict[str, Any]:
     assert check.comparison is not None
-    classes = comparisons.get(check.comparison, {}).get("classes", {})
-    name = find_class(classes, check.category)
-    found = None if name is None else classes[name].get(check.metric)
+    found = (_class_figures(comparisons.get(check.comparison, {}), check.category) or {}).get(check.metric)
     if found is None or found.get("ci") is None:
         why = left_out.get(check.comparison, "not run yet, or no such class or figure")
         return {"comparison": check.comparison, "missing": why}
@@ -342,13 +307,10 @@ def _check_ratio(
 def _figure(evaluation: Mapping[str, Any], check: Check) -> float | None:
     if check.time is not None:
         evaluation = evaluation.get("strata", {}).get("time", {}).get(check.time, {})
-    classes = evaluation.get("classes", {})
-    name = find_class(classes, check.category)
-    found: float | None = None if name is None else classes[name].get(check.metric)
+    found: float | None = (_class_figures(evaluation, check.category) or {}).get(check.metric)
     return found
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
-    """Return the mean, or None if a value is missing."""
     known = [v for v in values if v is not None]
     return sum(known) / len(values) if len(known) == len(values) else None

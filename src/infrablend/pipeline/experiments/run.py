@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from infrablend import __version__
-from infrablend.core.files import output_error, read_object
+from infrablend.core.files import read_object
 from infrablend.core.machine import describe_machine, installed_versions, source_commit
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
-from infrablend.pipeline.experiments import training_setup
+from infrablend.pipeline.experiments import forecast
 from infrablend.pipeline.experiments.adopting import adopt_result
 from infrablend.pipeline.experiments.forecast import LEARNING, estimate_bytes, free_bytes
 from infrablend.pipeline.experiments.graph import OTHER_SCALES
@@ -24,14 +24,7 @@ from infrablend.pipeline.experiments.makers import MAKERS
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.results import collect_results
-from infrablend.pipeline.experiments.stage import (
-    RECORD,
-    FinishedStage,
-    Stage,
-    StageJob,
-    find_finished,
-    stage_folder,
-)
+from infrablend.pipeline.experiments.stage import RECORD, FinishedStage, Stage, StageJob, find_finished, stage_folder
 from infrablend.report.results.write import write_page
 
 # Kinds of stages that continue what an interrupted run left; others start again.
@@ -91,11 +84,6 @@ def run_experiment(
 ) -> ExperimentReport:
     """Make the stages that are missing, in order, and write the page.
 
-    Args:
-        prepared: Experiment to run.
-        on_stage: Called when a stage is found, started, done or adopted.
-        on_progress: Called by stages that report progress.
-
     Raises:
         MissingDependencyError: The trainer is not installed; raised before anything is made.
         OutputError: The disk has too little space for the plan, or a folder cannot be written.
@@ -106,8 +94,6 @@ def run_experiment(
 
 
 class _Run:
-    """One run: the stages finished so far, and whom to notify."""
-
     def __init__(self, prepared: PreparedExperiment, on_stage: OnStage | None, on_progress: OnProgress | None) -> None:
         self.prepared, self.graph, self.request = prepared, prepared.graph, prepared.request
         self.on_stage, self.on_progress = on_stage, on_progress
@@ -135,7 +121,8 @@ class _Run:
             except InfraBlendError as error:
                 self.write_unfinished(f"{type(error).__name__}: {stage.id}")
                 raise
-        page, facts = self.write()
+        facts = collect_results(self.prepared, self.finished)
+        page = write_page(facts, self.request.results_folder)
         left_out = {n: why for n, why in self.graph.left_out.items() if why != OTHER_SCALES}
         problems = tuple(Problem(n, "left-out", why, severity="warning") for n, why in left_out.items())
         scale, status = self.request.scale, facts["status"]
@@ -177,40 +164,30 @@ class _Run:
                     stage.id, adopt[stage.id], found.folder,
                 )  # fmt: skip
                 continue
-            needs = {s.id: made for s in self.needs_of(stage) if (made := self.find_or_read(s)) is not None}
+            needs: dict[str, FinishedStage] = {}
+            for need in (self.graph.by_id[i] for i in stage.needs.values()):
+                made = self.prepared.find(need)
+                if made is None and need.kind == "source" and not need.needs:  # given by the user
+                    made = self.make(need, {})
+                needs |= {} if made is None else {need.id: made}
             self.notify(stage, "adopted", number)
             self.make(stage, needs, adopt[stage.id])
-
-    def needs_of(self, stage: Stage) -> list[Stage]:
-        return [self.graph.by_id[i] for i in stage.needs.values()]
-
-    def find_or_read(self, stage: Stage) -> FinishedStage | None:
-        """Return a stage if it is finished; a source given by the user is read."""
-        found = self.prepared.find(stage)
-        if found is None and stage.kind == "source" and not stage.needs:
-            return self.make(stage, {})
-        return found
-
-    def write(self, stopped: str | None = None) -> tuple[Path, dict[str, Any]]:
-        """Write the page, its JSON and plots, and the index; the same records give the same bytes."""
-        facts = collect_results(self.prepared, self.finished, stopped)
-        return write_page(facts, self.request.results_folder), facts
 
     def write_unfinished(self, stopped: str) -> Path | None:
         """Write the page of a run that stopped; an error of the page must not hide what stopped the run."""
         self.finished = self.prepared.finished()  # later stages may be finished, too
         with contextlib.suppress(OutputError):
-            return self.write(stopped)[0]
+            return write_page(collect_results(self.prepared, self.finished, stopped), self.request.results_folder)
         return None
 
 
 def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> None:
-    """Check everything that would otherwise stop the run hours later: trainer, settings, disk space, work folder."""
+    """Check everything that would otherwise stop the run hours later: trainer, settings, disk space."""
     request = prepared.request
     todo = [s for s in prepared.graph.stages if s.id in missing]
     if any(s.kind in LEARNING for s in todo):
-        training_setup.require_trainer(request.device)
-    training_setup.require_training_settings(todo, request)
+        forecast.require_trainer(request.device)
+    forecast.require_training_settings(todo, request)
     needed, free = sum(estimate_bytes(s) for s in todo), free_bytes(request.work)
     if needed > free:
         found, expected = f"{free / 2**30:.1f} GiB free", f"about {needed / 2**30:.1f} GiB"
@@ -218,10 +195,6 @@ def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> No
             f"experiment {prepared.experiment.name}: {request.work} has too little space",
             [Problem(str(request.work), "disk-full", found, expected, "give another --work")],
         )
-    try:
-        request.work.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise output_error(request.work, error) from error
 
 
 def make_stage(
@@ -233,15 +206,7 @@ def make_stage(
     adopt: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> FinishedStage:
-    """Make a stage; runs and trainings continue what an interrupted run left.
-
-    Args:
-        stage: Stage to make.
-        key: Key of the stage.
-        finished: Finished stages by id, including those it needs.
-        request: Request of the experiment.
-        adopt: Folder of a result to use instead of making it.
-        on_progress: Called by stages that report progress.
+    """Make a stage, or adopt its result; runs and trainings continue what an interrupted run left.
 
     Raises:
         DatasetError: The result to adopt belongs to something else.
@@ -258,21 +223,17 @@ def make_stage(
             return done
         needs = {role: finished[i] for role, i in stage.needs.items() if i in finished}
         job = StageJob(stage, space.folder / "out", needs, request, on_progress)
-        head, started = _record_head(stage, key, needs), time.monotonic()
+        head = {
+            "kind": stage.kind,
+            "name": stage.name,
+            "key": key,
+            "inputs": dict(stage.inputs),
+            "needs": {role: made.record["key"] for role, made in needs.items()},
+            "machine": describe_machine(),
+            "packages": {"infrablend": __version__, **installed_versions(_PACKAGES)},
+            "commit": source_commit(),
+        }
+        started = time.monotonic()
         result = MAKERS[stage.kind](job) if adopt is None else adopt_result(job, adopt)
         space.finish({**head, "seconds": round(time.monotonic() - started, 3), "result": result})
     return FinishedStage.of(stage, folder, read_object(folder / RECORD) or {})  # exactly as a later run reads it
-
-
-def _record_head(stage: Stage, key: str, needs: Mapping[str, FinishedStage]) -> dict[str, Any]:
-    """Return the part of a stage's record that is known before it is made."""
-    return {
-        "kind": stage.kind,
-        "name": stage.name,
-        "key": key,
-        "inputs": dict(stage.inputs),
-        "needs": {role: made.record["key"] for role, made in needs.items()},
-        "machine": describe_machine(),
-        "packages": {"infrablend": __version__, **installed_versions(_PACKAGES)},
-        "commit": source_commit(),
-    }

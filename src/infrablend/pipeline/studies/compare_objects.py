@@ -9,9 +9,8 @@ compare: classifiers, medians, distances
 
 from __future__ import annotations
 
-import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -26,7 +25,7 @@ from infrablend.core.files import write_bytes, write_text
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
-from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
+from infrablend.core.tasks import Executor, OnProgress, Task, WorkerSpec, paced
 from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.execution.process_pool import PoolSettings, ProcessPool
@@ -57,7 +56,7 @@ Time = Literal["night", "day", "all"]
 # The class whose real control decides whether the method's figures are valid.
 _REFERENCE: KnownClass = "person"
 RECORD = "realism.json"
-WORKER = "infrablend.pipeline.studies.measure_objects:make_measurer"
+WORKER = "infrablend.pipeline.studies.measure_objects:ObjectMeasurer"
 _EIGHT_BIT = (16.0, 235.0)
 
 
@@ -115,13 +114,7 @@ class Material:
 def measure_populations(
     run: Path, dataset: Dataset, request: ComparisonRequest, on_progress: OnProgress | None = None
 ) -> Material:
-    """Survey, pair and redo.
-
-    Args:
-        run: Folder of a finished run.
-        dataset: The dataset that the run was made from, with all splits that the run has frames of.
-        request: What to compare.
-        on_progress: Called after each picture.
+    """Survey a finished run and the dataset that it was made from, with all its splits; pair and redo objects.
 
     Raises:
         OutputError: `run` is not a run.
@@ -167,23 +160,26 @@ def measure_populations(
     surveyed += [
         PictureJob(backgrounds[_background_key(r)], r) for r in records if any(o.category in chosen for o in r.inserted)
     ]
-    clock = _Clock(on_progress, len(surveyed))
-    found = Measurements()
-    for part in _run(settings, surveyed, request, clock):
-        found.extend(part)
+    found, report = Measurements(), paced(on_progress)
+    _run(found, settings, surveyed, request, report)
     if request.real is None:
         found.drop_without_real_object()
     pairs = {c: pair_by_size(found.of("real", c), found.of("inserted", c), request.most_pairs) for c in chosen}
     sensor = request.steps and any(r.facts.get("sensor") for r in records)
     controlled = {c: [real for real, _ in pairs[c]] for c in chosen}
     if people is not None and people not in chosen:
-        controlled[people] = _random_subset([m for m in found.of("real", people) if not m.flaw], request.most_pairs)
-    redo = _control_jobs(controlled, originals)
+        usable = [m for m in found.of("real", people) if not m.flaw]
+        some = stream(0, "some").permutation(len(usable))[: request.most_pairs]
+        controlled[people] = [usable[int(k)] for k in sorted(some)]
+    numbers = _numbers_by_picture(m.key for of_class in controlled.values() for m in of_class)
+    redo = [PictureJob(originals[k], None, n) for k, n in numbers.items()]
     if sensor:
-        redo += _sensor_jobs(pairs, backgrounds, {r.frame_id: r for r in records})
-    clock.total += len(redo)
-    for part in _run(settings, redo, request, clock):
-        found.extend(part)
+        by_id = {r.frame_id: r for r in records if r.facts.get("sensor")}
+        numbers = _numbers_by_picture(inserted.key for of_class in pairs.values() for _, inserted in of_class)
+        redo += [
+            PictureJob(backgrounds[_background_key(by_id[k])], by_id[k], n) for k, n in numbers.items() if k in by_id
+        ]
+    _run(found, settings, redo, request, report, len(surveyed))
     return Material(chosen, found, pairs, controlled, sensor)
 
 
@@ -257,44 +253,18 @@ def _require_like_levels(backgrounds: Mapping[str, ImageRecord], real: Dataset) 
     background = next(iter(backgrounds.values()))
     inserted = is_deep(background)
     scales = [i.capture.scale for i in (first, background)]
-    another = not background.path.is_relative_to(real.root)
-    if another and inserted == is_deep(first) and scales[0] != scales[1]:
-        found = f"levels with the scale {scales[0]}, and with {scales[1]} in the run"
-        todo = "give pictures of the same unit with --real"
-        problem = Problem(real.root.name, "image-scale", found, "levels of the same scale", todo)
-        raise DatasetError(f"{real.root}: levels that cannot be compared", [problem])
     if inserted != is_deep(first):
+        code, expected = "image-depth", "pictures of the same depth"
         found = f"{8 + 8 * is_deep(first)}-bit pictures, and {8 + 8 * inserted}-bit ones in the run"
         todo = "compare a run on 8-bit pictures, or give real objects in 16-bit pictures with --real"
-        problem = Problem(real.root.name, "image-depth", found, "pictures of the same depth", todo)
-        raise DatasetError(f"{real.root}: levels that cannot be compared", [problem])
-
-
-def _random_subset(objects: Sequence[Measured], most: int) -> list[Measured]:
-    order = stream(0, "some").permutation(len(objects))[:most]
-    return [objects[int(k)] for k in sorted(order)]
-
-
-def _control_jobs(
-    controlled: Mapping[str, Sequence[Measured]], originals: Mapping[str, ImageRecord]
-) -> list[PictureJob]:
-    """Return the jobs that make controls from the real objects."""
-    numbers = _numbers_by_picture(m.key for of_class in controlled.values() for m in of_class)
-    return [PictureJob(originals[k], None, n) for k, n in numbers.items()]
-
-
-def _sensor_jobs(
-    pairs: Mapping[str, Sequence[tuple[Measured, Measured]]],
-    backgrounds: Mapping[str, ImageRecord],
-    records: Mapping[str, FrameRecord],
-) -> list[PictureJob]:
-    """Return the jobs that render inserted objects again with each step of the sensor chain."""
-    numbers = _numbers_by_picture(inserted.key for of_class in pairs.values() for _, inserted in of_class)
-    return [
-        PictureJob(backgrounds[_background_key(records[k])], records[k], n)
-        for k, n in numbers.items()
-        if records[k].facts.get("sensor")
-    ]
+    elif scales[0] != scales[1] and not background.path.is_relative_to(real.root):
+        code, expected = "image-scale", "levels of the same scale"
+        found = f"levels with the scale {scales[0]}, and with {scales[1]} in the run"
+        todo = "give pictures of the same unit with --real"
+    else:
+        return
+    problem = Problem(real.root.name, code, found, expected, todo)
+    raise DatasetError(f"{real.root}: levels that cannot be compared", [problem])
 
 
 def _numbers_by_picture(keys: Iterable[str]) -> dict[str, tuple[int, ...]]:
@@ -306,20 +276,15 @@ def _numbers_by_picture(keys: Iterable[str]) -> dict[str, tuple[int, ...]]:
     return {name: tuple(sorted(numbers)) for name, numbers in sorted(found.items())}
 
 
-class _Clock:
-    def __init__(self, on_progress: OnProgress | None, total: int) -> None:
-        self.total = total
-        self._on_progress, self._done, self._start = on_progress, 0, time.monotonic()
-
-    def tick(self) -> None:
-        self._done += 1
-        if self._on_progress is not None:
-            self._on_progress(Progress.since(self._start, self._done, self.total))
-
-
 def _run(
-    settings: MeasuringSettings, jobs: Sequence[PictureJob], request: ComparisonRequest, clock: _Clock
-) -> Iterator[Measurements]:
+    found: Measurements,
+    settings: MeasuringSettings,
+    jobs: Sequence[PictureJob],
+    request: ComparisonRequest,
+    report: Callable[[int, int], None] | None,
+    before: int = 0,
+) -> None:
+    """Add what is measured in pictures to `found`; `before` is the number of pictures that were reported earlier."""
     if not jobs:
         return
     spec = WorkerSpec(WORKER, settings)
@@ -327,11 +292,12 @@ def _run(
         Serial(spec) if request.in_process else ProcessPool(spec, PoolSettings(workers=max(1, request.workers)))
     )
     tasks = [Task(j.record.frame_id if j.record else image_key(j.background), j) for j in jobs]
-    for result in executor.run(tasks):
+    for done, result in enumerate(executor.run(tasks), before + 1):
         if result.failure is not None:
             raise result.failure.to_exception()
-        clock.tick()
-        yield result.value
+        found.extend(result.value)
+        if report is not None:
+            report(done, before + len(jobs))
 
 
 @dataclass(frozen=True)
@@ -377,15 +343,19 @@ def compare(
     with workspace(out, "comparison", RECORD, "overwrite") as space:
         material = measure_populations(run, dataset, request, on_progress)
         comparisons, people = _compare_classes(material)
-        facts = {
+        facts: dict[str, Any] = {
             "version": 1,
             "time_of_day": request.time_of_day,
             "most_pairs": request.most_pairs,
             "run": _run_facts(run, dataset, request),
             "unreadable": sorted(material.found.unreadable),
             "person_floor": people,
-            **_figures(comparisons),
+            "classes": {v.category: v.facts for v in comparisons},
+            "ablation": {v.category: v.ablation for v in comparisons},
         }
+        cars, persons = (named_as(known, facts["classes"]) for known in ("car", "person"))
+        if cars is not None and persons is not None:
+            facts["car_to_person_contrast"] = contrast_ratio(facts["classes"][cars], facts["classes"][persons])
         names = distinct_names([file_name(v.category.lower()) for v in comparisons])
         sheets: list[CropSheet] = [s for v, name in zip(comparisons, names, strict=True) for s in sheets_of(v, name)]
         for sheet in sheets:
@@ -396,50 +366,39 @@ def compare(
 
 
 def _compare_classes(material: Material) -> tuple[list[ClassComparison], dict[str, Any]]:
-    """Return the figures of each class, and the real control of people."""
     found = material.found
+    redone = ("floor", "hard_paste", *(SENSOR_STEPS if material.sensor else ()))
     comparisons = [
         compare_class(
             c,
             found.of("real", c),
             found.of("inserted", c),
             material.pairs[c],
-            {name: found.of(name, c) for name in ("floor", "hard_paste", *(SENSOR_STEPS if material.sensor else ()))},
+            {name: found.of(name, c) for name in redone},
         )
         for c in material.categories
     ]
     people = _people(material, comparisons)
     for v in comparisons:
+        real = found.contrasts_of("real", v.category)
         v.facts.update(validity(v.facts, people["floor_logistic"]))
-        v.facts["contrast"] = compare_contrasts(
-            found.contrasts_of("real", v.category), found.contrasts_of("inserted", v.category)
-        )
+        v.facts["contrast"] = compare_contrasts(real, found.contrasts_of("inserted", v.category))
         if written := found.contrasts_of("as_written", v.category):
-            v.facts["contrast_as_written"] = compare_contrasts(found.contrasts_of("real", v.category), written)
-        boxes = {population: found.extents_of(population, v.category) for population in ("real", "inserted")}
+            v.facts["contrast_as_written"] = compare_contrasts(real, written)
+        drawn, exact = (found.extents_of(population, v.category) for population in ("real", "inserted"))
         v.facts["box_looseness"] = {
-            **{population: looseness(extents) for population, extents in boxes.items()},
-            "real_against_inserted": looseness_against(boxes["real"], boxes["inserted"]),
+            "real": looseness(drawn),
+            "inserted": looseness(exact),
+            "real_against_inserted": looseness_against(drawn, exact),
         }
-        for population in ("real", "inserted", "floor"):
-            v.facts.setdefault("left_out", {})[population] = dict(
-                sorted(found.left_out.get(f"{population}/{v.category}", Counter()).items())
-            )
+        v.facts["left_out"] = {
+            population: dict(sorted(found.left_out[f"{population}/{v.category}"].items()))
+            for population in ("real", "inserted", "floor")
+        }
     return comparisons, people
 
 
-def _figures(comparisons: Sequence[ClassComparison]) -> dict[str, Any]:
-    """Return the figures of all classes for the record."""
-    by_name = {v.category: v.facts for v in comparisons}
-    facts: dict[str, Any] = {"classes": by_name, "ablation": {v.category: v.ablation for v in comparisons}}
-    cars, persons = named_as("car", by_name), named_as("person", by_name)
-    if cars is not None and persons is not None:
-        facts["car_to_person_contrast"] = contrast_ratio(by_name[cars], by_name[persons])
-    return facts
-
-
 def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[str, Any]:
-    """Return where the inserted and the real objects come from."""
     about = RunFolder(run).read_run()
     real = dataset if request.real is None else request.real
     with RunFolder(run).ledger() as ledger:

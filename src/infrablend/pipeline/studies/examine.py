@@ -61,9 +61,9 @@ def check_folder(
         UnknownFormatError: No known format matches the folder.
         DatasetError: The folder does not exist, or the format does not support one of the options.
     """
-    if _is_packed(root, reading):
-        return _check_packed(root, reading, decode, on_progress)
     try:
+        if reading.format in (None, shards.NAME) and shards.detect(root).ok:
+            return _check_packed(root, reading, decode, on_progress)
         with noting_understood() as understood:
             dataset = detection.read(root, reading)
     except UnknownFormatError:
@@ -75,24 +75,14 @@ def check_folder(
     if dataset.format != folder.NAME:  # that reader reports them itself
         dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset, understood)))
     changed = changes_since_written(root, digests=decode)
-    if changed:
-        dataset = replace(dataset, problems=(*dataset.problems, *changed))
+    dataset = replace(dataset, problems=(*dataset.problems, *changed))
     return check_dataset(dataset, decode=decode, on_image=paced(on_progress))
-
-
-def _is_packed(root: Path, reading: Reading) -> bool:
-    return reading.format in (None, shards.NAME) and shards.detect(root).ok
 
 
 def _check_packed(root: Path, reading: Reading, decode: bool, on_progress: OnProgress | None) -> CheckReport:
     """Check a run in packed shards with the labels and pictures of one part in memory and on disk."""
     checking, total, on_image = Checking(decode, in_parts=True), shards.frame_count(root), paced(on_progress)
     with tempfile.TemporaryDirectory(prefix="infrablend-") as pictures:
-        try:
-            for part in detection.read_parts(root, Path(pictures), reading):
-                checking.add(part, on_image=on_image, total=total)
-        except DatasetError as error:
-            if not error.problems or any(p.code in _USAGE for p in error.problems):
-                raise
-            return unreadable(root, error)
+        for part in detection.read_parts(root, Path(pictures), reading):
+            checking.add(part, on_image=on_image, total=total)
     return checking.report(changes_since_written(root, digests=decode))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -101,54 +102,51 @@ class Measurements:
         extents: Box and visible extent of those objects, where the extent can be found.
     """
 
-    objects: dict[str, list[Measured]] = field(default_factory=dict)
-    left_out: dict[str, Counter[str]] = field(default_factory=dict)
+    objects: dict[str, list[Measured]] = field(default_factory=lambda: defaultdict(list))
+    left_out: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
     unreadable: list[str] = field(default_factory=list)
-    contrasts: dict[str, list[ObjectContrast]] = field(default_factory=dict)
-    extents: dict[str, list[BoxExtent]] = field(default_factory=dict)
-
-    def add(self, population: str, measured: Measured) -> None:
-        """Add an object."""
-        self.objects.setdefault(population, []).append(measured)
+    contrasts: dict[str, list[ObjectContrast]] = field(default_factory=lambda: defaultdict(list))
+    extents: dict[str, list[BoxExtent]] = field(default_factory=lambda: defaultdict(list))
 
     def leave_out(self, population: str, category: str, reason: str) -> None:
         """Count an object that is not measured."""
-        self.left_out.setdefault(f"{population}/{category}", Counter())[reason] += 1
+        self.left_out[f"{population}/{category}"][reason] += 1
 
     def extend(self, other: Measurements) -> None:
         """Add everything from another picture."""
-        for population, objects in other.objects.items():
-            self.objects.setdefault(population, []).extend(objects)
+        populations: list[tuple[dict[str, list[Any]], dict[str, list[Any]]]] = [
+            (self.objects, other.objects), (self.contrasts, other.contrasts), (self.extents, other.extents),
+        ]  # fmt: skip
+        for ours, theirs in populations:
+            for population, found in theirs.items():
+                ours[population] += found
         for key, reasons in other.left_out.items():
-            self.left_out.setdefault(key, Counter()).update(reasons)
+            self.left_out[key].update(reasons)
         self.unreadable += other.unreadable
-        for population, contrasts in other.contrasts.items():
-            self.contrasts.setdefault(population, []).extend(contrasts)
-        for population, extents in other.extents.items():
-            self.extents.setdefault(population, []).extend(extents)
 
     def drop_without_real_object(self) -> None:
         """Leave out inserted objects whose background shows no real object of their class to compare with."""
-        beside = {(m.category, m.group) for m in self.objects.get("real", [])}
-        inserted = self.objects.get("inserted", [])
-        self.objects["inserted"] = [m for m in inserted if (m.category, m.group) in beside]
+        beside = {(m.category, m.group) for m in self.objects["real"]}
+        inserted, self.objects["inserted"] = self.objects["inserted"], []
         for m in inserted:
-            if (m.category, m.group) not in beside:
+            if (m.category, m.group) in beside:
+                self.objects["inserted"].append(m)
+            else:
                 self.leave_out("inserted", m.category, "none_beside")
 
-    def contrasts_of(self, population: str, category: str) -> list[ObjectContrast]:
-        """Return the contrasts of one class, ordered by picture: independent of the order of finishing."""
-        of_class = [c for c in self.contrasts.get(population, []) if c.category == category]
-        return sorted(of_class, key=lambda c: c.image)
-
-    def extents_of(self, population: str, category: str) -> list[BoxExtent]:
-        """Return the boxes and extents of one class, ordered by picture: independent of the order of finishing."""
-        of_class = [e for e in self.extents.get(population, []) if e.category == category]
-        return sorted(of_class, key=lambda e: e.image)
+    # What workers have measured is sorted: the order must not depend on that of finishing.
 
     def of(self, population: str, category: str) -> list[Measured]:
-        """Return a population's objects of one class, sorted by key: independent of the order of finishing."""
-        return sorted((m for m in self.objects.get(population, []) if m.category == category), key=lambda m: m.key)
+        """Return a population's objects of one class."""
+        return sorted((m for m in self.objects[population] if m.category == category), key=lambda m: m.key)
+
+    def contrasts_of(self, population: str, category: str) -> list[ObjectContrast]:
+        """Return the contrasts of one class."""
+        return sorted((c for c in self.contrasts[population] if c.category == category), key=lambda c: c.image)
+
+    def extents_of(self, population: str, category: str) -> list[BoxExtent]:
+        """Return the boxes and extents of one class."""
+        return sorted((e for e in self.extents[population] if e.category == category), key=lambda e: e.image)
 
 
 class ObjectMeasurer:
@@ -192,22 +190,22 @@ class ObjectMeasurer:
         pixels = load_background(RunFolder(self._settings.run).image(record.image)).pixels
         picture, kept = eight_bit(pixels, self._settings.levels), _kept_of(source, record)
         image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
-        labels = [*kept, *record.inserted]
-        found = self._all_of("inserted", picture, source, labels, record.inserted, record.frame_id)
-        drawn = self._contrasts(picture, source, record.inserted, labels, record.frame_id)
+
+        def contrasts_in(boxes: ImageRecord) -> list[tuple[Instance, ObjectContrast]]:
+            labels = [*kept, *boxes.instances]
+            return self._contrasts(picture, source, boxes.instances, labels, record.frame_id)
+
+        found = self._all_of("inserted", picture, source, [*kept, *record.inserted], record.inserted, record.frame_id)
+        drawn = contrasts_in(image)
         found.contrasts["inserted"] = [c for _, c in drawn]
-        looseness = Looseness.of_labels(self._recipe.labels)
+        looseness, fitted = Looseness.of_labels(self._recipe.labels), image
         if looseness.fit != "shape":
             # A margin is in addition to a fit, so the fitted boxes are compared with the visible extents.
             fitted, _ = loosen_image(image, Looseness(fit=looseness.fit))
-            labels = [*kept, *fitted.instances]
-            drawn = self._contrasts(picture, source, fitted.instances, labels, record.frame_id)
-        found.extents["inserted"] = _extents(picture, drawn, labels)
+            drawn = contrasts_in(fitted)
+        found.extents["inserted"] = _extents(picture, drawn, [*kept, *fitted.instances])
         if looseness:
-            written, _ = loosen_image(image, looseness)
-            labels = [*kept, *written.instances]
-            drawn = self._contrasts(picture, source, written.instances, labels, record.frame_id)
-            found.contrasts["as_written"] = [c for _, c in drawn]
+            found.contrasts["as_written"] = [c for _, c in contrasts_in(loosen_image(image, looseness)[0])]
         return found
 
     def _contrasts(
@@ -220,11 +218,10 @@ class ObjectMeasurer:
     ) -> list[tuple[Instance, ObjectContrast]]:
         """Return the contrasts of the objects of the wanted classes; objects with too small a ring are left out."""
         level, time = float(np.median(picture)), source.capture.time_of_day or "unknown"
-        wanted = [i for i in objects if i.category in self._settings.categories]
         return [
             (i, ObjectContrast(i.category, key, time, contrast, level))
-            for i in wanted
-            if (contrast := object_contrast(picture, i, labels)) is not None
+            for i in objects
+            if i.category in self._settings.categories and (contrast := object_contrast(picture, i, labels)) is not None
         ]
 
     def _all_of(
@@ -245,7 +242,8 @@ class ObjectMeasurer:
             if reason:
                 found.leave_out(population, instance.category, reason)
             else:
-                found.add(population, _measure(picture, instance, where.free, source, f"{key}#{number}"))
+                measured = _measure(picture, instance, where.free, source, f"{key}#{number}")
+                found.objects[population].append(measured)
         return found
 
     def _controls(self, source: ImageRecord, numbers: Sequence[int]) -> Measurements:
@@ -261,7 +259,7 @@ class ObjectMeasurer:
             pixels = from_eight_bit(pasted, background.pixels.dtype, levels)
             saved = eight_bit(_after_saving(pixels, background, self._recipe.output.image), levels)
             for n, i in sorted(controls.labels.items()):
-                found.add(population, _measure(saved, i, controls.free, source, f"{key}#{n}"))
+                found.objects[population].append(_measure(saved, i, controls.free, source, f"{key}#{n}"))
         return found
 
     def _rendered_again(self, source: ImageRecord, record: FrameRecord, numbers: Sequence[int]) -> Measurements:
@@ -273,7 +271,7 @@ class ObjectMeasurer:
         if self._renderer is None:
             self._renderer = make_renderer(self._settings.renderer, self._settings.device)
         rendered, mapping = self._renderer.render(scene), GreyMapping.from_json(record.mapping)
-        free = Labels(background.pixels.shape, _labels_of(source, record)).free
+        free = Labels(background.pixels.shape, [*_kept_of(source, record), *record.inserted]).free
         front = recorded_front(record.facts, background.pixels, rendered)
         for step, sensor in sensor_steps(Sensor.from_json(fitted)).items():
             # The motion tail belongs to the optics, which the first step leaves out.
@@ -282,13 +280,9 @@ class ObjectMeasurer:
             saved = _after_saving(pixels, background, self._recipe.output.image)
             picture = eight_bit(saved, self._settings.levels)
             for n in numbers:
-                found.add(step, _measure(picture, record.inserted[n], free, source, f"{record.frame_id}#{n}"))
+                measured = _measure(picture, record.inserted[n], free, source, f"{record.frame_id}#{n}")
+                found.objects[step].append(measured)
         return found
-
-
-def make_measurer(settings: MeasuringSettings) -> ObjectMeasurer:
-    """Return a measurer; the worker factory that `execution` calls by its dotted name."""
-    return ObjectMeasurer(settings)
 
 
 def image_key(image: ImageRecord) -> str:
@@ -297,19 +291,12 @@ def image_key(image: ImageRecord) -> str:
 
 
 def _kept_of(source: ImageRecord, record: FrameRecord) -> list[Instance]:
-    """Return the background's own labels in a frame."""
     return [source.instances[k] for k in record.kept]
-
-
-def _labels_of(source: ImageRecord, record: FrameRecord) -> list[Instance]:
-    """Return all labels of a frame."""
-    return [*_kept_of(source, record), *record.inserted]
 
 
 def _extents(
     picture: Picture, drawn: Sequence[tuple[Instance, ObjectContrast]], labels: Sequence[Instance]
 ) -> list[BoxExtent]:
-    """Return box and visible extent of those objects whose extent can be found."""
     extents = (box_extent(picture, instance, labels, contrast) for instance, contrast in drawn)
     return [extent for extent in extents if extent is not None]
 
@@ -319,7 +306,6 @@ def _measure(picture: Picture, instance: Instance, free: Bool, source: ImageReco
 
 
 def _after_saving(pixels: GreyImage, like: Background, kind: SaveKind) -> GreyImage:
-    """Return the pixels as they are after saving and reading the picture."""
     with Image.open(io.BytesIO(encode_image(pixels, like, kind))) as picture:
         saved = np.array(picture)
     grey = saved if saved.ndim == 2 else saved[..., 0]

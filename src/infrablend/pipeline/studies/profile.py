@@ -148,7 +148,6 @@ def profile_dataset(
 
 
 def _counter(total: int, on_progress: OnProgress | None) -> Callable[[], None]:
-    """Return a function that reports one more picture each time it is called."""
     report, done = paced(on_progress), itertools.count(1)
 
     def tick() -> None:
@@ -194,7 +193,6 @@ def _levels(
 
 
 def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tuple[ImageRecord, Background]]:
-    """Yield the readable grey pictures; add a problem for each of the others."""
     for image in images:
         try:
             picture = load_background(image.path, image.size_wh)
@@ -239,7 +237,6 @@ def _quality_table(quality: int) -> NDArray[np.int64]:
 def _table(
     fit: Fit, survey: Survey, reference: SensorProfile | None, of_reference: SurveySummary | None
 ) -> tuple[tuple[str, ...], tuple[tuple[str, tuple[str, ...]], ...]]:
-    """Return the columns and rows of the comparison of pictures, fitted profile and shipped profile."""
     chains = [(fit.found, None), (fit.chain, fit.profile)]
     columns = ["pictures", "fitted"]
     if reference is not None and of_reference is not None:
@@ -283,11 +280,6 @@ def _table(
 
 
 def _require_exact(rendered: Dataset) -> None:
-    """Check that a run has inserted objects, and that their exact boxes are known.
-
-    Raises:
-        DatasetError: It has none, or they were enlarged or fitted, and its labels do not have the exact ones.
-    """
     if not any(o.inserted for image in rendered.images for o in image.instances):
         todo = "give a run of `infrablend generate` that inserts the annotated classes"
         none = Problem("--rendered", "nothing-inserted", "no inserted object", "a run with inserted objects", todo)
@@ -312,11 +304,6 @@ def _not_compared(rendered: Dataset, objects: Mapping[str, Any]) -> list[Problem
 
 
 def _require_own_profile(out: Path) -> None:
-    """Check that what `profile_dataset` replaces in a folder is an earlier profile and its plot.
-
-    Raises:
-        OutputError: It is not.
-    """
     path, plot = out / PROFILE_FILE, out / PLOT_FILE
     try:
         own = path.is_file() and bool(SensorProfile.model_validate_json(read_regular(path)))

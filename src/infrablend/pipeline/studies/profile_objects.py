@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from infrablend.annotation.looseness import tighten_image
-from infrablend.core.dataset import Dataset, ImageRecord, Instance
+from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.images import load_background
 from infrablend.realism.contrasts import TIMES, ObjectContrast, bound_local_share, object_contrast
-from infrablend.realism.features import Picture, eight_bit
+from infrablend.realism.features import eight_bit
 from infrablend.realism.looseness import BoxExtent, box_extent, looseness, looseness_against
 
 MAX_PICTURES = 1000
@@ -66,24 +66,20 @@ def read_objects(
         image = tighten_image(given, fitted=True) if inserted else given
         with contextlib.suppress(DatasetError):  # the problems of pictures are reported where the camera is fitted
             picture = eight_bit(load_background(image.path, image.size_wh).pixels, levels)
-            objects = [o for o in image.instances if o.inserted == inserted and o.category not in ignored]
-            _read_picture(picture, image, objects, found)
+            key, level = f"{image.split}/{image.id}", float(np.median(picture))
+            for o in image.instances:
+                if o.inserted != inserted or o.category in ignored or o.truncated:
+                    continue
+                if (contrast := object_contrast(picture, o, image.instances)) is None:
+                    continue
+                time = image.capture.time_of_day or "unknown"
+                of_object = ObjectContrast(o.category, key, time, contrast, level)
+                found.contrasts.append(of_object)
+                if (extent := box_extent(picture, o, image.instances, of_object)) is not None:
+                    found.extents.append(extent)
         if on_picture is not None:
             on_picture()
     return found
-
-
-def _read_picture(picture: Picture, image: ImageRecord, objects: Sequence[Instance], found: ObjectReadings) -> None:
-    key, level = f"{image.split}/{image.id}", float(np.median(picture))
-    for o in objects:
-        contrast = None if o.truncated else object_contrast(picture, o, image.instances)
-        if contrast is None:
-            continue
-        of_object = ObjectContrast(o.category, key, image.capture.time_of_day or "unknown", contrast, level)
-        found.contrasts.append(of_object)
-        extent = box_extent(picture, o, image.instances, of_object)
-        if extent is not None:
-            found.extents.append(extent)
 
 
 def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = None) -> dict[str, Any]:
@@ -99,17 +95,14 @@ def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = 
         parts that cannot be seen make the extent smaller, never larger. Without times and classes that have too few
         objects.
     """
-    share = {}
-    for time in TIMES:
-        bound = bound_local_share([c for c in annotated.contrasts if c.time_of_day == time])
-        if bound is not None:
-            share[time] = bound
+    by_daytime = {time: [c for c in annotated.contrasts if c.time_of_day == time] for time in TIMES}
+    share = {time: bound for time, of in by_daytime.items() if (bound := bound_local_share(of)) is not None}
     boxes = {}
     for category in sorted({e.category for e in annotated.extents}):
         by_time = {time: found for time in TIMES if (found := _looseness(annotated, rendered, category, time))}
         if by_time:
-            least = min(by_time, key=lambda time: _corrected_factor(by_time[time]))
-            boxes[category] = {**by_time[least], "by_time": by_time}
+            least = min(by_time.values(), key=lambda of: float((of.get("against_rendered") or of)["factor"]))
+            boxes[category] = {**least, "by_time": by_time}
     return {"local_share": share, "box_looseness": boxes}
 
 
@@ -124,8 +117,3 @@ def _looseness(
     if figures is not None and rendered is not None:
         figures["against_rendered"] = looseness_against(drawn, exact)
     return figures
-
-
-def _corrected_factor(figures: Mapping[str, Any]) -> float:
-    against = figures.get("against_rendered")
-    return float((against or figures)["factor"])

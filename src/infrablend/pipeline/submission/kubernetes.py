@@ -11,9 +11,7 @@ from infrablend.errors import ArgumentError
 from infrablend.pipeline.submission.request import MARGIN_S, MERGE_GIB, Submission
 
 _RETRIES = 6
-_SECONDS_PER_DAY = 86_400
-_WAIT_DAYS = 30
-_DEV_SHM = "/dev/shm"
+_WAIT_S = 30 * 86_400
 
 
 def kubernetes_manifest(job: Submission) -> str:
@@ -70,7 +68,7 @@ def _merge(job: Submission) -> dict[str, Any]:
     template["spec"]["initContainers"] = [first]
     return _job(
         f"{job.name}-merge",
-        {"backoffLimit": _RETRIES, "activeDeadlineSeconds": _WAIT_DAYS * _SECONDS_PER_DAY, "template": template},
+        {"backoffLimit": _RETRIES, "activeDeadlineSeconds": _WAIT_S, "template": template},
     )
 
 
@@ -102,5 +100,5 @@ def _container(job: Submission, name: str, words: list[str], cores: int, memory_
         # Kubernetes replaces $(NAME) in commands, and $$ by $.
         "command": [word.replace("$", "$$") for word in words],
         "resources": {"requests": resources, "limits": dict(resources)},
-        "volumeMounts": [*mounts, {"name": "shared-memory", "mountPath": _DEV_SHM}],
+        "volumeMounts": [*mounts, {"name": "shared-memory", "mountPath": "/dev/shm"}],
     }

@@ -106,11 +106,13 @@ class Submission:
         require_known("out", self.out)
         require_folder("into", self.into)
         Shard(1, self.shards)
-        for where, value in (("cores", self.cores), ("memory", self.memory_gib), ("parallel", self.parallel or 1)):
+        for where, value in (
+            ("cores", self.cores),
+            ("memory", self.memory_gib),
+            ("parallel", 1 if self.parallel is None else self.parallel),
+        ):
             require_whole(where, value, 1)
         require_whole("minutes", self.minutes, MARGIN_S // 60 + 1)
-        if self.parallel == 0:
-            raise ArgumentError("parallel: found 0, expected a whole number from 1 up")
         _require_match("name", self.name, _NAME, "at most 40 of a-z, 0-9 and -, not - at the ends")
         for where, text in (("partition", self.partition), ("account", self.account)):
             if text is not None:
