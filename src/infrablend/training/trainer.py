@@ -280,17 +280,7 @@ def _train(job: Job, say: Any) -> None:
             if job.patience:
                 super().final_eval()
 
-    overrides: dict[str, Any] = {
-        "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
-        "batch": job.batch, "imgsz": job.image_size, "device": job.device, "patience": job.patience or 10**6,
-        "seed": job.seed, "val": job.patience > 0, "plots": False, "project": str(out), "name": RUN,
-        "exist_ok": True, "verbose": False, "save_dir": str(out / RUN), **job.arguments,
-    }  # fmt: skip
-    if job.model.endswith(".yaml"):
-        overrides["pretrained"] = False
-    if begun.epochs:
-        overrides["resume"] = str(checkpoint)
-    trainer = Trainer(overrides=overrides)
+    trainer = Trainer(overrides=_overrides(job, out, checkpoint if begun.epochs else None))
     progress = _Progress(job, checkpoint, say)
     trainer.add_callback("on_pretrain_routine_end", progress.gate)
     trainer.add_callback("on_train_epoch_start", progress.reseed)
@@ -318,6 +308,20 @@ def _train(job: Job, say: Any) -> None:
         batch=reached.batch or min(job.batch, job.images), short_of_memory=reached.short_of_memory,
         precision="amp" if not on_cpu else precision, threads=torch.get_num_threads(),
         versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
+
+
+def _overrides(job: Job, out: Path, resumed: Path | None) -> dict[str, Any]:
+    overrides: dict[str, Any] = {
+        "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
+        "batch": job.batch, "imgsz": job.image_size, "device": job.device, "patience": job.patience or 10**6,
+        "seed": job.seed, "val": job.patience > 0, "plots": False, "project": str(out), "name": RUN,
+        "exist_ok": True, "verbose": False, "save_dir": str(out / RUN), **job.arguments,
+    }  # fmt: skip
+    if job.model.endswith(".yaml"):
+        overrides["pretrained"] = False
+    if resumed is not None:
+        overrides["resume"] = str(resumed)
+    return overrides
 
 
 def _use_deterministic_algorithms(torch: Any, mode: bool, *, warn_only: bool = False) -> None:

@@ -83,16 +83,20 @@ def run_trainer(
             record["note"] = f"batch {end['batch']} rather than {preset.batch}: {why}"
     write_json(out / RECORD, record, durable=True)
     if stopped and not done:
-        reached = 0  # each session continued the one before or started again
-        for s in record["sessions"]:
-            reached = max(0 if "restarted" in s else reached, s["epoch"])
-        at, then = f"after epoch {reached} of {epochs}", "continues"
-        if not reached:
-            at, then = f"before the end of the first of {epochs} epochs", "starts it again"
-        raise Interrupted(f"Stopped {at}; the same command with --resume {then}.")
+        raise _stopped(record["sessions"], epochs)
     if not done:
         raise _failure(out, code, last.get("error"), preset)
     return record
+
+
+def _stopped(sessions: list[dict[str, Any]], epochs: int) -> Interrupted:
+    reached = 0  # each session continued the one before or started again
+    for s in sessions:
+        reached = max(0 if "restarted" in s else reached, s["epoch"])
+    at, then = f"after epoch {reached} of {epochs}", "continues"
+    if not reached:
+        at, then = f"before the end of the first of {epochs} epochs", "starts it again"
+    return Interrupted(f"Stopped {at}; the same command with --resume {then}.")
 
 
 def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]) -> tuple[int, bool]:
