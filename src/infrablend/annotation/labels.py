@@ -3,7 +3,8 @@
 Boxes come from geometry, so they do not depend on samples or noise. They enclose the projected triangles of the
 labelled parts, clipped at the near plane and at the frame's edge. If a nearer object hides a corner of the convex hull,
 the hull is rebuilt from the corners that are still visible and the visible samples of a depth buffer. Masks come from
-the renderer's coverage. Objects that structures of the background hide in part have a visible share and both boxes.
+the renderer's coverage. Objects that structures of the background hide in part have a visible share, the box
+of the whole object and the box of what is visible.
 """
 
 from __future__ import annotations
@@ -148,7 +149,7 @@ def annotate(
 ) -> tuple[tuple[Instance, ...], LabelReport]:
     """Label a scene's objects.
 
-    All output formats use the labels returned here, so they agree on every object.
+    All output formats start from these labels, so they agree on every object.
 
     Args:
         scene: The frame's scene.

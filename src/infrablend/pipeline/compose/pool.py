@@ -1,4 +1,4 @@
-"""Has frames composed on workers that stay warm between recipes, datasets and seeds."""
+"""Composes frames on workers that stay warm when the recipe, dataset or seed changes."""
 
 from __future__ import annotations
 

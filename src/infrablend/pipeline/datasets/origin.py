@@ -1,4 +1,4 @@
-"""Origin of a dataset's pictures: the objects that earlier runs inserted, what is left of their labels and boxes."""
+"""Where a dataset's pictures come from: the objects that earlier runs inserted, and which of their labels remain."""
 
 from __future__ import annotations
 

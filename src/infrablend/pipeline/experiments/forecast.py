@@ -1,4 +1,4 @@
-"""What a run of an experiment would make, and about how long that takes and how much disk space it needs.
+"""Forecasts what an experiment would make, and its approximate time and disk space.
 
 Times come from finished stages in the work folder, or else from constants.
 """

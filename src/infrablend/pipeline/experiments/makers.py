@@ -1,4 +1,4 @@
-"""How each kind of stage is made, by the same functions that the commands of these names call."""
+"""Makes each kind of stage, with the functions that the command of the same name calls."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compares the keys of two runs: what must be equal for their frames to be frames of one run."""
+"""Compares the keys of two runs; frames belong to one run only if the keys are equal."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Finished shards as three files: a tar, a table and a record, which is their marker and appears last.
 
-The frames are made in the workspace of a folder with the name of the shard, as those of any shard, and then packed.
+As for any shard, the frames are made in a workspace named after the shard; they are then packed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Workers that measure objects: real and inserted ones, those of controls, and those of frames rendered again."""
+"""Workers that measure real objects, inserted objects, controls, and objects of frames that are rendered again."""
 
 from __future__ import annotations
 
