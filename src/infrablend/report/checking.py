@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import stat
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -248,8 +249,12 @@ def _same_files(images: Iterable[ImageRecord]) -> list[list[ImageRecord]]:
     """Group images whose files are equal; only files of equal length are read."""
     by_length: dict[int, list[ImageRecord]] = defaultdict(list)
     for image in images:
-        if image.path.is_file():  # anything else was reported when the picture was opened
-            by_length[image.path.stat().st_size].append(image)
+        try:
+            status = image.path.stat()
+        except OSError:
+            continue  # reported when the picture was opened
+        if stat.S_ISREG(status.st_mode):
+            by_length[status.st_size].append(image)
     groups: dict[tuple[int, bytes], list[ImageRecord]] = defaultdict(list)
     for length, alike in sorted(by_length.items()):
         for image in alike if len(alike) > 1 else ():

@@ -453,14 +453,14 @@ def test_bad_coco_annotations(tmp_path: Path, changes: dict[str, Any], code: str
     assert len(d.images[0].instances) == left
 
 
-@pytest.mark.parametrize("name", ["../a.png", "/a.png", "x/../../a.png", "b.png"])
+@pytest.mark.parametrize("name", ["../a.png", "/a.png", "x/../../a.png", "b.png", 300 * "b"])
 def test_bad_coco_file_names(tmp_path: Path, name: str) -> None:
     images = [
         {"id": 1, "file_name": "a.png", "width": 100, "height": 80},
         {"id": 2, "file_name": name, "width": 100, "height": 80},
     ]
     d = coco.read(write_coco(tmp_path, images=images))
-    assert codes(d) == ["image-missing" if name == "b.png" else "name-climbs"] and len(d.images) == 1
+    assert codes(d) == ["image-missing" if name[0] == "b" else "name-climbs"] and len(d.images) == 1
 
 
 def test_coco_polygons_become_masks(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from infrablend.config.experiment import Generate
 from infrablend.config.loading import read_recipe
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import LINK_OUT, link_or_copy, read_object
+from infrablend.core.files import LINK_OUT, link_or_copy, load_json
 from infrablend.core.run_folder import RUN_FILE, RunFolder
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
@@ -56,10 +56,14 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
 
 def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
     inputs, data = job.stage.inputs, job.needs["data"].result
-    record = read_object(folder / "train.json")
-    if record is None:
-        path, expected = str(folder / "train.json"), "a folder written by `infrablend train`"
-        raise DatasetError("nothing to adopt", [Problem(path, "adopt-record", "cannot be read", expected)])
+    path = folder / "train.json"
+    try:
+        found = load_json(path)
+    except (OSError, ValueError) as error:
+        expected = "a folder written by `infrablend train`"
+        problem = Problem(str(path), "adopt-record", f"cannot be read ({error})", expected)
+        raise DatasetError("nothing to adopt", [problem]) from error
+    record = found if isinstance(found, dict) else {}
     prepared, asked = record.get("prepared") or {}, dict(inputs["preset"])
     settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
     classes = list(inputs["classes"] or data["classes"])

@@ -163,18 +163,18 @@ def _rows(
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of a table: those of the file, then further classes of the table's own evaluation."""
     shown: set[str] = set()
+    of_default: Mapping[str, Any] = evaluations.get(default or "", {}).get("classes", {})
     for row in rows:
         names = [e for e in row.evaluation or (default or "",) if left_out.get(e) != OTHER_SCALES]
         if not names:
             continue
         figures = [_class_figures(evaluations.get(e, {}), row.category) for e in names]
         if names == [default] and figures[0] is not None:
-            shown.add(class_key(row.category))
+            shown |= {n for n, of in of_default.items() if of is figures[0]}
         yield _row(row, names, figures, next((left_out[e] for e in names if e in left_out), None))
-    of_table = evaluations.get(default or "", {}).get("classes", {})
-    for name in sorted(of_table):
-        if class_key(name) not in shown:
-            yield _row(Row(title=name, category=name), [default or ""], [of_table[name]], None)
+    for name in sorted(of_default):
+        if name not in shown:
+            yield _row(Row(title=name, category=name), [default or ""], [of_default[name]], None)
 
 
 def _class_figures(found: Mapping[str, Any], category: str) -> Mapping[str, Any] | None:

@@ -155,13 +155,13 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
     """
     with folder.ledger() as ledger:
         known, done = ledger.backgrounds(), ledger.done()
+    kept = [f for f in plan.frames if f.frame_id in done and f.frame_id not in excluded]
+    paths = {f.background_id: f.background.path for f in kept if f.background_id in known}
+    other = {b for b, path in paths.items() if not is_unchanged(path, known[b])}
     changed = [
-        Problem(str(frame.background.path), "background-changed", f"not the one that {frame.frame_id} was made of")
-        for frame in plan.frames
-        if frame.frame_id in done
-        and frame.frame_id not in excluded
-        and (made_of := known.get(frame.background_id)) is not None
-        and not is_unchanged(frame.background.path, made_of)
+        Problem(str(f.background.path), "background-changed", f"not the one that {f.frame_id} was made of")
+        for f in kept
+        if f.background_id in other
     ]
     if changed:
         raise OtherSettingsError(

@@ -19,7 +19,6 @@ from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.execution.interrupt import STOPPED, Interruption
 from infrablend.pipeline.compose.composed import MadeFrame
-from infrablend.pipeline.plans.levels import recorded_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.shard import Shard
@@ -198,7 +197,7 @@ def _read(run: ShardedRun, shard: Shard, shared: SharedPlan) -> _Finished:
             f"{source.place}: belongs to a different run than {SHARDS_FILE} beside it: {'; '.join(changed)}. "
             f"Repeat its command with --overwrite."
         )
-    if recorded_levels(record) != shared.levels:
+    if record.get("levels") != (shared.levels and list(shared.levels)):
         raise OtherSettingsError(
             f"{source.place}: made with grey levels {record.get('levels')}; expected {shared.levels}, as in "
             f"{SHARDS_FILE}. Restore the file as it was, or repeat the command of the shard with --overwrite"
