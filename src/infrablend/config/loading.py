@@ -82,7 +82,7 @@ def parse_mapping(text: str, what: str, docs: str) -> dict[str, Any]:
     try:
         data = copy.deepcopy(_read_yaml(text))
     except ValueError as error:
-        raise RecipeError(f"{what}: {error}. Correct the file; {docs} has all fields.") from error
+        raise RecipeError(f"{what}: {error}. Correct the file; {docs} explains the fields.") from error
     if not isinstance(data, dict):
         raise RecipeError(f"{what}: found {type(data).__name__}, expected a mapping of fields")
     return data

@@ -32,9 +32,13 @@ def _distinct(value: tuple[Any, ...]) -> tuple[Any, ...]:
     return value
 
 
-def _quantiles(value: tuple[float, ...]) -> tuple[float, ...]:
-    if len(value) != 5:
+def _five(value: Any) -> Any:
+    if not isinstance(value, list | tuple) or len(value) != 5:
         raise ValueError("five quantiles: 5, 25, 50, 75 and 95 %")
+    return tuple(value)
+
+
+def _rising(value: tuple[float, ...]) -> tuple[float, ...]:
     if any(a > b for a, b in pairwise(value)):
         raise ValueError("five quantiles in rising order")
     return value
@@ -503,7 +507,7 @@ class PaperPlacement(Placement):
     """Reject placements that cover ignore regions (DontCare). The paper does not."""
 
 
-Quantiles = Annotated[tuple[float, ...], AfterValidator(_quantiles)]
+Quantiles = Annotated[tuple[float, ...], BeforeValidator(_five), AfterValidator(_rising)]
 """5, 25, 50, 75 and 95 % quantiles."""
 
 
@@ -872,7 +876,7 @@ class MetricSensor(Sensor):
 class RadiometricSensor(_Imitation):
     """Imitation of a radiometric camera, in kelvin: optics and noise.
 
-    Such pictures have neither detail enhancement nor codec; those of the profile, and its grey levels, are not used.
+    Such pictures have neither detail enhancement nor codec.
     """
 
     halo: ClassVar[float] = 0.0
@@ -881,7 +885,8 @@ class RadiometricSensor(_Imitation):
     headroom: ClassVar[float] = 0.0
 
     noise: float = Field(1.0, ge=0, le=2)
-    """Noise of the inserts, matched in strength and grain size to flat areas of each background."""
+    """Noise of the inserts, matched in strength and grain size to flat areas of each background. The sharpening,
+    codec and grey levels of `sensor.profile` are not used."""
     netd_k: float = Field(0.05, gt=0, le=2)
     """Noise equivalent temperature difference (NETD) of the camera, kelvin: the noise where a background has no flat
     area; four times this is the most that is taken from a background."""

@@ -437,7 +437,7 @@ def write(
             losses["ignore_dropped"] += len(image.instances) - len(kept)
             losses["ignore_as_class"] += count_crowds(kept, regions)
             losses["empty_unsaid"] += not kept and image.extra.get("labelled", True) is True
-            require_known(image, species)
+            require_known(replace(image, instances=tuple(kept)), species)
             for o in kept:
                 table.append(_line(places[image.id][1], o, species, tracks[sequence], losses))
     for name, rows in sorted(lines.items()):

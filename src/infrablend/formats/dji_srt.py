@@ -155,9 +155,9 @@ def _log(
             continue
         column = np.array([given.get(name, math.nan) for _, given, _ in found], np.float64)
         if field == "pitch":
-            pitches, remarks = gimbal_pitches(column, path.name)
+            known = np.where(np.abs(column) <= 180, column, np.nan)
+            values["pitch_deg"], remarks = gimbal_pitches(known, path.name)
             problems += remarks
-            values["pitch_deg"] = np.where(np.abs(pitches) <= 180, pitches, np.nan)
         else:
             values[field] = np.where(np.abs(column) <= _LIMITS[field], column, np.nan)
     values, rolled = with_rolls(values, path.name)

@@ -124,8 +124,13 @@ class Findings:
             DatasetError: No record is left, or the table cannot be read.
         """
         root = self.root
-        inside = sorted(((_name_in(root, r), r) for r in records), key=lambda named: named[0])
-        names = [name for name, _ in inside]
+        inside: dict[str, ImageRecord] = {}
+        for name, record in sorted(((_name_in(root, r), r) for r in records), key=lambda named: named[0]):
+            if name in inside:
+                found = f"a second picture of this name; it is left out, with {len(record.instances)} object(s)"
+                self.add(name, "image-duplicate", found, "one picture per name", "rename one of them")
+            inside.setdefault(name, record)
+        names = list(inside)
         if not inside:
             asked = f" in the splits {', '.join(splits)}" if splits else ""
             self.add(str(root), "image-missing", "no usable picture" + asked, "JPEG, PNG, BMP or TIFF")
@@ -134,11 +139,12 @@ class Findings:
         captures = Captures(table, self.problems)
         ids = assign_ids(names)
         complete = [
-            replace(record, id=ids[name], capture=captures.of(name, name, record.capture)) for name, record in inside
+            replace(record, id=ids[name], capture=captures.of(name, name, record.capture))
+            for name, record in inside.items()
         ]
         if table is not None:
             self.problems += table.problems
-            self.problems += table.remarks(root, [*names, *others], {r.capture.sequence for _, r in inside})
+            self.problems += table.remarks(root, [*names, *others], {r.capture.sequence for r in inside.values()})
         more |= {"pitch": captures.note()}
         return Dataset(
             root, format, tuple(categories), sort_images(complete), tuple(self.problems), {**notes, **more}

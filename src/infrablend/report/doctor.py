@@ -155,13 +155,13 @@ class Machine:
     cache_bytes: int
 
 
-def survey(folder: Path | None = None) -> Machine:
+def survey(folder: str | Path | None = None) -> Machine:
     """Return facts about this machine; it takes a few seconds because Blender is started.
 
     Args:
         folder: Folder for the output, by default the current one. It need not exist.
     """
-    folder = (folder or Path.cwd()).absolute()
+    folder = Path(folder or ".").absolute()
     temp, cache, shm = Path(tempfile.gettempdir()), cache_folder(), Path("/dev/shm")
     return Machine(
         system=platform.system(),
@@ -202,7 +202,7 @@ def assess(machine: Machine) -> Diagnosis:
     )
 
 
-def diagnose(folder: Path | None = None) -> Diagnosis:
+def diagnose(folder: str | Path | None = None) -> Diagnosis:
     """Check whether a run that writes to `folder` (by default the current one) can work on this machine."""
     return assess(survey(folder))
 

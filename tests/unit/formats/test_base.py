@@ -17,6 +17,7 @@ from infrablend.formats import detection, writing
 from infrablend.formats.base import shorten, split_of_stem
 from infrablend.formats.box_checks import clockwise_corners
 from infrablend.formats.reading import Reading
+from infrablend.formats.records import Findings
 from tests.samples import picture
 
 
@@ -99,3 +100,16 @@ def test_rectangles_of_negative_width_are_clockwise(tmp_path: Path) -> None:
     for name in ("cvat", "ls"):
         (car,) = detection.read(tmp_path / name).images[0].instances
         assert car.corners_xy is not None and polygon_area(car.corners_xy) > 0
+
+
+def test_of_two_pictures_of_one_name_the_second_is_counted_as_left_out(tmp_path: Path) -> None:
+    """Such as crops of `a.jpg` and `a.png` in a cache, whose paths are outside the dataset."""
+    o = Instance("deer", np.array([1.0, 2, 3, 4]))
+    first, second = (
+        ImageRecord("", Path(f"/cache/{n}.png"), "train", (9, 9), (o,) * n, file_name="a.png") for n in (1, 2)
+    )
+    found = Findings(tmp_path)
+    (kept,) = found.dataset("coco", [first, second], [Category(0, "deer")], {}).images
+    assert kept.path == first.path
+    (problem,) = found.problems
+    assert problem.code == "image-duplicate" and "2 object(s)" in problem.found

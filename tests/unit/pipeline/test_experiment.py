@@ -31,7 +31,7 @@ from infrablend.errors import (
 from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments import forecast, makers
 from infrablend.pipeline.experiments.dataset_facts import spread_images
-from infrablend.pipeline.experiments.graph import preset_inputs
+from infrablend.pipeline.experiments.graph import preset_inputs, preset_of
 from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentRequest
 from infrablend.pipeline.experiments.results import check_claim
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
@@ -589,8 +589,8 @@ def test_misspelt_setting_is_refused_before_any_work(bench: Bench, data: Path, t
 def test_the_users_settings_win_over_those_of_the_file() -> None:
     """The key and the trainer use the same preset."""
     spec = load_experiment("hit-uav").trainings["aligned-longer"]
-    assert ExperimentRequest("hit-uav").preset(spec).passes == 18840
-    chosen = ExperimentRequest("hit-uav", training={"passes": 4000}).preset(spec)
+    assert preset_of(ExperimentRequest("hit-uav"), spec).passes == 18840
+    chosen = preset_of(ExperimentRequest("hit-uav", training={"passes": 4000}), spec)
     assert chosen.passes == 4000
 
 

@@ -20,7 +20,7 @@ from infrablend.core.machine import available_cores
 from infrablend.core.workspace import partial_of
 from infrablend.errors import InfraBlendError
 from infrablend.pipeline.detectors.training_plan import require_arguments
-from infrablend.pipeline.experiments.graph import OTHER_SCALES
+from infrablend.pipeline.experiments.graph import OTHER_SCALES, preset_of
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder
@@ -86,7 +86,7 @@ def stage_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> flo
     if stage.kind == "train":
         if known is not None and (passes := stage.inputs["preset"].get("passes")):
             return START_S + float(passes) * known
-        preset, shown = request.preset(stage.spec), stage.images.get("train", 0)
+        preset, shown = preset_of(request, stage.spec), stage.images.get("train", 0)
         if preset.tile:  # with about five objects in a picture, for which HIT-UAV needs 1.4 tiles
             shown += math.ceil(0.08 * (5 * shown))
         shown = min(shown, preset.tiles) if preset.tiles else shown
@@ -132,7 +132,7 @@ def require_training_settings(stages: Iterable[Stage], request: ExperimentReques
     """
     for stage in stages:
         if stage.kind == "train":
-            require_arguments(request.preset(stage.spec))
+            require_arguments(preset_of(request, stage.spec))
 
 
 def _mean_objects(spec: Generate) -> float:

@@ -37,6 +37,7 @@ from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage, stage_keys
 from infrablend.report.card import WORLD_FILE
 from infrablend.training.presets import Preset
+from infrablend.training.request import choose_preset
 
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "paper": 1000}
 """Number of bootstrap draws at each scale."""
@@ -233,7 +234,7 @@ class _Builder:
         of_scale = self.experiment.settings.get(self.request.scale, {})
         spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}})
         inputs = {
-            "preset": preset_inputs(self.request.preset(spec)),
+            "preset": preset_inputs(preset_of(self.request, spec)),
             "scale": self.request.scale,
             "seed": self.request.seed + spec.reseed,
             "task": spec.task,
@@ -347,6 +348,11 @@ _DATA_INPUTS: Mapping[str, Callable[[Any, ImagesByRole, ExperimentRequest], Data
     "merge": _merge_inputs,
     "paste": _paste_inputs,
 }
+
+
+def preset_of(request: ExperimentRequest, spec: Training) -> Preset:
+    """Return the preset of a training: the scale's, with the experiment's settings, then the user's."""
+    return choose_preset(request.scale, {**spec.settings, **request.training})
 
 
 def preset_inputs(preset: Preset) -> dict[str, Any]:

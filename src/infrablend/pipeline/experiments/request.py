@@ -6,17 +6,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from infrablend.core.arguments import require_choice, require_names, require_whole
 from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale
 from infrablend.errors import DatasetError
 from infrablend.rendering import RENDERERS
-from infrablend.training.presets import Preset
-from infrablend.training.request import choose_preset
-
-if TYPE_CHECKING:
-    from infrablend.config.experiment import Training
 
 DEFAULT_RESULTS = Path("results")
 
@@ -72,10 +67,6 @@ class ExperimentRequest:
         }
         for name, value in paths.items():
             object.__setattr__(self, name, value)
-
-    def preset(self, spec: Training) -> Preset:
-        """Return the preset of a training: the scale's, with the experiment's settings, then the user's."""
-        return choose_preset(self.scale, {**spec.settings, **self.training})
 
     @property
     def folders(self) -> list[tuple[str | None, Path]]:
