@@ -28,7 +28,13 @@ from infrablend.core.rng import integer_seed
 from infrablend.core.temperature import TemperatureScale
 from infrablend.formats.images import Background, encode_image, output_suffix
 from infrablend.pipeline.compose.composed import ComposedFrame
-from infrablend.pipeline.compose.inserts import FirstContrasts, Insert, faint_inserts, measure_inserts, with_seen_box
+from infrablend.pipeline.compose.inserts import (
+    FirstContrasts,
+    MeasuredInsert,
+    faint_inserts,
+    measure_inserts,
+    with_seen_box,
+)
 from infrablend.pipeline.compose.looks import make_look
 from infrablend.pipeline.compose.occlusion import (
     Cover,
@@ -81,7 +87,7 @@ class Picture:
     mapping: GreyMapping
     rendered: RenderResult
     pixels: GreyImage
-    inserts: Sequence[Insert]
+    inserts: Sequence[MeasuredInsert]
     report: LabelReport
     facts: Mapping[str, Any]
 

@@ -21,7 +21,7 @@ from infrablend.sampling.site import Site
 
 
 @dataclass(frozen=True, eq=False)
-class Insert:
+class MeasuredInsert:
     """An inserted object in the finished picture.
 
     Attributes:
@@ -56,7 +56,7 @@ def measure_inserts(
     before: GreyImage,
     after: GreyImage,
     site: Site,
-) -> list[Insert]:
+) -> list[MeasuredInsert]:
     """Measure the inserted objects that have a label.
 
     Args:
@@ -76,11 +76,11 @@ def measure_inserts(
         changed = visible_change(before, after, rendered.coverage[number], rendered.offset_xy, site.grey_unit)
         # Only the visible part of a partly hidden object can be seen.
         box = np.asarray(label.extra.get("visible_box", label.box_xyxy), np.float64)
-        found.append(Insert(number, label, changed, measure_contrast(after, box, others, site.grey_unit)))
+        found.append(MeasuredInsert(number, label, changed, measure_contrast(after, box, others, site.grey_unit)))
     return found
 
 
-def with_seen_box(insert: Insert, before: GreyImage, after: GreyImage, unit: float) -> Instance:
+def with_seen_box(insert: MeasuredInsert, before: GreyImage, after: GreyImage, unit: float) -> Instance:
     """Return the object's label as `labelled` does, with the boxes around its visible part where they differ.
 
     Args:
@@ -94,7 +94,7 @@ def with_seen_box(insert: Insert, before: GreyImage, after: GreyImage, unit: flo
     return add_seen_box(label, after, before, change, ring, unit)
 
 
-def faint_inserts(inserts: Sequence[Insert], recipe: Recipe, time_of_day: TimeOfDay | None) -> list[int]:
+def faint_inserts(inserts: Sequence[MeasuredInsert], recipe: Recipe, time_of_day: TimeOfDay | None) -> list[int]:
     """Return the numbers of the objects whose contrast is below the recipe's limit."""
     faint = []
     for insert in inserts:
