@@ -22,6 +22,7 @@ import yaml
 
 from infrablend.config.sensor_profile import PROFILES
 from infrablend.core.file_names import is_inside
+from infrablend.core.workspace import partial_of
 from infrablend.pipeline.runs.review import REVIEW_FILE
 from tests.attack.child import TIMED_OUT, Outcome, fork_command
 from tests.attack.findings import Finding
@@ -218,7 +219,8 @@ def _same_output(lab: Path, outcome: Outcome, before: dict[str, str]) -> str:
 
 def _same_output_beside_mine(lab: Path, outcome: Outcome, before: dict[str, str]) -> str:
     """Return a message as `_same_output` does, or if a file of the user was removed."""
-    if not (output(lab) / "mine" / "mine.txt").is_file():
+    places = output(lab), partial_of(output(lab))  # a resume that failed leaves the run under its partial name
+    if not any((place / "mine" / "mine.txt").is_file() for place in places):
         return "a file of the user was removed"
     return _same_output(lab, outcome, before)
 
@@ -444,6 +446,7 @@ INPUTS: tuple[Input, ...] = (
         _break_records,
         lambda lab: [
             ["-q", "check", output(lab) / "coco"],
+            ["-q", "check", output(lab)],  # names edits that keep the size, which --resume does not look for
             ["-q", "preview", output(lab), "--out", lab / "own" / "sheet.png"],
             ["-q", "report", output(lab)],
             generate_words(lab, output(lab), "--resume"),

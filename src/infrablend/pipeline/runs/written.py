@@ -46,7 +46,7 @@ def _of_run(folder: RunFolder, digests: bool) -> Iterator[Problem]:
             elif path.lstat().st_size != size or (digests and sha256_of(path, folder.root) != sha256):
                 # Texts for readers decide nothing; labels and pictures do.
                 level: Severity = "error" if "/" in name else "warning"
-                advice = f"{_TODO}. To edit labels, convert the run and edit the conversion"
+                advice = f"remove it and {_TODO}. To edit labels, convert the run and edit the conversion"
                 yield Problem(name, CHANGED, "changed after InfraBlend wrote it", "the file as written", advice, level)
         for name in unknown_files(folder, ledger):
             yield Problem(name, "file-foreign", "not written by this run", "", "move it elsewhere", "warning")
