@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import re
+import sqlite3
 import stat
 import zipfile
 from pathlib import Path
@@ -41,7 +42,8 @@ def contents(root: Path, left_out: tuple[str, ...] = ("workers.log",), trained: 
 
 def _comparable(path: Path, trained: bool) -> bytes:
     if path.name == "run.sqlite":
-        return repr(ledger_rows(path)).encode()
+        with contextlib.suppress(sqlite3.OperationalError):  # a kill may leave one without tables in a workspace
+            return repr(ledger_rows(path)).encode()
     data = without_times(path.name, path.read_bytes())
     if path.suffix == ".json":
         with contextlib.suppress(ValueError):
