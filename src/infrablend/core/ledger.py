@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import DAMAGED, output_error
+from infrablend.core.files import DAMAGED, output_error, replace_atomically
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
@@ -81,13 +81,16 @@ class Ledger:
     @classmethod
     def create(cls, folder: Path, record: Mapping[str, Any]) -> Ledger:
         """Start the ledger of a run with what is known before its first frame."""
+        # Under its name once it has all of that: a kill or a full disk leaves nothing that cannot be resumed.
         file = folder / LEDGER
-        with _reported(file):
-            file.unlink(missing_ok=True)
-            ledger = cls(file, sqlite3.connect(file))
-            ledger._db.executescript(f"PRAGMA user_version = {_VERSION}; {_SCHEMA}")
-        ledger.write_run(record)
-        return ledger
+        with (
+            replace_atomically(file) as temporary,
+            _reported(file),
+            cls(file, sqlite3.connect(temporary)) as ledger,
+        ):
+            ledger._db.executescript(f"PRAGMA journal_mode = MEMORY; PRAGMA user_version = {_VERSION}; {_SCHEMA}")
+            ledger.write_run(record)
+        return cls.open(folder, write=True)
 
     @classmethod
     def open(cls, folder: Path, *, write: bool = False) -> Ledger:
@@ -99,8 +102,9 @@ class Ledger:
                 "`infrablend merge` wrote."
             )
         # Read-only folders, as of another user, can be read: without a journal there is nothing to roll back.
+        left = write or os.path.lexists(f"{file}-journal")  # by a kill amid a commit: opening to write rolls it back
         with _reported(file):
-            text = f"file:{_quoted(file)}?mode={'rw' if write else 'ro'}"
+            text = f"file:{_quoted(file)}?mode={'rw' if left else 'ro'}"
             ledger = cls(file, sqlite3.connect(text, uri=True, check_same_thread=write))
             (version,) = ledger._db.execute("PRAGMA user_version").fetchone()
         if version != _VERSION:

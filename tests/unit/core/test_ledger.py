@@ -110,6 +110,29 @@ def test_a_full_disk_is_the_fault_of_the_disk(folder: Path) -> None:
     assert caught.value.problems[0].code == "disk-full"
 
 
+def test_a_ledger_that_cannot_be_started_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: Ledger, record: object) -> None:
+        raise OutputError("no space left")
+
+    monkeypatch.setattr(Ledger, "write_run", full)
+    with pytest.raises(OutputError, match="no space left"):
+        Ledger.create(tmp_path, {})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_kill_amid_a_commit_is_rolled_back_by_the_next_reader(folder: Path) -> None:
+    child = os.fork()
+    if not child:
+        with Ledger.open(folder, write=True) as ledger:
+            ledger._db.execute("PRAGMA cache_size = 5")  # so that pages are written before the commit
+            add(ledger, *(f"test/{n}" for n in range(500)))
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(child, 0)
+    assert (folder / f"{LEDGER}-journal").stat().st_size > 0
+    with Ledger.open(folder) as ledger:
+        assert ledger.frame_ids() == ["test/a", "test/b"]
+
+
 def test_a_damaged_record_is_named(folder: Path) -> None:
     edit_ledger(folder, "UPDATE records SET record = '[1]' WHERE frame_id = 'test/a'")
     with Ledger.open(folder) as ledger, pytest.raises(OutputError, match="the record of test/a is damaged"):
