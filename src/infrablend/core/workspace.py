@@ -194,8 +194,8 @@ def workspace(
         space = Workspace(root, partial, noun, record, "new", locks, frozenset(derived))
         if space._is_finished():  # killed while it got its name
             space._publish()
-            partial.mkdir()
-            locks.enter_context(_lock(partial, noun))
+            locks.close()  # the lock went with the folder, which `reopen` locks again
+            locks.enter_context(_lock(partial, noun, make=True))
         if (_replaced_of(root) / record).exists():
             shutil.rmtree(_replaced_of(root), ignore_errors=True)
         try:

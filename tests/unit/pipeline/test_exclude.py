@@ -171,6 +171,13 @@ def test_a_killed_exclusion_is_finished(
     assert not partial_of(made).exists()
 
 
+def test_an_exclusion_killed_right_after_it_took_the_name_away_is_finished(made: Path) -> None:
+    left_out = frame_ids(made)[0]
+    made.rename(partial_of(made))
+    done("exclude", made, left_out)
+    assert left_out not in frame_ids(made) and not partial_of(made).exists()
+
+
 def test_wrong_requests_change_nothing(made: Path, data: Path, tmp_path: Path) -> None:
     before = hashes(made)
     left_out = frame_ids(made)[0]

@@ -96,7 +96,7 @@ def choose_frames(
         OtherSettingsError: The backgrounds have changed.
     """
     # An earlier change that was interrupted left its workspace.
-    folder = RunFolder(run if run.is_dir() else partial_of(run))
+    folder = _folder_of(run)
     record = folder.read_run()
     if "shard" in record:
         raise OutputError(f"{run}: one shard of a run; expected a whole run. Merge the shards first (infrablend merge)")
@@ -110,7 +110,7 @@ def choose_frames(
     def choose(now: Mapping[str, str]) -> Mapping[str, str]:
         nonlocal before, after
         before, after = now, _changed(now, choice, plan, run)
-        _require_backgrounds(plan, folder, after)
+        _require_backgrounds(plan, _folder_of(run), after)  # it may have got its name since
         return after
 
     flat = recorded.renderer == "flat"
@@ -126,6 +126,10 @@ def choose_frames(
     changed = before.keys() ^ after.keys()
     purged = aside + len(after.keys() - before.keys()) - _count_aside(RunFolder(run)) if choice.purge else 0
     return ChoiceReport(run, after, len(changed), purged, report.counts, report.problems, report.ok)
+
+
+def _folder_of(run: Path) -> RunFolder:
+    return RunFolder(run if run.is_dir() else partial_of(run))
 
 
 def _count_aside(folder: RunFolder) -> int:
