@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Any
 
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.dataset import ImageRecord
@@ -37,11 +36,11 @@ def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float
     return measure_levels([p.pixels for p in pictures])
 
 
-def recorded_levels(record: Mapping[str, Any]) -> tuple[float, float] | None:
-    """Return the levels in the record of a run, or in the plan that its shards share; None if it has none."""
-    if record.get("levels") is None:
+def recorded_levels(levels: Sequence[float] | None) -> tuple[float, float] | None:
+    """Return the levels that the record of a run, or the plan that its shards share, has under `levels`."""
+    if levels is None:
         return None
-    low, high = record["levels"]
+    low, high = levels
     return float(low), float(high)
 
 

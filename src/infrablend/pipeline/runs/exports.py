@@ -222,7 +222,8 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         n["inserted"].update(i.category for i in r.inserted)
         n["doubts"].update(doubt_codes(r))
         n["behind"].update(r.facts.get("matching", {}).get("behind", ()))
-        n["pitches"].update([r.scene.draws["pitch_from"]] if r.scene and "pitch_from" in r.scene.draws else [])
+        if r.scene is not None and "pitch_from" in r.scene.draws:
+            n["pitches"][r.scene.draws["pitch_from"]] += 1
         total["covered"] += len(r.covered)
         total["fallbacks"] += len(r.facts.get("mask_fallbacks", ()))
         total["without"] += not r.inserted

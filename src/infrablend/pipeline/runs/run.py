@@ -168,7 +168,7 @@ def run_in(
         with Ledger.open(folder.root) as ledger:
             previous, done, excluded = ledger.read_run(), ledger.done(), ledger.excluded()
             _require_same_run(previous, plan, space.out, execution)
-            plan = replace(plan, run=str(previous[RUN]), levels=recorded_levels(previous))
+            plan = replace(plan, run=str(previous[RUN]), levels=recorded_levels(previous.get("levels")))
             kept_out = dict(excluded if choice is None else choice.choose(excluded))
             todo = _remaining(plan, folder, ledger, done, kept_out)
             written = list(plan.recipe.output.formats) == previous["formats"] and not lost_exports(folder, ledger)

@@ -101,7 +101,7 @@ class SharedPlan:
             dict(data["key"]),
             tuple(data["formats"]),
             str(data["renderer"]),
-            recorded_levels({"levels": data["levels"]}),
+            recorded_levels(data["levels"]),
             layout,
         )
 
