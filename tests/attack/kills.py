@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from infrablend.core.workspace import NOTE
 from tests.attack.child import (
     TIMED_OUT,
     UNDISTURBED,
@@ -101,6 +102,7 @@ def attack(reference: Reference, case: str, disturbance: Disturbance, number: in
     ended = _call(scenario, lab, disturbance)
     judge.ended("the command", ended, killed=True)
     left = contents(out, scenario.left_out, scenario.trained)
+    left.pop(NOTE, None)  # the folder is complete, and the next call deletes the note
     for k in sorted(
         {number % len(scenario.readers), (number // 2) % len(scenario.readers)} if scenario.readers else ()
     ):

@@ -196,6 +196,8 @@ def workspace(
             space._publish()
             locks.close()  # the lock went with the folder, which `reopen` locks again
             locks.enter_context(_lock(partial, noun, make=True))
+        with _reported(root):
+            (root / NOTE).unlink(missing_ok=True)  # left by a kill right after the folder got its name
         if (_replaced_of(root) / record).exists():
             shutil.rmtree(_replaced_of(root), ignore_errors=True)
         try:

@@ -216,6 +216,15 @@ def test_a_finished_folder_can_be_changed(tmp_path: Path) -> None:
     assert names(out) == ["deep/file.txt", "more.txt", RECORD]
 
 
+def test_a_note_that_a_kill_left_in_a_finished_folder_is_deleted(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(out)
+    (out / NOTE).write_text("{}")
+    with pytest.raises(OutputError, match="--overwrite"):
+        write(out)
+    assert names(out) == ["deep/file.txt", RECORD]
+
+
 def test_two_processes_do_not_write_one_folder(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path; from infrablend.core.workspace import workspace\n"
