@@ -104,10 +104,6 @@ class LabelReport:
         return {name: list(found) for name, found in asdict(self).items()}
 
 
-# Special cases of a label, in the order in which `annotate` meets them.
-_SPECIAL = ("mask_fallbacks", "obb_held_inside", "heading_end_on", "boxes_from_samples")
-
-
 @dataclass(frozen=True, eq=False)
 class _Surfaces:
     """Triangles of one object in the image, without translucent parts.
@@ -170,7 +166,10 @@ def annotate(
     instances: list[Instance] = []
     kept: list[int] = []
     drops: list[Drop] = []
-    special: dict[str, list[int]] = {name: [] for name in _SPECIAL}
+    fallbacks: list[int] = []
+    held_inside: list[int] = []
+    end_on: list[int] = []
+    from_samples: list[int] = []
     for k, placed in enumerate(scene.objects):
         category = placed.spec.category
         shape = _visible_shape(k, surfaces, size_wh, with_coverage=result is None)
@@ -191,9 +190,14 @@ def annotate(
         direction = heading_in_image(placed) if obb == "heading" else None
         corners, held = oriented_box(shape.hull_xy, shape.truncated, direction, size_wh)
         kept.append(k)
-        cases = (fallback, held, obb == "heading" and direction is None, shape.from_samples)
-        for name, met in zip(_SPECIAL, cases, strict=True):
-            special[name] += [k] if met else []
+        if fallback:
+            fallbacks.append(k)
+        if held:
+            held_inside.append(k)
+        if obb == "heading" and direction is None:
+            end_on.append(k)
+        if shape.from_samples:
+            from_samples.append(k)
         instances.append(
             Instance(
                 category=category,
@@ -206,8 +210,15 @@ def annotate(
                 extra={"object": k},
             )
         )
-    met_in = {name: tuple(found) for name, found in special.items()}
-    return tuple(instances), LabelReport(tuple(kept), tuple(drops), **met_in)
+    report = LabelReport(
+        kept=tuple(kept),
+        drops=tuple(drops),
+        mask_fallbacks=tuple(fallbacks),
+        obb_held_inside=tuple(held_inside),
+        heading_end_on=tuple(end_on),
+        boxes_from_samples=tuple(from_samples),
+    )
+    return tuple(instances), report
 
 
 def _require_matching(scene: PlacedScene, result: RenderResult | None) -> None:

@@ -152,7 +152,7 @@ FORMATS: tuple[Format, ...] = (
         Writer(
             "hit-uav-xml", "HIT-UAV's normal_xml (VOC) and rotate_xml (roLabelImg)",
             _set("masks tracks visibility occlusion fractions telemetry sequence temperature"),
-            {"forms": ("normal_xml", "rotate_xml")}, _PICTURES, "shared", of="hit-uav", facts=_set(""),
+            {"forms": ("normal_xml", "rotate_xml")}, _PICTURES, "shared", of="hit-uav", facts=frozenset(),
             derived=_BY_DATE,
         ),
     )),
