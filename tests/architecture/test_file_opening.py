@@ -18,6 +18,7 @@ ALLOWED = {
     "core/files.py": "the place that all others use",
     "core/machine.py": "locks, and files of the kernel",
     "core/lazy_names.py": "a file of the package",
+    "core/ledger.py": "the ledger, by SQLite",
     "core/run_folder.py": "the ledger, by SQLite",
     "core/workspace.py": "folders, to lock them",
     "evaluation/comparison.py": "an open file",
