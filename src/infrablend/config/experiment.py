@@ -34,7 +34,7 @@ def _names(given: Any) -> Any:
 
 Names = Annotated[tuple[Name, ...], BeforeValidator(_names), Field(min_length=1)]
 Limits = dict[Split, Annotated[int, Field(ge=1)]]
-Seeds = Annotated[int, Field(ge=1)]
+Seeds = Annotated[int, Field(ge=1, le=1000)]
 
 
 class Source(Strict):

@@ -276,8 +276,11 @@ def _require_own(space: Workspace, *, replaced: bool) -> None:
     if not replaced:
         return
     left_out = {*_OWN, *space.derived}
-    foreign = sorted({p.name for p in root.iterdir()} - {*contents.get("names", ()), *left_out})
-    count, written = _count_files(root, left_out), int(contents.get("files", 0))
+    # Anybody may have edited the record: what it does not say plainly was not written.
+    listed, number = contents.get("names"), contents.get("files")
+    names = {str(name) for name in listed} if isinstance(listed, list) else set()
+    foreign = sorted({p.name for p in root.iterdir()} - names - left_out)
+    count, written = _count_files(root, left_out), number if isinstance(number, int) else 0
     if foreign or count > written:
         what = _listed(foreign) if foreign else f"{count} files, where the {noun} had {written}"
         raise OutputError(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from infrablend.config.experiment import Experiment, Merge, Scale, parse_experiment
 from infrablend.config.experiment_seeds import repeat_seeds
+from infrablend.errors import RecipeError
 
 TEXT = """
 name: mine
@@ -59,3 +62,9 @@ def test_seeds_of_other_scales_are_left_out() -> None:
     spelled = at("smoke")
     assert not spelled.at("many-1", "smoke") and spelled.at("many-1", "small") and spelled.at("many", "smoke")
     assert spelled.comparisons["means"].a == ("many",) and spelled.only_at["control"] == ("small",)
+
+
+def test_more_seeds_than_anybody_trains_are_refused() -> None:
+    """Each is spelled out, so a slip of the finger would fill the memory."""
+    with pytest.raises(RecipeError, match="1000"):
+        parse_experiment(TEXT.replace("small: 3", "small: 2000000000", 1), "mine.yaml")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.core.workspace import NOTE, is_being_written, partial_of, unfinished, workspace
+from infrablend.core.workspace import CONTENTS, NOTE, is_being_written, partial_of, unfinished, workspace
 from infrablend.errors import OutputError
 
 RECORD = "thing.json"
@@ -119,6 +119,16 @@ def test_overwrite_refuses_what_somebody_added(tmp_path: Path, added: str) -> No
     with pytest.raises(OutputError, match=r"not part of the thing"):
         write(out, "b", existing="overwrite")
     assert (out / added).read_text() == "mine"
+
+
+@pytest.mark.parametrize("contents", [{"names": [{}], "files": 2}, {"names": 5}, {"files": {}}])
+def test_overwrite_refuses_a_record_that_does_not_say_what_was_written(tmp_path: Path, contents: object) -> None:
+    out = tmp_path / "out"
+    write(out)
+    record = json.loads((out / RECORD).read_text())
+    (out / RECORD).write_text(json.dumps({**record, CONTENTS: contents}))
+    with pytest.raises(OutputError, match=r"not part of the thing"):
+        write(out, "b", existing="overwrite")
 
 
 @pytest.mark.parametrize("record", [None, "{}", '{"infrablend": "1"}', "no JSON"])
