@@ -30,7 +30,7 @@ from quality import LEAST_SPAN_GREY, REFERENCE_SAMPLES, joined, measure_errors, 
 from scenes import PHYSICAL_RECIPE, RECIPE, SEED, Work, distribution, part_of_plan, plan_of, quantiles, spread
 from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, split_program, time_full_frames, time_label_files, time_program
 
-from infrablend.blender.quality import MATCHED
+from infrablend.engine.quality import MATCHED
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.rendering.emission import FRAGMENTS, SUPERSAMPLE
 

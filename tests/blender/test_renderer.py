@@ -3,9 +3,9 @@
 import dataclasses
 
 import numpy as np
-import psutil
 import pytest
 
+from infrablend.core.child_process import CHILD_BYTES, resident_bytes
 from infrablend.core.mesh import make_mesh
 from infrablend.core.placed import place
 from infrablend.core.scene import PartState
@@ -102,7 +102,7 @@ def test_only_the_ratio_of_lens_and_sensor_counts(blender, focal_length_mm, sens
 def test_crop_equals_that_part_of_the_full_frame(blender, monkeypatch):
     s, mesh = scene([thing(0.4, 0.3, kelvin=297, emissivity=0.9, ior=1.5)], samples=16, texture_k=2.0), box_mesh()
     cropped = paste(blender.render(place(s, [mesh])))
-    monkeypatch.setattr("infrablend.blender.renderer.crop_of", lambda placed: (0, 0, *placed.spec.camera.size_wh))
+    monkeypatch.setattr("infrablend.engine.renderer.crop_of", lambda placed: (0, 0, *placed.spec.camera.size_wh))
     full = paste(blender.render(place(s, [mesh])))
     assert (cropped[0] == full[0]).all()
     assert (cropped[1] == full[1]).all()
@@ -174,15 +174,14 @@ def test_smooth_surfaces_darken_to_the_rim(blender):
 
 
 def test_memory_stays_flat_and_no_data_is_left(blender):
-    import bpy
-
+    code = "import bpy; d = bpy.data; answer = [len(x) for x in (d.meshes, d.materials, d.objects, d.images)]"
     mesh = box_mesh()
     for k in range(20):
         blender.render(place(scene([thing()], samples=1, seed=k), [mesh]))
-    blocks = len(bpy.data.meshes), len(bpy.data.materials), len(bpy.data.objects), len(bpy.data.images)
-    process = psutil.Process()
-    before = process.memory_info().rss
+    blocks, before, own = blender.run(code), sum(CHILD_BYTES.values()), resident_bytes()
+    assert before > 50 * 2**20
     for k in range(100):
         blender.render(place(scene([thing()], samples=1, seed=k), [mesh]))
-    assert process.memory_info().rss - before < 8 * 2**20
-    assert (len(bpy.data.meshes), len(bpy.data.materials), len(bpy.data.objects), len(bpy.data.images)) == blocks
+    assert sum(CHILD_BYTES.values()) - before < 8 * 2**20
+    assert resident_bytes() - own < 16 * 2**20
+    assert blender.run(code) == blocks

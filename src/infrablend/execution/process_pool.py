@@ -26,6 +26,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import IO, Any
 
+from infrablend.core.child_process import describe_exit
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
@@ -484,18 +485,6 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
         process.kill()
-
-
-def describe_exit(code: int) -> str:
-    """Return how a process ended, by the return code of `subprocess`."""
-    if code >= 0:
-        return f"ended with exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = "unknown"
-    hint = " (often: out of memory)" if -code == signal.SIGKILL else ""
-    return f"was ended by signal {-code} {name}{hint}"
 
 
 def _quote(lines: Iterable[str]) -> str:

@@ -11,8 +11,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import psutil
-
+from infrablend.core.child_process import resident_bytes
 from infrablend.core.tasks import Task, TaskResult, WorkerSpec
 from infrablend.errors import InfraBlendError, Interrupted, RenderError
 from infrablend.execution.interrupt import STOPPED, Interruption
@@ -83,7 +82,7 @@ def _performed(work: Callable[[Task], Any], task: Task, log_path: Path | None) -
             value = work(task)
     except (Exception, SystemExit) as e:
         failure = failure_of(e)
-    seconds, rss_bytes = time.monotonic() - begun, int(psutil.Process().memory_info().rss)
+    seconds, rss_bytes = time.monotonic() - begun, resident_bytes()
     return TaskResult(task.key, value, failure, seconds=seconds, rss_bytes=rss_bytes)
 
 

@@ -26,8 +26,11 @@ SUPERSAMPLE = 4
 class FlatRenderer:
     """Implements `core.render.Renderer`."""
 
-    def __init__(self, device: str = "cpu") -> None:
-        """Start; the device is ignored, everything runs on the CPU."""
+    def __init__(self, device: str = "cpu", blender: str | None = None) -> None:
+        """Ignore device and Blender: everything runs here, on the CPU."""
+
+    def start(self) -> None:
+        """Do nothing; see `core.render.Renderer`."""
 
     def render(self, scene: PlacedScene) -> RenderResult:
         """Render a scene; see `core.render.Renderer`."""

@@ -54,3 +54,8 @@ def band_radiance_slope(temperature_k: ArrayLike) -> Array:
     t = np.asarray(temperature_k, np.float64)
     h = 1e-2
     return (band_radiance(t + h) - band_radiance(t - h)) / (2 * h)
+
+
+UNIT_K = 300.0
+UNIT_W_M2_SR = float(band_radiance(UNIT_K))
+"""Radiance that shaders in Blender use as their unit, which keeps values near one."""

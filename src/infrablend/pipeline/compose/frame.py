@@ -116,6 +116,8 @@ class FrameComposer:
         """Load the recipe's models; `renderer` stays open and may be shared by several composers."""
         self._settings = settings
         self._recipe = recipe_from_json(settings.recipe_json)
+        if self._recipe.needs_blender:
+            renderer.start()
         self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
         self._sampler = settings.extensions.make_sampler(self._recipe, self._models, settings.seed)
         self._look = make_look(self._recipe, settings)

@@ -20,7 +20,7 @@ class _Worker:
     def __init__(self, execution: Execution) -> None:
         if execution.pins_cores:
             take_core()
-        self._renderer = make_renderer(execution.renderer, execution.device)
+        self._renderer = make_renderer(execution.renderer, execution.device, execution.blender)
 
     def close(self) -> None:
         """Release the renderer."""

@@ -18,7 +18,7 @@ from infrablend.execution.process_pool import PoolSettings, ProcessPool
 
 log = logging.getLogger(__name__)
 
-IMPORTER = "infrablend.blender.importer:make_importer"
+IMPORTER = "infrablend.engine.importer:make_importer"
 IMPORT_CPU_SECONDS, IMPORT_SECONDS, IMPORT_MEMORY_BYTES = 120, 600.0, 3 * 2**30
 TOO_SLOW = "model-too-slow"
 # Time limit of a single job in a worker process.

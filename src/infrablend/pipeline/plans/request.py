@@ -41,6 +41,8 @@ class Execution:
         in_process: Compute all frames in the calling process; only with the flat renderer.
         executor: Where the workers run: processes of this machine, or Ray (extra infrablend[ray]).
         address: Ray cluster to use [default: RAY_ADDRESS, else Ray is started for the run].
+        blender: Blender to use: the path of a program, or of a Python that has bpy; none: do without
+            [default: INFRABLEND_BLENDER, else what `infrablend doctor` shows].
 
     Raises:
         ArgumentError: A value is not one of these.
@@ -52,6 +54,7 @@ class Execution:
     in_process: bool = False
     executor: Executor = "local"
     address: str | None = None
+    blender: str | None = None
 
     def __post_init__(self) -> None:
         if self.workers is not None:
