@@ -51,12 +51,14 @@ class Wire:
             if array.size:
                 self._socket.sendall(array.data.cast("B"))
 
-    def receive(self) -> dict[str, Any]:
+    def receive(self, limit_s: float | None = None) -> dict[str, Any]:
         """Return the next message.
 
         Raises:
             EOFError: The other end is closed.
+            TimeoutError: Nothing came within the limit.
         """
+        self._socket.settimeout(limit_s)
         arrays: list[np.ndarray[Any, Any]] = []
 
         def made(value: dict[str, Any]) -> Any:
@@ -84,6 +86,8 @@ class Wire:
         while done < len(view):
             try:
                 count = self._socket.recv_into(view[done:])
+            except TimeoutError:
+                raise
             except OSError as error:
                 raise EOFError(str(error)) from error
             if not count:

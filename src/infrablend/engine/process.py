@@ -27,7 +27,7 @@ OLDEST, NEWEST = (4, 2), (4, 5)
 _LAST_BYTES = 4000
 _LAST_LINES = 20
 _MOST_OUTPUT_BYTES = 2**20
-_END_S = 5.0
+_START_S, _END_S = 120.0, 5.0
 
 
 class BlenderProcess:
@@ -74,11 +74,12 @@ class BlenderProcess:
         if self.greeting:
             return
         try:
-            greeting = self._wire.receive()
-        except EOFError:
+            greeting = self._wire.receive(_START_S)
+        except (EOFError, TimeoutError) as error:
             ended, said = self._end()
+            what = f"gave no sign within {_START_S:g} s" if isinstance(error, TimeoutError) else ended
             raise MissingDependencyError(
-                f"Blender, {self._program}, does not start: it {ended}. `infrablend doctor` shows what was found.{said}"
+                f"Blender, {self._program}, does not start: it {what}. `infrablend doctor` shows what was found.{said}"
             ) from None
         version = tuple(greeting["blender"])[:2]
         if greeting["protocol"] != PROTOCOL or not OLDEST <= version <= NEWEST:
@@ -152,13 +153,13 @@ def _last_lines(output: Path) -> list[str]:
 
 
 @contextlib.contextmanager
-def blender_process() -> Iterator[BlenderProcess]:
-    """Yield a Blender for one job, and end it.
+def blender_process(program: Program | None = None) -> Iterator[BlenderProcess]:
+    """Yield a Blender, by default the one that `find_blender` finds, and end it.
 
     Raises:
         MissingDependencyError: There is none.
     """
-    process = BlenderProcess(find_blender())
+    process = BlenderProcess(program or find_blender())
     try:
         yield process
     finally:

@@ -23,6 +23,10 @@ from infrablend.errors import MissingDependencyError
 VARIABLE = "INFRABLEND_BLENDER"
 OFF = "none"
 TODO = "infrablend blender install"
+NOT_FOUND = (
+    "Blender is not there: this Python has no bpy, no environment of `infrablend blender install` was found, and no "
+    "program blender on the path"
+)
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 # Only this package is importable from its folder: the libraries beside it may be for another version of Python.
@@ -74,6 +78,11 @@ def python_of(environment: Path) -> Path:
     return environment / "bin" / "python"
 
 
+def marker_of(environment: Path) -> Path:
+    """Return the file that marks an environment as made by `infrablend blender install`; empty until it is complete."""
+    return environment / "infrablend-blender.txt"
+
+
 def candidates(wanted: str | None = None) -> Iterator[Program]:
     """Yield the ways to start Blender on this machine, the preferred one first; nothing is started.
 
@@ -101,7 +110,7 @@ def candidates(wanted: str | None = None) -> Iterator[Program]:
         (Path(f"{sys.prefix}-blender"), "environment beside this one"),
         (private_environment(), "environment of `infrablend blender install`"),
     ):
-        if python_of(folder).is_file():
+        if marker_of(folder).is_file() and marker_of(folder).stat().st_size:
             yield Program(python_of(folder), origin)
     installed = shutil.which("blender")
     if installed is not None:
@@ -118,7 +127,7 @@ def find_blender(wanted: str | None = None) -> Program:
         return program
     if (wanted or os.environ.get(VARIABLE)) == OFF:
         raise MissingDependencyError(f"Blender is switched off ({VARIABLE}={OFF} or --blender {OFF}); leave that out")
-    raise MissingDependencyError(f"Blender is not installed. Run: {TODO}")
+    raise MissingDependencyError(f"{NOT_FOUND}. Run: {TODO}")
 
 
 def blender_version(wanted: str | None = None) -> str | None:
