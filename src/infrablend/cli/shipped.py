@@ -144,7 +144,7 @@ def install_blender(
         Path | None, typer.Option(metavar="PATH", help="Python 3.11 [default: this one, or one on the path].")
     ] = None,
 ) -> None:
-    """Install Blender into an environment of its own (about 400 MB to download, 1.2 GB on disk)."""
+    """Install Blender into an environment of its own (400 MB to download, 950 MB on disk)."""
     print_result(str(api.install_blender(out, wheels, python)))
 
 

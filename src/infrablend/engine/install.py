@@ -11,8 +11,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from infrablend.core.files import write_text
 from infrablend.engine.process import blender_process
-from infrablend.engine.programs import Program, private_environment, python_of
+from infrablend.engine.programs import Program, marker_of, private_environment, python_of
 from infrablend.engine.system_libraries import install_command, missing_packages
 from infrablend.errors import ArgumentError, MissingDependencyError, OutputError, Problem
 
@@ -37,31 +38,27 @@ def install_blender(out: Path | None = None, wheels: Path | None = None, python:
     folder = (out or private_environment()).absolute()
     if wheels is not None and not wheels.is_dir():
         raise ArgumentError(f"wheels: {wheels} is no folder; expected one with the files that `pip download` fetched")
-    if folder.exists() and not (folder / "pyvenv.cfg").is_file() and (not folder.is_dir() or any(folder.iterdir())):
-        problem = Problem(str(folder), "not-ours", "other files", "an environment, or no folder", "give another --out")
-        raise OutputError(f"{folder}: is there and is no Python environment", [problem])
+    marker = marker_of(folder)
+    if folder.exists() and not marker.is_file():
+        problem = Problem(str(folder), "not-ours", "something else", "no such path", "remove it, or give another --out")
+        raise OutputError(f"{folder}: is there and is no environment of this command", [problem])
     interpreter = find_python(python)
     folder.parent.mkdir(parents=True, exist_ok=True)
-    # A Python environment cannot be moved, so it is built in its place; its Python comes last.
+    # An environment cannot be moved, so it is built in its place; the marker is filled last.
     shutil.rmtree(folder, ignore_errors=True)
     try:
         _run([interpreter, "-m", "venv", folder], "its Python cannot make environments; install its venv module")
-        offline = [] if wheels is None else ["--no-index", "--find-links", wheels]
-        pip = [
-            python_of(folder),
-            "-m",
-            "pip",
-            "install",
-            "--disable-pip-version-check",
-            "--no-input",
-            "--require-hashes",
-        ]
+        write_text(marker, "")
+        offline: list[str | Path] = [] if wheels is None else ["--no-index", "--find-links", wheels]
+        pip: list[str | Path] = [python_of(folder), "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
         _run(
-            [*pip, "--only-binary", ":all:", *offline, "-r", REQUIREMENTS],
+            [*pip, "--require-hashes", "--only-binary", ":all:", *offline, "-r", REQUIREMENTS],
             "check the network and pip's settings, or give a folder of wheels (--wheels)",
         )
         with blender_process(Program(python_of(folder), "the new environment")) as blender:
             blender.greet()
+            version = ".".join(map(str, blender.greeting["blender"]))
+        write_text(marker, f"Blender {version}, for InfraBlend\n")
     except MissingDependencyError as error:
         shutil.rmtree(folder, ignore_errors=True)
         missing = missing_packages()
@@ -89,8 +86,8 @@ def find_python(wanted: Path | None = None) -> Path:
     if wanted is not None:
         raise ArgumentError(f"python: {wanted} is no Python {version}")
     raise MissingDependencyError(
-        f"no Python {version} was found, which Blender's module needs. Install it (`uv python install {version}`, conda, "
-        "or the system's package), and name it if it is not on the path: --python PATH"
+        f"no Python {version} was found, which Blender's module needs. Install it (`uv python install {version}`, "
+        "conda, or the system's package), and name it if it is not on the path: --python PATH"
     )
 
 

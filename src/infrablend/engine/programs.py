@@ -23,10 +23,6 @@ from infrablend.errors import MissingDependencyError
 VARIABLE = "INFRABLEND_BLENDER"
 OFF = "none"
 TODO = "infrablend blender install"
-NOT_FOUND = (
-    "Blender is not there: this Python has no bpy, no environment of `infrablend blender install` was found, and no "
-    "program blender on the path"
-)
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 # Only this package is importable from its folder: the libraries beside it may be for another version of Python.
@@ -125,9 +121,19 @@ def find_blender(wanted: str | None = None) -> Program:
     """
     for program in candidates(wanted):
         return program
+    found, todo = absence(wanted)
+    raise MissingDependencyError(f"{found}. {todo}")
+
+
+def absence(wanted: str | None = None) -> tuple[str, str]:
+    """Return why `candidates` found nothing, and what to do."""
     if (wanted or os.environ.get(VARIABLE)) == OFF:
-        raise MissingDependencyError(f"Blender is switched off ({VARIABLE}={OFF} or --blender {OFF}); leave that out")
-    raise MissingDependencyError(f"{NOT_FOUND}. Run: {TODO}")
+        return "Blender is switched off", f"Leave out --blender {OFF} and {VARIABLE}={OFF}"
+    found = (
+        "Blender is not there: this Python has no bpy, no environment of `infrablend blender install` was found, and "
+        "no program blender on the path"
+    )
+    return found, f"Run: {TODO}"
 
 
 def blender_version(wanted: str | None = None) -> str | None:

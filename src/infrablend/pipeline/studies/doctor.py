@@ -21,7 +21,7 @@ from typing import Any, Literal
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.core.user_folders import cache_folder
 from infrablend.engine.process import blender_process
-from infrablend.engine.programs import NOT_FOUND, TODO, VARIABLE, Program, candidates
+from infrablend.engine.programs import TODO, VARIABLE, Program, absence, candidates
 from infrablend.engine.system_libraries import install_command, missing_packages
 from infrablend.errors import InfraBlendError, MissingDependencyError
 
@@ -209,8 +209,9 @@ def _check_libraries(m: Machine) -> Check:
 def _check_blenders(m: Machine) -> list[Check]:
     """Return the checks of the Blender that is used, of its devices, and of others."""
     if not m.blenders:
-        todo = f"needed for the physical look, `quality: paper`, 3D files of your own and the virtual world: {TODO}"
-        return [Check("Blender", "warning", NOT_FOUND, todo)]
+        found, todo = absence()
+        use = "The physical look, `quality: paper`, 3D files of your own and the virtual world need it"
+        return [Check("Blender", "warning", found, f"{use}. {todo}")]
     first, *others = m.blenders
     if first.version is None:
         checks = [Check("Blender", "error", f"{first.name}: {first.trouble}", f"{TODO}, or name another: {VARIABLE}")]
