@@ -14,7 +14,7 @@ import signal
 import socket
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from infrablend.core.wire import PROTOCOL, Wire
@@ -34,7 +34,7 @@ def serve(descriptor: int) -> None:
     wire.send(
         {
             "protocol": PROTOCOL,
-            "blender": list(bpy.app.version),
+            "blender": ".".join(map(str, bpy.app.version)),
             "python": platform.python_version(),
             "numpy": sys.modules["numpy"].__version__,
         }
@@ -43,7 +43,7 @@ def serve(descriptor: int) -> None:
     with contextlib.suppress(EOFError, OSError):
         while True:
             job = wire.receive()
-            wire.send({**_outcome(getattr(jobs, job["do"]), job), "rss_bytes": _resident_bytes()})
+            wire.send({**_outcome(jobs, job), "rss_bytes": _resident_bytes()})
     os._exit(0)  # Blender may hang or crash during the tear-down of Python or C
 
 
@@ -82,9 +82,9 @@ def _module(name: str) -> Any:
     return importlib.import_module(f"infrablend.blender.{name}")
 
 
-def _outcome(perform: Callable[[Job], Any], job: Job) -> dict[str, Any]:
+def _outcome(jobs: Jobs, job: Job) -> dict[str, Any]:
     try:
-        return {"answer": perform(job)}
+        return {"answer": getattr(jobs, job["do"])(job)}
     except InfraBlendError as error:
         problems = [p.to_json() for p in error.problems]
         return {"failure": {"error": type(error).__name__, "message": error.message, "problems": problems}}

@@ -57,7 +57,7 @@ def install_blender(out: Path | None = None, wheels: Path | None = None, python:
         )
         with blender_process(Program(python_of(folder), "the new environment")) as blender:
             blender.greet()
-            version = ".".join(map(str, blender.greeting["blender"]))
+            version = blender.greeting["blender"]
         write_text(marker, f"Blender {version}, for InfraBlend\n")
     except MissingDependencyError as error:
         shutil.rmtree(folder, ignore_errors=True)

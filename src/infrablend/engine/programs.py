@@ -137,11 +137,15 @@ def absence(wanted: str | None = None) -> tuple[str, str]:
 
 
 def blender_version(wanted: str | None = None) -> str | None:
-    """Return the version of the Blender that `find_blender` finds, without starting it; None where there is none."""
+    """Return the version of the Blender that `find_blender` finds; None where there is none."""
     try:
-        program = find_blender(wanted)
+        return version_of(find_blender(wanted))
     except MissingDependencyError:
         return None
+
+
+def version_of(program: Program) -> str | None:
+    """Return the version that a program or the package `bpy` states, without starting the server; None if neither."""
     if not program.is_python:
         done = subprocess.run([program.path, "--version"], capture_output=True, text=True, check=False)
         return done.stdout.partition("\n")[0].removeprefix("Blender ").strip() or None

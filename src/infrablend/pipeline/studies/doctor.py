@@ -294,8 +294,7 @@ def _ask_blender(program: Program) -> Blender:
         with blender_process(program) as process:
             process.greet()
             devices = {kind: tuple(names) for kind, names in process.ask("devices").items()}
-            version = ".".join(map(str, process.greeting["blender"]))
-            return Blender(str(program), version, devices)
+            return Blender(str(program), process.greeting["blender"], devices)
     except InfraBlendError as error:
         return Blender(str(program), trouble=error.message)
 
