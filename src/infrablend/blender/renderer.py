@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import bpy
 import numpy as np
@@ -19,7 +19,7 @@ from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.render import RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RenderError
-from infrablend.rendering.emission import crop_of, only_emits, render_emission
+from infrablend.rendering.emission import crop_of, crops_of, only_emits, render_emission
 from infrablend.rendering.surfaces import ZERO_C_K, ground_radiance, is_two_sided, surface_values
 
 # A part mirrors another part, which mirrors the sky. A third bounce would add less than 1 % of the mirrored 5 %.
@@ -54,26 +54,31 @@ class BlenderRenderer:
         crop = (0, 0, w, h) if self._whole_frame else crop_of(scene)
         if crop is None:
             return empty_result((w, h), len(objects))
-        x0, y0, x1, y1 = crop
+        parts = [(crop, [*range(len(objects))])] if self._whole_frame else crops_of(scene)
+        slots = {k: slot for _, group in parts for slot, k in enumerate(group)}
         self._stage.set_camera(spec.camera, (0.01, 10_000.0))
-        self._set_crop(crop, (w, h))
         self._set_sampling(spec.samples, spec.render_seed)
-        self._set_aovs(len(objects))
+        self._set_aovs(max((len(group) for _, group in parts), default=0))
         self._set_light(scene)
+        x0, y0, x1, y1 = crop
+        layers = np.zeros((2 + len(objects), y1 - y0, x1 - x0), np.float32)
         with contextlib.ExitStack() as stack:
-            for slot, placed in enumerate(objects):
-                stack.enter_context(self._object(slot, placed, spec))
+            for k, placed in enumerate(objects):
+                stack.enter_context(self._object(k, slots.get(k, 0), placed, spec))
             built = time.perf_counter()
-            self._stage.render(spec.frame_id)
-        rendered = time.perf_counter()
-        radiance, alpha, coverage = self._read(len(objects), (y1 - y0, x1 - x0), spec.frame_id)
+            for number, (part, group) in enumerate(parts, 1):
+                self._set_crop(part, (w, h))
+                # What Cycles has built of the scene serves the frame's next part, but no other frame.
+                self._scene.render.use_persistent_data = number < len(parts)
+                self._stage.render(spec.frame_id)
+                left, top, right, bottom = part
+                place = (slice(top - y0, bottom - y0), slice(left - x0, right - x0))
+                for layer, pixels in self._read(group, (bottom - top, right - left), spec.frame_id):
+                    layers[layer][place] = pixels
+        radiance, alpha, coverage = layers[0], layers[1], layers[2:]
         if spec.weather is not None:
-            radiance = np.asarray(radiance * UNIT_W_M2_SR, np.float32)
-        seconds = {
-            "build": built - started,
-            "render": rendered - built,
-            "read": time.perf_counter() - rendered,
-        }
+            radiance *= np.float32(UNIT_W_M2_SR)
+        seconds = {"build": built - started, "render": time.perf_counter() - built}
         return RenderResult((x0, y0), (w, h), radiance, alpha, coverage, ground_radiance(scene), seconds)
 
     def close(self) -> None:
@@ -116,9 +121,9 @@ class BlenderRenderer:
             aov.type = "VALUE"
 
     @contextlib.contextmanager
-    def _object(self, slot: int, placed: PlacedObject, scene: SceneSpec) -> Iterator[None]:
-        """Put one object into the scene, and remove it and all its data at the end."""
-        data = bpy.data.meshes.new(f"mesh_{slot}")
+    def _object(self, number: int, slot: int, placed: PlacedObject, scene: SceneSpec) -> Iterator[None]:
+        """Put one object into the scene, with a pass for its coverage; remove it and all its data at the end."""
+        data = bpy.data.meshes.new(f"mesh_{number}")
         thing = None
         try:
             _fill_mesh(data, placed, scene)
@@ -126,7 +131,7 @@ class BlenderRenderer:
             physical, two_sided = scene.weather is not None, is_two_sided(placed.mesh)
             material = object_material(slot, physical=physical, translucent=translucent, two_sided=two_sided)
             data.materials.append(material)
-            thing = bpy.data.objects.new(f"thing_{slot}", data)
+            thing = bpy.data.objects.new(f"thing_{number}", data)
             look = scene.appearance
             thing["cold_c"] = look.cold_k - ZERO_C_K
             thing["hot_c"] = look.hot_k - ZERO_C_K
@@ -143,8 +148,9 @@ class BlenderRenderer:
             bpy.data.meshes.remove(data, do_unlink=True)
 
     def _read(
-        self, objects: int, shape_hw: tuple[int, int], frame_id: str
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+        self, group: Sequence[int], shape_hw: tuple[int, int], frame_id: str
+    ) -> Iterator[tuple[int, NDArray[np.float32]]]:
+        """Yield the layers of what was rendered: 0 for radiance, 1 for alpha, 2 + k for the coverage of object k."""
         channels = self._stage.channels()
 
         def named(*endings: str) -> NDArray[np.float32]:
@@ -153,8 +159,10 @@ class BlenderRenderer:
                 raise RenderError(f"{frame_id}: Cycles returned {pixels.shape} pixels for a crop of {shape_hw}")
             return pixels
 
-        coverage = [np.clip(named(f"{aov_name(k)}.v", f"{aov_name(k)}.x", aov_name(k)), 0, 1) for k in range(objects)]
-        return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
+        yield 0, named("combined.r")
+        yield 1, np.clip(named("combined.a"), 0, 1)
+        for slot, k in enumerate(group):
+            yield 2 + k, np.clip(named(f"{aov_name(slot)}.v", f"{aov_name(slot)}.x", aov_name(slot)), 0, 1)
 
 
 def _bounces(scene: PlacedScene) -> int:
