@@ -1,4 +1,4 @@
-"""Renders inserted objects: light, alpha, and the coverage of each object, cropped. The caller computes every value.
+"""Renders inserted objects: light, alpha, and the coverage of each object, in crops. The caller computes every value.
 
 Cropping is exact: Cycles samples by absolute pixel position.
 """
@@ -28,10 +28,10 @@ class ObjectScenes:
         self._stage, self._scene = stage, stage.scene
 
     def render(self, job: Message) -> dict[str, float]:
-        """Render a scene to the stage's file, and return the seconds that its steps took.
+        """Render the crops of a scene to `0.exr`, `1.exr`, ..., and return the seconds that the steps took.
 
         Args:
-            job: `what`, for errors; `camera`, see `Stage.set_camera`; `crop`, x0, y0, x1, y1 in pixels; `cycles`,
+            job: `what`, for errors; `camera`, see `Stage.set_camera`; `crops`, each x0, y0, x1, y1 in pixels; `cycles`,
                 settings by name; `sky`, which surfaces mirror, see `physical.set_world`, or None in the artistic look;
                 `objects`, see `_object`.
 
@@ -40,19 +40,22 @@ class ObjectScenes:
         """
         started = time.perf_counter()
         self._stage.set_camera(job["camera"])
-        self._set_crop(job["crop"], job["camera"]["size_wh"])
         for name, value in job["cycles"].items():
             setattr(self._scene.cycles, name, value)
-        self._set_aovs(len(job["objects"]))
+        self._set_aovs(1 + max(given["slot"] for given in job["objects"]))
         if job["sky"] is None:
             self._scene.world = None
         else:
             set_world(self._scene, job["sky"])
         with contextlib.ExitStack() as stack:
-            for slot, given in enumerate(job["objects"]):
-                stack.enter_context(self._object(slot, given, physical=job["sky"] is not None))
+            for number, given in enumerate(job["objects"]):
+                stack.enter_context(self._object(number, given, physical=job["sky"] is not None))
             built = time.perf_counter()
-            self._stage.render(job["what"])
+            for number, crop in enumerate(job["crops"]):
+                self._set_crop(crop, job["camera"]["size_wh"])
+                # What Cycles has built of the scene serves its next crop, but no other scene.
+                self._scene.render.use_persistent_data = number + 1 < len(job["crops"])
+                self._stage.render(job["what"], number)
         return {"build": built - started, "render": time.perf_counter() - built}
 
     def _set_crop(self, crop: tuple[int, int, int, int], size_wh: tuple[int, int]) -> None:
@@ -74,17 +77,17 @@ class ObjectScenes:
             aov.type = "VALUE"
 
     @contextlib.contextmanager
-    def _object(self, slot: int, given: Message, *, physical: bool) -> Iterator[None]:
+    def _object(self, number: int, given: Message, *, physical: bool) -> Iterator[None]:
         """Put one object into the scene, and remove it and all its data at the end.
 
         Args:
-            slot: Number of the object in the scene.
-            given: `vertices_m` (V, 3), `triangles` (T, 3), `smooth` (T,); `values` (3T,) at the face corners by the
-                name of the attribute, and `properties` of the object, which `materials.object_material` lists; whether
-                it is `translucent` and `two_sided`.
+            number: Number of the object in the scene.
+            given: `slot`, the number of the pass for its coverage; `vertices_m` (V, 3), `triangles` (T, 3), `smooth`
+                (T,); `values` (3T,) at the face corners by the name of the attribute, and `properties` of the object,
+                which `materials.object_material` lists; whether it is `translucent` and `two_sided`.
             physical: Whether the look is physical.
         """
-        data = bpy.data.meshes.new(f"mesh_{slot}")
+        data = bpy.data.meshes.new(f"mesh_{number}")
         thing = None
         try:
             session.fill_mesh(data, given["vertices_m"], given["triangles"])
@@ -93,10 +96,11 @@ class ObjectScenes:
                 data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)
             data.update()
             translucent, two_sided = given["translucent"], given["two_sided"]
+            slot = given["slot"]
             data.materials.append(
                 object_material(slot, physical=physical, translucent=translucent, two_sided=two_sided)
             )
-            thing = bpy.data.objects.new(f"thing_{slot}", data)
+            thing = bpy.data.objects.new(f"thing_{number}", data)
             for name, value in given["properties"].items():
                 thing[name] = value
             self._scene.collection.objects.link(thing)

@@ -57,15 +57,15 @@ class Jobs:
         return _module("session").gpu_devices()  # type: ignore[no-any-return]
 
     def open(self, job: Job) -> str:
-        """Prepare for scenes of a `kind` (`objects`, `world`), rendered to `file` on `device`; return its kind."""
-        stage = _module("session").Stage(job["device"], job["file"])
+        """Prepare for scenes of a `kind` (`objects`, `world`), rendered to `folder` on `device`; return its kind."""
+        stage = _module("session").Stage(job["device"], job["folder"])
         kinds = {"objects": ("objects", "ObjectScenes"), "world": ("world", "WorldScenes")}
         module, name = kinds[job["kind"]]
         self._scenes = getattr(_module(module), name)(stage)
         return stage.device  # type: ignore[no-any-return]
 
     def render(self, job: Job) -> dict[str, float]:
-        """Render a scene to the file; return the seconds per step."""
+        """Render a scene to the folder; return the seconds per step."""
         return self._scenes.render(job)  # type: ignore[no-any-return]
 
     def read_file(self, job: Job) -> dict[str, Any]:

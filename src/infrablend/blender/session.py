@@ -28,15 +28,15 @@ _KEPT_BYTES = 2**26
 
 
 class Stage:
-    """The scene of the process, emptied, with a camera, and the float file that it is rendered to.
+    """The scene of the process, emptied, with a camera, and the folder of the float files that it is rendered to.
 
     Attributes:
         scene: The scene, with all settings pinned that affect pixels.
         device: Kind of device that it is rendered on: `cpu`, `cuda`, ...
     """
 
-    def __init__(self, device: str, file: str) -> None:
-        """Empty the scene and discard user preferences; render to a file on a device, see `use_device`."""
+    def __init__(self, device: str, folder: str) -> None:
+        """Empty the scene and discard user preferences; render to a folder on a device, see `use_device`."""
         return_large_blocks()
         # Factory settings also guarantee that scripts in .blend files stay off (use_scripts_auto_execute).
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -44,7 +44,7 @@ class Stage:
         s = self.scene = bpy.context.scene
         pin_settings(s)
         self.device = use_device(s, device)
-        self._file = Path(file)
+        self._folder = Path(folder)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         s.collection.objects.link(self._camera)
         s.camera = self._camera
@@ -56,7 +56,6 @@ class Stage:
         settings.color_depth = "32"
         settings.exr_codec = "NONE"
         s.render.use_file_extension = False
-        s.render.filepath = file
 
     def set_camera(self, camera: Mapping[str, Any], oversample: int = 1) -> None:
         """Set the camera and the size of renders, in samples per pixel and direction.
@@ -83,18 +82,20 @@ class Stage:
         r, (w, h) = self.scene.render, camera["size_wh"]
         r.resolution_x, r.resolution_y = w * oversample, h * oversample
 
-    def render(self, what: str) -> None:
-        """Render the scene to the file; `what` is shown in errors.
+    def render(self, what: str, number: int = 0) -> None:
+        """Render the scene to the file `NUMBER.exr`; `what` is shown in errors.
 
         Raises:
             RenderError: Cycles failed.
         """
-        self._file.unlink(missing_ok=True)
+        file = self._folder / f"{number}.exr"
+        file.unlink(missing_ok=True)
+        self.scene.render.filepath = str(file)
         try:
             bpy.ops.render.render(write_still=True)
         except RuntimeError as error:
             raise RenderError(f"{what}: Cycles failed: {error}") from error
-        if not self._file.is_file():
+        if not file.is_file():
             raise RenderError(f"{what}: Cycles wrote no picture; is the disk full?")
 
 

@@ -39,7 +39,7 @@ class WorldScenes:
         self._image: bpy.types.Image | None = None
 
     def render(self, job: Message) -> dict[str, float]:
-        """Render a scene to the stage's file.
+        """Render a scene to `0.exr`.
 
         Args:
             job: `camera` and `oversample`, see `Stage.set_camera`; `samples`; `ground` and `reach_m`, see `_ground`;

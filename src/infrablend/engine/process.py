@@ -51,7 +51,7 @@ class BlenderProcess:
         memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
         # Workers get a TMPDIR in memory that their parent removes, so a killed one leaves nothing behind.
         self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=os.environ.get("TMPDIR") or memory)
-        self._picture, self._output = (Path(self._folder.name, name) for name in ("render.exr", "output.txt"))
+        self._output = Path(self._folder.name, "output.txt")
         given = {k: v for k, v in os.environ.items() if program.is_python or not k.startswith("PYTHON")}
         with theirs, self._output.open("ab") as output:
             try:
@@ -124,11 +124,11 @@ class BlenderProcess:
         Raises:
             MissingDependencyError: There is no such device.
         """
-        return str(self.ask("open", {"kind": kind, "device": device, "file": str(self._picture)}))
+        return str(self.ask("open", {"kind": kind, "device": device, "folder": self._folder.name}))
 
-    def channels(self) -> dict[str, NDArray[np.float32]]:
-        """Return the (h, w) channels of the last picture, by their names in lower case."""
-        with OpenEXR.File(str(self._picture), separate_channels=True) as exr:
+    def channels(self, number: int = 0) -> dict[str, NDArray[np.float32]]:
+        """Return the (h, w) channels of a picture of the last scene, by their names in lower case."""
+        with OpenEXR.File(str(Path(self._folder.name, f"{number}.exr")), separate_channels=True) as exr:
             return {name.lower(): np.array(c.pixels, np.float32) for name, c in exr.channels().items()}
 
     def close(self) -> None:

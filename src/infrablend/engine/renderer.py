@@ -22,7 +22,7 @@ from infrablend.engine.process import BlenderProcess
 from infrablend.engine.programs import find_blender
 from infrablend.engine.quality import sampling_for
 from infrablend.errors import RenderError, WorkerDiedError
-from infrablend.rendering.emission import crop_of, only_emits, render_emission
+from infrablend.rendering.emission import crop_of, crops_of, only_emits, render_emission
 from infrablend.rendering.surfaces import ZERO_C_K, ground_radiance, is_two_sided, surface_values
 from infrablend.thermal.radiometry import UNIT_W_M2_SR, band_radiance
 from infrablend.thermal.sky import window_transmittance
@@ -79,25 +79,30 @@ class BlenderRenderer:
         crop = (0, 0, w, h) if self._whole_frame else crop_of(scene)
         if crop is None:
             return empty_result((w, h), len(objects))
-        x0, y0, x1, y1 = crop
-        bounces = 0 if spec.weather is None else _bounces(scene)
+        parts = [(crop, [*range(len(objects))])] if self._whole_frame else crops_of(scene)
+        slots = {k: slot for _, group in parts for slot, k in enumerate(group)}
         job = {
             "what": spec.frame_id,
             "camera": camera_message(spec.camera, _CLIP_M),
-            "crop": crop,
-            "cycles": self._cycles(spec, bounces),
+            "crops": [part for part, _ in parts],
+            "cycles": self._cycles(spec, 0 if spec.weather is None else _bounces(scene)),
             "sky": None if spec.weather is None else _sky(spec.weather),
-            "objects": [_object(placed, spec) for placed in objects],
+            "objects": [{**_object(placed, spec), "slot": slots.get(k, 0)} for k, placed in enumerate(objects)],
         }
         made = time.perf_counter()
-        seconds, channels = self._rendered(job)
+        seconds, pictures = self._rendered(job)
         arrived = time.perf_counter()
-        radiance, alpha, coverage = _layers(channels, len(objects), (y1 - y0, x1 - x0), spec.frame_id)
+        x0, y0, x1, y1 = crop
+        layers = np.zeros((2 + len(objects), y1 - y0, x1 - x0), np.float32)
+        for (part, group), channels in zip(parts, pictures, strict=True):
+            left, top, right, bottom = part
+            found = _layers(channels, len(group), (bottom - top, right - left), spec.frame_id)
+            layers[[0, 1, *(2 + k for k in group)], top - y0 : bottom - y0, left - x0 : right - x0] = found
         if spec.weather is not None:
-            radiance = np.asarray(radiance * UNIT_W_M2_SR, np.float32)
+            layers[0] *= np.float32(UNIT_W_M2_SR)
         seconds["build"] += made - started
         seconds["read"] = time.perf_counter() - arrived
-        return RenderResult((x0, y0), (w, h), radiance, alpha, coverage, ground_radiance(scene), seconds)
+        return RenderResult((x0, y0), (w, h), layers[0], layers[1], layers[2:], ground_radiance(scene), seconds)
 
     def close(self) -> None:
         """End Blender's process."""
@@ -119,8 +124,8 @@ class BlenderRenderer:
             settings["adaptive_min_samples"] = how.adaptive_min_samples
         return settings | dict.fromkeys(("max_bounces", "diffuse_bounces", "glossy_bounces"), bounces)
 
-    def _rendered(self, job: dict[str, Any]) -> tuple[dict[str, float], dict[str, NDArray[np.float32]]]:
-        """Have a scene rendered; return the seconds per step, and the channels of the picture."""
+    def _rendered(self, job: dict[str, Any]) -> tuple[dict[str, float], list[dict[str, NDArray[np.float32]]]]:
+        """Have a scene rendered; return the seconds per step, and the channels of the picture of each crop."""
         for attempt in range(1, ATTEMPTS + 1):
             self.start()
             assert self._process is not None
@@ -129,7 +134,7 @@ class BlenderRenderer:
                     self._process.open("objects", self._device)
                     self._opened = True
                 seconds: dict[str, float] = self._process.ask("render", job)
-                return seconds, self._process.channels()
+                return seconds, [self._process.channels(number) for number in range(len(job["crops"]))]
             except WorkerDiedError as error:
                 self.close()
                 if attempt == ATTEMPTS:
@@ -164,8 +169,8 @@ def channel(channels: dict[str, NDArray[np.float32]], what: str, *endings: str) 
 
 def _layers(
     channels: dict[str, NDArray[np.float32]], objects: int, shape_hw: tuple[int, int], frame_id: str
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Return radiance (h, w), alpha (h, w) and coverage (n, h, w) from the channels of a picture."""
+) -> NDArray[np.float32]:
+    """Return radiance, alpha, and the coverage of each object, (2 + n, h, w), from the channels of a picture."""
 
     def named(*endings: str) -> NDArray[np.float32]:
         pixels = channel(channels, frame_id, *endings)
@@ -174,8 +179,8 @@ def _layers(
         return pixels
 
     passes = [f"coverage_{k}" for k in range(objects)]  # `blender.materials.aov_name`
-    coverage = [np.clip(named(f"{name}.v", f"{name}.x", name), 0, 1) for name in passes]
-    return named("combined.r"), np.clip(named("combined.a"), 0, 1), np.stack(coverage)
+    coverage = [named(f"{name}.v", f"{name}.x", name) for name in passes]
+    return np.stack([named("combined.r"), *(np.clip(layer, 0, 1) for layer in (named("combined.a"), *coverage))])
 
 
 def _sky(weather: Weather) -> dict[str, float]:
