@@ -148,6 +148,13 @@ def install_blender(
     print_result(str(api.install_blender(out, wheels, python)))
 
 
+def blender_requirements() -> None:
+    """Print the path of the pinned requirements of Blender's environment, for `pip download`."""
+    from infrablend.engine.install import REQUIREMENTS
+
+    print_result(str(REQUIREMENTS))
+
+
 def doctor(session: JsonSession) -> None:
     """Report Python, Blender, libraries, devices, torch, Ultralytics, disk; exit code 3 if a run would fail."""
     diagnosis = api.diagnose()

@@ -151,5 +151,5 @@ def version_of(program: Program) -> str | None:
         return done.stdout.partition("\n")[0].removeprefix("Blender ").strip() or None
     if program.path == Path(sys.executable):
         return installed_version("bpy")
-    libraries = [str(folder) for folder in program.path.parent.parent.glob("lib/python*/site-packages")]
+    libraries = sorted(map(str, program.path.parent.parent.glob("lib/python*/site-packages")))
     return next((found.version for found in distributions(name="bpy", path=libraries)), None)

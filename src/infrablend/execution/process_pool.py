@@ -53,14 +53,6 @@ _BOOT = (
 )
 
 
-def module_path() -> list[str]:
-    """Return `sys.path` for a worker: the caller's, without what Blender added when the caller imported bpy.
-
-    Blender's folder of scripts contains a second package `bpy` that only works in a running Blender.
-    """
-    return [p for p in sys.path if not {"bpy", "scripts"} <= set(Path(p).parts)]
-
-
 @dataclass(frozen=True)
 class PoolSettings(WorkerLimits):
     """Number and limits of the workers of a pool.
@@ -260,7 +252,7 @@ class _Run:
         self._started += 1
         try:
             process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, json.dumps(module_path()), str(theirs.fileno()), f"worker-{number}"],
+                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(theirs.fileno()), f"worker-{number}"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,

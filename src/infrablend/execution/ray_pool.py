@@ -29,7 +29,6 @@ from typing import Any
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, MissingDependencyError, OutputError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.execution.process_pool import module_path
 from infrablend.execution.worker import (
     ONE_THREAD,
     ResultMessage,
@@ -273,7 +272,7 @@ class _Run:
     def _start_workers(self) -> None:
         outstanding = len(self._pending) + sum(w.current is not None for w in self._workers)
         for _ in range(min(self._most, outstanding) - len(self._workers)):
-            actor = self._actor_class.remote(self._settings.log_level, module_path(), str(Path.cwd()))
+            actor = self._actor_class.remote(self._settings.log_level, sys.path, str(Path.cwd()))
             self._workers.append(_Worker(self._started, actor, actor.start.remote(self._spec)))
             self._started += 1
 

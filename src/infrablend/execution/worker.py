@@ -113,7 +113,7 @@ def _ignore_signals() -> None:
 
 
 def _exit_at_once(code: int) -> None:
-    """End the process at once: bpy may hang or crash during the tear-down of Python or C."""
+    """End the process at once: libraries may hang or crash during the tear-down of Python or C."""
     with contextlib.suppress(Exception):
         logging.shutdown()
         sys.stdout.flush()
