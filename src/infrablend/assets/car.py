@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -712,7 +712,7 @@ def _add_wheels(out: _Pieces, plan: _Plan) -> None:
 def build_car(params: Params) -> Mesh:
     """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose."""
     _require_params(params)
-    pieces = _build_pieces(params)
+    pieces = _build_pieces(tuple((name, params[name]) for name in NOMINAL))
     closed = np.unique(np.concatenate([p for p, _, _, _ in pieces]))
     vertices = np.concatenate([v for _, v, _, _ in pieces])
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
@@ -737,9 +737,10 @@ def build_car(params: Params) -> Mesh:
     )
 
 
-def _build_pieces(params: Params) -> list[Piece]:
-    """Return the closed solids of one car."""
-    plan = _Plan(params)
+@lru_cache(maxsize=32)
+def _build_pieces(params: tuple[tuple[str, Any], ...]) -> list[Piece]:
+    """Return the closed solids of one car; kept, because a car that has found its place is built again with a shadow."""
+    plan = _Plan(dict(params))
     out = _Pieces()
     _add_lower_body(out, plan)
     _add_cabin(out, plan)

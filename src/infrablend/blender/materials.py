@@ -105,6 +105,9 @@ def object_material(
     if material is not None:
         return material
     material, nodes = new_material(name)
+    # Surfaces and sky emit on all sides, so following reflections finds their light. Aiming at a random triangle, too,
+    # would double the cost of a sample and leave as much noise.
+    material.cycles.emission_sampling = "NONE"
     attribute, link = nodes.attribute, nodes.link
     effect = nodes.add("ShaderNodeGroup", node_tree=physical_group() if physical else infrared_effect_group())
     celsius, emissivity, ior = (attribute(n) for n in ("temperature_c", "emissivity", "ior"))
