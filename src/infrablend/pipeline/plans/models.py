@@ -60,7 +60,7 @@ def import_geometry(file: Path) -> None:
 
 
 def _import_error(file: Path, failure: Failure) -> InfraBlendError:
-    if failure.kind == "error":
+    if failure.error != "WorkerDiedError":
         return failure.to_exception()
     if failure.kind == "timeout" or "SIGXCPU" in failure.message:
         limit = f"{IMPORT_SECONDS:g} s" if failure.kind == "timeout" else f"{IMPORT_CPU_SECONDS} s of processor time"
