@@ -712,7 +712,7 @@ def _add_wheels(out: _Pieces, plan: _Plan) -> None:
 def build_car(params: Params) -> Mesh:
     """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose."""
     _require_params(params)
-    pieces = _build_pieces(tuple((name, params[name]) for name in NOMINAL))
+    pieces = _kept_pieces(tuple((name, params[name]) for name in NOMINAL))
     closed = np.unique(np.concatenate([p for p, _, _, _ in pieces]))
     vertices = np.concatenate([v for _, v, _, _ in pieces])
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
@@ -738,9 +738,14 @@ def build_car(params: Params) -> Mesh:
 
 
 @lru_cache(maxsize=32)
-def _build_pieces(params: tuple[tuple[str, Any], ...]) -> list[Piece]:
-    """Return the closed solids of one car; kept, because a car that has found its place is built again with a shadow."""
-    plan = _Plan(dict(params))
+def _kept_pieces(params: tuple[tuple[str, Any], ...]) -> list[Piece]:
+    """Return `_build_pieces`; a car that has found its place is built again, with a shadow."""
+    return _build_pieces(dict(params))
+
+
+def _build_pieces(params: Params) -> list[Piece]:
+    """Return the closed solids of one car."""
+    plan = _Plan(params)
     out = _Pieces()
     _add_lower_body(out, plan)
     _add_cabin(out, plan)
