@@ -338,12 +338,12 @@ def is_warm(placed: PlacedObject, weather: Weather) -> bool:
     Labelled parts are weighted by their visible area and assumed to reflect half sky and half ground.
     """
     zenith, ground = _zenith(weather), float(band_radiance(weather.ground_k))
+    parts = {name: part for name, part in placed.spec.parts.items() if part.label}
+    own = band_radiance([part.temperature_k + placed.part_sun_rise_k[name] for name, part in parts.items()]).tolist()
     total = 0.0
-    for name, part in placed.spec.parts.items():
-        if part.label:
-            rise = placed.part_sun_rise_k[name]
-            own = part.emissivity * float(band_radiance(part.temperature_k + rise))
-            total += placed.part_areas_px[name] * (own + (1 - part.emissivity) * (zenith + ground) / 2 - ground)
+    for (name, part), light in zip(parts.items(), own, strict=True):
+        mirrored = (1 - part.emissivity) * (zenith + ground) / 2
+        total += placed.part_areas_px[name] * (part.emissivity * light + mirrored - ground)
     return bool(total > 0)
 
 
@@ -355,18 +355,17 @@ def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_gre
     faint in the picture.
     """
     around = (_zenith(weather), float(band_radiance(weather.ground_k)))
-    found = []
-    for name, part in placed.spec.parts.items():
-        area = placed.part_areas_px[name]
-        if part.label and area > 0:
-            levels = [
-                place.dark
-                + (place.bright - place.dark)
-                * (part.emissivity * float(band_radiance(part.temperature_k + rise)) + (1 - part.emissivity) * mirrored)
-                for mirrored in around
-                for rise in placed.part_sun_range_k[name]
-            ]
-            found.append((max(abs(v - ring_grey) for v in levels), area))
+    areas, rises = placed.part_areas_px, placed.part_sun_range_k
+    parts = {name: part for name, part in placed.spec.parts.items() if part.label and areas[name] > 0}
+    own = band_radiance([[part.temperature_k + rise for rise in rises[name]] for name, part in parts.items()]).tolist()
+    found: list[tuple[float, float]] = []
+    for (name, part), lights in zip(parts.items(), own, strict=True):
+        levels = [
+            place.dark + (place.bright - place.dark) * (part.emissivity * light + (1 - part.emissivity) * mirrored)
+            for mirrored in around
+            for light in lights
+        ]
+        found.append((max(abs(v - ring_grey) for v in levels), areas[name]))
     total, seen = sum(area for _, area in found), 0.0
     for contrast, area in sorted(found, reverse=True):
         seen += area

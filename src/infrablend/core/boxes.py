@@ -54,10 +54,10 @@ def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple
     x0, y0, x1, y1 = box_xyxy
     h, w = shape_hw
     return (
-        int(np.clip(math.floor(x0), 0, w)),
-        int(np.clip(math.floor(y0), 0, h)),
-        int(np.clip(math.ceil(x1), 0, w)),
-        int(np.clip(math.ceil(y1), 0, h)),
+        min(max(math.floor(x0), 0), w),
+        min(max(math.floor(y0), 0), h),
+        min(max(math.ceil(x1), 0), w),
+        min(max(math.ceil(y1), 0), h),
     )
 
 
