@@ -27,7 +27,7 @@ from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance
-from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
+from infrablend.thermal.radiometry import band_radiance_slope, radiance_at
 
 # A level within this distance of the dataset's darkest or brightest one counts as clipped; 8-bit levels.
 CLIP_MARGIN = 3
@@ -128,7 +128,7 @@ class Anchor:
     def contrast(self, ground_radiance: float) -> float:
         """Return its radiance above that of what it is compared with."""
         behind = ground_radiance if self.sky_radiance is None else self.sky_radiance
-        return float(band_radiance(self.kelvin)) - behind
+        return radiance_at(self.kelvin) - behind
 
     def above_ground(self, share: float) -> float:
         """Return the level above the picture's ground (or sky), without the local share of the surroundings."""

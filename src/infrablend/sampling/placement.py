@@ -55,12 +55,14 @@ class PlacementRequest:
         return np.array([self.model.parts[n].label for n in self.mesh.part_names])[self.mesh.part_of_triangle]
 
     @cached_property
-    def labelled_vertices(self) -> IntArray:
+    def labelled_vertices(self) -> NDArray[np.intp]:
         """(k,) numbers of the vertices of the labelled parts.
 
         Others, such as ground that a car warms, take up no space and depend on the look, and places must not.
         """
-        return np.asarray(np.unique(self.mesh.triangles[self.labelled]))
+        used = np.zeros(len(self.mesh.vertices_m), np.bool_)
+        used[self.mesh.triangles[self.labelled]] = True
+        return np.flatnonzero(used)
 
     @cached_property
     def labelled_vertices_m(self) -> FloatArray:
