@@ -53,7 +53,7 @@ def main() -> int:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="interleaved-") as name:
         folder = Path(name)
-        sources = {side: _sources(commit, folder / side) for side, commit in (("old", given.old), ("new", given.new))}
+        sources = {side: sources_of(commit, folder / side) for side, commit in (("old", given.old), ("new", given.new))}
         _write_pictures(folder / "data", given.frames)
         for renderer in given.renderer.split(","):
             seconds: dict[str, list[float]] = {"old": [], "new": []}
@@ -80,7 +80,7 @@ def main() -> int:
     return 0
 
 
-def _sources(commit: str | None, folder: Path) -> Path:
+def sources_of(commit: str | None, folder: Path) -> Path:
     """Return the folder of the package at a commit, or that of the working tree."""
     if commit is None:
         return ROOT / "src"

@@ -297,13 +297,14 @@ def front_matte(
     (x, y), (h, w) = offset_xy, coverage.shape[1:]
     for k, occluder in sorted(occluders.items()):
         left, top, right, bottom = occluder.window
-        free = np.ones(front.shape, np.bool_)
-        others = np.delete(coverage, k, axis=0)
-        if others.size:
-            most = others.max(axis=0)
-            free[y : y + h, x : x + w] = (most <= 0) | (coverage[k] >= most)
+        free = np.ones((bottom - top, right - left), np.bool_)
+        x0, y0, x1, y1 = max(left, x), max(top, y), min(right, x + w), min(bottom, y + h)
+        if len(coverage) > 1 and x0 < x1 and y0 < y1:
+            shared = coverage[:, y0 - y : y1 - y, x0 - x : x1 - x]
+            most = np.delete(shared, k, axis=0).max(axis=0)
+            free[y0 - top : y1 - top, x0 - left : x1 - left] = (most <= 0) | (shared[k] >= most)
         part = (slice(top, bottom), slice(left, right))
-        front[part] = np.maximum(front[part], scenery.matte(occluder) * free[part])
+        front[part] = np.maximum(front[part], scenery.matte(occluder) * free)
     return front
 
 

@@ -6,6 +6,8 @@ a line through ground and ground + 15 K is 9 K off at ground + 50 K.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -47,6 +49,12 @@ def band_radiance(temperature_k: ArrayLike, band_m: tuple[float, float] = BAND_M
 
     factor = 2 * BOLTZMANN_J_K**4 * t**4 / (PLANCK_J_S**3 * LIGHT_M_S**2)
     return np.asarray(factor * (tail(band_m[1]) - tail(band_m[0])))
+
+
+@lru_cache(maxsize=256)
+def radiance_at(temperature_k: float) -> float:
+    """Return `band_radiance` of one temperature, which a frame asks for many times."""
+    return float(band_radiance(temperature_k))
 
 
 def band_radiance_slope(temperature_k: ArrayLike) -> Array:
