@@ -19,6 +19,7 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
+from infrablend.core.quantiles import percentile
 from infrablend.core.rings import ring_levels
 
 # Boxes nearer to the frame's edge are not measured.
@@ -163,4 +164,4 @@ def visible_change(
         return 0.0
     part = (slice(y, y + h), slice(x, x + w))
     change = cv2.blur(after[part].astype(np.float32) - before[part].astype(np.float32), (3, 3))
-    return float(np.percentile(np.abs(change[inside]), 90)) / scale
+    return percentile(np.abs(change[inside]), 90) / scale
