@@ -19,6 +19,7 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
+from infrablend.core.quantiles import percentile
 from infrablend.core.rings import ring_levels
 
 # Boxes nearer to the frame's edge are not measured.
@@ -167,4 +168,4 @@ def visible_change(
     left, right = max(int(columns[0]) - 1, 0), min(int(columns[-1]) + 2, w)
     part = (slice(y + top, y + bottom), slice(x + left, x + right))
     change = cv2.blur(after[part].astype(np.float32) - before[part].astype(np.float32), (3, 3))
-    return float(np.percentile(np.abs(change[inside[top:bottom, left:right]]), 90)) / scale
+    return percentile(np.abs(change[inside[top:bottom, left:right]]), 90) / scale

@@ -27,6 +27,7 @@ from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance
+from infrablend.core.quantiles import percentile
 from infrablend.thermal.radiometry import band_radiance_slope, radiance_at
 
 # A level within this distance of the dataset's darkest or brightest one counts as clipped; 8-bit levels.
@@ -187,7 +188,7 @@ def find_anchors(
         # Boxes are drawn loosely: half of a person's box is ground. Its middle is the object.
         middle = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
         if known == "person" and backdrop.time_of_day != "day":
-            bright = float(np.percentile(inside, 95))
+            bright = percentile(inside, 95)
             seen = (middle - around) / _CLOTHING_SEEN
             if floor < middle:
                 clipped = middle >= ceiling - 4 * scale

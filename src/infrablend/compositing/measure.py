@@ -194,7 +194,7 @@ def flat_blocks(
     rest = blocks - (blocks @ basis) @ basis.T
     order = np.argsort(rest.std(axis=1), kind="stable")
     if free is not None:
-        order = order[_blocks(free).all(axis=1)[order]]
+        order = order[np.all(_blocks(free), axis=1)[order]]
     found: list[int] = []
     # Percentiles are expensive: compute them for the flattest blocks first, and stop when enough are unclipped.
     for start in range(0, len(order), 16):

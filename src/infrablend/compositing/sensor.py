@@ -306,7 +306,7 @@ def recode(
     b = CODEC_BLOCK
     padded = np.pad(covered, ((0, -height % b), (0, -width % b)))
     touched = padded.reshape(padded.shape[0] // b, b, padded.shape[1] // b, b).any(axis=(1, 3))
-    block_rows, block_columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
+    block_rows, block_columns = np.flatnonzero(np.any(touched, 1)), np.flatnonzero(np.any(touched, 0))
     y0, y1 = int(block_rows[0]) * b, min((int(block_rows[-1]) + 1) * b, height)
     x0, x1 = int(block_columns[0]) * b, min((int(block_columns[-1]) + 1) * b, width)
     part = (slice(y0, y1), slice(x0, x1))

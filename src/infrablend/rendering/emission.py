@@ -169,7 +169,7 @@ def _draw(scene: PlacedScene, surfaces: _Surfaces, crop: Crop, supersample: int)
 
     def layer(at: NDArray[np.intp], values: FloatArray | None = None) -> FloatArray:
         """Return the mean over the samples of each pixel, (h, w)."""
-        return (np.bincount(at, values, pixels) * per_pixel).reshape(h, w)
+        return np.asarray((np.bincount(at, values, pixels) * per_pixel).reshape(h, w), np.float64)
 
     def light(of: _Runs) -> FloatArray:
         """Return the light of runs, weighted."""

@@ -59,7 +59,7 @@ class FlatRenderer:
             if label:
                 coverage[number] += layer
         # Translucent parts: each is laid over what is opaque; their order among themselves hardly matters.
-        for k in np.flatnonzero(translucent):
+        for k in np.flatnonzero(translucent).tolist():
             own = parts.owner == k
             share = np.float32(parts.opacity[k]) * shares(opaque_triangle | own, np.where(own, 0, 1), 1)[0]
             radiance += share * (np.float32(parts.radiance[k]) - radiance)
