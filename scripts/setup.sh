@@ -108,6 +108,7 @@ blender_want="$(printf '%s' "$blender_want" | sha256sum | cut -d' ' -f1)"
 blender_stamp=.venv-blender/infrablend-setup.stamp
 if [ "$(cat "$blender_stamp" 2>/dev/null)" != "$blender_want" ] || ! works; then
   say "installing Blender into .venv-blender (about 400 MB to download the first time, 950 MB on disk)"
+  rm -rf .venv-blender
   .venv/bin/infrablend blender install --out .venv-blender --python "$python" >/dev/null || stop "$registry"
   printf '%s\n' "$blender_want" >"$blender_stamp"
 fi
