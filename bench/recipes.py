@@ -4,9 +4,11 @@
 
 OLD is a commit such as 66cd77d; without one, only the working tree is measured. Both make the same frames, with one
 worker, by `infrablend generate` in a process of its own. The cost of a frame is the slope between runs of 6 and of 24
-backgrounds, which contain the 6: user and system seconds of all processes, so without their start. `plan` is the time
-that `generate --plan` predicts for the run of 24, over the time that it took by the clock; `first` the time from the
-command to the first picture on disk, with warm caches. Both need an idle machine. Exits with 1 if a limit is missed.
+backgrounds, which contain the 6: user and system seconds of all processes, so without their start. `plan_over_wall` is
+the time that `generate --plan` predicts for the run of 24, over the time that it took by the clock; `start_s` what
+remains of that time without the frames; `first_frame_s` the time from the command to the first picture on disk, with
+warm caches. These need an idle machine. The constants in `pipeline.plans.estimate` are from here. Exits with 1 if a
+limit is missed.
 """
 
 from __future__ import annotations
@@ -84,6 +86,9 @@ class Cost:
             "cpu_s_per_frame": middle((m.cpu_s - f.cpu_s) / (m.frames - f.frames) for f, m in self.pairs),
             "objects_per_frame": (many.objects - few.objects) / (many.frames - few.frames),
             "plan_over_wall": self.predicted_s / middle(m.wall_s for _, m in self.pairs),
+            "start_s": middle(
+                f.wall_s - (m.wall_s - f.wall_s) / (m.frames - f.frames) * f.frames for f, m in self.pairs
+            ),
             "first_frame_s": middle(run.first_s for pair in self.pairs for run in pair),
         }
 
