@@ -6,7 +6,8 @@
 
 Backgrounds: HIT-UAV's val split for `hit-uav-*` and `deer-above`, Halmstad's val backgrounds for `drone-sky`, and the
 virtual world in MONET's layout for `monet-*`. `hit-uav-drone` is written in every label format, the others in YOLO's.
-Runs of the commit are kept in build/compare, with a checkout and its environment. Exits with 1 if a file differs, is missing or is new.
+Runs of the commit are kept in build/compare, with a checkout and its environment. Exits with 1 if a file differs, is
+missing or is new.
 """
 
 from __future__ import annotations
