@@ -57,7 +57,13 @@ class Jobs:
         return _module("session").gpu_devices()  # type: ignore[no-any-return]
 
     def open(self, job: Job) -> str:
-        """Prepare for scenes of a `kind` (`objects`, `world`), rendered to `folder` on `device`; return its kind."""
+        """Prepare for scenes of a `kind` (`objects`, `world`) in `folder`; return the kind of device that was taken.
+
+        They are rendered on `device`, and on the processor cores in `cores`; all if it is empty.
+        """
+        if job["cores"]:
+            for thread in sorted(os.listdir("/proc/self/task")):  # noqa: PTH208 - numbers, not files
+                os.sched_setaffinity(int(thread), job["cores"])
         stage = _module("session").Stage(job["device"], job["folder"])
         kinds = {"objects": ("objects", "ObjectScenes"), "world": ("world", "WorldScenes")}
         module, name = kinds[job["kind"]]

@@ -124,7 +124,9 @@ class BlenderProcess:
         Raises:
             MissingDependencyError: There is no such device.
         """
-        return str(self.ask("open", {"kind": kind, "device": device, "folder": self._folder.name}))
+        # Those of this process, which may have taken a core of its own since it started Blender.
+        cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+        return str(self.ask("open", {"kind": kind, "device": device, "folder": self._folder.name, "cores": cores}))
 
     def channels(self, number: int = 0) -> dict[str, NDArray[np.float32]]:
         """Return the (h, w) channels of a picture of the last scene, by their names in lower case."""
