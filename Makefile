@@ -20,6 +20,8 @@ COVERAGE_FLOOR := 91
 pytest = .venv/bin/python -m pytest
 # The tests of a file run in one process, which makes the file's fixtures once.
 parallel = -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
+# Suites that `make test` runs again with the oldest numpy: those that compute pixels and read and write files.
+numpy1 = $(addprefix tests/unit/,annotation compositing config formats)
 coverage = --cov=infrablend --cov-report= --cov-fail-under=$(COVERAGE_FLOOR)
 
 .PHONY: help setup train studio ray s3 tools demo test check bench lock reference clean
@@ -51,8 +53,16 @@ tools: train studio ## Also install what only tests need: libraries that load ou
 demo: setup ## Render drones into a small virtual thermal world; the last line is the path of the picture
 	@scripts/demo.sh
 
-test: setup $(if $(filter-out 0,$(TOOLS)),tools) ## Run all tests
+test: setup $(if $(filter-out 0,$(TOOLS)),tools) $(if $(ARGS),,build/numpy1/done) ## Run all tests
 	@$(if $(filter-out 0,$(TOOLS)),INFRABLEND_REQUIRE_TOOLS=1) $(pytest) $(parallel) $(if $(ARGS)$(filter 0,$(COVERAGE)),,$(coverage)) $(ARGS)
+	@$(if $(ARGS),,PYTHONPATH=$(CURDIR)/build/numpy1 $(pytest) $(parallel) $(numpy1))
+
+build/numpy1/done: requirements/numpy1.txt | setup
+	@rm -rf build/numpy1
+	@.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes --only-binary :all: \
+	  --target build/numpy1 -r $<
+	@PYTHONPATH=build/numpy1 .venv/bin/python -c 'import numpy; assert numpy.__version__.startswith("1.")'
+	@touch $@
 
 check: setup ## Lint, format, types, import layers, rules of the tree
 	.venv/bin/ruff check src tests scripts $(wildcard bench examples)

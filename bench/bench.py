@@ -16,6 +16,7 @@ import shutil
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -25,12 +26,14 @@ from typing import Any
 
 from boxes import BoxFit, measure_boxes
 from children import Child, in_parallel, own_cores, start
+from interleaved import sources_of
 from memory import Memory, measure_memory
 from quality import LEAST_SPAN_GREY, REFERENCE_SAMPLES, joined, measure_errors, summary
+from recipes import FIRST_FRAME_RECIPE, FIRST_FRAME_S, LIMITS_CPU_S, PLAN_FACTOR, SIZES, Side, compare_recipe
 from scenes import PHYSICAL_RECIPE, RECIPE, SEED, Work, distribution, part_of_plan, plan_of, quantiles, spread
 from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, split_program, time_full_frames, time_label_files, time_program
 
-from infrablend.blender.quality import MATCHED
+from infrablend.engine.quality import MATCHED
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.rendering.emission import FRAGMENTS, SUPERSAMPLE
 
@@ -51,9 +54,12 @@ class Amount:
     poses: int = 200
     memory_frames: int = 500
     world_images: int = 24
+    recipe_images: tuple[int, int] = SIZES
 
 
-QUICK = Amount(frames=2, repeats=1, poses=10, memory_frames=60, world_images=2)
+QUICK = Amount(frames=2, repeats=1, poses=10, memory_frames=60, world_images=2, recipe_images=(1, 2))
+# The naive way of many objects: the shape of each over the whole frame, as of this commit.
+NAIVE_COMMIT, NAIVE_RECIPE = "66cd77d", "hit-uav-cars"
 
 
 @dataclass(frozen=True)
@@ -79,6 +85,12 @@ BARS = (
     Bar("box_iou_10px", "mean IoU of boxes at 10 px, worse model", 0.90, at_least=True),
     Bar("peak_worker_rss_mb", "peak memory of a worker, MiB", 1024.0),
     Bar("rss_slope_mb_per_100_frames", "growth of a worker's memory, MiB per 100 frames", 2.0),
+    *(
+        Bar(f"{recipe}_cpu_s_per_frame", f"CPU-s per frame of {recipe}", limit)
+        for recipe, limit in LIMITS_CPU_S.items()
+    ),
+    Bar("plan_factor", "predicted time of a run, times off, worst recipe", PLAN_FACTOR),
+    Bar("first_frame_s", "seconds to the first frame of the physical look", FIRST_FRAME_S),
 )
 
 
@@ -92,6 +104,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="a few frames, to check that the benchmark works; the figures are not valid",
     )
     parser.add_argument("--record", action="store_true", help="append the result to bench/history.jsonl")
+    parser.add_argument(
+        "--naive", default=NAIVE_COMMIT, help="commit to measure many objects the naive way; '' for none"
+    )
+    parser.add_argument("--naive-python", default=sys.executable, help="Python with the packages that it needs")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args(argv)
     amount = QUICK if options.quick else Amount()
@@ -109,6 +125,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     found |= measure_physical(
         spread(plan_of(data, PHYSICAL_RECIPE), amount.frames, options.out / "physical"), options.out
     )
+    with tempfile.TemporaryDirectory(prefix="recipes-") as folder:
+        naive = options.naive and Side(sources_of(options.naive, Path(folder) / "naive"), options.naive_python)
+        found |= measure_recipes(data, Path(folder), naive or None, amount)
     report = {
         **found,
         "backgrounds": name,
@@ -265,6 +284,23 @@ def measure_physical(work: Work, out: Path) -> dict[str, Any]:
     return {"physical_cpu_s_per_frame": mean_cpu(done), "physical_parts_cpu_s_per_frame": parts}
 
 
+def measure_recipes(data: Path, folder: Path, naive: Side | None, amount: Amount) -> dict[str, Any]:
+    """Measure runs of recipes with one worker, one of them also the naive way; see `recipes`."""
+    say("runs of recipes with one worker")
+    found: dict[str, Any] = {"recipes": {}}
+    for recipe in LIMITS_CPU_S:
+        old = naive if recipe == NAIVE_RECIPE else None
+        costs = compare_recipe(recipe, data, folder, old, sizes=amount.recipe_images)
+        found["recipes"][recipe] = {"naive" if side == "old" else "program": cost for side, cost in costs.items()}
+        found[f"{recipe}_cpu_s_per_frame"] = costs["new"]["cpu_s_per_frame"]
+        for way, cost in found["recipes"][recipe].items():
+            say(f"  {recipe} ({way}): " + "  ".join(f"{key} {value:g}" for key, value in cost.items()))
+    ratios = [row["program"]["plan_over_wall"] for row in found["recipes"].values()]
+    found["plan_factor"] = max(max(r, 1 / r) for r in ratios)
+    found["first_frame_s"] = found["recipes"][FIRST_FRAME_RECIPE]["program"]["first_frame_s"]
+    return found
+
+
 def measure_all_boxes(amount: Amount, core: int, logs: Path) -> dict[tuple[str, int], list[BoxFit]]:
     """Measure the box fit of every model at every size, one after the other on one core."""
     found = {}
@@ -336,7 +372,7 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
     names = [
         "frames", "naive_cpu_s_per_frame", "defaults_cpu_s_per_frame", "cpu_s_per_frame", "speedup", "frames_per_s",
         "physical_cpu_s_per_frame", "mean_error_grey", "p99_error_grey", "box_iou_20px", "box_iou_10px",
-        "peak_worker_rss_mb", "rss_slope_mb_per_100_frames", "backgrounds", "commit", "settings",
+        "peak_worker_rss_mb", "rss_slope_mb_per_100_frames", "recipes", "backgrounds", "commit", "settings",
     ]  # fmt: skip
     day = datetime.datetime.now(datetime.UTC).date().isoformat()
     line = {n: round(report[n], 4) if isinstance(report[n], float) else report[n] for n in names}
@@ -351,6 +387,11 @@ def show(report: dict[str, Any]) -> None:
     rate = f"{report['frames_per_s']:.1f} frames/s on {report['machine']['cores_used']} cores"
     say(f"this program      {report['cpu_s_per_frame']:8.3f}   {rate}")
     say(f"physical look     {report['physical_cpu_s_per_frame']:8.3f}   with the whole chain")
+    naive, own = (report["recipes"][NAIVE_RECIPE].get(way, {}).get("cpu_s_per_frame") for way in ("naive", "program"))
+    say(
+        f"{NAIVE_RECIPE}      {own:8.3f}   "
+        + ("" if naive is None else f"{naive:.3f} the naive way: shapes over the whole frame")
+    )
     for name, row in report["boxes"].items():
         say(f"boxes {name:11} mean IoU {row['mean']:.4f}  5th percentile {row['p5']:.4f}  ({row['poses']} poses)")
     for bar in BARS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,14 +45,13 @@ def measure_boxes(model: str, size_px: float, poses: int) -> list[BoxFit]:
     The silhouette does not depend on the geometry code of the labels: Cycles renders it at `FINER` times the
     resolution, with one sample in the middle of each pixel and without a filter.
     """
-    from infrablend.blender.renderer import BlenderRenderer
+    from infrablend.engine.renderer import BlenderRenderer
 
     class Silhouettes(BlenderRenderer):
-        def _set_sampling(self, samples: int, seed: int) -> None:
-            super()._set_sampling(1, seed)
+        def _cycles(self, spec: SceneSpec, bounces: int) -> dict[str, Any]:
             # A box filter is always one pixel wide in Cycles; this one is a hundredth.
-            self._scene.cycles.pixel_filter_type = "GAUSSIAN"
-            self._scene.cycles.filter_width = 0.01
+            middle = {"use_adaptive_sampling": False, "samples": 1}
+            return super()._cycles(spec, bounces) | middle | {"pixel_filter_type": "GAUSSIAN", "filter_width": 0.01}
 
     renderer = Silhouettes()
     fits: list[BoxFit] = []

@@ -1,7 +1,7 @@
 """Compare the CPU time of `generate` per frame between two commits, in turns: noise then hits both alike.
 
     python bench/interleaved.py OLD [NEW] [--renderer flat,blender] [--frames 40] [--pairs 5] [--recipe hit-uav-drone]
-                                [--set KEY=VALUE ...]
+                                [--set KEY=VALUE ...] [--old-python PYTHON]
 
 NEW is the working tree by default. Each run is a process of its own on one core; its user and system time, with that of
 its children, is counted from its start to its end, so the frames bear the start of Python and Blender, too. Prints the
@@ -49,19 +49,20 @@ def main() -> int:
     parser.add_argument("--recipe", default="hit-uav-drone")
     parser.add_argument("--frames", type=int, default=40)
     parser.add_argument("--pairs", type=int, default=5)
+    parser.add_argument("--old-python", default=sys.executable, help="Python with the packages that OLD needs")
     parser.add_argument("--set", action="append", default=[], help="setting of both sides; repeatable")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="interleaved-") as name:
         folder = Path(name)
-        sources = {side: _sources(commit, folder / side) for side, commit in (("old", given.old), ("new", given.new))}
+        sources = {side: sources_of(commit, folder / side) for side, commit in (("old", given.old), ("new", given.new))}
         _write_pictures(folder / "data", given.frames)
         for renderer in given.renderer.split(","):
             seconds: dict[str, list[float]] = {"old": [], "new": []}
             for pair in range(given.pairs):
                 for side in ("old", "new") if pair % 2 == 0 else ("new", "old"):
-                    used = _measure(
-                        sources[side], folder, [given.recipe, folder / "data", folder / "out", renderer, *given.set]
-                    )
+                    python = given.old_python if side == "old" else sys.executable
+                    options = [given.recipe, folder / "data", folder / "out", renderer, *given.set]
+                    used = _measure(python, sources[side], folder, options)
                     seconds[side].append(used / given.frames)
                     print(f"{renderer} {side}: {used:.2f} CPU s", file=sys.stderr, flush=True)
             ratios = [new / old for old, new in zip(seconds["old"], seconds["new"], strict=True)]
@@ -80,7 +81,7 @@ def main() -> int:
     return 0
 
 
-def _sources(commit: str | None, folder: Path) -> Path:
+def sources_of(commit: str | None, folder: Path) -> Path:
     """Return the folder of the package at a commit, or that of the working tree."""
     if commit is None:
         return ROOT / "src"
@@ -100,7 +101,7 @@ def _write_pictures(folder: Path, count: int) -> None:
         Image.fromarray(pixels).save(folder / f"{n:04}.png")
 
 
-def _measure(sources: Path, folder: Path, arguments: list[str | Path]) -> float:
+def _measure(python: str, sources: Path, folder: Path, arguments: list[str | Path]) -> float:
     """Return the CPU seconds of one run and its children."""
     shutil.rmtree(folder / "out", ignore_errors=True)
     environment = {
@@ -108,7 +109,7 @@ def _measure(sources: Path, folder: Path, arguments: list[str | Path]) -> float:
     }  # fmt: skip
     core = sorted(os.sched_getaffinity(0))[0]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = ["taskset", "-c", str(core), sys.executable, "-c", _RUN, *arguments]
+    command = ["taskset", "-c", str(core), python, "-c", _RUN, *arguments]
     ended = subprocess.run(command, env=environment, capture_output=True, check=False)
     if ended.returncode:
         raise SystemExit(f"{sources}: {ended.stderr.decode(errors='replace')[-2000:]}")

@@ -15,6 +15,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyMapping, percentile_mapping
 from infrablend.compositing.overlay import blend, make_layer
 from infrablend.core.render import RenderResult
+from infrablend.core.scene import SceneSpec
 from infrablend.formats.images import load_background
 from infrablend.sampling.scene import sample_scene
 
@@ -45,14 +46,15 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
     The final composited float pictures are compared, before quantisation and JPEG. If the object spans fewer than
     `LEAST_SPAN_GREY` levels, the grey-level mapping of the frame is stretched until it does.
     """
-    from infrablend.blender.renderer import BlenderRenderer
+    from infrablend.engine.renderer import BlenderRenderer
 
     class Switching(BlenderRenderer):
         reference = False
 
-        def _set_sampling(self, samples: int, seed: int) -> None:
+        def _cycles(self, spec: SceneSpec, bounces: int) -> dict[str, Any]:
             # The scene's own seed must stay: the temperature pattern of the bodies depends on it.
-            super()._set_sampling(samples, seed ^ OTHER_SEED if self.reference else seed)
+            settings = super()._cycles(spec, bounces)
+            return settings | {"seed": settings["seed"] ^ OTHER_SEED} if self.reference else settings
 
     recipe = work.recipe
     models = {o.model: load_model(o.model) for o in recipe.objects}

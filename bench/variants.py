@@ -31,6 +31,7 @@ from infrablend.core.ledger import Ledger
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.run_folder import RunFolder
+from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
 from infrablend.formats.images import encode_image, load_background, output_suffix
 from infrablend.pipeline.compose.worker import FrameMaker
@@ -53,15 +54,19 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
         work: Frames to make, and the output folder.
         defaults: True for Blender's default sampling: adaptive at 0.01, at most 640 samples, then denoised.
     """
-    from infrablend.blender.renderer import BlenderRenderer
+    from infrablend.engine.renderer import BlenderRenderer
 
     class Defaults(BlenderRenderer):
-        def _set_sampling(self, samples: int, seed: int) -> None:
-            super()._set_sampling(samples, seed)
-            c = self._scene.cycles
-            c.use_adaptive_sampling, c.adaptive_threshold, c.adaptive_min_samples = True, DEFAULT_THRESHOLD, 0
-            c.use_denoising, c.denoiser = True, "OPENIMAGEDENOISE"
-            c.denoising_input_passes, c.denoising_prefilter = "RGB_ALBEDO_NORMAL", "ACCURATE"
+        def _cycles(self, spec: SceneSpec, bounces: int) -> dict[str, Any]:
+            return super()._cycles(spec, bounces) | {
+                "use_adaptive_sampling": True,
+                "adaptive_threshold": DEFAULT_THRESHOLD,
+                "adaptive_min_samples": 0,
+                "use_denoising": True,
+                "denoiser": "OPENIMAGEDENOISE",
+                "denoising_input_passes": "RGB_ALBEDO_NORMAL",
+                "denoising_prefilter": "ACCURATE",
+            }
 
     recipe = work.recipe
     models = {o.model: load_model(o.model) for o in recipe.objects}

@@ -6,7 +6,8 @@
 
 Backgrounds: HIT-UAV's val split for `hit-uav-*` and `deer-above`, Halmstad's val backgrounds for `drone-sky`, and the
 virtual world in MONET's layout for `monet-*`. `hit-uav-drone` is written in every label format, the others in YOLO's.
-Runs of the commit are kept in build/compare. Exits with 1 if a file differs, is missing or is new.
+Runs of the commit are kept in build/compare, with a checkout and its environment. Exits with 1 if a file differs, is
+missing or is new.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def run(tree: Path, *arguments: str) -> str:
     """Run the command line of a checkout and return its output."""
     environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
     # From a neutral folder: recipes and paths in the working folder must not matter.
-    command = [sys.executable, "-m", "infrablend", *arguments]
+    command = [str(tree / ".venv/bin/python"), "-m", "infrablend", *arguments]
     done = subprocess.run(command, env=environment, cwd=WORK, capture_output=True, text=True, check=False)
     # 1 is also the answer to a picture without pitch, as the virtual world has one; what was made is compared.
     if done.returncode > 1 or (done.returncode == 1 and "frames planned" not in done.stdout + done.stderr):
@@ -36,12 +37,13 @@ def run(tree: Path, *arguments: str) -> str:
 
 
 def checkout(commit: str) -> Path:
-    """Return a checkout of a commit, below build."""
+    """Return a checkout of a commit with the environment that it needs, below build."""
     name = subprocess.check_output(["git", "rev-parse", "--short", commit], cwd=ROOT, text=True).strip()
     tree = WORK / f"tree-{name}"
     if not tree.is_dir():
         subprocess.run(["git", "worktree", "prune"], cwd=ROOT, check=True)
         subprocess.run(["git", "worktree", "add", "--detach", "--quiet", str(tree), name], cwd=ROOT, check=True)
+    subprocess.run(["make", "-s", "-C", tree, "setup"], check=True)
     return tree
 
 
@@ -58,7 +60,7 @@ def formats(tree: Path) -> str:
     """Return the names of all label formats that a checkout writes."""
     code = "from infrablend.core.format_table import written_names; print(','.join([*written_names(), 'native']))"
     environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
-    return subprocess.check_output([sys.executable, "-c", code], env=environment, text=True).strip()
+    return subprocess.check_output([str(tree / ".venv/bin/python"), "-c", code], env=environment, text=True).strip()
 
 
 def files(folder: Path) -> dict[str, Path]:

@@ -10,6 +10,9 @@ compile=(../.venv/bin/uv pip compile --quiet --generate-hashes --no-header --no-
 "${compile[@]}" --universal uv.in --output-file uv.txt
 "${compile[@]}" --universal ../pyproject.toml project.in --group ../pyproject.toml:dev --output-file project.txt
 
+# Blender's environment: nothing in it is shared with .venv.
+"${compile[@]}" --universal blender.in --output-file ../src/infrablend/blender/requirements.txt
+"${compile[@]}" --universal --no-deps numpy1.in --output-file numpy1.txt
 "${compile[@]}" --universal --no-deps --constraints project.txt tools.in --output-file tools.txt
 "${compile[@]}" --universal --no-deps --constraints project.txt train.in --output-file train.txt
 "${compile[@]}" --universal --constraints project.txt studio.in --output-file studio.txt

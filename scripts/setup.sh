@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Makes .venv from the committed, hashed requirement files; a second run does nothing until one of them changes.
-# Needs Python 3.11 with its venv module and a package registry, nothing else.
+# Makes .venv, and .venv-blender for Blender beside it, from the committed, hashed requirement files; a second run does
+# nothing until one of them changes. Needs Python 3.11 with its venv module and a package registry, nothing else.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -14,12 +14,13 @@ mkdir -p build
 if command -v flock >/dev/null; then exec 9>build/.setup.lock; flock 9; fi
 
 # Inputs that .venv must have been built from; the path is one because a moved environment does not work.
-inputs=(requirements/uv.txt requirements/project.txt pyproject.toml scripts/setup.sh)
+blender=src/infrablend/blender/requirements.txt
+inputs=(requirements/uv.txt requirements/project.txt "$blender" pyproject.toml scripts/setup.sh)
 want="$(printf '%s\n' "$PWD"; cat "${inputs[@]}")"
 want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv/infrablend-setup.stamp
-if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ] && [ -x .venv/bin/infrablend ] && .venv/bin/python -c '' 2>/dev/null
-then exit 0; fi
+works() { .venv/bin/python -c '' && .venv-blender/bin/python -c ''; } 2>/dev/null
+if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ] && [ -x .venv/bin/infrablend ] && works; then exit 0; fi
 
 # --- Python -----------------------------------------------------------------------------------------------------
 python=
@@ -33,7 +34,7 @@ done
   stop "$python lacks the venv module; install it (Debian 12: apt-get install python3-venv)"
 
 # --- system libraries -------------------------------------------------------------------------------------------
-mapfile -t missing < <("$python" src/infrablend/report/system_libraries.py)
+mapfile -t missing < <("$python" src/infrablend/engine/system_libraries.py)
 if [ "${#missing[@]}" -gt 0 ]; then
   line="apt-get install -y --no-install-recommends ${missing[*]}"
   if ! command -v apt-get >/dev/null; then
@@ -52,7 +53,7 @@ sudo apt-get update && sudo $line"
     "${as_root[@]}" apt-get update >>"$log" 2>&1 || true
     "${as_root[@]}" $line >>"$log" 2>&1 || { tail -n 15 "$log" >&2; stop "could not install them; see $log. The line was: $line"; }
   fi
-  mapfile -t missing < <("$python" src/infrablend/report/system_libraries.py)
+  mapfile -t missing < <("$python" src/infrablend/engine/system_libraries.py)
   [ "${#missing[@]}" -eq 0 ] || stop "installed, but these still do not load: ${missing[*]}"
 fi
 
@@ -85,7 +86,7 @@ if [ -n "$index" ] && [ -z "${UV_DEFAULT_INDEX:-}${UV_INDEX_URL:-}" ]; then expo
 if [ -n "${PIP_CERT:-}" ] && [ -z "${SSL_CERT_FILE:-}" ]; then export SSL_CERT_FILE="$PIP_CERT"; fi
 export UV_HTTP_TIMEOUT="${UV_HTTP_TIMEOUT:-300}"
 
-say "installing the packages of requirements/project.txt (about 500 MB to download the first time, 1.9 GB on disk)"
+say "installing the packages of requirements/project.txt (about 170 MB to download the first time, 750 MB on disk)"
 free_mb="$(df -Pm . | awk 'NR == 2 { print $4 }')"
 [ "${free_mb:-9999}" -ge 3000 ] || say "only $free_mb MB free on this disk: that may not be enough"
 # Compiled at once: where PYTHONDONTWRITEBYTECODE is set, as in many containers, every process would compile numpy and
@@ -99,6 +100,18 @@ rm -f .venv/infrablend-{train,studio,browser,ray}.stamp
 .venv/bin/uv --quiet pip install --python .venv/bin/python --no-deps --no-build-isolation --offline --editable . ||
   stop "could not install the project itself; the lines above show the reason"
 .venv/bin/infrablend --version >/dev/null || stop "the installed command does not start; the lines above show the reason"
+
+# --- Blender ----------------------------------------------------------------------------------------------------
+# An environment that was copied or moved with the checkout does not start, and neither does one of other pins.
+blender_want="$(printf '%s\n' "$PWD"; cat "$blender")"
+blender_want="$(printf '%s' "$blender_want" | sha256sum | cut -d' ' -f1)"
+blender_stamp=.venv-blender/infrablend-setup.stamp
+if [ "$(cat "$blender_stamp" 2>/dev/null)" != "$blender_want" ] || ! works; then
+  say "installing Blender into .venv-blender (about 400 MB to download the first time, 950 MB on disk)"
+  rm -rf .venv-blender
+  .venv/bin/infrablend blender install --out .venv-blender --python "$python" >/dev/null || stop "$registry"
+  printf '%s\n' "$blender_want" >"$blender_stamp"
+fi
 
 printf '%s\n' "$want" >"$stamp.new"
 mv "$stamp.new" "$stamp"

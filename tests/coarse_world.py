@@ -14,14 +14,14 @@ def coarse_worlds() -> Iterator[None]:
     """Render all virtual worlds coarsely, in worker processes and in this one."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("infrablend.pipeline.capture.world.WORKER", "tests.coarse_world:make_coarse_worker")
-        patch.setattr("infrablend.blender.world.OVERSAMPLE", 1)
-        patch.setattr("infrablend.blender.world.SAMPLES", 1)
+        patch.setattr("infrablend.engine.world.OVERSAMPLE", 1)
+        patch.setattr("infrablend.engine.world.SAMPLES", 1)
         yield
 
 
 def make_coarse_worker(settings: Mapping[str, Any]) -> Any:
     """Return a worker for virtual worlds, in a process of its own."""
-    from infrablend.blender import world
+    from infrablend.engine import world
 
     world.OVERSAMPLE = world.SAMPLES = 1
     return world.make_world_worker(settings)

@@ -241,7 +241,7 @@ def commands() -> list[tuple[str, list[str]]]:
             for line in block.replace("\\\n", " ").splitlines():
                 words = shlex.split(line, comments=True)
                 for i, word in enumerate(words):
-                    if word.rsplit("/", 1)[-1] == "infrablend":
+                    if word.rsplit("/", 1)[-1] == "infrablend" and "pip" not in words[:i]:
                         found.append((page_id(page), words[i + 1 :]))
     return found
 

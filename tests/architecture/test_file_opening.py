@@ -24,7 +24,6 @@ ALLOWED = {
     "evaluation/comparison.py": "an open file",
     "evaluation/detections.py": "a file that the user names",
     "execution/scratch.py": "folders, to lock them",
-    "execution/serial.py": "the log of a worker, to write it",
     "pipeline/studies/measure_objects.py": "bytes in memory",
     "pipeline/compose/frame.py": "backgrounds, which may be links",
     "pipeline/runs/packed_shard.py": "the ledger, by SQLite",

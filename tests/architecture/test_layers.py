@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -55,6 +56,26 @@ def test_everything_but_the_blender_package_imports_without_bpy() -> None:
     assert imported == files
 
 
+SERVED = {"infrablend.errors", "infrablend.core.wire", "infrablend.thermal.radiometry"}
+"""Modules outside `infrablend.blender` that the render server imports; they need NumPy and the standard library."""
+
+
+def test_the_render_server_needs_little() -> None:
+    files = {name: PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py") for name in SERVED}
+    files |= {f"infrablend.blender.{path.stem}": path for path in sorted((PACKAGE / "blender").glob("*.py"))}
+    outside, own = set(), set()
+    for path in files.values():
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom):
+                module = str(node.module)
+                names = [f"{module}.{a.name}" if module == "infrablend.blender" else module for a in node.names]
+            own |= {n for n in names if n.startswith("infrablend")}
+            outside |= {n.partition(".")[0] for n in names if not n.startswith("infrablend")}
+    assert own <= files.keys()
+    assert outside - sys.stdlib_module_names == {"bpy", "bpy_extras", "mathutils", "numpy"}
+
+
 def test_import_blocker_works() -> None:
     blocker, _, _ = IMPORT_ALL.partition("import infrablend\n")
     done = run_python(blocker + "import bpy")
@@ -76,7 +97,6 @@ def test_the_import_contracts_hold() -> None:
 
 
 def test_programs_beside_the_package_import_names_that_exist() -> None:
-    import ast
     import importlib
 
     missing = []

@@ -71,7 +71,11 @@ def test_there_is_no_lock_file_with_addresses() -> None:
     assert not [p for p in tracked_files() if p.name in {"uv.lock", "poetry.lock", "Pipfile.lock"}]
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "requirements").glob("*.txt")), ids=lambda p: p.name)
+BLENDER_REQUIREMENTS = ROOT / "src" / "infrablend" / "blender" / "requirements.txt"
+LOCKED = [*sorted((ROOT / "requirements").glob("*.txt")), BLENDER_REQUIREMENTS]
+
+
+@pytest.mark.parametrize("path", LOCKED, ids=lambda p: f"{p.parent.name}/{p.name}")
 def test_every_locked_requirement_is_pinned_and_hashed(path: Path) -> None:
     joined = path.read_text("utf-8").replace("\\\n", " ")
     requirements = [line for line in joined.splitlines() if line.strip() and not line.lstrip().startswith("#")]
@@ -95,6 +99,16 @@ def test_the_lock_covers_every_dependency_of_the_project() -> None:
     )
     names = {re.split(r"[<>=!~\[; ]", w)[0].lower().replace("_", "-").replace(".", "-") for w in wanted}
     assert names <= locked, "run `make lock`"
+
+
+def test_the_environment_of_blender_has_what_the_extra_names() -> None:
+    import tomllib
+
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    wanted = (ROOT / "requirements" / "blender.in").read_text("utf-8").splitlines()
+    assert [w for w in wanted if not w.startswith("#")] == pyproject["project"]["optional-dependencies"]["blender"]
+    locked = BLENDER_REQUIREMENTS.read_text("utf-8")
+    assert re.search(r"^bpy==4\.5\.", locked, re.MULTILINE) and re.search(r"^numpy==1\.26\.", locked, re.MULTILINE)
 
 
 SCRIPTS = [*sorted((ROOT / "scripts").glob("*.sh")), ROOT / ".ci" / "run"]

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-DATA_SUFFIXES = {".css", ".jinja", ".js", ".json", ".npz", ".typed", ".yaml"}
+DATA_SUFFIXES = {".css", ".jinja", ".js", ".json", ".npz", ".txt", ".typed", ".yaml"}
 pytestmark = pytest.mark.slow
 
 
@@ -99,7 +99,7 @@ def test_the_metadata_of_the_wheel_are_complete(wheel: Path) -> None:
         "License-Expression: GPL-3.0-or-later",
     ):
         assert line in metadata
-    assert "Keywords: " in metadata and "Project-URL: " in metadata and "Requires-Python: <3.12,>=3.11" in metadata
+    assert "Keywords: " in metadata and "Project-URL: " in metadata and "Requires-Python: <3.14,>=3.11" in metadata
 
 
 def test_the_sdist_builds_the_same_wheel_and_can_be_set_up(sdist: Path, wheel: Path, tmp_path: Path) -> None:

@@ -8,15 +8,14 @@ import pytest
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import Mesh, make_mesh
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
+from tests.blender.in_blender import OpenRenderer
 
 
 @pytest.fixture(scope="session")
-def blender() -> Iterator[object]:
-    from infrablend.blender.renderer import BlenderRenderer
-
-    renderer = BlenderRenderer()
+def blender() -> Iterator[OpenRenderer]:
+    renderer = OpenRenderer()
     yield renderer
-    renderer._stage.close()
+    renderer.close()
 
 
 def box_mesh(size=(1.0, 0.6, 0.4), part="body") -> Mesh:

@@ -193,7 +193,7 @@ def test_who_draws_what(blender, monkeypatch):
     def stop(_):
         raise DrawnError
 
-    monkeypatch.setattr("infrablend.blender.renderer.render_emission", stop)
+    monkeypatch.setattr("infrablend.engine.renderer.render_emission", stop)
     mesh = box_mesh()
     plain = place(scene([thing()], samples=0), [mesh])
     with pytest.raises(DrawnError):

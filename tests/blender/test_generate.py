@@ -119,33 +119,38 @@ def test_rerender_gives_the_same_bytes(whole, tmp_path):
 
 def test_run_record_names_versions_and_draws(whole):
     run = json.loads((whole / "run.json").read_text())
-    assert run["packages"]["bpy"].startswith("4.5.")
+    assert run["packages"]["blender"].startswith("4.5.")
     assert run["draws"]["distance_m"]["first_draw"]["mean"] > 0
     assert run["timing"]["peak_worker_rss_mb"] < 1024
 
 
-def test_infrared_effect_asset(tmp_path):
-    import bpy
-
+def test_infrared_effect_asset(tmp_path, blender):
     path = api.write_infrared_effect(tmp_path / "infrared_effect.blend")
-    names = ["InfraredEffect", "InfraredEffect Physical"]
-    with bpy.data.libraries.load(str(path), assets_only=True) as (source, _):
-        assert sorted(source.node_groups) == names
-    # What this process has already made is in use elsewhere; appended groups get names of their own.
-    with bpy.data.libraries.load(str(path)) as (source, target):
-        target.node_groups = names
-        assert {"InfraredEffect example", "InfraredEffect Physical example"} <= set(source.materials)
-    artistic, physical = target.node_groups
-    try:
-        assert {"EMISSION", "VALTORGB", "FRESNEL"} <= {n.type for n in artistic.nodes}
-        assert {"EMISSION", "BSDF_GLOSSY", "TEX_NOISE", "FRESNEL"} <= {n.type for n in physical.nodes}
-        for group in (artistic, physical):
-            inputs = [s for s in group.interface.items_tree if s.in_out == "INPUT"]
-            assert [s.name for s in inputs][:2] == ["Temperature", "Emissivity"]
-            assert "Celsius" in inputs[0].description
-    finally:
-        for group in target.node_groups:
-            bpy.data.node_groups.remove(group)
+    code = """
+import bpy
+names = ["InfraredEffect", "InfraredEffect Physical"]
+with bpy.data.libraries.load(given["path"], assets_only=True) as (source, _):
+    assets = sorted(source.node_groups)
+# What this process has already made is in use elsewhere; appended groups get names of their own.
+with bpy.data.libraries.load(given["path"]) as (source, target):
+    target.node_groups = names
+    materials = list(source.materials)
+groups = []
+for group in target.node_groups:
+    sockets = [[s.name, s.description] for s in group.interface.items_tree if s.in_out == "INPUT"]
+    groups.append({"kinds": sorted({n.type for n in group.nodes}), "sockets": sockets})
+    bpy.data.node_groups.remove(group)
+answer = {"assets": assets, "materials": materials, "groups": groups}
+"""
+    found = blender.run(code, path=str(path))
+    assert found["assets"] == ["InfraredEffect", "InfraredEffect Physical"]
+    assert {"InfraredEffect example", "InfraredEffect Physical example"} <= set(found["materials"])
+    artistic, physical = found["groups"]
+    assert {"EMISSION", "VALTORGB", "FRESNEL"} <= set(artistic["kinds"])
+    assert {"EMISSION", "BSDF_GLOSSY", "TEX_NOISE", "FRESNEL"} <= set(physical["kinds"])
+    for group in (artistic, physical):
+        assert [name for name, _ in group["sockets"]][:2] == ["Temperature", "Emissivity"]
+        assert "Celsius" in group["sockets"][0][1]
 
 
 def test_turntable(tmp_path):

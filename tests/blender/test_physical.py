@@ -191,42 +191,42 @@ def test_worked_scene_of_a_night(blender):
 
 def test_the_group_has_a_temperature_texture_of_its_own(blender):
     """As in Blender's editor: Texture is the largest deviation in kelvin (0: none), Texture Size that of patches."""
-    import bpy
-
-    from infrablend.blender.materials import object_material
-
     panel = box_mesh((1.0, 1.0, 0.01))
     render(blender, AIR_K + 10, 1.0, 1.0, mesh=panel, **TOP)
-    node = next(
-        n for n in object_material(0, physical=True, two_sided=True).node_tree.nodes if n.bl_idname == "ShaderNodeGroup"
-    )
-    assert node.inputs["Texture"].default_value == 0
+    code = """
+from infrablend.blender.materials import object_material
+nodes = object_material(0, physical=True, two_sided=True).node_tree.nodes
+node = next(n for n in nodes if n.bl_idname == "ShaderNodeGroup")
+answer = node.inputs["Texture"].default_value, node.node_tree.name
+for name, value in given.items():
+    node.inputs[name].default_value = value
+"""
+    assert blender.run(code) == [0, "InfraredEffect Physical"]
     spread = {}
     try:
         for amplitude, size in ((0.0, 0.2), (2.0, 0.2), (2.0, 50.0)):
-            node.inputs["Texture"].default_value = amplitude
-            node.inputs["Texture Size"].default_value = size
+            blender.run(code, **{"Texture": amplitude, "Texture Size": size})
             kelvin = apparent_temperature(render(blender, AIR_K + 10, 1.0, 1.0, mesh=panel, **TOP)) - AIR_K - 10
             spread[amplitude, size] = kelvin
     finally:
-        node.inputs["Texture"].default_value = 0.0
-        node.inputs["Texture Size"].default_value = 0.3
+        blender.run(code, **{"Texture": 0.0, "Texture Size": 0.3})
     assert np.abs(spread[0.0, 0.2]).max() < 0.05
     patches = spread[2.0, 0.2]
     assert np.abs(patches).max() <= 2.05
     assert patches.std() > 0.3 and abs(patches.mean()) < 0.6
     assert spread[2.0, 50.0].std() < 0.1 * patches.std()
-    assert bpy.data.node_groups["InfraredEffect Physical"] is node.node_tree
 
 
-def test_the_manual_shows_every_socket():
-    from infrablend.blender import materials, physical
-
+def test_the_manual_shows_every_socket(blender):
+    code = """
+from infrablend.blender import materials, physical
+answer = [[s[0] for s in sockets] for sockets in (materials.SOCKETS, physical.SOCKETS)]
+"""
     page = (Path(__file__).parents[2] / "docs/how_to/infrared_effect.md").read_text()
     _, artistic, surface = re.split(r"^## .*$", page, flags=re.M)[:3]
-    for text, sockets in ((artistic, materials.SOCKETS), (surface, physical.SOCKETS)):
+    for text, sockets in zip((artistic, surface), blender.run(code), strict=True):
         named = [n for line in text.splitlines() if line.startswith("| ") for n in line.split("|")[1].split(",")]
-        assert [n.strip() for n in named if "*" not in n and n.strip() != "socket"] == [s[0] for s in sockets]
+        assert [n.strip() for n in named if "*" not in n and n.strip() != "socket"] == sockets
 
 
 def test_sunlight_warms_the_side_towards_the_sun(blender):
@@ -259,9 +259,7 @@ def test_a_hollow_of_bare_metal_is_not_black(blender, surface):
 
 
 def test_only_scenes_with_low_emissivity_take_many_bounces(blender):
-    import bpy
-
     for emissivity, metal, bounces in ((0.94, False, 2), (0.8, False, 2), (0.2, True, 16), (0.1, False, 16)):
         render(blender, AIR_K, emissivity, 1.0, surface={"metal": metal})
-        cycles = bpy.context.scene.cycles
-        assert cycles.max_bounces == cycles.glossy_bounces == cycles.diffuse_bounces == bounces
+        code = "c = jobs._scenes._scene.cycles; answer = [c.max_bounces, c.glossy_bounces, c.diffuse_bounces]"
+        assert blender.run(code) == [bounces] * 3

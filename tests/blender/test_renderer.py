@@ -3,12 +3,13 @@
 import dataclasses
 
 import numpy as np
-import psutil
 import pytest
 
+from infrablend.core.child_process import CHILD_BYTES, resident_bytes
 from infrablend.core.mesh import make_mesh
 from infrablend.core.placed import place
-from infrablend.core.scene import PartState
+from infrablend.core.scene import PartState, Weather
+from infrablend.rendering.emission import crops_of
 from infrablend.rendering.flat import FlatRenderer
 
 from .conftest import ball_mesh, box_mesh, paste, scene, thing
@@ -99,13 +100,21 @@ def test_only_the_ratio_of_lens_and_sensor_counts(blender, focal_length_mm, sens
     np.testing.assert_allclose(found.alpha, expected.alpha, atol=0.05)
 
 
-def test_crop_equals_that_part_of_the_full_frame(blender, monkeypatch):
-    s, mesh = scene([thing(0.4, 0.3, kelvin=297, emissivity=0.9, ior=1.5)], samples=16, texture_k=2.0), box_mesh()
-    cropped = paste(blender.render(place(s, [mesh])))
-    monkeypatch.setattr("infrablend.blender.renderer.crop_of", lambda placed: (0, 0, *placed.spec.camera.size_wh))
-    full = paste(blender.render(place(s, [mesh])))
-    assert (cropped[0] == full[0]).all()
-    assert (cropped[1] == full[1]).all()
+@pytest.mark.parametrize("samples", [16, 0])
+def test_crops_equal_those_parts_of_the_full_frame(blender, monkeypatch, samples):
+    """Two objects close together and one far from them: two crops in one frame, which share the built scene."""
+    things = [thing(x, y, kelvin=297, emissivity=0.9, ior=1.5) for x, y in ((1.2, 0.5), (-1.3, -0.6), (-1.0, -0.5))]
+    s, mesh = scene(things, samples=samples, texture_k=2.0), box_mesh((0.3, 0.3, 0.3))
+    placed = place(dataclasses.replace(s, weather=Weather(285.0, 275.0, 0.5, 280.0, 286.0)), [mesh] * 3)
+    assert [group for _, group in crops_of(placed)] == [[0], [1, 2]]
+    cropped = blender.render(placed)
+    monkeypatch.setattr(blender, "_whole_frame", True)
+    full = blender.render(placed)
+    (x, y), (h, w) = cropped.offset_xy, cropped.alpha.shape
+    for name in ("radiance", "alpha", "coverage"):
+        part = np.zeros_like(getattr(full, name))
+        part[..., y : y + h, x : x + w] = getattr(cropped, name)
+        assert (part == getattr(full, name)).all()
 
 
 def test_same_scene_same_bytes_and_other_seed_other_noise(blender):
@@ -174,15 +183,14 @@ def test_smooth_surfaces_darken_to_the_rim(blender):
 
 
 def test_memory_stays_flat_and_no_data_is_left(blender):
-    import bpy
-
+    code = "import bpy; d = bpy.data; answer = [len(x) for x in (d.meshes, d.materials, d.objects, d.images)]"
     mesh = box_mesh()
     for k in range(20):
-        blender.render(place(scene([thing()], samples=1, seed=k), [mesh]))
-    blocks = len(bpy.data.meshes), len(bpy.data.materials), len(bpy.data.objects), len(bpy.data.images)
-    process = psutil.Process()
-    before = process.memory_info().rss
+        blender.render(place(scene([thing(-1.3), thing(1.3)], samples=1, seed=k), [mesh] * 2))
+    blocks, before, own = blender.run(code), sum(CHILD_BYTES.values()), resident_bytes()
+    assert before > 50 * 2**20
     for k in range(100):
-        blender.render(place(scene([thing()], samples=1, seed=k), [mesh]))
-    assert process.memory_info().rss - before < 8 * 2**20
-    assert (len(bpy.data.meshes), len(bpy.data.materials), len(bpy.data.objects), len(bpy.data.images)) == blocks
+        blender.render(place(scene([thing(-1.3), thing(1.3)], samples=1, seed=k), [mesh] * 2))
+    assert sum(CHILD_BYTES.values()) - before < 8 * 2**20
+    assert resident_bytes() - own < 16 * 2**20
+    assert blender.run(code) == blocks

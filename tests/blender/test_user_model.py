@@ -2,8 +2,6 @@
 
 import json
 import struct
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ from infrablend.assets.user_model import description_digest, geometry_file, read
 from infrablend.errors import ModelError
 from infrablend.pipeline.plans import models
 from infrablend.pipeline.plans.models import import_geometry, ready_model
+from tests.blender.in_blender import run_script
 from tests.meshes import signed_volume
 from tests.models_3d import write_gltf
 
@@ -139,21 +138,17 @@ parts:
 """
 
 
-def run_blender(script, argument):
-    subprocess.run([sys.executable, "-c", script, str(argument)], check=True, timeout=300, capture_output=True)
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("models")
-    run_blender(MAKE, folder)
+    run_script(MAKE, folder)
     return folder
 
 
 @pytest.fixture(scope="module")
 def linked(tmp_path_factory):
     folder = tmp_path_factory.mktemp("linked")
-    run_blender(LINKED, folder)
+    run_script(LINKED, folder)
     return folder
 
 
@@ -204,7 +199,7 @@ def test_subdivision_is_that_of_the_render(files, tmp_path):
 def test_a_blend_is_read_as_a_render_shows_it(tmp_path):
     """What is hidden, which modifiers act, and the names of objects in instances of a collection."""
     blend = tmp_path / "rendered.blend"
-    run_blender(RENDERED, blend)
+    run_script(RENDERED, blend)
     import_geometry(blend)
     groups, arrays = read_geometry(geometry_file(blend), "here")
     triangles = dict(zip([g.object for g in groups], np.bincount(arrays["group_of_triangle"]).tolist(), strict=True))

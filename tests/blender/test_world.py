@@ -30,7 +30,7 @@ pytestmark = pytest.mark.blender
 
 
 def in_this_process(seed: int) -> FrameSource:
-    from infrablend.blender.world import WorldWorker
+    from infrablend.engine.world import WorldWorker
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
         worker = WorldWorker(seed, folder)
@@ -60,7 +60,7 @@ def someone(x: float, y: float) -> Person:
 
 
 def test_pixels_and_boxes_agree_and_walls_hide(bare):
-    from infrablend.blender.world import WorldRenderer
+    from infrablend.engine.world import WorldRenderer
 
     with closing(WorldRenderer()) as renderer:
         empty, labels = renderer.render(bare)

@@ -100,11 +100,6 @@ CALLS: dict[str, tuple[Callable[[Path], object], type[InfraBlendError], str]] = 
     "settings as text": (lambda p: _generate(p, settings="output.image=png"), RecipeError, "^settings: .*a list of"),
     "settings by number": (lambda p: _generate(p, settings={1: 2}), RecipeError, r"^settings: found {1: 2}, expected"),
     "no settings": (lambda p: _generate(p, settings=None), RecipeError, "^settings: found None"),
-    "Blender in process": (
-        lambda p: _generate(p, execution=loose.Execution(in_process=True)),
-        ArgumentError,
-        "^in_process: Blender renders in worker processes only",
-    ),
     "an item of a list": (lambda p: _generate(p, settings={"objects.\u00b2.model": "car"}), RecipeError, "no item"),
     "no worker": (lambda p: loose.Execution(workers=0), ArgumentError, "^workers: found 0, .* from 1 up"),
     "fewer workers": (lambda p: loose.Execution(workers=-1), ArgumentError, "^workers"),

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -112,11 +113,38 @@ class _Surfaces:
         labelled: Triangles of parts that labels count.
         unlabelled: Triangles of the other parts.
         every: All of them.
+        corners: (P, 3) x, y and 1 / depth of the corners of labelled triangles; shared ones once, if none is cut.
     """
 
     labelled: ProjectedTriangles
     unlabelled: ProjectedTriangles
     every: ProjectedTriangles
+    corners: FloatArray
+
+    @cached_property
+    def box_xyxy(self) -> FloatArray:
+        """(4,) box around all triangles."""
+        return box_of_points(self.every.xy.reshape(-1, 2))
+
+    @cached_property
+    def reach(self) -> tuple[FloatArray, FloatArray]:
+        """(T, 2) smallest and largest corners of all triangles."""
+        return reach_of_triangles(self.every.xy)
+
+    @cached_property
+    def nearest(self) -> FloatArray:
+        """(T,) largest 1 / depth of all triangles."""
+        return reach_of_triangles(self.every.inverse_depth[:, :, None])[1][:, 0]
+
+    def in_front(self, box_xyxy: FloatArray, inverse_depth: float, factor: float) -> ProjectedTriangles | None:
+        """Return the triangles that reach into a box and are nearer than 1 / depth once theirs is multiplied."""
+        if not len(self.every.xy) or not _overlap(self.box_xyxy, box_xyxy):
+            return None
+        low, high = self.reach
+        over = (low[:, 0] < box_xyxy[2]) & (low[:, 1] < box_xyxy[3])
+        over &= (high[:, 0] > box_xyxy[0]) & (high[:, 1] > box_xyxy[1])
+        found = self.every.select(over & (self.nearest * factor > inverse_depth))
+        return replace(found, inverse_depth=found.inverse_depth * factor) if len(found.xy) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +206,7 @@ def annotate(
             continue
         taken: BoolArray | None = None
         if result is not None:
-            coverage, offset_xy = np.asarray(result.coverage[k]), result.offset_xy
-            taken = _covered_by_others(result.coverage, k)
+            coverage, taken, offset_xy = _own_pixels(result, k)
         else:
             assert shape.coverage is not None
             coverage, offset_xy = shape.coverage, shape.offset_xy
@@ -246,11 +273,17 @@ def _surfaces(placed: PlacedObject) -> _Surfaces:
     counts = np.array([s.label for s in states])[mesh.part_of_triangle]
     hides = ~counts & np.array([s.opacity == 1 for s in states])[mesh.part_of_triangle]
     labelled = placed.triangles_of(counts)
+    corners = np.concatenate([labelled.xy, labelled.inverse_depth[:, :, None]], axis=2).reshape(-1, 3)
+    if not labelled.cut:
+        vertex = mesh.triangles[labelled.source].ravel()
+        corner = np.full(len(mesh.vertices_m), -1)
+        corner[vertex] = np.arange(len(vertex))
+        corners = corners[corner[corner >= 0]]
     if not hides.any():
         nothing = labelled.select(np.zeros(len(labelled.xy), np.bool_))
-        return _Surfaces(labelled, nothing, labelled)
+        return _Surfaces(labelled, nothing, labelled, corners)
     unlabelled = placed.triangles_of(hides)
-    return _Surfaces(labelled, unlabelled, _joined([labelled, unlabelled]))
+    return _Surfaces(labelled, unlabelled, _joined([labelled, unlabelled]), corners)
 
 
 def _joined(pieces: Sequence[ProjectedTriangles]) -> ProjectedTriangles:
@@ -270,11 +303,11 @@ def _visible_shape(
     if not len(own.xy):
         return "outside_frame" if own.cut else "no_labelled_part"
     frame = np.array([0, 0, *size_wh], np.float64)
-    corners = own.xy.reshape(-1, 2)
-    full_box = box_of_points(corners)
+    points = surfaces[k].corners
+    full_box = box_of_points(points[:, :2])
     truncated = own.cut or bool((full_box[:2] < 0).any() or (full_box[2:] > frame[2:]).any())
-    points = np.concatenate([own.xy, own.inverse_depth[:, :, None]], axis=2)
-    points = clip_triangles_to_rect(points, frame) if truncated else points.reshape(-1, 3)
+    if truncated:
+        points = clip_triangles_to_rect(np.concatenate([own.xy, own.inverse_depth[:, :, None]], axis=2), frame)
     if not len(points):
         return "outside_frame"
     box = box_of_points(points[:, :2])
@@ -283,9 +316,9 @@ def _visible_shape(
     hull = points[convex_hull_indices(points[:, :2])]
 
     # At equal depth the first object counts as nearer, so that only one of two coinciding objects is visible.
-    nearer = [replace(p.every, inverse_depth=p.every.inverse_depth * (1 + 1e-9)) for p in surfaces[:k]]
-    others = [*nearer, *(p.every for p in surfaces[k + 1 :])]
-    others = [p for p in (_in_front(p, box, float(own.inverse_depth.min())) for p in others) if len(p.xy)]
+    least = float(own.inverse_depth.min())
+    pairs = ((other, 1 + 1e-9 if j < k else 1.0) for j, other in enumerate(surfaces) if j != k)
+    others = [p for other, factor in pairs if (p := other.in_front(box, least, factor)) is not None]
     hidden = hidden_points(hull[:, :2], hull[:, 2], _joined([surfaces[k].unlabelled, *others]))
     offset_xy = (math.floor(box[0]), math.floor(box[1]))
     if not (truncated or others or hidden.any() or with_coverage):
@@ -320,11 +353,8 @@ def _not_behind(own: ProjectedTriangles, others: Sequence[ProjectedTriangles], g
     return np.asarray(depth >= nearest_inverse_depth(front.xy, front.inverse_depth, grid))
 
 
-def _in_front(triangles: ProjectedTriangles, box_xyxy: FloatArray, inverse_depth: float) -> ProjectedTriangles:
-    """Return the triangles that reach into a box and are nearer than the given (smallest) inverse depth."""
-    low, high = reach_of_triangles(triangles.xy)
-    over = (low < box_xyxy[2:]).all(axis=1) & (high > box_xyxy[:2]).all(axis=1)
-    return triangles.select(over & (triangles.inverse_depth.max(axis=1) > inverse_depth))
+def _overlap(a_xyxy: FloatArray, b_xyxy: FloatArray) -> bool:
+    return bool((a_xyxy[:2] < b_xyxy[2:]).all() and (a_xyxy[2:] > b_xyxy[:2]).all())
 
 
 def _samples_per_pixel(
@@ -368,11 +398,19 @@ def _share_in_frame(
     return in_frame_px / max(total * grid.pitch_px**2, in_frame_px)
 
 
-def _covered_by_others(coverage: NDArray[np.float32], k: int) -> BoolArray:
-    """Mark the (h, w) pixels of a crop that another object covers more; at equal shares the first object wins."""
-    others = np.delete(np.arange(len(coverage)), k)
-    more = [coverage[j] >= coverage[k] if j < k else coverage[j] > coverage[k] for j in others]
-    return np.asarray(np.any(more, axis=0)) if more else np.zeros(coverage.shape[1:], np.bool_)
+def _own_pixels(result: RenderResult, k: int) -> tuple[NDArray[np.float32], BoolArray, tuple[int, int]]:
+    """Return an object's coverage (h, w), pixels that another one covers more, and the first column and row.
+
+    At equal shares the first object wins. The arrays span the pixels that the object covers.
+    """
+    rows, columns = (np.flatnonzero(result.coverage[k].any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_), result.offset_xy
+    window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    every = result.coverage[:, *window]
+    own = every[k]
+    taken = (every[:k] >= own).any(axis=0) | (every[k + 1 :] > own).any(axis=0)
+    return own, taken, (result.offset_xy[0] + int(columns[0]), result.offset_xy[1] + int(rows[0]))
 
 
 def _mask(

@@ -50,6 +50,7 @@ from infrablend.api.shipped import (
     survey_model as survey_model,
     write_infrared_effect as write_infrared_effect,
 )
+from infrablend.engine.install import install_blender as install_blender
 from infrablend.fetching.fetch import (
     FetchReport as FetchReport,
     FetchRequest as FetchRequest,
@@ -93,7 +94,7 @@ from infrablend.pipeline.submission.submit import submission_text as submission_
 from infrablend.pipeline.detectors.train import TrainReport as TrainReport
 from infrablend.pipeline.detectors.training_plan import TrainPlan as TrainPlan
 from infrablend.pipeline.compose.trial import Trial as Trial
-from infrablend.report.doctor import diagnose as diagnose
+from infrablend.pipeline.studies.doctor import diagnose as diagnose
 from infrablend.training.request import TrainRequest as TrainRequest
 
 __all__: list[str]

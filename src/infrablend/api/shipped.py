@@ -9,6 +9,7 @@ from typing import Any
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
 from infrablend.config import loading
+from infrablend.engine import shader
 from infrablend.pipeline.plans import add_model as adding
 from infrablend.pipeline.plans.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.plans.models import ready_model, run_once
@@ -35,7 +36,7 @@ def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, 
     """
     ready_model(name)
     payload = (name, str(out), seed, dict(options or {}))
-    return Path(run_once("infrablend.blender.turntable:make_turntable", payload, f"show {name}"))
+    return Path(run_once("infrablend.engine.turntable:make_turntable", payload, f"show {name}"))
 
 
 def survey_model(file: str | Path, answers: ModelAnswers | None = None) -> ModelSurvey:
@@ -60,4 +61,4 @@ def show_recipe(name: str) -> str:
 
 def write_infrared_effect(path: str | Path) -> Path:
     """Write the InfraredEffect node group as a .blend file to append from; return its path."""
-    return Path(run_once("infrablend.blender.materials:make_node_group_writer", str(path), "infrared-effect"))
+    return shader.write_infrared_effect(Path(path))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -712,7 +712,7 @@ def _add_wheels(out: _Pieces, plan: _Plan) -> None:
 def build_car(params: Params) -> Mesh:
     """Build the mesh of one car: origin on the ground below the middle of its length, +X its nose."""
     _require_params(params)
-    pieces = _build_pieces(params)
+    pieces = _kept_pieces(tuple((name, params[name]) for name in NOMINAL))
     closed = np.unique(np.concatenate([p for p, _, _, _ in pieces]))
     vertices = np.concatenate([v for _, v, _, _ in pieces])
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
@@ -735,6 +735,12 @@ def build_car(params: Params) -> Mesh:
         np.concatenate([np.full(len(t), smooth) for _, _, t, smooth in pieces]),
         frozenset(_PART_NAMES[k] for k in closed),
     )
+
+
+@lru_cache(maxsize=32)
+def _kept_pieces(params: tuple[tuple[str, Any], ...]) -> list[Piece]:
+    """Return `_build_pieces`; a car that has found its place is built again, with a shadow."""
+    return _build_pieces(dict(params))
 
 
 def _build_pieces(params: Params) -> list[Piece]:

@@ -230,7 +230,8 @@ def read_geometry(cached: Path, where: str) -> tuple[list[GroupFacts], dict[str,
 def write_geometry(path: Path, groups: list[GroupFacts], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write what `read_geometry` reads."""
     with path.open("wb") as stream:
-        np.savez(stream, groups=np.array(json.dumps([asdict(g) for g in groups])), **arrays)
+        content: dict[str, Any] = {"groups": np.array(json.dumps([asdict(g) for g in groups])), **arrays}
+        np.savez(stream, **content)
 
 
 def load_user_model(path: Path) -> ObjectModel:

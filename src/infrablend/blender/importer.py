@@ -7,7 +7,7 @@ execution off. Lights and cameras are not read.
 from __future__ import annotations
 
 import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,19 @@ import bpy
 import numpy as np
 from bpy_extras import image_utils
 
-from infrablend.assets.model_files import NO_FILE, too_large
-from infrablend.assets.user_model import GroupFacts, ImportJob, write_geometry
 from infrablend.blender.materials import GROUP_NAME
 from infrablend.blender.physical import GROUP_NAME as PHYSICAL_NAME
-from infrablend.core.tasks import Task
-from infrablend.errors import ModelError, Problem
+from infrablend.errors import ModelError
 
 # With more triangles, labels take seconds per frame.
 MAX_TRIANGLES = 2_000_000
 # Instances without any triangle take time, too.
 MAX_INSTANCES = 1_000_000
+
+
+class _TooLargeError(Exception):
+    """More than an import may need."""
+
 
 _Piece = tuple[Any, Any, Any, Any, str, list[Any]]
 
@@ -61,42 +63,56 @@ _IMPORTERS: dict[str, Callable[[str], Any]] = {
 }
 
 
-def make_importer(_settings: None) -> Callable[[Task], None]:
-    """Return the callable that performs one import: the payload of its task is an `ImportJob`."""
-    return lambda task: _import(task.payload)
+def read_file(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Read a 3D file: triangles in world coordinates, Z up, metres, and named pieces.
 
+    Args:
+        job: `file`; `shown`, its name in messages; `known`, the files that its digest covers; `memory_bytes` and
+            `cpu_seconds`, limits of this process from now on.
 
-def _import(job: ImportJob) -> None:
-    """Read a 3D file and write its geometry: triangles in world coordinates, Z up, metres, and named pieces.
+    Returns:
+        `arrays`: `vertices_m`, `triangles`, `group_of_triangle`, `smooth`. `groups`: a dict per piece, with the name of
+        its object and material, and the values of the InfraredEffect node. Instead of both, `too_large`: what exceeds a
+        limit, or `libraries`: linked files that are not known, each with what was found.
 
     Raises:
-        ModelError: Blender cannot read the file, it contains no surface, or too many triangles.
+        ModelError: Blender cannot read the file, or it contains no surface.
     """
-    file, shown = job.files.main, job.shown
-    for what, most in ((resource.RLIMIT_DATA, job.memory_bytes), (resource.RLIMIT_CPU, job.cpu_seconds)):
+    file, shown = Path(job["file"]), job["shown"]
+    for what, most in ((resource.RLIMIT_DATA, job["memory_bytes"]), (resource.RLIMIT_CPU, job["cpu_seconds"])):
         resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.context.preferences.filepaths.use_scripts_auto_execute = False
     try:
         _IMPORTERS[file.suffix.lower()](str(file))
-    except MemoryError as error:
-        raise too_large(Path(shown), "more memory than an import may use") from error
+    except MemoryError:
+        return {"too_large": "more memory than an import may use"}
     except Exception as error:  # the importers are Python add-ons: KeyError, struct.error and many more
         raise ModelError(
             f"model file {shown}: Blender cannot read it ({_reason(error)}); expected a valid {file.suffix} file"
         ) from error
     if file.suffix.lower() == ".blend":  # the FBX importer, in contrast, sets what is hidden for the viewport only
-        _require_libraries(job)
+        libraries = _other_libraries(job["known"])
+        if libraries:
+            return {"libraries": libraries}
         _show_as_rendered()
-    pieces = list(_pieces(shown))
+    try:
+        pieces = list(_pieces())
+    except _TooLargeError as error:
+        return {"too_large": str(error)}
     if not pieces:
         raise ModelError(f"model file {shown}: no surface found; expected at least one visible mesh object")
     if not all(np.isfinite(v).all() for v, *_ in pieces):
         raise ModelError(
             f"model file {shown}: vertices that are not finite numbers; expected a valid {file.suffix} file"
         )
+    return _joined(pieces)
+
+
+def _joined(pieces: Sequence[_Piece]) -> dict[str, Any]:
+    """Return the arrays and the named groups of all pieces."""
     vertices, triangles, groups, smooth = [], [], [], []
-    facts: list[GroupFacts] = []
+    facts: list[dict[str, Any]] = []
     index: dict[tuple[str, str], int] = {}
     offset = 0
     for v, t, t_smooth, t_material, object_name, materials in pieces:
@@ -105,7 +121,7 @@ def _import(job: ImportJob) -> None:
             key = (object_name, material.name if material else "")
             if key not in index:
                 index[key] = len(facts)
-                facts.append(GroupFacts(*key, **_infrared(material)))
+                facts.append({"object": key[0], "material": key[1], **_infrared(material)})
         of_material = np.array([index.get((object_name, m.name if m else ""), -1) for m in (materials or [None])])
         vertices.append(v)
         triangles.append(t + offset)
@@ -118,26 +134,17 @@ def _import(job: ImportJob) -> None:
         "group_of_triangle": np.concatenate(groups).astype(np.int32),
         "smooth": np.concatenate(smooth),
     }
-    write_geometry(job.target, facts, arrays)
+    return {"arrays": arrays, "groups": facts}
 
 
-def _require_libraries(job: ImportJob) -> None:
-    """Check that the libraries of a .blend are there, and that the digest of the model covers them.
-
-    Raises:
-        ModelError: The problems name those for which this is not so.
-    """
-    known = {path.resolve() for path in job.files.paths}
+def _other_libraries(known: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the libraries of a .blend that are missing or not among the known files, each with what was found."""
     problems = []
     for library in bpy.data.libraries:
         path = Path(bpy.path.abspath(library.filepath)).resolve()
-        if library.packed_file is None and path not in known:
-            found = "named by an absolute path" if path.is_file() else "missing"
-            todo = "make linked data local, or paths relative (File > External Data), and save it again"
-            what = f"refers to the linked library {library.filepath!r}, which is {found}"
-            problems.append(Problem(job.shown, NO_FILE, what, "a file beside the model", todo))
-    if problems:
-        raise ModelError(f"model file {job.shown}: cannot use {len(problems)} of the files it refers to", problems)
+        if library.packed_file is None and str(path) not in known:
+            problems.append((library.filepath, "named by an absolute path" if path.is_file() else "missing"))
+    return problems
 
 
 def _reason(error: Exception) -> str:
@@ -167,11 +174,11 @@ def _show_as_rendered() -> None:
     scene.render.simplify_subdivision = scene.render.simplify_subdivision_render
 
 
-def _pieces(shown: str) -> Iterator[_Piece]:
+def _pieces() -> Iterator[_Piece]:
     """Yield the evaluated triangles of everything that is visible in a render of the scene.
 
     Raises:
-        ModelError: There are too many.
+        _TooLargeError: There are too many.
     """
     for thing in bpy.data.objects:
         for modifier in thing.modifiers:
@@ -183,7 +190,7 @@ def _pieces(shown: str) -> Iterator[_Piece]:
     total = 0
     for number, instance in enumerate(depsgraph.object_instances):
         if number >= MAX_INSTANCES:
-            raise too_large(Path(shown), f"more than {MAX_INSTANCES:,} instances")
+            raise _TooLargeError(f"more than {MAX_INSTANCES:,} instances")
         thing = instance.object
         if thing.hide_render or thing.type not in {"MESH", "CURVE", "SURFACE", "META", "FONT"}:
             continue
@@ -195,7 +202,7 @@ def _pieces(shown: str) -> Iterator[_Piece]:
         # Corners minus two per polygon; counted before Blender computes the triangles.
         total += len(mesh.loops) - 2 * len(mesh.polygons)
         if total > MAX_TRIANGLES:
-            raise too_large(Path(shown), f"more than {MAX_TRIANGLES:,} triangles")
+            raise _TooLargeError(f"more than {MAX_TRIANGLES:,} triangles")
         mesh.calc_loop_triangles()
         count = len(mesh.loop_triangles)
         if count:

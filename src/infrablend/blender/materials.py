@@ -13,16 +13,12 @@ An IOR of 1 removes the dependence on the angle: rough surfaces such as fur, clo
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
 
 import bpy
 
 from infrablend.blender.nodes import Nodes, new_material
 from infrablend.blender.physical import SKY, add_inputs, emission_alone, physical_group, two_sided_ior
-from infrablend.core.files import replace_atomically
-from infrablend.core.tasks import Task
 
 GROUP_NAME = "InfraredEffect"
 # Name, default, minimum, maximum and description, in the order of the sockets.
@@ -109,6 +105,9 @@ def object_material(
     if material is not None:
         return material
     material, nodes = new_material(name)
+    # Surfaces and sky emit on all sides, so following reflections finds their light. Aiming at a random triangle, too,
+    # would double the cost of a sample and leave as much noise.
+    material.cycles.emission_sampling = "NONE"
     attribute, link = nodes.attribute, nodes.link
     effect = nodes.add("ShaderNodeGroup", node_tree=physical_group() if physical else infrared_effect_group())
     celsius, emissivity, ior = (attribute(n) for n in ("temperature_c", "emissivity", "ior"))
@@ -142,8 +141,8 @@ def aov_name(slot: int) -> str:
     return f"coverage_{slot}"
 
 
-def write_infrared_effect(path: Path) -> Path:
-    """Write a .blend file to append from, with both node groups and an example material for each."""
+def write_infrared_effect(job: Mapping[str, str]) -> None:
+    """Write a .blend `file` to append from, with both node groups and an example material for each."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     for group, what in (
         (infrared_effect_group(), "Thermal look of a surface from its temperature and emissivity (InfraBlend)"),
@@ -156,15 +155,4 @@ def write_infrared_effect(path: Path) -> Path:
         material.use_fake_user = True
         output = nodes.add("ShaderNodeOutputMaterial", location=(250, 0))
         nodes.link(nodes.add("ShaderNodeGroup", node_tree=group).outputs["Shader"], output.inputs["Surface"])
-    with replace_atomically(path) as temporary:
-        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), copy=True, compress=False)
-    return path
-
-
-def make_node_group_writer(_settings: Any) -> Callable[[Task], str]:
-    """Create a worker; the payload of its tasks is the .blend to write."""
-
-    def run(task: Task) -> str:
-        return str(write_infrared_effect(Path(task.payload)))
-
-    return run
+    bpy.ops.wm.save_as_mainfile(filepath=job["file"], copy=True, compress=False)

@@ -19,13 +19,9 @@ import bpy
 import numpy as np
 
 from infrablend.blender.nodes import Nodes
-from infrablend.core.scene import Weather
-from infrablend.thermal.radiometry import ZERO_C_K, band_radiance
-from infrablend.thermal.sky import window_transmittance
+from infrablend.thermal.radiometry import UNIT_K, UNIT_W_M2_SR, ZERO_C_K, band_radiance
 
 GROUP_NAME = "InfraredEffect Physical"
-REFERENCE_K = 300.0
-UNIT_W_M2_SR = float(band_radiance(REFERENCE_K))
 # ln(L(T) / L(300 K)) is fitted by a polynomial in 300/T - 1; within 3e-4 of Planck's law from 230 to 400 K.
 _FIT_K = (230.0, 400.0)
 _FIT_DEGREE = 3
@@ -44,7 +40,7 @@ SOCKETS = (
 def radiance_coefficients() -> tuple[float, ...]:
     """Return the coefficients c_k of ln(L(T) / L(300 K)) = sum c_k (300/T - 1)^k."""
     t = np.linspace(*_FIT_K, 2000)
-    powers = np.vander(REFERENCE_K / t - 1, _FIT_DEGREE + 1, increasing=True)
+    powers = np.vander(UNIT_K / t - 1, _FIT_DEGREE + 1, increasing=True)
     fit, *_ = np.linalg.lstsq(powers, np.log(band_radiance(t) / UNIT_W_M2_SR), rcond=None)
     return tuple(float(c) for c in fit)
 
@@ -126,7 +122,7 @@ def emission_alone(nodes: Nodes, celsius: Any, emissivity: Any, ior: Any, sky: M
     """Return the shader of a translucent surface, which emits its own radiance and the reflection of sky and ground.
 
     A scattering shader mixed with a Transparent node is sampled at random, which makes alpha and coverage noisy; an
-    emission is exact. Reflections of other parts are missing. `sky` holds a socket for each name of `sky_values`.
+    emission is exact. Reflections of other parts are missing. `sky` holds a socket for each of `SKY`.
     """
     geometry = nodes.new("ShaderNodeNewGeometry")
     incoming, normal = geometry.outputs["Incoming"], geometry.outputs["Normal"]
@@ -146,23 +142,16 @@ def add_inputs(group: bpy.types.ShaderNodeTree, sockets: Sequence[tuple[str, flo
         socket.description = description
 
 
+# Values of the sky's nodes, which the caller gives: the transmittance of a clear sky at the zenith, the radiances of
+# the air and of the base of clouds, the share of the sky that clouds cover, and the radiance of the ground.
 SKY = ("clear_at_zenith", "air", "cloud", "cover", "ground")
 
 
-def sky_values(weather: Weather) -> dict[str, float]:
-    """Return the values of the sky's nodes for this weather, by the names in `SKY`; radiances in units of L(300 K)."""
-    air, cloud, ground = (
-        float(band_radiance(k)) / UNIT_W_M2_SR for k in (weather.air_k, weather.cloud_base_k, weather.ground_k)
-    )
-    through = window_transmittance(weather.air_k, weather.dew_point_k)
-    return dict(zip(SKY, (through, air, cloud, weather.cloud, ground), strict=True))
-
-
-def set_world(scene: bpy.types.Scene, weather: Weather) -> None:
-    """Set the World to the sky above the horizon and the ground below it, in this weather."""
+def set_world(scene: bpy.types.Scene, sky: Mapping[str, float]) -> None:
+    """Set the World to the sky above the horizon and the ground below it, from a value for each of `SKY`."""
     world = bpy.data.worlds.get("thermal_sky") or _build_world()
     scene.world = world
-    for name, value in sky_values(weather).items():
+    for name, value in sky.items():
         world.node_tree.nodes[name].outputs[0].default_value = value
 
 
@@ -195,7 +184,7 @@ def _sky(nodes: Nodes, up: Any, values: Mapping[str, Any]) -> Any:
 
 def _radiance_of(nodes: Nodes, kelvin: Any) -> Any:
     """Return L(T) in units of L(300 K), from `radiance_coefficients` by Horner's rule."""
-    x = nodes.math("SUBTRACT", nodes.math("DIVIDE", REFERENCE_K, kelvin), 1.0)
+    x = nodes.math("SUBTRACT", nodes.math("DIVIDE", UNIT_K, kelvin), 1.0)
     *lower, highest = radiance_coefficients()
     sum_ = nodes.math("MULTIPLY_ADD", x, highest, lower.pop())
     while lower:

@@ -7,20 +7,14 @@ dither, denoising, sample clamping, soft pixel filter) would falsify thermal dat
 from __future__ import annotations
 
 import ctypes
-import os
-import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import bpy
 import mathutils
 import numpy as np
-import OpenEXR
-from numpy.typing import NDArray
 
-from infrablend.core.camera import CameraSpec
-from infrablend.core.machine import Device
-from infrablend.core.mesh import FloatArray, IntArray
 from infrablend.errors import MissingDependencyError, RenderError
 
 # `auto` tries them in this order.
@@ -34,93 +28,78 @@ _KEPT_BYTES = 2**26
 
 
 class Stage:
-    """The scene of the process, emptied, with a camera, and the float file that it is rendered to.
+    """The scene of the process, emptied, with a camera, and the folder of the float files that it is rendered to.
 
     Attributes:
         scene: The scene, with all settings pinned that affect pixels.
+        device: Kind of device that it is rendered on: `cpu`, `cuda`, ...
     """
 
-    def __init__(self, device: Device) -> None:
-        """Empty the scene and discard user preferences; render on a device, see `use_device`."""
+    def __init__(self, device: str, folder: str) -> None:
+        """Empty the scene and discard user preferences; render to a folder on a device, see `use_device`."""
         return_large_blocks()
         # Factory settings also guarantee that scripts in .blend files stay off (use_scripts_auto_execute).
         bpy.ops.wm.read_factory_settings(use_empty=True)
         bpy.context.preferences.filepaths.use_scripts_auto_execute = False
         s = self.scene = bpy.context.scene
         pin_settings(s)
-        use_device(s, device)
-        shm = "/dev/shm" if Path("/dev/shm").is_dir() else None
-        # Workers get a TMPDIR in memory that their parent removes, so a killed one leaves nothing behind.
-        self._folder = tempfile.TemporaryDirectory(prefix="infrablend_", dir=os.environ.get("TMPDIR") or shm)
-        self._file = Path(self._folder.name) / "render.exr"
+        self.device = use_device(s, device)
+        self._folder = Path(folder)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         s.collection.objects.link(self._camera)
         s.camera = self._camera
         settings = s.render.image_settings
+        if hasattr(settings, "media_type"):  # Blender 5
+            settings.media_type = "MULTI_LAYER_IMAGE"
         settings.file_format = "OPEN_EXR_MULTILAYER"
         settings.color_mode = "RGBA"
         settings.color_depth = "32"
         settings.exr_codec = "NONE"
         s.render.use_file_extension = False
-        s.render.filepath = str(self._file)
 
-    def close(self) -> None:
-        """Remove the float file."""
-        self._folder.cleanup()
-
-    def set_camera(self, camera: CameraSpec, clip_m: tuple[float, float], oversample: int = 1) -> None:
-        """Set the camera, with its near and far limit, and the size of renders in samples per pixel and direction.
+    def set_camera(self, camera: Mapping[str, Any], oversample: int = 1) -> None:
+        """Set the camera and the size of renders, in samples per pixel and direction.
 
         Blender raises a focal length or sensor width below 1 mm to 1 mm. Only their ratio counts, so both are scaled
         up.
+
+        Args:
+            camera: `position_m` (3,); `world_to_camera` (3, 3), whose third row looks ahead and second row down;
+                `sensor_width_mm`, `focal_length_mm`; `size_wh`, pixels; `clip_m`, near and far limit.
+            oversample: Samples per pixel and direction.
         """
         data = self._camera.data
-        scale = max(1.0, 1 / min(camera.sensor_width_mm, camera.focal_length_mm))
+        scale = max(1.0, 1 / min(camera["sensor_width_mm"], camera["focal_length_mm"]))
         data.sensor_fit = "HORIZONTAL"
-        data.sensor_width = scale * camera.sensor_width_mm
-        data.lens = scale * camera.focal_length_mm
-        data.clip_start, data.clip_end = clip_m
+        data.sensor_width = scale * camera["sensor_width_mm"]
+        data.lens = scale * camera["focal_length_mm"]
+        data.clip_start, data.clip_end = camera["clip_m"]
         # Blender's camera looks along -Z with +Y up; ours along +z with +y down.
         matrix = np.eye(4)
-        matrix[:3, :3] = camera.world_to_camera.T @ np.diag([1.0, -1.0, -1.0])
-        matrix[:3, 3] = camera.position_m
+        matrix[:3, :3] = camera["world_to_camera"].T @ np.diag([1.0, -1.0, -1.0])
+        matrix[:3, 3] = camera["position_m"]
         self._camera.matrix_world = mathutils.Matrix(matrix.tolist())
-        r, (w, h) = self.scene.render, camera.size_wh
+        r, (w, h) = self.scene.render, camera["size_wh"]
         r.resolution_x, r.resolution_y = w * oversample, h * oversample
 
-    def render(self, what: str) -> None:
-        """Render the scene to the file; `what` is shown in errors.
+    def render(self, what: str, number: int = 0) -> None:
+        """Render the scene to the file `NUMBER.exr`; `what` is shown in errors.
 
         Raises:
             RenderError: Cycles failed.
         """
-        self._file.unlink(missing_ok=True)
+        file = self._folder / f"{number}.exr"
+        file.unlink(missing_ok=True)
+        self.scene.render.filepath = str(file)
         try:
             bpy.ops.render.render(write_still=True)
         except RuntimeError as error:
             raise RenderError(f"{what}: Cycles failed: {error}") from error
-        if not self._file.is_file():
+        if not file.is_file():
             raise RenderError(f"{what}: Cycles wrote no picture; is the disk full?")
 
-    def channels(self) -> dict[str, NDArray[np.float32]]:
-        """Return the (h, w) channels of the file, by their names in lower case."""
-        with OpenEXR.File(str(self._file), separate_channels=True) as exr:
-            return {name.lower(): np.array(c.pixels, np.float32) for name, c in exr.channels().items()}
 
-
-def channel(channels: dict[str, NDArray[np.float32]], what: str, *endings: str) -> NDArray[np.float32]:
-    """Return the first channel whose name has one of these endings; `what` is shown in errors.
-
-    Raises:
-        RenderError: There is none.
-    """
-    for name, pixels in channels.items():
-        if name.endswith(endings):
-            return pixels
-    raise RenderError(f"{what}: channel {endings[0]} is missing; found {sorted(channels)}")
-
-
-def fill_mesh(data: bpy.types.Mesh, vertices_m: FloatArray, triangles: IntArray) -> None:
+def fill_mesh(data: bpy.types.Mesh, vertices_m: Any, triangles: Any) -> None:
     """Give an empty mesh its (V, 3) vertices and (T, 3) triangles."""
     count = len(triangles)
     data.vertices.add(len(vertices_m))
@@ -183,8 +162,8 @@ def pin_settings(scene: bpy.types.Scene) -> None:
     view.use_curve_mapping = False
 
 
-def use_device(scene: bpy.types.Scene, device: Device) -> None:
-    """Set the device that Cycles renders on; `auto` takes a GPU if there is one, else the CPU.
+def use_device(scene: bpy.types.Scene, device: str) -> str:
+    """Set the device that Cycles renders on, and return its kind; `auto` takes a GPU if there is one, else the CPU.
 
     Raises:
         MissingDependencyError: No device of the requested GPU backend was found.
@@ -194,7 +173,7 @@ def use_device(scene: bpy.types.Scene, device: Device) -> None:
     scene.render.threads = 1
     scene.cycles.device = "CPU"
     if device == "cpu":
-        return
+        return "cpu"
     found = gpu_devices()
     wanted = GPU_BACKENDS if device == "auto" else (device.upper(),)
     for backend in wanted:
@@ -204,9 +183,9 @@ def use_device(scene: bpy.types.Scene, device: Device) -> None:
             for d in preferences.devices:
                 d.use = d.type == backend
             scene.cycles.device = "GPU"
-            return
+            return backend.lower()
     if device == "auto":
-        return
+        return "cpu"
     names = sorted(k.lower() for k, v in found.items() if v)
     raise MissingDependencyError(
         f"--device {device}: Blender finds no such device here; found {', '.join(names) or 'no GPU at all'}. "

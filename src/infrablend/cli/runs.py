@@ -75,7 +75,10 @@ def generate(
     execution: Annotated[
         api.Execution,
         Fields(
-            "workers device executor address", workers=typer.Option(min=1), address=typer.Option(metavar="HOST:PORT")
+            "workers device executor address blender",
+            workers=typer.Option(min=1),
+            address=typer.Option(metavar="HOST:PORT"),
+            blender=typer.Option(metavar="PATH"),
         ),
     ],
     to: Annotated[

@@ -75,11 +75,9 @@ def look_behind(
     # A level of 0 is a level; only too few free pixels call for the whole picture.
     level = _median(picture, everywhere) if level is None else level
     all_ground = Behind(level, None, 0.0, None, ~everywhere, everywhere)
-    if camera is None:
+    if camera is None or not sees_horizon(camera):
         return all_ground
     elevation = elevations(camera)
-    if float(elevation.max()) <= 0:
-        return all_ground
     found = find_skyline(picture, scale)
     above = elevation > 0
     sky, land = found.sky, found.land | ~above
@@ -104,6 +102,13 @@ def look_behind(
         elevation_rad=elevation,
         step_grey=found.step_grey,
     )
+
+
+def sees_horizon(camera: CameraSpec) -> bool:
+    """Return whether the ray of any pixel points above the horizon; then that of a pixel in a corner does."""
+    w, h = camera.size_wh
+    right, down, ahead = camera.world_to_camera.T[2]
+    return bool((abs(right) * (w - 1) + abs(down) * (h - 1)) / (2 * camera.focal_px) + ahead > 0)
 
 
 def elevations(camera: CameraSpec) -> NDArray[np.float32]:

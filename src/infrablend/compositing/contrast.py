@@ -19,6 +19,7 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
+from infrablend.core.quantiles import percentile
 from infrablend.core.rings import ring_levels
 
 # Boxes nearer to the frame's edge are not measured.
@@ -120,7 +121,7 @@ def measure_contrast(
     around = ring_levels(picture, box_xyxy, others)
     if around is None:
         return None
-    ring = around / scale
+    ring = np.asarray(around, np.float64) / scale
     left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
     inside = np.asarray(picture[top:bottom, left:right], np.float64) / scale
     h, w = inside.shape
@@ -159,8 +160,12 @@ def visible_change(
     h, w = coverage.shape
     inside = coverage >= min(0.5, float(coverage.max(initial=0.0)))
     inside &= coverage > 0
-    if not inside.any():
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
+    if not rows.size:
         return 0.0
-    part = (slice(y, y + h), slice(x, x + w))
+    # The object and the pixel around it that the mean takes in, within the crop.
+    top, bottom = max(int(rows[0]) - 1, 0), min(int(rows[-1]) + 2, h)
+    left, right = max(int(columns[0]) - 1, 0), min(int(columns[-1]) + 2, w)
+    part = (slice(y + top, y + bottom), slice(x + left, x + right))
     change = cv2.blur(after[part].astype(np.float32) - before[part].astype(np.float32), (3, 3))
-    return float(np.percentile(np.abs(change[inside]), 90)) / scale
+    return percentile(np.abs(change[inside[top:bottom, left:right]]), 90) / scale

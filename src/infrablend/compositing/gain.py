@@ -27,7 +27,8 @@ from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance
-from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
+from infrablend.core.quantiles import percentile
+from infrablend.thermal.radiometry import band_radiance_slope, radiance_at
 
 # A level within this distance of the dataset's darkest or brightest one counts as clipped; 8-bit levels.
 CLIP_MARGIN = 3
@@ -128,7 +129,7 @@ class Anchor:
     def contrast(self, ground_radiance: float) -> float:
         """Return its radiance above that of what it is compared with."""
         behind = ground_radiance if self.sky_radiance is None else self.sky_radiance
-        return float(band_radiance(self.kelvin)) - behind
+        return radiance_at(self.kelvin) - behind
 
     def above_ground(self, share: float) -> float:
         """Return the level above the picture's ground (or sky), without the local share of the surroundings."""
@@ -187,7 +188,7 @@ def find_anchors(
         # Boxes are drawn loosely: half of a person's box is ground. Its middle is the object.
         middle = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
         if known == "person" and backdrop.time_of_day != "day":
-            bright = float(np.percentile(inside, 95))
+            bright = percentile(inside, 95)
             seen = (middle - around) / _CLOTHING_SEEN
             if floor < middle:
                 clipped = middle >= ceiling - 4 * scale
@@ -371,12 +372,12 @@ def ring_level(
     width = max(reach * max(x1 - x0, y1 - y0), 12.0)
     left, top, right, bottom = pixel_box(np.array([x0 - width, y0 - width, x1 + width, y1 + width]), picture.shape)
     inner = pixel_box(box_xyxy, picture.shape)
-    use = np.zeros_like(free)
-    use[top:bottom, left:right] = free[top:bottom, left:right]
-    use[inner[1] : inner[3], inner[0] : inner[2]] = False
-    for mask in (use, free):
-        if mask.sum() >= 50:
-            return float(np.median(picture[mask]))
+    part = (slice(top, bottom), slice(left, right))
+    use = free[part].copy()
+    use[max(inner[1] - top, 0) : max(inner[3] - top, 0), max(inner[0] - left, 0) : max(inner[2] - left, 0)] = False
+    for levels, mask in ((picture[part], use), (picture, free)):
+        if np.count_nonzero(mask) >= 50:
+            return float(np.median(levels[mask]))
     return float(np.median(picture))
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -40,7 +41,7 @@ from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import View, Weather
-from infrablend.thermal.radiometry import band_radiance
+from infrablend.thermal.radiometry import band_radiance, radiance_at
 from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittance
 
 # Share of an object's labelled area that must stand out from the ground.
@@ -234,7 +235,7 @@ class _Curve:
         if kind == "ground":
             level += self.offset[side]
         gain = self.gain[side]
-        return level - gain * reference + gain * hazier * float(band_radiance(weather.air_k)), gain * clearer
+        return level - gain * reference + gain * hazier * radiance_at(weather.air_k), gain * clearer
 
 
 def _side(insert: Insert, kind: Kind) -> Side:
@@ -251,7 +252,7 @@ def _estimate(
     rng: np.random.Generator,
 ) -> _Curve:
     """Draw share, gains and offsets of a picture from their posteriors."""
-    of_ground, prior = float(band_radiance(weather.ground_k)), settings.prior
+    of_ground, prior = radiance_at(weather.ground_k), settings.prior
     share, share_facts = draw_share(on_ground, weather.air_k, of_ground, unit, settings.local_share, prior, rng)
     gains: dict[Side, float] = {}
     offsets: dict[Side, float] = {}
@@ -328,8 +329,8 @@ def _reference(behind: Behind, kind: Kind, weather: Weather, ring: float) -> tup
         assert behind.sky_grey is not None
         return behind.sky_grey, behind.sky_radiance
     if kind == "skyline" and behind.skyline_grey is not None:
-        return behind.skyline_grey, float(band_radiance(weather.air_k))
-    return ring if behind.ground_grey is None else behind.ground_grey, float(band_radiance(weather.ground_k))
+        return behind.skyline_grey, radiance_at(weather.air_k)
+    return ring if behind.ground_grey is None else behind.ground_grey, radiance_at(weather.ground_k)
 
 
 def is_warm(placed: PlacedObject, weather: Weather) -> bool:
@@ -337,13 +338,13 @@ def is_warm(placed: PlacedObject, weather: Weather) -> bool:
 
     Labelled parts are weighted by their visible area and assumed to reflect half sky and half ground.
     """
-    zenith, ground = _zenith(weather), float(band_radiance(weather.ground_k))
+    zenith, ground = _zenith(weather), radiance_at(weather.ground_k)
+    parts = {name: part for name, part in placed.spec.parts.items() if part.label}
+    own = band_radiance([part.temperature_k + placed.part_sun_rise_k[name] for name, part in parts.items()]).tolist()
     total = 0.0
-    for name, part in placed.spec.parts.items():
-        if part.label:
-            rise = placed.part_sun_rise_k[name]
-            own = part.emissivity * float(band_radiance(part.temperature_k + rise))
-            total += placed.part_areas_px[name] * (own + (1 - part.emissivity) * (zenith + ground) / 2 - ground)
+    for (name, part), light in zip(parts.items(), own, strict=True):
+        mirrored = (1 - part.emissivity) * (zenith + ground) / 2
+        total += placed.part_areas_px[name] * (part.emissivity * light + mirrored - ground)
     return bool(total > 0)
 
 
@@ -354,19 +355,18 @@ def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_gre
     whichever gives more contrast. The result is an upper estimate: an object that is too faint here is certainly too
     faint in the picture.
     """
-    around = (_zenith(weather), float(band_radiance(weather.ground_k)))
-    found = []
-    for name, part in placed.spec.parts.items():
-        area = placed.part_areas_px[name]
-        if part.label and area > 0:
-            levels = [
-                place.dark
-                + (place.bright - place.dark)
-                * (part.emissivity * float(band_radiance(part.temperature_k + rise)) + (1 - part.emissivity) * mirrored)
-                for mirrored in around
-                for rise in placed.part_sun_range_k[name]
-            ]
-            found.append((max(abs(v - ring_grey) for v in levels), area))
+    around = (_zenith(weather), radiance_at(weather.ground_k))
+    areas, rises = placed.part_areas_px, placed.part_sun_range_k
+    parts = {name: part for name, part in placed.spec.parts.items() if part.label and areas[name] > 0}
+    own = band_radiance([[part.temperature_k + rise for rise in rises[name]] for name, part in parts.items()]).tolist()
+    found: list[tuple[float, float]] = []
+    for (name, part), lights in zip(parts.items(), own, strict=True):
+        levels = [
+            place.dark + (place.bright - place.dark) * (part.emissivity * light + (1 - part.emissivity) * mirrored)
+            for mirrored in around
+            for light in lights
+        ]
+        found.append((max(abs(v - ring_grey) for v in levels), areas[name]))
     total, seen = sum(area for _, area in found), 0.0
     for contrast, area in sorted(found, reverse=True):
         seen += area
@@ -375,6 +375,7 @@ def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_gre
     return 0.0
 
 
+@lru_cache(maxsize=1)
 def _zenith(weather: Weather) -> float:
     """Return the sky's radiance straight up."""
     return float(sky_radiance(weather.air_k, weather.dew_point_k, 0.0, weather.cloud, weather.cloud_base_k))

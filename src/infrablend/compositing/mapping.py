@@ -67,12 +67,13 @@ class GreyMapping:
         dark: Any = np.float32(self.dark)
         span: Any = np.float32(self.bright - self.dark)
         if len(self.places) > 1:
-            rows, columns = np.indices(alpha.shape, np.float32)
-            x, y = columns + np.float32(offset_xy[0] + 0.5), rows + np.float32(offset_xy[1] + 0.5)
+            rows, columns = np.nonzero((alpha != 0) | (radiance != 0))
+            x, y = (n.astype(np.float32) + np.float32(o + 0.5) for n, o in zip((columns, rows), offset_xy, strict=True))
             away = [np.hypot(x - np.float32(p.centre_xy[0]), y - np.float32(p.centre_xy[1])) for p in self.places]
             nearest = np.argmin(away, axis=0)
-            dark = np.array([p.dark for p in self.places], np.float32)[nearest]
-            span = np.array([p.bright - p.dark for p in self.places], np.float32)[nearest]
+            dark, span = np.zeros_like(alpha), np.zeros_like(alpha)
+            dark[rows, columns] = np.array([p.dark for p in self.places], np.float32)[nearest]
+            span[rows, columns] = np.array([p.bright - p.dark for p in self.places], np.float32)[nearest]
         grey = dark * alpha + span * radiance
         if self.limits is not None:
             low, high = (np.float32(v) for v in self.limits)

@@ -94,7 +94,7 @@ def edge_profiles(
     edges[:, :10] = edges[:, width - 10 :] = 0
     if free is not None:
         edges[~free] = 0
-    ys, xs = np.nonzero(edges)
+    ys, xs = np.nonzero(edges != 0)
     every = max(1, math.ceil(len(ys) / _MAX_EDGES))
     ys, xs = ys[::every], xs[::every]
     if not len(ys):
@@ -104,9 +104,10 @@ def edge_profiles(
     length = np.maximum(np.hypot(nx, ny), np.float32(1e-6))
     nx, ny = (nx / length)[:, None], (ny / length)[:, None]
     lines = np.zeros((len(ys), len(t)), np.float32)
+    across_x, across_y = xs[:, None] + t * nx, ys[:, None] + t * ny
     for aside in (-1.0, 0.0, 1.0):
-        mx = (xs[:, None] + t * nx - aside * ny).astype(np.float32)
-        my = (ys[:, None] + t * ny + aside * nx).astype(np.float32)
+        mx = (across_x - aside * ny).astype(np.float32)
+        my = (across_y + aside * nx).astype(np.float32)
         lines += cv2.remap(grey, mx, my, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) / np.float32(3)
     dark, bright = lines[:, t <= -PLATEAU_PX], lines[:, t >= PLATEAU_PX]
     low, high = np.median(dark, axis=1), np.median(bright, axis=1)
@@ -193,7 +194,7 @@ def flat_blocks(
     rest = blocks - (blocks @ basis) @ basis.T
     order = np.argsort(rest.std(axis=1), kind="stable")
     if free is not None:
-        order = order[_blocks(free).all(axis=1)[order]]
+        order = order[np.all(_blocks(free), axis=1)[order]]
     found: list[int] = []
     # Percentiles are expensive: compute them for the flattest blocks first, and stop when enough are unclipped.
     for start in range(0, len(order), 16):

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from infrablend.compositing.mapping import GreyImage
 from infrablend.compositing.overlay import Layer
 from infrablend.core.boxes import pixel_box
+from infrablend.core.quantiles import quantile
 from infrablend.core.skyline import noise_of
 
 Share = NDArray[np.float32]
@@ -133,7 +134,7 @@ class Scenery:
         part = _around(window, _AROUND_PX)
         x, y = self._gradient
         slope = np.hypot(x[part], y[part])
-        return float(np.median(self.pixels[part][slope <= np.quantile(slope, _SMOOTH_SHARE)]))
+        return float(np.median(self.pixels[part][slope <= quantile(slope, _SMOOTH_SHARE)]))
 
     @cached_property
     def _texture_sums(self) -> NDArray[np.float64]:
@@ -223,9 +224,11 @@ class Scenery:
             low = high = (wanted.low + wanted.high) / 2
         aim = min(max(wanted.aim, low), high)
 
+        whole = float(share.sum(dtype=np.float64))
+
         def at(limit: float) -> Occluder:
             limit, soft = round(limit, 3), round(limit / 2, 3)
-            hidden = float((_matte_of(strength, limit, soft) * share).sum() / share.sum())
+            hidden = float((_matte_of(strength, limit, soft) * share).sum(dtype=np.float64)) / whole
             return Occluder((0, 0, 0, 0), True, 0, limit, soft, round(1 - hidden, 4))
 
         # The visible share rises with the threshold.
@@ -246,7 +249,7 @@ class Scenery:
         """
         left, top, right, bottom = window
         grey = self.pixels[top:bottom, left:right].astype(np.float32)
-        front, behind = (float((grey * m).sum() / max(float(m.sum()), 1e-6)) for m in (matte, 1 - matte))
+        front, behind = (float((grey * m).sum()) / max(float(m.sum()), 1e-6) for m in (matte, 1 - matte))
         ground = self._ground_grey(window)
         ahead = abs(front - ground) - abs(behind - ground)
         return ahead if ahead >= _CLEARLY * abs(front - behind) else 0.0
@@ -297,13 +300,14 @@ def front_matte(
     (x, y), (h, w) = offset_xy, coverage.shape[1:]
     for k, occluder in sorted(occluders.items()):
         left, top, right, bottom = occluder.window
-        free = np.ones(front.shape, np.bool_)
-        others = np.delete(coverage, k, axis=0)
-        if others.size:
-            most = others.max(axis=0)
-            free[y : y + h, x : x + w] = (most <= 0) | (coverage[k] >= most)
+        free = np.ones((bottom - top, right - left), np.bool_)
+        x0, y0, x1, y1 = max(left, x), max(top, y), min(right, x + w), min(bottom, y + h)
+        if len(coverage) > 1 and x0 < x1 and y0 < y1:
+            shared = coverage[:, y0 - y : y1 - y, x0 - x : x1 - x]
+            most = np.delete(shared, k, axis=0).max(axis=0)
+            free[y0 - top : y1 - top, x0 - left : x1 - left] = (most <= 0) | (shared[k] >= most)
         part = (slice(top, bottom), slice(left, right))
-        front[part] = np.maximum(front[part], scenery.matte(occluder) * free[part])
+        front[part] = np.maximum(front[part], scenery.matte(occluder) * free)
     return front
 
 

@@ -141,16 +141,16 @@ def _tailed_gaussian(t: NDArray[np.float64], length: float, sigma: float) -> NDA
     ratio = sigma / length
     b = (ratio - s / sigma) / math.sqrt(2)
     log_exp = 0.5 * ratio**2 - s / length
-    log_erfc = np.array([_log_erfc(v) for v in b.tolist()])
-    return np.asarray(np.exp(log_exp + log_erfc), np.float64)
+    return np.asarray(np.exp(log_exp + _log_erfc(b)), np.float64)
 
 
-def _log_erfc(x: float) -> float:
+def _log_erfc(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Logarithm of the complementary error function; above 5 by its asymptotic series, good to 1e-5."""
-    if x < 5:
-        return math.log(math.erfc(x))
-    q = 1 / (2 * x * x)
-    return -x * x - math.log(x * math.sqrt(math.pi)) + math.log1p(-q + 3 * q * q - 15 * q**3)
+    found, near, far = np.empty_like(x), x < 5, x[x >= 5]
+    found[near] = np.log(np.fromiter(map(math.erfc, x[near].tolist()), np.float64))
+    q = 1 / (2 * far * far)
+    found[~near] = -far * far - np.log(far * math.sqrt(math.pi)) + np.log1p(-q + 3 * q * q - 15 * q**3)
+    return found
 
 
 def compose(background: GreyImage, layer: Layer) -> GreyImage:

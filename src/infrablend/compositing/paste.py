@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
+from infrablend.core.quantiles import quantile
 from infrablend.core.rings import ring_levels
 
 # Pixels around the box in which the matte fades to nothing.
@@ -87,7 +88,7 @@ def cut_out(
     own = cv2.dilate((parts == strongest).astype(np.uint8), np.ones((3, 3), np.uint8)).astype(np.bool_)
     alpha[~own] = 0
     difference *= alpha
-    cover = np.minimum(np.abs(difference) / np.float32(np.quantile(np.abs(difference[alpha > _JOINED]), _LARGEST)), 1)
+    cover = np.minimum(np.abs(difference) / np.float32(quantile(np.abs(difference[alpha > _JOINED]), _LARGEST)), 1)
     return CutOut(
         difference, np.asarray(cover, np.float32), np.asarray(box_xyxy - np.array([x0, y0, x0, y0]), np.float64)
     )

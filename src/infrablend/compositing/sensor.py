@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
@@ -160,13 +160,10 @@ def fit_sensor(
             noise, size = true_grain(found, correlation, 1.0)
             grain = min(max(size, 0.8 * p.noise_grain_px), 1.25 * p.noise_grain_px)
         noise = min(noise, 4 * p.noise_grey * scale)
-    defocus = 0.0
-    if range_m is not None and p.lens is not None:
-        defocus = strength.defocus * p.lens.blur_disc_px(range_m) / 4
     quality = None
     if strength.codec > 0 and p.codec_quality is not None and background.dtype == np.uint8:
         quality = max(5, round(100 - strength.codec * (100 - p.codec_quality)))
-    return Sensor(
+    fitted = Sensor(
         profile=p.name,
         blur_sigma_px=blur,
         halo_gain=round(gain, 4),
@@ -179,10 +176,20 @@ def fit_sensor(
         edge_sigma_px=None if sigma is None else round(sigma, 4),
         edges=edges,
         flat_blocks=blocks,
-        range_m=None if range_m is None else round(range_m, 3),
-        defocus_sigma_px=round(defocus, 4),
         speed_px_s=round(math.hypot(*motion_px) / p.time_constant_s, 2),
     )
+    return focus_missed(fitted, p, strength, range_m)
+
+
+def focus_missed(
+    sensor: Sensor, profile: str | SensorProfile, strength: SensorStrength, range_m: float | None
+) -> Sensor:
+    """Return a fitted chain with the defocus of objects at a distance from the camera; None for no defocus."""
+    if range_m is None:
+        return replace(sensor, range_m=None, defocus_sigma_px=0.0)
+    lens = find_profile(profile).lens
+    defocus = 0.0 if lens is None else strength.defocus * lens.blur_disc_px(range_m) / 4
+    return replace(sensor, range_m=round(range_m, 3), defocus_sigma_px=round(defocus, 4))
 
 
 def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyImage:
@@ -213,9 +220,11 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
         # otherwise its texture would show through the insert, inverted.
         wide = 3 * reach
         up, back = min(top, wide), min(left, wide)
-        around = background[top - up : bottom + wide, left - back : right + wide].astype(np.float64)
-        before = unsharpen(around, sensor.halo_gain, sensor.halo_radius_px)
-        before = before[up : up + bottom - top, back : back + right - left]
+        around = background[top - up : bottom + wide, left - back : right + wide]
+        hidden = np.zeros(around.shape, np.uint8)
+        inside = (slice(up, up + bottom - top), slice(back, back + right - left))
+        hidden[inside] = alpha > 0
+        before = unsharpen_around(around, hidden, wide, sensor)[inside]
         mixed = ground + enhance(grey - alpha * before, sensor.halo_gain, sensor.halo_radius_px)
     if sensor.noise_grey > 0:
         # The background keeps (1 - alpha) of its own grain; this weight restores the full variance.
@@ -249,6 +258,23 @@ def unsharpen(picture: NDArray[np.float64], gain: float, radius_px: float) -> ND
     return np.asarray(before, np.float64)
 
 
+def unsharpen_around(
+    picture: GreyImage, hidden: NDArray[np.uint8], wide_px: int, sensor: Sensor
+) -> NDArray[np.float64]:
+    """Return the picture (h, w) without the sensor's detail enhancement where `hidden` (h, w) is 1; else as it is.
+
+    Pixels farther than `wide_px` away count for nothing, so objects that are apart are treated one by one.
+    """
+    before = picture.astype(np.float64)
+    grown = cv2.dilate(hidden, np.ones((2 * wide_px + 1, 2 * wide_px + 1), np.uint8))
+    _, names, facts, _ = cv2.connectedComponentsWithStats(grown)
+    for name, (x, y, w, h, _) in enumerate(facts[1:].tolist(), 1):
+        part = (slice(y, y + h), slice(x, x + w))
+        own = names[part] == name
+        before[part][own] = unsharpen(picture[part].astype(np.float64), sensor.halo_gain, sensor.halo_radius_px)[own]
+    return before
+
+
 def grain(shape_hw: tuple[int, ...], sigma_grey: float, grain_px: float, seed: int) -> NDArray[np.float64]:
     """Return (h, w) white noise blurred by a Gaussian of `grain_px`, scaled to standard deviation `sigma_grey`."""
     reach = math.ceil(4 * grain_px)
@@ -280,7 +306,7 @@ def recode(
     b = CODEC_BLOCK
     padded = np.pad(covered, ((0, -height % b), (0, -width % b)))
     touched = padded.reshape(padded.shape[0] // b, b, padded.shape[1] // b, b).any(axis=(1, 3))
-    block_rows, block_columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
+    block_rows, block_columns = np.flatnonzero(np.any(touched, 1)), np.flatnonzero(np.any(touched, 0))
     y0, y1 = int(block_rows[0]) * b, min((int(block_rows[-1]) + 1) * b, height)
     x0, x1 = int(block_columns[0]) * b, min((int(block_columns[-1]) + 1) * b, width)
     part = (slice(y0, y1), slice(x0, x1))

@@ -1045,6 +1045,8 @@ LookName = Literal["artistic", "physical", "radiometric"]
 class _Sections(Strict):
     """Fields of every recipe."""
 
+    look: ClassVar[LookName]
+
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     """Name of the recipe."""
     description: str = ""
@@ -1082,6 +1084,11 @@ class _Sections(Strict):
         if self.render.samples is not None:
             return self.render.samples
         return 640 if self.render.quality == "paper" else 0
+
+    @property
+    def needs_blender(self) -> bool:
+        """Whether Cycles traces light: in every look but the artistic one, and for a given number of samples."""
+        return self.samples > 0 or self.look != "artistic"
 
 
 class PaperSections(Strict):

@@ -54,10 +54,10 @@ def pixel_box(box_xyxy: NDArray[np.float64], shape_hw: tuple[int, ...]) -> tuple
     x0, y0, x1, y1 = box_xyxy
     h, w = shape_hw
     return (
-        int(np.clip(math.floor(x0), 0, w)),
-        int(np.clip(math.floor(y0), 0, h)),
-        int(np.clip(math.ceil(x1), 0, w)),
-        int(np.clip(math.ceil(y1), 0, h)),
+        min(max(math.floor(x0), 0), w),
+        min(max(math.floor(y0), 0), h),
+        min(max(math.ceil(x1), 0), w),
+        min(max(math.ceil(y1), 0), h),
     )
 
 
@@ -76,7 +76,10 @@ def boxes_mask(
     """
     left, top, right, bottom = (0, 0, shape_hw[1], shape_hw[0]) if window is None else window
     mask = np.zeros((bottom - top, right - left), np.bool_)
-    for box in boxes_xyxy:
+    boxes = np.array([*boxes_xyxy], np.float64).reshape(-1, 4)
+    low, high = np.floor(boxes[:, :2]), np.ceil(boxes[:, 2:])
+    reaching = (low < (right, bottom)).all(axis=1) & (high > (left, top)).all(axis=1)
+    for box in boxes[reaching]:
         x0, y0, x1, y1 = pixel_box(box, shape_hw)
         mask[max(y0 - top, 0) : max(y1 - top, 0), max(x0 - left, 0) : max(x1 - left, 0)] = True
     return mask

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray
+from infrablend.core.quantiles import quantile
 
 # Ground farther away than this counts as the horizon.
 FARTHEST_M = 5_000.0
@@ -99,12 +100,12 @@ def find_ground_lines(
     grey = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), _SMOOTH_PX)
     gx, gy = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
     strength = np.hypot(gx, gy)
-    strength = np.minimum(strength, np.quantile(strength, _STRONGEST))
+    strength = np.minimum(strength, quantile(strength, _STRONGEST))
     strength[~_counted(strength.shape, boxes_xyxy)] = 0
     if margin is not None:
         side = 2 * _APART_PX + 1
         strength[cv2.dilate(margin.astype(np.uint8), np.ones((side, side), np.uint8)) > 0] = 0
-    rows, columns = np.nonzero((strength > 0) & (strength >= np.quantile(strength, 1 - _USED)))
+    rows, columns = np.nonzero((strength > 0) & (strength >= quantile(strength, 1 - _USED)))
     if not len(rows):
         return None
     weight = strength[rows, columns].astype(np.float64) ** 2

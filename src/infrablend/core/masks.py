@@ -29,7 +29,10 @@ class Mask:
 
     def to_array(self) -> NDArray[np.bool_]:
         """Decode to a (h, w) boolean array."""
-        return np.asarray(_coco.decode(self.to_coco()), np.bool_)
+        # Not by pycocotools, whose decoder numpy 2 deprecates.
+        lengths = run_lengths(self.counts)
+        ones = np.arange(len(lengths)) % 2 == 1
+        return np.asarray(np.repeat(ones, lengths).reshape(self.size_hw, order="F"), np.bool_)
 
     def to_coco(self) -> dict[str, object]:
         """Return the mask in COCO's form, `{"size": [h, w], "counts": "..."}`."""

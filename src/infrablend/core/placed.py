@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.boxes import box_of_points
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.raster import NEAR_M, BoolArray, ProjectedTriangles, project_triangles
@@ -224,7 +225,8 @@ def _sunlit(world_m: FloatArray, normals: FloatArray, triangles: NDArray[np.int3
     side /= np.linalg.norm(side)
     axes = np.stack([side, np.cross(toward, side), toward], axis=1)
     local = world_m @ axes
-    low, extent = local.min(axis=0)[:2], np.ptp(local[:, :2], axis=0)
+    box = box_of_points(local)
+    low, extent = box[:2], box[2:] - box[:2]
     cell = max(float(np.linalg.norm(extent)) / _CELLS, 1e-6)
     points = _spread(local[triangles], cell)
     # A margin of four cells around, for what is looked up beside the object.
@@ -245,13 +247,15 @@ def _sunlit(world_m: FloatArray, normals: FloatArray, triangles: NDArray[np.int3
 
 def _spread(corners: FloatArray, spacing: float) -> FloatArray:
     """Return (N, 3) points spread over triangles (T, 3, 3), no farther apart than about `spacing`."""
-    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
-    steps = np.minimum(np.ceil(edges / spacing), 64).astype(np.intp)
-    found = [corners.mean(axis=1)]
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, bc, ca = (np.einsum("tc,tc->t", edge, edge) for edge in (a - b, b - c, c - a))
+    longest = np.sqrt(np.maximum(np.maximum(ab, bc), ca))
+    steps = np.minimum(np.ceil(longest / spacing), 64).astype(np.intp)
+    found = [(a + b + c) / 3]
     for n in np.unique(steps[steps > 1]):
         i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
         inside = i + j <= n
-        a, b = i[inside] / n, j[inside] / n
-        weight = np.stack([1 - a - b, a, b], axis=1)
-        found.append(np.einsum("pk,tkc->tpc", weight, corners[steps == n]).reshape(-1, 3))
+        of_b, of_c = i[inside] / n, j[inside] / n
+        weight = np.stack([1 - of_b - of_c, of_b, of_c], axis=1)
+        found.append((weight @ corners[steps == n].transpose(1, 0, 2).reshape(3, -1)).reshape(-1, 3))
     return np.concatenate(found)

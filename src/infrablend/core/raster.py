@@ -55,11 +55,11 @@ class SampleGrid:
 
     def columns_x(self) -> FloatArray:
         """Return the (columns,) x of the samples, pixels."""
-        return self.origin_xy[0] + (np.arange(self.shape_hw[1]) + 0.5) * self.pitch_px
+        return np.asarray(self.origin_xy[0] + (np.arange(self.shape_hw[1]) + 0.5) * self.pitch_px, np.float64)
 
     def rows_y(self) -> FloatArray:
         """Return the (rows,) y of the samples, pixels."""
-        return self.origin_xy[1] + (np.arange(self.shape_hw[0]) + 0.5) * self.pitch_px
+        return np.asarray(self.origin_xy[1] + (np.arange(self.shape_hw[0]) + 0.5) * self.pitch_px, np.float64)
 
 
 @dataclass(frozen=True, eq=False)

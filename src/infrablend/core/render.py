@@ -56,11 +56,20 @@ def empty_result(frame_wh: tuple[int, int], objects: int) -> RenderResult:
 class Renderer(Protocol):
     """A renderer of scenes. One per process; not thread-safe."""
 
+    def start(self) -> None:
+        """Start, without waiting for it, what scenes need that this process cannot draw alone.
+
+        Raises:
+            MissingDependencyError: It is not there.
+        """
+        ...
+
     def render(self, scene: PlacedScene) -> RenderResult:
         """Render a scene, cropped to what its objects cover.
 
         Raises:
             RenderError: The renderer fails.
+            MissingDependencyError: The scene needs a program or device that is not there.
         """
         ...
 

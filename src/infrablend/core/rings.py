@@ -32,8 +32,8 @@ def ring_levels(
     box_xyxy: NDArray[np.float64],
     others: Sequence[NDArray[np.float64]] | NDArray[np.float64] = (),
     min_ring_px: int = MIN_RING_PX,
-) -> NDArray[np.float64] | None:
-    """Return the levels of the free pixels around a box; None if the box is empty or too few are free.
+) -> Levels | None:
+    """Return the levels of the free pixels around a box, as in the picture; None for an empty box or too few of them.
 
     Args:
         picture: (h, w) levels.
@@ -49,4 +49,5 @@ def ring_levels(
     ring = ~boxes_mask((box_xyxy, *others), picture.shape, window)
     if np.count_nonzero(ring) < MIN_RING_PIXELS:
         return None
-    return np.asarray(picture[y0:y1, x0:x1][ring], np.float64)
+    found: Levels = picture[y0:y1, x0:x1][ring]
+    return found

@@ -6,7 +6,7 @@ SI units, kelvin and radians; `to_json` and `from_json` lose nothing.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Literal
 
 from infrablend.core.camera import CameraSpec
@@ -213,7 +213,7 @@ class SceneSpec:
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
-        data = asdict(self)
+        data: dict[str, Any] = _plain(self)
         for o in data["objects"]:
             if not o["by_hand"]:
                 del o["by_hand"]
@@ -240,3 +240,14 @@ class SceneSpec:
             objects.append(ObjectSpec(**o))
         d["objects"] = tuple(objects)
         return cls(**d)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value of a spec as plain values; `dataclasses.asdict` would copy each number on its own."""
+    if isinstance(value, (str, int, float, type(None))):
+        return value
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    return type(value)(map(_plain, value))

@@ -37,7 +37,7 @@ def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = Non
     images = matches.objects.shape[1]
     counts = np.ones((1, images), np.int32) if weights is None else np.asarray(weights, np.int32)
     # Detections in images with weight 0, or neutral at every threshold, can be dropped.
-    live = counts.any(axis=0)[matches.images] & ~matches.neutral[size].all(axis=0)
+    live = np.any(counts, axis=0)[matches.images] & ~matches.neutral[size].all(axis=0)
     right, neutral = (x[size][:, live] for x in (matches.right, matches.neutral))
     of_image = matches.images[live]
     # Precision matters only at hits; false positives at every threshold are counted between them.
@@ -164,7 +164,7 @@ def drawn_figures(all_matches: Sequence[ClassMatches], weights: NDArray[Any]) ->
 
 def has_several_groups(images: NDArray[np.bool_], groups: Sequence[str]) -> bool:
     """Whether the images chosen by (i,) are of two groups at least: drawing from one gives the same again and again."""
-    return len({groups[k] for k in np.flatnonzero(images)}) > 1
+    return len({groups[k] for k in np.flatnonzero(images).tolist()}) > 1
 
 
 def interval(values: FloatArray) -> list[float] | None:

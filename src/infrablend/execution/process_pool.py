@@ -26,6 +26,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import IO, Any
 
+from infrablend.core.child_process import describe_exit
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
@@ -50,14 +51,6 @@ _BOOT = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
     "from infrablend.execution.worker import main; main(int(sys.argv[2]))"
 )
-
-
-def module_path() -> list[str]:
-    """Return `sys.path` for a worker: the caller's, without what Blender added when the caller imported bpy.
-
-    Blender's folder of scripts contains a second package `bpy` that only works in a running Blender.
-    """
-    return [p for p in sys.path if not {"bpy", "scripts"} <= set(Path(p).parts)]
 
 
 @dataclass(frozen=True)
@@ -259,7 +252,7 @@ class _Run:
         self._started += 1
         try:
             process = subprocess.Popen(
-                [sys.executable, "-c", _BOOT, json.dumps(module_path()), str(theirs.fileno()), f"worker-{number}"],
+                [sys.executable, "-c", _BOOT, json.dumps(sys.path), str(theirs.fileno()), f"worker-{number}"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -484,18 +477,6 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
         process.kill()
-
-
-def describe_exit(code: int) -> str:
-    """Return how a process ended, by the return code of `subprocess`."""
-    if code >= 0:
-        return f"ended with exit code {code}"
-    try:
-        name = signal.Signals(-code).name
-    except ValueError:
-        name = "unknown"
-    hint = " (often: out of memory)" if -code == signal.SIGKILL else ""
-    return f"was ended by signal {-code} {name}{hint}"
 
 
 def _quote(lines: Iterable[str]) -> str:

@@ -26,12 +26,9 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
 from infrablend.errors import Interrupted, MissingDependencyError, OutputError, WorkerDiedError
 from infrablend.execution.interrupt import STOPPED, Interruption
-from infrablend.execution.process_pool import module_path
 from infrablend.execution.worker import (
     ONE_THREAD,
     ResultMessage,
@@ -275,7 +272,7 @@ class _Run:
     def _start_workers(self) -> None:
         outstanding = len(self._pending) + sum(w.current is not None for w in self._workers)
         for _ in range(min(self._most, outstanding) - len(self._workers)):
-            actor = self._actor_class.remote(self._settings.log_level, module_path(), str(Path.cwd()))
+            actor = self._actor_class.remote(self._settings.log_level, sys.path, str(Path.cwd()))
             self._workers.append(_Worker(self._started, actor, actor.start.remote(self._spec)))
             self._started += 1
 
@@ -420,7 +417,6 @@ class RayWorker:
         sys.path += [p for p in module_path if p not in sys.path and Path(p).exists()]
         logging.basicConfig(level=log_level, format="%(levelname)s %(name)s: %(message)s", force=True)
         self._work: Callable[[Task], Any] | None = None
-        self._process = psutil.Process()
 
     def start(self, spec: WorkerSpec) -> Failure | None:
         """Create the callable; return why it cannot be created, or None."""
@@ -433,7 +429,7 @@ class RayWorker:
     def perform(self, tasks: list[Task]) -> list[ResultMessage]:
         """Perform tasks, one after the other."""
         assert self._work is not None
-        return [perform(self._work, task, self._process) for task in tasks]
+        return [perform(self._work, task) for task in tasks]
 
     def finish(self) -> None:
         """Close the callable; no task may follow."""

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import os
-import sys
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Generator, Iterable
 from typing import Any
 
-import psutil
-
+from infrablend.core.child_process import resident_bytes
 from infrablend.core.tasks import Task, TaskResult, WorkerSpec
 from infrablend.errors import InfraBlendError, Interrupted, RenderError
 from infrablend.execution.interrupt import STOPPED, Interruption
@@ -25,17 +19,15 @@ class Serial:
     A crash or a hang of a task is one of the whole program.
     """
 
-    def __init__(self, worker: WorkerSpec, log_path: Path | None = None) -> None:
-        """Append what the tasks print from C to `log_path`, or drop it if None."""
+    def __init__(self, worker: WorkerSpec) -> None:
+        """Keep the recipe for the worker; it is made with `run`."""
         self._worker = worker
-        self._log_path = log_path
 
     def run(self, tasks: Iterable[Task]) -> Generator[TaskResult, None, None]:
         """Run tasks and yield their results, see `core.tasks.Executor`."""
         with Interruption() as stop:
             try:
-                with _stdout_to(self._log_path):
-                    work = make_callable(self._worker)
+                work = make_callable(self._worker)
             except InfraBlendError:
                 raise
             except Exception as e:
@@ -44,7 +36,7 @@ class Serial:
                 for task in tasks:
                     if stop.requested:
                         raise Interrupted(STOPPED)
-                    yield _performed(work, task, self._log_path)
+                    yield _performed(work, task)
             finally:
                 close_callable(work)
 
@@ -66,7 +58,7 @@ class WarmSerial:
         self.start()
         assert self._work is not None
         for task in tasks:
-            yield _performed(self._work, task, None)
+            yield _performed(self._work, task)
 
     def close(self) -> None:
         """Close the callable."""
@@ -75,34 +67,12 @@ class WarmSerial:
             self._work = None
 
 
-def _performed(work: Callable[[Task], Any], task: Task, log_path: Path | None) -> TaskResult:
+def _performed(work: Callable[[Task], Any], task: Task) -> TaskResult:
     begun = time.monotonic()
     value, failure = None, None
     try:
-        with _stdout_to(log_path):
-            value = work(task)
+        value = work(task)
     except (Exception, SystemExit) as e:
         failure = failure_of(e)
-    seconds, rss_bytes = time.monotonic() - begun, int(psutil.Process().memory_info().rss)
+    seconds, rss_bytes = time.monotonic() - begun, resident_bytes()
     return TaskResult(task.key, value, failure, seconds=seconds, rss_bytes=rss_bytes)
-
-
-@contextlib.contextmanager
-def _stdout_to(path: Path | None) -> Iterator[None]:
-    """Redirect file descriptor 1 to a file: Blender prints to it from C, but stdout is for results.
-
-    Descriptor 2 stays, because a progress bar may be drawn on it.
-    """
-    sys.stdout.flush()
-    kept = os.dup(1)
-    sink = os.open(path or os.devnull, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
-    try:
-        os.dup2(sink, 1)
-        yield
-    finally:
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None).fflush(None)
-        sys.stdout.flush()
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(sink)

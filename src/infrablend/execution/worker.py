@@ -29,8 +29,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
-import psutil
-
+from infrablend.core.child_process import resident_bytes
 from infrablend.core.parent_process import die_with_parent
 from infrablend.core.tasks import Failure, FailureKind, Task, WorkerSpec
 from infrablend.errors import InfraBlendError, RenderError
@@ -114,7 +113,7 @@ def _ignore_signals() -> None:
 
 
 def _exit_at_once(code: int) -> None:
-    """End the process at once: bpy may hang or crash during the tear-down of Python or C."""
+    """End the process at once: libraries may hang or crash during the tear-down of Python or C."""
     with contextlib.suppress(Exception):
         logging.shutdown()
         sys.stdout.flush()
@@ -141,7 +140,7 @@ def _read(conn: Connection, inbox: queue.SimpleQueue[tuple[int, Task] | None]) -
         inbox.put(message[1:] if message[0] == "task" else None)
 
 
-def perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) -> ResultMessage:
+def perform(work: Callable[[Task], Any], task: Task) -> ResultMessage:
     """Perform a task; whatever it raises becomes a failure."""
     value: bytes | None = None
     failure = None
@@ -150,7 +149,7 @@ def perform(work: Callable[[Task], Any], task: Task, process: psutil.Process) ->
         value = pickle.dumps(work(task), pickle.HIGHEST_PROTOCOL)
     except BaseException as e:  # SystemExit too: the worker must outlive its task
         failure = failure_of(e)
-    return ResultMessage(value, failure, time.monotonic() - begun, int(process.memory_info().rss))
+    return ResultMessage(value, failure, time.monotonic() - begun, resident_bytes())
 
 
 def main(fd: int) -> None:
@@ -172,11 +171,10 @@ def main(fd: int) -> None:
         conn.send(("no-start", failure_of(e)))
         _exit_at_once(1)
     _ignore_signals()
-    process = psutil.Process()
     conn.send(("ready",))
     while (item := inbox.get()) is not None:
         index, task = item
-        conn.send(("done", index, perform(work, task, process)))
+        conn.send(("done", index, perform(work, task)))
     close_callable(work)
     _exit_at_once(0)
 

@@ -293,7 +293,7 @@ def _values(
 ) -> tuple[dict[str, Values], str, list[Problem]]:
     """Return values per field, the name of the column of heights, and warnings."""
     problems: list[Problem] = []
-    taken = [rows[k] for k in np.flatnonzero(kept)]
+    taken = [rows[k] for k in np.flatnonzero(kept).tolist()]
     values: dict[str, Values] = {}
     for field, options in dialect.columns.items():
         column = _first(columns, options)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import pixel_box
 from infrablend.core.dataset import Instance
+from infrablend.core.quantiles import percentile
 
 Picture = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -239,7 +240,7 @@ def measure(
             outlined = (*edge(window, found), *_grains(window, found, inner, free[found.part]))
     measures = np.array(
         [
-            float(np.percentile(inside, 95)) - level,
+            percentile(inside, 95) - level,
             centre - level,
             *outlined,
             outlined[2] / outlined[3] if outlined[3] > 0 else math.nan,
@@ -270,19 +271,19 @@ def _features(window: Picture, found: Outline, mask: NDArray[np.uint8], inner: B
     bend = np.abs(cv2.Laplacian(window, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))[border] / abs(found.contrast)
     inside = window[inner]
     # 90th percentile of how far the surroundings are beyond the ring's level, on the side away from the object.
-    away = np.percentile((found.level - window[near]) / found.contrast, 90)
+    away = percentile((found.level - window[near]) / found.contrast, 90)
     return np.array(
         [
             window[found.silhouette].max(),
-            np.percentile(inside, 99),
+            percentile(inside, 99),
             inside.mean(),
             inside.std(),
             fine[inner].std(),
             fine[outside].std() if outside.any() else 0.0,
             gradient.max(),
-            np.percentile(gradient, 90),
+            percentile(gradient, 90),
             bend.max(),
-            np.percentile(bend, 90),
+            percentile(bend, 90),
             away,
             len(np.unique(np.rint(window[found.silhouette]))),
             (inside >= 231).mean(),
@@ -305,7 +306,7 @@ def edge(window: Picture, found: Outline) -> tuple[float, float]:
     The undershoot shows the halo of detail enhancement: the distance by which the median profile passes the ring's
     level beside the object, as a share of the contrast. On the object's own side, clipping would hide it.
     """
-    soft = cv2.GaussianBlur(window, (0, 0), 1.0, borderType=cv2.BORDER_REPLICATE) * np.sign(found.contrast)
+    soft = cv2.GaussianBlur(window, (0, 0), 1.0, borderType=cv2.BORDER_REPLICATE) * float(np.sign(found.contrast))
     gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, borderType=cv2.BORDER_REPLICATE)
     gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1, borderType=cv2.BORDER_REPLICATE)
     mask = found.silhouette.astype(np.uint8)

@@ -3,12 +3,13 @@
 `RENDERERS` maps the name that a run records to the dotted name of a class:
 
 `blender`
-    `blender.renderer.BlenderRenderer`, Cycles. The one that datasets are made with.
+    `engine.renderer.BlenderRenderer`, Cycles. The one that datasets are made with.
 `flat`
     `rendering.flat.FlatRenderer`: flat shading on the software rasteriser. Fast and without Blender; for tests and
     for trying out a recipe.
 
-To add a renderer, implement the protocol and add a line here. A class is called with the device as its one argument.
+To add a renderer, implement the protocol and add a line here. A class is called with the device and the choice of
+Blender.
 """
 
 from __future__ import annotations
@@ -22,23 +23,24 @@ if TYPE_CHECKING:
     from infrablend.core.render import Renderer
 
 RENDERERS: Mapping[str, str] = {
-    "blender": "infrablend.blender.renderer:BlenderRenderer",
+    "blender": "infrablend.engine.renderer:BlenderRenderer",
     "flat": "infrablend.rendering.flat:FlatRenderer",
 }
 
 
-def make_renderer(name: str, device: str) -> Renderer:
-    """Start the renderer of that name; its module is imported here and only here.
+def make_renderer(name: str, device: str, blender: str | None = None) -> Renderer:
+    """Return the renderer of that name; its module is imported here and only here.
 
     Args:
         name: A key of `RENDERERS`.
         device: Where to compute: `cpu`, or a backend that the renderer knows.
+        blender: Which Blender, see `engine.programs.candidates`; by default the one that is found.
 
     Raises:
         ValueError: There is no renderer of that name.
-        MissingDependencyError: The renderer's module cannot be imported, or it finds no such device.
+        MissingDependencyError: The renderer's module cannot be imported.
     """
     if name not in RENDERERS:
         raise ValueError(f"renderer {name!r} is unknown; expected one of {', '.join(RENDERERS)}")
-    start: Callable[[str], Renderer] = resolve(RENDERERS[name])
-    return start(device)
+    make: Callable[[str, str | None], Renderer] = resolve(RENDERERS[name])
+    return make(device, blender)

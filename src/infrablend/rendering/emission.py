@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -36,6 +37,10 @@ BAND_FRAGMENTS = 50_000
 _OPAQUE = 0.9999
 # One pixel more than the projected outline, so that rounding loses nothing.
 CROP_MARGIN_PX = 1
+# Empty pixels that cost Cycles as much as one more rectangle of the same scene.
+CROP_COST_PX = 5_000
+
+Crop = tuple[int, int, int, int]
 
 
 def only_emits(scene: PlacedScene) -> bool:
@@ -94,13 +99,13 @@ class _Surfaces:
         """Return the triangles with `keep` (T,) True."""
         return self if keep.all() else _Surfaces(*(getattr(self, f.name)[keep] for f in fields(self)))
 
-    def inside(self, crop: tuple[int, int, int, int]) -> _Surfaces:
+    def inside(self, crop: Crop) -> _Surfaces:
         """Return the triangles that reach into a crop."""
         x0, y0, x1, y1 = crop
         (left, top), (right, bottom) = self.low.T, self.high.T
         return self.take((left < x1) & (top < y1) & (right > x0) & (bottom > y0))
 
-    def area_px(self, crop: tuple[int, int, int, int]) -> float:
+    def area_px(self, crop: Crop) -> float:
         """Return about how many pixels all triangles cover in a crop."""
         a, b = self.xy[:, 1] - self.xy[:, 0], self.xy[:, 2] - self.xy[:, 0]
         area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
@@ -145,9 +150,7 @@ def _surfaces_of(number: int, placed: PlacedObject, scene: PlacedScene) -> _Surf
     )
 
 
-def _draw(
-    scene: PlacedScene, surfaces: _Surfaces, crop: tuple[int, int, int, int], supersample: int
-) -> tuple[Image32, Image32, Image32]:
+def _draw(scene: PlacedScene, surfaces: _Surfaces, crop: Crop, supersample: int) -> tuple[Image32, Image32, Image32]:
     """Return radiance (h, w), alpha (h, w) and coverage (n, h, w) of a crop."""
     x0, y0, x1, y1 = crop
     w, h = x1 - x0, y1 - y0
@@ -166,7 +169,7 @@ def _draw(
 
     def layer(at: NDArray[np.intp], values: FloatArray | None = None) -> FloatArray:
         """Return the mean over the samples of each pixel, (h, w)."""
-        return (np.bincount(at, values, pixels) * per_pixel).reshape(h, w)
+        return np.asarray((np.bincount(at, values, pixels) * per_pixel).reshape(h, w), np.float64)
 
     def light(of: _Runs) -> FloatArray:
         """Return the light of runs, weighted."""
@@ -300,11 +303,32 @@ def _values_at(surfaces: _Surfaces, at: _Places, grid: SampleGrid, channels: sli
     return np.asarray((base[number] + slope_x[number] * x + slope_y[number] * y) / inverse_depth)
 
 
-def crop_of(scene: PlacedScene) -> tuple[int, int, int, int] | None:
+def crop_of(scene: PlacedScene) -> Crop | None:
     """Return the smallest pixel rectangle x0, y0, x1, y1 that contains all objects in the frame; None if none is."""
-    w, h = scene.spec.camera.size_wh
+    return _crop_around(scene.objects, scene.spec.camera.size_wh)
+
+
+def crops_of(scene: PlacedScene) -> list[tuple[Crop, list[int]]]:
+    """Return pixel rectangles that contain the objects in the frame, each with the numbers of its objects.
+
+    They share no pixel. Rectangles are joined where empty pixels between them cost less than one rectangle more.
+    """
+    found: list[tuple[Crop, list[int]]] = []
+    for k, placed in enumerate(scene.objects):
+        crop, group = _crop_around([placed], scene.spec.camera.size_wh), [k]
+        if crop is None:
+            continue
+        while near := next((f for f in found if _belong_together(f[0], crop)), None):
+            found.remove(near)
+            crop, group = _joined(near[0], crop), sorted([*near[1], *group])
+        found.append((crop, group))
+    return found
+
+
+def _crop_around(objects: Sequence[PlacedObject], size_wh: tuple[int, int]) -> Crop | None:
+    w, h = size_wh
     lows, highs = [], []
-    for placed in scene.objects:
+    for placed in objects:
         xy, depth = placed.xy, placed.depth_m
         if (depth <= 0.01).any():
             if (depth <= 0.01).all():
@@ -318,3 +342,13 @@ def crop_of(scene: PlacedScene) -> tuple[int, int, int, int] | None:
     x0, y0 = (max(0, math.floor(v) - CROP_MARGIN_PX) for v in low)
     x1, y1 = min(w, math.ceil(high[0]) + CROP_MARGIN_PX), min(h, math.ceil(high[1]) + CROP_MARGIN_PX)
     return (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
+
+
+def _joined(a: Crop, b: Crop) -> Crop:
+    return min(a[0], b[0]), min(a[1], b[1]), max(a[2], b[2]), max(a[3], b[3])
+
+
+def _belong_together(a: Crop, b: Crop) -> bool:
+    overlap = a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+    both, one, other = ((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in (_joined(a, b), a, b))
+    return overlap or both - one - other < CROP_COST_PX

@@ -26,8 +26,11 @@ SUPERSAMPLE = 4
 class FlatRenderer:
     """Implements `core.render.Renderer`."""
 
-    def __init__(self, device: str = "cpu") -> None:
-        """Start; the device is ignored, everything runs on the CPU."""
+    def __init__(self, device: str = "cpu", blender: str | None = None) -> None:
+        """Ignore device and Blender: everything runs here, on the CPU."""
+
+    def start(self) -> None:
+        """Do nothing; see `core.render.Renderer`."""
 
     def render(self, scene: PlacedScene) -> RenderResult:
         """Render a scene; see `core.render.Renderer`."""
@@ -56,7 +59,7 @@ class FlatRenderer:
             if label:
                 coverage[number] += layer
         # Translucent parts: each is laid over what is opaque; their order among themselves hardly matters.
-        for k in np.flatnonzero(translucent):
+        for k in np.flatnonzero(translucent).tolist():
             own = parts.owner == k
             share = np.float32(parts.opacity[k]) * shares(opaque_triangle | own, np.where(own, 0, 1), 1)[0]
             radiance += share * (np.float32(parts.radiance[k]) - radiance)

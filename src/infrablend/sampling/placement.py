@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Object, Placement
-from infrablend.core.boxes import clip_triangles_to_rect
+from infrablend.core.boxes import box_of_points, clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
-from infrablend.core.raster import inside_fraction, project_triangles
+from infrablend.core.raster import NEAR_M, inside_fraction, project_triangles
 
 # Largest share of the smaller of two boxes that may be shared by an object and what it has to avoid. The paper's
 # placement knows the object's box only.
@@ -55,13 +55,25 @@ class PlacementRequest:
         return np.array([self.model.parts[n].label for n in self.mesh.part_names])[self.mesh.part_of_triangle]
 
     @cached_property
-    def labelled_vertices_m(self) -> FloatArray:
-        """(k, 3) vertices of the labelled parts, in object coordinates, unscaled.
+    def labelled_vertices(self) -> NDArray[np.intp]:
+        """(k,) numbers of the vertices of the labelled parts.
 
         Others, such as ground that a car warms, take up no space and depend on the look, and places must not.
         """
-        vertices: FloatArray = self.mesh.vertices_m[np.unique(self.mesh.triangles[self.labelled])]
+        used = np.zeros(len(self.mesh.vertices_m), np.bool_)
+        used[self.mesh.triangles[self.labelled]] = True
+        return np.flatnonzero(used)
+
+    @cached_property
+    def labelled_vertices_m(self) -> FloatArray:
+        """(k, 3) these vertices in object coordinates, unscaled."""
+        vertices: FloatArray = self.mesh.vertices_m[self.labelled_vertices]
         return vertices
+
+    @cached_property
+    def extent_m(self) -> tuple[FloatArray, FloatArray]:
+        """(3,) least and (3,) greatest coordinates of these vertices."""
+        return self.labelled_vertices_m.min(axis=0), self.labelled_vertices_m.max(axis=0)
 
     def in_world(self, pose: Pose) -> FloatArray:
         """Return the (V, 3) vertices in the world, metres."""
@@ -127,6 +139,11 @@ def examine(
 
 def box_px(camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> FloatArray | None:
     """Return the (4,) box around an object's labelled parts, cut to the frame as labels are; None outside it."""
+    positions, depth_m = camera.project(world_m)
+    if float(depth_m.min()) >= NEAR_M:
+        box = box_of_points(positions[item.labelled_vertices])
+        if (box[:2] >= 0).all() and (box[2:] <= camera.size_wh).all():
+            return box
     triangles: IntArray = item.mesh.triangles[item.labelled]
     xy = project_triangles(camera, world_m, triangles).xy
     points = clip_triangles_to_rect(xy, np.array([0, 0, *camera.size_wh], np.float64))
@@ -192,8 +209,7 @@ class Volume:
 
 def volume_of(item: PlacementRequest, pose: Pose) -> Volume:
     """Return the volume of an object's labelled parts."""
-    vertices = item.labelled_vertices_m
-    (x0, y0, z0), (x1, y1, z1) = vertices.min(axis=0), vertices.max(axis=0)
+    (x0, y0, z0), (x1, y1, z1) = item.extent_m
     corners = np.array([(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z1)], np.float64)
     world = object_to_world(corners, pose[:3], pose[3], item.scale)
     return Volume(world[:, :2], world[[0, 3], 2])

@@ -379,6 +379,9 @@ def require_parts(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         raise ModelError(f"recipe {recipe.name}: " + "; ".join(wrong))
 
 
-def mean_objects(recipe: Recipe, frame: FrameKey) -> float:
-    """Return how many objects a recipe asks for in a frame on average, before places are looked for."""
-    return (1 - recipe.empty_share) * sum(kind.mean_count(frame.capture) for kind in recipe.objects)
+def mean_objects(recipe: Recipe, frame: FrameKey) -> dict[str, float]:
+    """Return how many objects of each model a recipe asks for in a frame on average, before places are looked for."""
+    found = dict.fromkeys((kind.model for kind in recipe.objects), 0.0)
+    for kind in recipe.objects:
+        found[kind.model] += (1 - recipe.empty_share) * kind.mean_count(frame.capture)
+    return found

@@ -103,7 +103,7 @@ class Site:
     @property
     def shows_sky(self) -> bool:
         """Whether at least half of the picture is sky."""
-        return 2 * np.count_nonzero(self.skyline.sky) >= self.pixels.size
+        return 2 * int(np.count_nonzero(self.skyline.sky)) >= self.pixels.size
 
     @cached_property
     def unfit(self) -> str | None:

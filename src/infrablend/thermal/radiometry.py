@@ -6,6 +6,8 @@ a line through ground and ground + 15 K is 9 K off at ground + 50 K.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -49,8 +51,19 @@ def band_radiance(temperature_k: ArrayLike, band_m: tuple[float, float] = BAND_M
     return np.asarray(factor * (tail(band_m[1]) - tail(band_m[0])))
 
 
+@lru_cache(maxsize=256)
+def radiance_at(temperature_k: float) -> float:
+    """Return `band_radiance` of one temperature, which a frame asks for many times."""
+    return float(band_radiance(temperature_k))
+
+
 def band_radiance_slope(temperature_k: ArrayLike) -> Array:
     """Return dL/dT, W m^-2 sr^-1 K^-1, by central difference; relative error below 1e-7 from 200 to 500 K."""
     t = np.asarray(temperature_k, np.float64)
     h = 1e-2
     return (band_radiance(t + h) - band_radiance(t - h)) / (2 * h)
+
+
+UNIT_K = 300.0
+UNIT_W_M2_SR = float(band_radiance(UNIT_K))
+"""Radiance that shaders in Blender use as their unit, which keeps values near one."""

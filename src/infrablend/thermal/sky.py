@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infrablend.thermal.radiometry import STEFAN_BOLTZMANN_W_M2_K4, ZERO_C_K, band_radiance
+from infrablend.thermal.radiometry import STEFAN_BOLTZMANN_W_M2_K4, ZERO_C_K, band_radiance, radiance_at
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def window_transmittance(air_k: float, dew_point_k: float) -> float:
     """
     if dew_point_k > air_k:
         raise ValueError(f"dew_point_k {dew_point_k:g} is above air_k {air_k:g}")
-    window = np.pi * float(band_radiance(air_k)) / (STEFAN_BOLTZMANN_W_M2_K4 * air_k**4)
+    window = np.pi * radiance_at(air_k) / (STEFAN_BOLTZMANN_W_M2_K4 * air_k**4)
     slant = max((1 - clear_sky_emissivity(dew_point_k)) / window, 1e-3)
     return float(min(slant ** (1 / _DIFFUSIVITY), _CLEAREST))
 
@@ -66,7 +66,7 @@ def sky_radiance(
     """
     if not 0 <= cloud <= 1:
         raise ValueError(f"cloud {cloud:g} must lie in [0, 1]")
-    of_air = float(band_radiance(air_k))
+    of_air = radiance_at(air_k)
     zenith = window_transmittance(air_k, dew_point_k)
     cos = np.maximum(np.cos(np.asarray(zenith_rad, np.float64)), np.cos(np.radians(89.0)))
     clear = (1 - zenith ** (1 / cos)) * of_air

@@ -53,7 +53,7 @@ class Noise:
         # Blurred on a torus, so that the field repeats without a seam.
         lattice = cv2.GaussianBlur(np.pad(lattice, 8, mode="wrap"), (0, 0), 1.1)[8:-8, 8:-8]
         lattice = np.ascontiguousarray(lattice / lattice.std())
-        ox, oy = self._rng.uniform(0, LATTICE, 2)
+        ox, oy = (float(v) for v in self._rng.uniform(0, LATTICE, 2))
         # Two lattice steps per feature; turning it keeps its axes off the world's.
         a = float(self._rng.uniform(0, math.pi))
         scale = 2.0 / size_m

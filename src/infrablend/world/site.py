@@ -26,8 +26,8 @@ class Site:
         self.draws, self.camera, self.weather = draws, camera, weather
         w, h = camera.size_wh
         corners = ground_points(camera, np.array([[0.0, 0], [w, 0], [0, h], [w, h]]))
-        self.x0, self.y0 = corners.min(axis=0)
-        self.x1, self.y1 = corners.max(axis=0)
+        self.x0, self.y0 = (float(v) for v in corners.min(axis=0))
+        self.x1, self.y1 = (float(v) for v in corners.max(axis=0))
         self.reach = float(np.abs(corners).max() * 1.1 + 12)
         self.roads: list[Road] = []
         self.patches: list[Patch] = []

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from infrablend.core.quantiles import percentile
 from infrablend.core.temperature import TemperatureScale
 
 Field = NDArray[np.float32]
@@ -39,7 +40,7 @@ def gain(kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float = M
     inner = np.clip(kelvin, centre - limit, centre + limit)
     slope = float(np.clip(std_grey / max(float(inner.std()), 1e-6), 0.8 * gain_per_k, 2.0 * gain_per_k))
     # Leave headroom above the ground, so that people do not vanish on a white road.
-    slope = min(slope, HEADROOM_GREY / max(float(np.percentile(inner, 96)) - float(inner.mean()), 1e-6))
+    slope = min(slope, HEADROOM_GREY / max(percentile(inner, 96) - float(inner.mean()), 1e-6))
     grey = (kelvin - np.float32(inner.mean())) * np.float32(slope) + np.float32(mean_grey)
     for _ in range(4):
         grey += np.float32(mean_grey) - np.clip(grey, LOW_GREY, HIGH_GREY).mean()
@@ -55,7 +56,7 @@ def noise(rng: np.random.Generator, shape_hw: tuple[int, int], std_grey: float) 
     """Return noise as measured on HIT-UAV: neighbouring pixels correlate by about 0.79."""
     white = rng.standard_normal(shape_hw).astype(np.float32)
     n = cv2.GaussianBlur(white, (0, 0), 1.05)
-    return np.asarray(n * np.float32(std_grey / n.std()), np.float32)
+    return np.asarray(n * np.float32(std_grey / float(n.std())), np.float32)
 
 
 def vignette(shape_hw: tuple[int, int], depth_grey: float) -> Field:

@@ -13,6 +13,7 @@ from infrablend.annotation.labels import annotate
 from infrablend.assets.shapes import box, ellipsoid
 from infrablend.core import boxes
 from infrablend.core.camera import CameraSpec, object_to_world
+from infrablend.core.dataset import Instance
 from infrablend.core.mesh import Mesh, make_mesh
 from infrablend.core.placed import place
 from infrablend.core.raster import SampleGrid, covered_samples, project_triangles
@@ -227,6 +228,25 @@ def test_farther_objects_hide_nothing() -> None:
     view = camera(10)
     (a, _), _ = annotate(place(scene(view, thing(), thing((0, 5, 0))), [plate(40, 40, view), brick_mesh((3, 1, 3))]))
     assert a.visibility == 1.0
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_neighbours_count_only_where_they_reach_into_the_box(first: int) -> None:
+    """Plates beside, above and far from another one, nearer than it, change nothing; one over its corner does."""
+    view = camera()
+    plates = [plate(40, 40, view)] * 5
+
+    def labelled(*shifts_px: tuple[float, float]) -> Instance:
+        others = [thing((x, -0.5, z)) for x, _, z in (at_px(shift, view) for shift in shifts_px)]
+        things = [*others[:first], thing(), *others[first:]]
+        found, _ = annotate(place(scene(view, *things), plates[: len(things)]))
+        return found[min(first, len(others))]
+
+    alone, beside = labelled(), labelled((45, 0), (0, -45), (200, 100))
+    assert_array_equal(beside.box_xyxy, alone.box_xyxy)
+    assert_array_equal(beside.corners_xy, alone.corners_xy)
+    assert (beside.mask, beside.visibility) == (alone.mask, 1.0)
+    assert labelled((45, 0), (30, 30)).visibility < 0.97
 
 
 def test_a_bar_through_the_near_plane_is_cut_not_mirrored() -> None:

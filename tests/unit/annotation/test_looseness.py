@@ -61,6 +61,7 @@ def test_a_margin_in_px_moves_each_side_after_the_factor():
     assert person.extra["tight_bbox"] == [20, 30, 20, 10]
     sides = np.hypot(*(np.roll(turned, -1, axis=0) - turned).T)
     enlarged = person.corners_xy
+    assert enlarged is not None
     np.testing.assert_allclose(np.hypot(*(np.roll(enlarged, -1, axis=0) - enlarged).T), 1.5 * sides + 7)
     np.testing.assert_allclose(enlarged.mean(axis=0), turned.mean(axis=0))
     assert Looseness(1.5, {"Person": 3.5}).to_counts() == {"loosened_by": 1.5, "loosened_by_px": {"Person": 3.5}}

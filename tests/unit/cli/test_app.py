@@ -30,7 +30,7 @@ from infrablend.pipeline.plans.add_model import ModelAnswers
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.selection import FrameSelection
 from infrablend.pipeline.runs.run import RunReport
-from infrablend.report.doctor import Check, Diagnosis
+from infrablend.pipeline.studies.doctor import Check, Diagnosis
 from infrablend.report.figures import human_seconds
 
 

@@ -423,7 +423,8 @@ def test_boxes_of_inserted_objects_are_enlarged_by_pixels_in_all_formats(dataset
                 np.testing.assert_allclose(a.box_xyxy, b.box_xyxy, atol=1e-3)
                 continue
             if form == "yolo-obb":
-                sides = [np.hypot(*(np.roll(c, -1, axis=0) - c).T) for c in (a.corners_xy, b.corners_xy)]
+                corners = [np.asarray(i.corners_xy) for i in (a, b)]
+                sides = [np.hypot(*(np.roll(c, -1, axis=0) - c).T) for c in corners]
                 assert (sides[1] <= sides[0] + 7 + 0.05).all() and (sides[1] >= sides[0] - 0.05).all()
             else:
                 grown = np.abs(b.box_xyxy - a.box_xyxy)

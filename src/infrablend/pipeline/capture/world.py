@@ -11,7 +11,7 @@ from infrablend.world.dataset import WorldRequest, write_world
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import FrameFacts
 
-WORKER = "infrablend.blender.world:make_world_worker"
+WORKER = "infrablend.engine.world:make_world_worker"
 
 
 def make_world(

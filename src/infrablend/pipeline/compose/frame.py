@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from infrablend.annotation.labels import LabelReport, annotate
@@ -18,7 +18,7 @@ from infrablend.annotation.merge import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
 from infrablend.compositing.occlusion import Scenery
-from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor
+from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
@@ -101,12 +101,14 @@ class Unseen:
         numbers: Numbers of these objects.
         hidden: Numbers of those of them that structures of the background hide too much.
         matching: Facts that matching estimated.
+        sensor: The chain fitted to the background; None if there is none yet.
     """
 
     scene: PlacedScene
-    numbers: Sequence[int]
-    hidden: Sequence[int]
-    matching: Mapping[str, Any]
+    numbers: Sequence[int] = ()
+    hidden: Sequence[int] = ()
+    matching: Mapping[str, Any] = field(default_factory=dict)
+    sensor: Sensor | None = None
 
 
 class FrameComposer:
@@ -116,6 +118,8 @@ class FrameComposer:
         """Load the recipe's models; `renderer` stays open and may be shared by several composers."""
         self._settings = settings
         self._recipe = recipe_from_json(settings.recipe_json)
+        if self._recipe.needs_blender:
+            renderer.start()
         self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
         self._sampler = settings.extensions.make_sampler(self._recipe, self._models, settings.seed)
         self._look = make_look(self._recipe, settings)
@@ -140,11 +144,11 @@ class FrameComposer:
 
         # Objects that nobody can see in the finished picture are moved, or left out in the end.
         first, moves = FirstContrasts(scene), 0
-        picture = self._draw(scene, canvas, first, {})
+        picture = self._draw(scene, canvas, first, Unseen(scene))
         while isinstance(picture, Unseen):
             moves += 1
             scene = self._redraw(picture, canvas.site, moves)
-            picture = self._draw(scene, canvas, first, picture.matching)
+            picture = self._draw(scene, canvas, first, picture)
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
@@ -190,34 +194,33 @@ class FrameComposer:
             return 1.0 if background.bit_depth == 8 else grey_unit(pixels, measure_levels([pixels]))
         return grey_unit(pixels, levels)
 
-    def _draw(
-        self, scene: PlacedScene, canvas: Canvas, first: FirstContrasts, known: Mapping[str, Any]
-    ) -> Picture | Unseen:
+    def _draw(self, scene: PlacedScene, canvas: Canvas, first: FirstContrasts, before: Unseen) -> Picture | Unseen:
         """Draw a scene over its background, unless some of its objects cannot be seen.
 
-        `first` collects contrasts. `known` are facts of matching, also of objects that have been left out since.
+        `first` collects contrasts. `before` is the last attempt: its facts of matching count, also those of objects
+        that have been left out since, and its sensor serves again.
         """
-        recipe, before = self._recipe, canvas.background.pixels
+        recipe, ground = self._recipe, canvas.background.pixels
         match = self._look.match(scene, canvas.frame, canvas.background)
-        scene, matching = match.scene, match.facts or known
+        scene, matching = match.scene, match.facts or before.matching
         if faint := movable(scene, match.faint):
             first.add(scene, {k: {"object": k, "changed": round(match.faint[k], 2), "expected": True} for k in faint})
-            return Unseen(scene, faint, (), matching)
-        sensor = self._sensor(scene, canvas.background, match.mapping.scale)
+            return Unseen(scene, faint, (), matching, before.sensor)
+        sensor = self._sensor(scene, canvas.background, match.mapping.scale, before.sensor)
         rendered = self._renderer.render(scene)
         occluders = {} if canvas.cover is None else canvas.cover.find(scene)
         front = front_of(occluders, None if canvas.cover is None else canvas.cover.scenery, rendered)
-        pixels = self._look.paint(match, rendered, before, sensor, front)
+        pixels = self._look.paint(match, rendered, ground, sensor, front)
 
         seen = behind_front(rendered, front, occluders)
         labels, report = label_objects(scene, rendered, seen, occluders, recipe.labels)
-        inserts = measure_inserts(report.kept, labels, seen, before, pixels, canvas.site)
+        inserts = measure_inserts(report.kept, labels, seen, ground, pixels, canvas.site)
         first.add(scene, {i.number: i.to_json() for i in inserts})
         least = recipe.placement.min_visibility
         hidden = movable(scene, too_hidden(labels, report, occluders, recipe.occlusion, least))
         faint = movable(scene, {*faint_inserts(inserts, recipe, canvas.frame.background.capture.time_of_day), *hidden})
         if faint:
-            return Unseen(scene, faint, hidden, matching)
+            return Unseen(scene, faint, hidden, matching, sensor)
         facts = {
             **report.to_json(),
             **matching,
@@ -236,20 +239,26 @@ class FrameComposer:
             return unseen.scene.without(unseen.hidden, "too_hidden")
         return unseen.scene.without(unseen.numbers, "low_contrast")
 
-    def _sensor(self, scene: PlacedScene, background: Background, scale: TemperatureScale | None) -> Sensor | None:
-        """Return the sensor chain fitted to this background; None if there is none or no object."""
+    def _sensor(
+        self, scene: PlacedScene, background: Background, scale: TemperatureScale | None, known: Sensor | None
+    ) -> Sensor | None:
+        """Return the sensor chain, `known` or fitted to this background; None if there is none or no object."""
         sensor, levels = self._recipe.sensor, self._settings.levels
         if sensor.profile == "off" or not scene.objects:
             return None
         assert levels is not None
         unit_k = None if scale is None else abs(scale.slope_k) * grey_unit(background.pixels, levels)
+        profile, range_m = sensor.profile_at(unit_k), nearest_range_m(scene)
+        strength = SensorStrength(sensor.optics, sensor.halo, sensor.noise, sensor.codec, sensor.clip, sensor.defocus)
+        if known is not None:
+            return focus_missed(known, profile, strength, range_m)
         return fit_sensor(
             background.pixels,
-            sensor.profile_at(unit_k),
-            SensorStrength(sensor.optics, sensor.halo, sensor.noise, sensor.codec, sensor.clip, sensor.defocus),
+            profile,
+            strength,
             levels,
             integer_seed(self._settings.seed, scene.spec.frame_id, "sensor"),
-            range_m=nearest_range_m(scene),
+            range_m=range_m,
             motion_px=scene.spec.motion_px,
         )
 

@@ -126,7 +126,9 @@ def label_objects(
     result = []
     for k, label in zip(report.kept, found, strict=True):
         if k in hidden:
-            share = float(seen.coverage[k].sum()) / max(float(rendered.coverage[k].sum()), 1e-9)
+            # In double precision, because sums in single precision depend on the version of numpy.
+            left, whole = (float(r.coverage[k].sum(dtype=np.float64)) for r in (seen, rendered))
+            share = left / max(whole, 1e-9)
             label = label_occluded(label, scene.objects[k], share, labels.occluded_box, labels.obb)
         result.append(label)
     return tuple(result), report

@@ -18,9 +18,7 @@ class _Worker:
     """Has a renderer; each worker process has one instance."""
 
     def __init__(self, execution: Execution) -> None:
-        if execution.pins_cores:
-            take_core()
-        self._renderer = make_renderer(execution.renderer, execution.device)
+        self._renderer = make_renderer(execution.renderer, execution.device, execution.blender)
 
     def close(self) -> None:
         """Release the renderer."""
@@ -31,6 +29,12 @@ class FrameWorker(_Worker):
     """Composes the frame of each task."""
 
     _context: int | None = None
+
+    def __init__(self, execution: Execution) -> None:
+        """Keep to a core of its own."""
+        super().__init__(execution)
+        if execution.pins_cores:
+            take_core()
 
     def __call__(self, task: Task) -> ComposedFrame:
         """Return the frame of the `FrameJob` in the task's payload."""
@@ -50,6 +54,9 @@ class FrameMaker(_Worker):
         assert settings.out is not None
         self._folder = RunFolder(settings.out)
         self._composer = FrameComposer(settings, self._renderer)
+        # Only now: Blender, if the recipe needs it, starts on another core meanwhile.
+        if settings.execution.pins_cores:
+            take_core()
 
     def __call__(self, task: Task) -> MadeFrame:
         """Write the image of the `PlannedFrame` in the task's payload, and return its record."""

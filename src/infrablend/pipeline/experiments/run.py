@@ -15,6 +15,7 @@ from infrablend.core.files import read_object
 from infrablend.core.machine import describe_machine, installed_versions, source_commit
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
+from infrablend.engine.programs import blender_version
 from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
 from infrablend.pipeline.experiments import forecast
 from infrablend.pipeline.experiments.adopting import adopt_result
@@ -30,7 +31,7 @@ from infrablend.report.results.write import write_page
 # Kinds of stages that continue what an interrupted run left; others start again.
 _RESUMING = ("generate", "train")
 # Packages that figures depend on.
-_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "ultralytics", "torch")
+_PACKAGES = ("numpy", "opencv-python-headless", "Pillow", "pycocotools", "ultralytics", "torch")
 
 log = logging.getLogger(__name__)
 
@@ -230,7 +231,7 @@ def make_stage(
             "inputs": dict(stage.inputs),
             "needs": {role: made.record["key"] for role, made in needs.items()},
             "machine": describe_machine(),
-            "packages": {"infrablend": __version__, **installed_versions(_PACKAGES)},
+            "packages": {"infrablend": __version__, "blender": blender_version(), **installed_versions(_PACKAGES)},
             "commit": source_commit(),
         }
         started = time.monotonic()

@@ -9,15 +9,16 @@ from typing import Any
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.sampling.scene import mean_objects
 
-# Measured with Cycles on the CPU and one worker: 4 frames took 6.4 CPU seconds, 24 took 11.8. Workers start in
-# parallel, so their number does not change the time until the first frame.
-START_S = 5.5
-TYPICAL_FRAME_CPU_S = 0.26
-# Processor time of each object beyond the first: people 0.29 s, cars 0.5 s.
-TYPICAL_OBJECT_CPU_S = 0.3
-TYPICAL_LATTICE_FRAME_CPU_S = 0.06  # the artistic look without Cycles
-READ_PICTURE_S = 0.01
-WRITE_LABELS_S = 0.003  # per frame and format, by one process
+# Measured by `bench/recipes.py`, with one worker and Cycles on the CPU. Start and end of a run; workers start in
+# parallel, so their number does not change it.
+START_S = 3.5
+# Processor time of a frame without its objects and label files, and of each object: with Cycles by model, and by the
+# lattice of the artistic look.
+FRAME_CPU_S, LATTICE_FRAME_CPU_S = 0.06, 0.015
+OBJECT_CPU_S, LATTICE_OBJECT_CPU_S = {"person": 0.115, "car": 0.175, "deer": 0.135, "boar": 0.135}, 0.03
+OTHER_OBJECT_CPU_S = 0.11  # drones
+READ_PICTURE_S = 0.002
+WRITE_LABELS_S = 0.0016  # per frame and format, by one process
 # Bytes of records, logs, reports and labels: per frame, and per inserted object.
 _BYTES_PER_FRAME = 6_000
 _BYTES_PER_OBJECT = 10_000
@@ -35,10 +36,13 @@ def estimate_run(
         price_per_core_hour: Price, in any currency; None gives no cost.
     """
     recipe, frames, workers = plan.recipe, len(plan.frames), max(workers, 1)
-    objects = _objects_per_frame(plan)
-    of_cycles = recipe.appearance.traces_light or recipe.samples
-    frame_cpu_s = TYPICAL_FRAME_CPU_S if of_cycles else TYPICAL_LATTICE_FRAME_CPU_S
-    frame_cpu_s += TYPICAL_OBJECT_CPU_S * max(objects - 1, 0)
+    by_model = _objects_per_frame(plan)
+    objects = sum(by_model.values())
+    frame_cpu_s, objects_cpu_s = LATTICE_FRAME_CPU_S, LATTICE_OBJECT_CPU_S * objects
+    if recipe.appearance.traces_light or recipe.samples:
+        frame_cpu_s = FRAME_CPU_S
+        objects_cpu_s = sum(n * OBJECT_CPU_S.get(model, OTHER_OBJECT_CPU_S) for model, n in by_model.items())
+    frame_cpu_s += objects_cpu_s
     sizes = [f.background.path.stat().st_size for f in plan.frames[:: max(1, frames // 200)]]
     factor = 4.0 if recipe.output.image == "png" else 1.0
     per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + _BYTES_PER_FRAME
@@ -70,8 +74,8 @@ def estimate_run(
     return {**found, "left_out": dict(Counter(p.code for p in plan.problems if p.severity == "error"))}
 
 
-def _objects_per_frame(plan: RunPlan) -> float:
-    """Return the mean number of objects in frames that are not unchanged pictures, from about 200 of them."""
+def _objects_per_frame(plan: RunPlan) -> dict[str, float]:
+    """Return the mean number of objects by model in frames that are not unchanged pictures, from about 200 of them."""
     changed = [f for f in plan.frames if f.configuration is not None]
-    some = changed[:: max(1, len(changed) // 200)]
-    return sum(mean_objects(plan.recipe, f.key((1, 1))) for f in some) / max(len(some), 1)
+    some = [mean_objects(plan.recipe, f.key((1, 1))) for f in changed[:: max(1, len(changed) // 200)]]
+    return {model: statistics.fmean(asked[model] for asked in some) for model in (some[0] if some else ())}

@@ -18,7 +18,7 @@ from infrablend.execution.process_pool import PoolSettings, ProcessPool
 
 log = logging.getLogger(__name__)
 
-IMPORTER = "infrablend.blender.importer:make_importer"
+IMPORTER = "infrablend.engine.importer:make_importer"
 IMPORT_CPU_SECONDS, IMPORT_SECONDS, IMPORT_MEMORY_BYTES = 120, 600.0, 3 * 2**30
 TOO_SLOW = "model-too-slow"
 # Time limit of a single job in a worker process.
@@ -60,7 +60,7 @@ def import_geometry(file: Path) -> None:
 
 
 def _import_error(file: Path, failure: Failure) -> InfraBlendError:
-    if failure.kind == "error":
+    if failure.error != "WorkerDiedError":
         return failure.to_exception()
     if failure.kind == "timeout" or "SIGXCPU" in failure.message:
         limit = f"{IMPORT_SECONDS:g} s" if failure.kind == "timeout" else f"{IMPORT_CPU_SECONDS} s of processor time"

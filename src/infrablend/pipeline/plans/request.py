@@ -38,9 +38,11 @@ class Execution:
         workers: Number of worker processes [default: one per core].
         device: Device that Cycles renders on; auto uses a GPU if there is one.
         renderer: `blender`, or `flat`, which shades flatly and needs no Blender.
-        in_process: Compute all frames in the calling process; only with the flat renderer.
+        in_process: Compute all frames in the calling process; Blender has its own in any case.
         executor: Where the workers run: processes of this machine, or Ray (extra infrablend[ray]).
         address: Ray cluster to use [default: RAY_ADDRESS, else Ray is started for the run].
+        blender: Blender to use: the path of a program, or of a Python that has bpy; none: do without
+            [default: INFRABLEND_BLENDER, else what `infrablend doctor` shows].
 
     Raises:
         ArgumentError: A value is not one of these.
@@ -52,6 +54,7 @@ class Execution:
     in_process: bool = False
     executor: Executor = "local"
     address: str | None = None
+    blender: str | None = None
 
     def __post_init__(self) -> None:
         if self.workers is not None:
@@ -130,7 +133,3 @@ class RunRequest:
         require_known("data", self.data)
         require_whole("seed", self.seed)
         require_existing(self.existing)
-        if self.execution.in_process and self.execution.renderer == "blender":
-            raise ArgumentError(
-                "in_process: Blender renders in worker processes only. Use workers=1, or renderer='flat'"
-            )

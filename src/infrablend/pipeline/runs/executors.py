@@ -14,7 +14,7 @@ from infrablend.pipeline.plans.request import WORKER_BYTES, Execution
 def make_executor(worker: WorkerSpec, execution: Execution, log_path: Path) -> Executor:
     """Return the executor that a request asks for; `log_path` is for workers of this machine: Ray has its own logs."""
     if execution.in_process:
-        return Serial(worker, log_path)
+        return Serial(worker)
     if execution.executor == "ray":
         gpus = 0.0 if execution.device in ("auto", "cpu") else 1.0
         settings = RaySettings(

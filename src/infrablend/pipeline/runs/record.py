@@ -13,6 +13,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.tasks import TaskResult
+from infrablend.engine.programs import blender_version
 from infrablend.errors import Problem
 from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.plans.left_out import LEFT_OUT
@@ -25,8 +26,7 @@ log = logging.getLogger(__name__)
 
 RUN = "run"
 """Field of a run record with the identity that the records of its frames name."""
-# Packages that affect pixels or labels.
-RECORDED_PACKAGES = ("bpy", "numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
+_PACKAGES = ("numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
 
 # Reader problems that leave out a whole image, or an annotation file with many.
 _IMAGE_CODES = {
@@ -172,8 +172,14 @@ def record_header(plan: RunPlan, execution: Execution) -> dict[str, Any]:
             **({} if execution.executor == "local" else {"executor": execution.executor}),
             **describe_machine(),
         },
-        "packages": installed_versions(RECORDED_PACKAGES),
+        "packages": recorded_versions(execution),
     }
+
+
+def recorded_versions(execution: Execution) -> dict[str, str]:
+    """Return the versions of Blender and of packages that affect pixels or labels, as far as they are there."""
+    found = {} if execution.renderer != "blender" else {"blender": blender_version(execution.blender)}
+    return {name: v for name, v in found.items() if v is not None} | installed_versions(_PACKAGES)
 
 
 def run_record(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -120,7 +121,8 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
         models = {o.model: ready_model(o.model) for o in recipe.objects}
         assert record.scene is not None and record.mapping is not None, "no unchanged original"
         scene, fitted = rebuild_scene(record.scene, models), record.facts.get("sensor")
-        rendered = make_renderer(job.renderer, job.device).render(scene)
+        with contextlib.closing(make_renderer(job.renderer, job.device)) as renderer:
+            rendered = renderer.render(scene)
         pixels = overlay(
             rendered,
             background.pixels,

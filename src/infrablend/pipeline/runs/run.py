@@ -13,7 +13,6 @@ from infrablend.core.addresses import shown
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
-from infrablend.core.machine import installed_versions
 from infrablend.core.run_folder import DERIVED, EXCLUDED, RUN_FILE, WORKERS_LOG, RunFolder
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSpec
 from infrablend.core.typed_command import COMMAND, command_facts
@@ -36,7 +35,7 @@ from infrablend.pipeline.runs.exports import (
     require_nothing_added,
 )
 from infrablend.pipeline.runs.key import differences
-from infrablend.pipeline.runs.record import RECORDED_PACKAGES, RUN, RunState, record_header, run_record
+from infrablend.pipeline.runs.record import RUN, RunState, record_header, recorded_versions, run_record
 
 log = logging.getLogger(__name__)
 
@@ -391,7 +390,7 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, exe
         log.warning(
             "%s: started with --device %s, resumed with %s; devices may differ by one grey level", out, was, device
         )
-    versions, installed = previous["packages"], installed_versions(RECORDED_PACKAGES)
+    versions, installed = previous["packages"], recorded_versions(execution)
     for name in sorted(n for n in installed if versions.get(n, installed[n]) != installed[n]):
         log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], installed[name])
     require_same_key(previous, plan, out)

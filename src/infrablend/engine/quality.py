@@ -1,4 +1,4 @@
-"""Sampling settings of Cycles. This module does not import Blender."""
+"""Sampling settings of Cycles."""
 
 from __future__ import annotations
 

@@ -1,20 +1,19 @@
 import json
-import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from infrablend.report import doctor
-from infrablend.report.doctor import Blender, Machine, Trainer, assess
-from infrablend.report.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
+from infrablend.engine.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
+from infrablend.pipeline.studies import doctor
+from infrablend.pipeline.studies.doctor import Blender, Machine, Trainer, assess
 
 GOOD = Machine(
     system="Linux",
     architecture="x86_64",
     python=(3, 11, 7),
-    blender=Blender(installed=True, version=(4, 5, 15), devices={"CUDA": (), "OPTIX": ("A GPU",)}),
+    blenders=(Blender("bpy in this Python", "4.5.15", {"CUDA": (), "OPTIX": ("A GPU",)}),),
     missing_packages=(),
     cores=2.0,
     memory_bytes=8 * 1024**3,
@@ -43,17 +42,11 @@ def test_suitable_machine_gets_no_advice() -> None:
 @pytest.mark.parametrize(
     ("change", "name", "status", "words"),
     [
-        ({"python": (3, 12, 1)}, "Python", "error", "use Python 3.11"),
+        ({"python": (3, 14, 0)}, "Python", "warning", "use Python 3.11 to 3.13"),
         ({"system": "Darwin", "free_shm_bytes": None}, "system", "warning", "only Linux"),
-        ({"missing_packages": ("libsm6", "libxt6")}, "system libraries", "error", "libsm6 libxt6"),
-        ({"blender": Blender(installed=False)}, "Blender (bpy)", "error", "make setup"),
-        (
-            {"blender": Blender(installed=True, trouble="ImportError: x", unresolved=("libSM.so.6",))},
-            "Blender (bpy)",
-            "error",
-            "system libraries",
-        ),
-        ({"blender": Blender(installed=True, version=(5, 0, 1))}, "Blender (bpy)", "error", "bpy==4.5.*"),
+        ({"missing_packages": ("libsm6", "libxt6")}, "system libraries", "warning", "libsm6 libxt6"),
+        ({"blenders": ()}, "Blender", "warning", "infrablend blender install"),
+        ({"blenders": (Blender("bpy", trouble="no libSM.so.6"),)}, "Blender", "error", "INFRABLEND_BLENDER"),
         ({"memory_bytes": 1024**3}, "memory", "warning", "--workers 1"),
         ({"free_bytes": {"/out": 1024**3}}, "disk", "warning", "--plan"),
         ({"free_bytes": {"/out": 1024}}, "disk", "error", "free some space"),
@@ -70,9 +63,18 @@ def test_each_problem_has_a_remedy(change: dict, name: str, status: str, words: 
     assert assess(machine).ok == (status != "error")
 
 
-def test_devices_are_unknown_where_blender_does_not_load() -> None:
-    check = verdict(replace(GOOD, blender=Blender(installed=True)), "Cycles devices")
-    assert (check.status, check.found) == ("warning", "unknown: Blender does not load")
+def test_missing_libraries_stop_a_run_where_blender_does_not_start() -> None:
+    machine = replace(GOOD, missing_packages=("libsm6",), blenders=(Blender("bpy", trouble="it ended"),))
+    assert verdict(machine, "system libraries").status == "error"
+
+
+def test_blenders_that_are_not_used_are_listed() -> None:
+    others = (Blender("blender on the path", trouble="3.4 cannot be used"), Blender("environment", "4.2.1"))
+    found = [c for c in assess(replace(GOOD, blenders=(*GOOD.blenders, *others))).checks if c.name == "other Blender"]
+    assert [c.found for c in found] == [
+        "blender on the path: 3.4 cannot be used; not used",
+        "4.2.1, environment; not used",
+    ]
 
 
 def test_missing_packages_are_debian_names_of_what_does_not_load() -> None:
@@ -81,34 +83,6 @@ def test_missing_packages_are_debian_names_of_what_does_not_load() -> None:
     assert missing_packages(lambda soname: False, "linux") == tuple(sorted(DEBIAN_PACKAGES))
     assert missing_packages(lambda soname: False, "darwin") == ()
     assert install_command(("libgl1", "libxt6")).endswith(" libgl1 libxt6")
-
-
-LDD = """#!/bin/sh
-cat <<END
-        linux-vdso.so.1 (0x00007fd609351000)
-        libSM.so.6 => not found
-        libX11.so.6 => /lib/x86_64-linux-gnu/libX11.so.6 (0x00007fd5fd2be000)
-        libICE.so.6 => not found
-        libSM.so.6 => not found
-END
-"""
-
-
-def test_libraries_that_the_loader_does_not_find_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "ldd").write_text(LDD)
-    (tmp_path / "ldd").chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    assert doctor._unresolved("bpy.so") == ("libICE.so.6", "libSM.so.6")
-
-
-def test_hung_or_silent_blender_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor, "_ASK_BLENDER", "import time; time.sleep(60)")
-    assert doctor._ask_blender(0.2).trouble == "no answer within 0.2 s"
-    monkeypatch.setattr(doctor, "_ASK_BLENDER", "raise ImportError('libGL.so.1: cannot open')")
-    asked = doctor._ask_blender(30)
-    assert asked.installed
-    assert asked.version is None
-    assert asked.trouble == "ImportError: libGL.so.1: cannot open"
 
 
 def test_nothing_is_left_in_the_temporary_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -120,13 +94,12 @@ def test_nothing_is_left_in_the_temporary_folder(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.blender
-def test_this_machine_is_surveyed_without_importing_bpy(tmp_path) -> None:
+def test_this_machine_is_surveyed(tmp_path: Path) -> None:
     machine = doctor.survey(tmp_path / "not" / "there")
     assert machine.python == sys.version_info[:3]
-    assert machine.blender.version is not None
-    assert machine.blender.version[:2] == doctor.SUPPORTED_BLENDER
+    assert machine.blenders[0].version is not None
     assert machine.free_bytes[str(tmp_path / "not" / "there")] > 0
-    assert set(machine.blender.devices) == set(doctor.GPU_TYPES)
+    assert set(machine.blenders[0].devices) >= {"CUDA", "OPTIX"}
 
 
 NOT_INSTALLED = 'not installed: make train, or pip install "infrablend[train]"'

@@ -1,16 +1,14 @@
 """Check whether this machine can run InfraBlend: `survey` gathers facts, `assess` rates them, `diagnose` does both.
 
-Blender and torch are queried in separate processes: this module then needs neither, and survives a broken one.
+Blender and torch are asked in processes of their own: this module then needs neither, and survives a broken one.
 """
 
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import json
 import os
 import platform
-import re
 import shutil
 import subprocess
 import sys
@@ -22,13 +20,14 @@ from typing import Any, Literal
 
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.core.user_folders import cache_folder
-from infrablend.report.system_libraries import install_command, missing_packages
+from infrablend.engine.process import blender_process
+from infrablend.engine.programs import TODO, VARIABLE, Program, absence, candidates
+from infrablend.engine.system_libraries import install_command, missing_packages
+from infrablend.errors import InfraBlendError, MissingDependencyError
 
 Status = Literal["ok", "warning", "error"]
 
-SUPPORTED_PYTHON = (3, 11)
-SUPPORTED_BLENDER = (4, 5)
-GPU_TYPES = ("CUDA", "OPTIX", "HIP", "ONEAPI", "METAL")
+SUPPORTED_PYTHON = (3, 11), (3, 13)
 
 # Measured: a worker stays under 1 GiB; a 640 x 512 frame with all its labels takes about 0.3 MB.
 LITTLE_MEMORY_BYTES = 2 * 1024**3
@@ -37,27 +36,7 @@ LITTLE_DISK_BYTES = 2 * 1024**3
 LITTLE_SHM_BYTES = 64 * 1024**2
 MUCH_CACHE_BYTES = 10 * 1024**3
 
-_ASK_BLENDER_S = 120.0
 _ASK_TORCH_S = 60.0
-# os._exit: Blender's own shutdown may hang or crash, and nothing is left to save.
-_ASK_BLENDER = """
-import json, os, sys
-stdout = os.fdopen(os.dup(1), "w")
-os.dup2(2, 1)
-import bpy
-cycles = bpy.context.preferences.addons["cycles"].preferences
-devices = {}
-for kind in sys.argv[1:]:
-    try:
-        devices[kind] = sorted({d.name for d in cycles.get_devices_for_type(kind) if d.type == kind})
-    except Exception:
-        devices[kind] = []
-stdout.write(json.dumps({"version": list(bpy.app.version), "devices": devices}))
-stdout.flush()
-os._exit(0)
-"""
-
-
 _ASK_TORCH = """
 import json, os
 stdout = os.fdopen(os.dup(1), "w")
@@ -98,21 +77,19 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class Blender:
-    """State of Blender's Python module.
+    """A Blender of this machine.
 
     Attributes:
-        installed: True if the module is present, whether or not it loads.
-        version: Version of Blender, or None if the module does not load.
+        name: What it is, and its path.
+        version: Version of Blender, or None if it cannot be used.
         devices: Names of the devices that Cycles sees, by GPU type.
-        trouble: Last line of the error output, or empty.
-        unresolved: Shared libraries that its loader cannot find, sorted.
+        trouble: Why it cannot be used, or empty.
     """
 
-    installed: bool
-    version: tuple[int, ...] | None = None
+    name: str
+    version: str | None = None
     devices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     trouble: str = ""
-    unresolved: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -136,13 +113,14 @@ class Trainer:
 class Machine:
     """Facts about this machine. Free space is in bytes; None means that the folder cannot be written.
 
-    `cache_bytes` is what the user's cache folder contains.
+    `blenders` are in the order of preference: the first one is used. `cache_bytes` is what the user's cache folder
+    contains.
     """
 
     system: str
     architecture: str
     python: tuple[int, int, int]
-    blender: Blender
+    blenders: tuple[Blender, ...]
     missing_packages: tuple[str, ...]
     cores: float
     memory_bytes: int
@@ -167,7 +145,7 @@ def survey(folder: str | Path | None = None) -> Machine:
         system=platform.system(),
         architecture=platform.machine(),
         python=sys.version_info[:3],
-        blender=_ask_blender(_ASK_BLENDER_S),
+        blenders=_ask_blenders(),
         missing_packages=missing_packages(),
         cores=usable_cores(),
         memory_bytes=usable_memory_bytes(),
@@ -188,8 +166,7 @@ def assess(machine: Machine) -> Diagnosis:
             _check_system(machine),
             _check_python(machine),
             _check_libraries(machine),
-            _check_blender(machine),
-            _check_devices(machine),
+            *_check_blenders(machine),
             _check_torch(machine),
             Check("Ultralytics", "ok", machine.trainer.ultralytics or _NOT_INSTALLED),
             Check("cores", "ok", f"{machine.cores:g} usable"),
@@ -215,42 +192,39 @@ def _check_system(m: Machine) -> Check:
 
 
 def _check_python(m: Machine) -> Check:
-    found, wanted = (".".join(map(str, version)) for version in (m.python, SUPPORTED_PYTHON))
-    if m.python[:2] == SUPPORTED_PYTHON:
+    found, oldest, newest = (".".join(map(str, version)) for version in (m.python, *SUPPORTED_PYTHON))
+    if SUPPORTED_PYTHON[0] <= m.python[:2] <= SUPPORTED_PYTHON[1]:
         return Check("Python", "ok", found)
-    return Check("Python", "error", found, f"use Python {wanted}: Blender's module needs exactly this version")
+    return Check("Python", "warning", found, f"use Python {oldest} to {newest}: no other one is tested")
 
 
 def _check_libraries(m: Machine) -> Check:
     if not m.missing_packages:
         return Check("system libraries", "ok", "complete")
     found = "missing (Debian names): " + " ".join(m.missing_packages)
-    return Check("system libraries", "error", found, "run: " + install_command(m.missing_packages))
+    needed: Status = "error" if any(b.version is None for b in m.blenders[:1]) else "warning"
+    return Check("system libraries", needed, found, "for Blender, run: " + install_command(m.missing_packages))
 
 
-def _check_blender(m: Machine) -> Check:
-    b = m.blender
-    if not b.installed:
-        return Check("Blender (bpy)", "error", "not installed", "run `make setup`, or `pip install bpy==4.5.*`")
-    if b.version is None:
-        found = f"does not load: {b.trouble or 'no reason given'}"
-        todo = "reinstall it: pip install --force-reinstall bpy"
-        if b.unresolved:
-            found, todo = f"{found} (not found: {', '.join(b.unresolved)})", "install the missing system libraries"
-        return Check("Blender (bpy)", "error", found, todo)
-    found, wanted = (".".join(map(str, version)) for version in (b.version, SUPPORTED_BLENDER))
-    if b.version[:2] == SUPPORTED_BLENDER:
-        return Check("Blender (bpy)", "ok", found)
-    return Check("Blender (bpy)", "error", found, f"InfraBlend needs Blender {wanted}: pip install 'bpy=={wanted}.*'")
-
-
-def _check_devices(m: Machine) -> Check:
-    gpus = [f"{kind.lower()}: {', '.join(names)}" for kind, names in m.blender.devices.items() if names]
-    if gpus:
-        return Check("Cycles devices", "ok", "; ".join(["cpu", *gpus]))
-    if m.blender.version is None:
-        return Check("Cycles devices", "warning", "unknown: Blender does not load", "fix Blender first")
-    return Check("Cycles devices", "ok", "cpu only")
+def _check_blenders(m: Machine) -> list[Check]:
+    """Return the checks of the Blender that is used, of its devices, and of others."""
+    if not m.blenders:
+        found, todo = absence()
+        use = "The physical look, `quality: paper`, 3D files of your own and the virtual world need it"
+        return [Check("Blender", "warning", found, f"{use}. {todo}")]
+    first, *others = m.blenders
+    if first.version is None:
+        checks = [Check("Blender", "error", f"{first.name}: {first.trouble}", f"{TODO}, or name another: {VARIABLE}")]
+    else:
+        gpus = [f"{kind.lower()}: {', '.join(names)}" for kind, names in first.devices.items() if names]
+        checks = [
+            Check("Blender", "ok", f"{first.version}, {first.name}"),
+            Check("Cycles devices", "ok", "; ".join(["cpu", *gpus]) if gpus else "cpu only"),
+        ]
+    for other in others:
+        found = f"{other.version}, {other.name}" if other.version else f"{other.name}: {other.trouble}"
+        checks.append(Check("other Blender", "ok", f"{found}; not used"))
+    return checks
 
 
 def _check_torch(m: Machine) -> Check:
@@ -304,15 +278,25 @@ def _size(n_bytes: int) -> str:
     return f"{n_bytes / 1024**3:.1f} GiB"
 
 
-def _ask_blender(limit_s: float) -> Blender:
-    spec = importlib.util.find_spec("bpy")
-    if spec is None:
-        return Blender(installed=False)
-    answer, trouble = _ask(_ASK_BLENDER, limit_s, *GPU_TYPES)
-    if answer is None:
-        return Blender(installed=True, trouble=trouble, unresolved=_unresolved(spec.origin))
-    devices = {kind: tuple(names) for kind, names in answer["devices"].items()}
-    return Blender(installed=True, version=tuple(answer["version"]), devices=devices)
+def _ask_blenders() -> tuple[Blender, ...]:
+    """Start each Blender of this machine in turn, and return what it says of itself."""
+    found = []
+    try:
+        for program in candidates():
+            found.append(_ask_blender(program))
+    except MissingDependencyError as error:
+        found.append(Blender("the one that INFRABLEND_BLENDER names", trouble=error.message))
+    return tuple(found)
+
+
+def _ask_blender(program: Program) -> Blender:
+    try:
+        with blender_process(program) as process:
+            process.greet()
+            devices = {kind: tuple(names) for kind, names in process.ask("devices").items()}
+            return Blender(str(program), process.greeting["blender"], devices)
+    except InfraBlendError as error:
+        return Blender(str(program), trouble=error.message)
 
 
 def _ask_trainer(limit_s: float) -> Trainer:
@@ -347,14 +331,6 @@ def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | N
         lines = done.stderr.decode(errors="replace").strip().splitlines()
         return None, lines[-1] if lines else f"it ended with code {done.returncode} and no answer"
     return answer, ""
-
-
-def _unresolved(module: str | None) -> tuple[str, ...]:
-    """Return the shared libraries that `ldd` does not find for the module; empty where there is no ldd."""
-    if module is None or shutil.which("ldd") is None:
-        return ()
-    listing = subprocess.run(["ldd", module], capture_output=True, text=True, check=False).stdout
-    return tuple(sorted(set(re.findall(r"^\s*(\S+) => not found", listing, re.MULTILINE))))
 
 
 def _free_bytes(folder: Path) -> int | None:

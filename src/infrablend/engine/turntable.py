@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from infrablend.assets.catalogue import load_model
 from infrablend.assets.model import ObjectModel
-from infrablend.blender.renderer import BlenderRenderer
 from infrablend.compositing.mapping import GreyMapping
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.compositing.sensor import Sensor, apply_sensor, grain
@@ -28,6 +27,7 @@ from infrablend.core.placed import PlacedScene, place
 from infrablend.core.rng import stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 from infrablend.core.tasks import Task
+from infrablend.engine.renderer import BlenderRenderer
 
 # Depression of the camera: below, level, above. Animals, people and cars are hardly ever seen from far below.
 FLYING_PITCHES_DEG = (-90, -30, 0, 30, 90)
