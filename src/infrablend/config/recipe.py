@@ -645,8 +645,6 @@ class RadiometricEnvironment(SkyEnvironment):
 class Appearance(Strict):
     """How temperature becomes radiance."""
 
-    traces_light: ClassVar[bool] = True
-    """Whether light travels between surfaces; pictures without that are sampled on a lattice instead of by Cycles."""
     needs_levels: ClassVar[bool] = True
     """Whether the range of grey levels of the whole dataset has to be known."""
     follows_time_of_day: ClassVar[bool] = True
@@ -666,7 +664,6 @@ class Appearance(Strict):
 class ArtisticAppearance(Appearance):
     """The paper's hand-tuned look (Emission, Color Ramp, Fresnel)."""
 
-    traces_light: ClassVar[bool] = False
     needs_levels: ClassVar[bool] = False
     follows_time_of_day: ClassVar[bool] = False
     min_contrast: ClassVar[Literal["real", "off"]] = "off"
@@ -1087,7 +1084,10 @@ class _Sections(Strict):
 
     @property
     def needs_blender(self) -> bool:
-        """Whether Cycles traces light: in every look but the artistic one, and for a given number of samples."""
+        """Whether Cycles renders: in the looks where light travels between surfaces, and for a number of samples.
+
+        Other pictures are sampled on a lattice.
+        """
         return self.samples > 0 or self.look != "artistic"
 
 

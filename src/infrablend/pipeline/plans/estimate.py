@@ -39,7 +39,7 @@ def estimate_run(
     by_model = _objects_per_frame(plan)
     objects = sum(by_model.values())
     frame_cpu_s, objects_cpu_s = LATTICE_FRAME_CPU_S, LATTICE_OBJECT_CPU_S * objects
-    if recipe.appearance.traces_light or recipe.samples:
+    if recipe.needs_blender:
         frame_cpu_s = FRAME_CPU_S
         objects_cpu_s = sum(n * OBJECT_CPU_S.get(model, OTHER_OBJECT_CPU_S) for model, n in by_model.items())
     frame_cpu_s += objects_cpu_s
