@@ -242,6 +242,8 @@ def test_native_reads_both_forms_as_one(tmp_path: Path) -> None:
     assert [i.extra["source_id"] for i in again.images] == [3, 4, 5]
 
 
+# pycocotools' decoder does what numpy 2 deprecates.
+@pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_coco_loads_in_pycocotools(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from pycocotools.coco import COCO
 
