@@ -1,4 +1,4 @@
-"""One Blender per test process."""
+"""One Blender per file of tests: those of other files expect no child process."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 from tests.blender.in_blender import OpenRenderer
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def blender() -> Iterator[OpenRenderer]:
     renderer = OpenRenderer()
     yield renderer
