@@ -7,6 +7,7 @@ import json
 import re
 import sqlite3
 from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
 
 from infrablend.core.frame_record import FrameRecord
@@ -23,7 +24,7 @@ def without_times(name: str, data: bytes) -> bytes:
 
 def ledger_rows(file: Path) -> list[tuple[object, ...]]:
     """Return the rows about frames in a ledger: equal for equal runs."""
-    with sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True) as ledger:
+    with closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as ledger:
         frames = ledger.execute("SELECT * FROM frames ORDER BY frame_id").fetchall()
         return frames + ledger.execute("SELECT * FROM records ORDER BY frame_id").fetchall()
 

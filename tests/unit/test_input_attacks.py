@@ -91,6 +91,7 @@ def write_model(folder: Path, height: float) -> Path:
     return folder / "thing.yaml"
 
 
+@pytest.mark.blender
 def test_a_file_beside_a_model_that_has_changed_is_noticed(tmp_path: Path) -> None:
     """A run is not resumed with another shape, and a new run does not use the old one from the cache."""
     data = SAMPLES["coco"](tmp_path / "data")

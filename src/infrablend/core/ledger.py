@@ -103,13 +103,16 @@ class Ledger:
             )
         # Read-only folders, as of another user, can be read: without a journal there is nothing to roll back.
         left = write or os.path.lexists(f"{file}-journal")  # by a kill amid a commit: opening to write rolls it back
-        with _reported(file):
-            text = f"file:{_quoted(file)}?mode={'rw' if left else 'ro'}"
-            ledger = cls(file, sqlite3.connect(text, uri=True, check_same_thread=write))
-            (version,) = ledger._db.execute("PRAGMA user_version").fetchone()
-        if version != _VERSION:
-            raise OutputError(f"{file}: a ledger of version {version}, expected {_VERSION}. Make the run again.")
-        return ledger
+        with contextlib.ExitStack() as unusable:
+            with _reported(file):
+                text = f"file:{_quoted(file)}?mode={'rw' if left else 'ro'}"
+                database = sqlite3.connect(text, uri=True, check_same_thread=write)
+                unusable.callback(database.close)
+                (version,) = database.execute("PRAGMA user_version").fetchone()
+            if version != _VERSION:
+                raise OutputError(f"{file}: a ledger of version {version}, expected {_VERSION}. Make the run again.")
+            unusable.pop_all()
+        return cls(file, database)
 
     def __enter__(self) -> Ledger:
         return self

@@ -85,6 +85,8 @@ def merge_shards(
         places = dict.fromkeys(Path(address_of(s) or real_path(Path(s))) for s in sources)
         runs = [stack.enter_context(opened_run(place)) for place in places]
         shared, shards = _finished_shards(runs, partial)
+        for one in shards:
+            stack.callback(one.source.close)
         for run in runs:
             _require_apart(run.root, out)
         first = shards[0].source

@@ -44,11 +44,13 @@ class ShardFolder:
 
     def failures(self) -> Mapping[str, Failure]:
         """Return why frames of the shard have no picture, by id."""
-        return self._open()[0].failures()
+        with self._folder.ledger() as ledger:
+            return ledger.failures()
 
     def damage(self, frames: Sequence[str]) -> str | None:
         """Return how many frames are missing or changed."""
-        _, done = self._open()
+        with self._folder.ledger() as ledger:
+            done = ledger.done()
         broken = [f for f in frames if f not in done or not self._is_intact(done[f])]
         return f"{len(broken)} frames are missing or damaged, such as {broken[0]}" if broken else None
 
