@@ -49,8 +49,6 @@ class Stage:
         s.collection.objects.link(self._camera)
         s.camera = self._camera
         settings = s.render.image_settings
-        if hasattr(settings, "media_type"):  # Blender 5
-            settings.media_type = "MULTI_LAYER_IMAGE"
         settings.file_format = "OPEN_EXR_MULTILAYER"
         settings.color_mode = "RGBA"
         settings.color_depth = "32"

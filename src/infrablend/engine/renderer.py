@@ -21,7 +21,7 @@ from infrablend.core.scene import SceneSpec, Weather
 from infrablend.engine.process import BlenderProcess
 from infrablend.engine.programs import find_blender
 from infrablend.engine.quality import sampling_for
-from infrablend.errors import RenderError, WorkerDiedError
+from infrablend.errors import MissingDependencyError, RenderError, WorkerDiedError
 from infrablend.rendering.emission import crop_of, crops_of, only_emits, render_emission
 from infrablend.rendering.surfaces import ZERO_C_K, ground_radiance, is_two_sided, surface_values
 from infrablend.thermal.radiometry import UNIT_W_M2_SR, band_radiance
@@ -135,6 +135,9 @@ class BlenderRenderer:
                     self._opened = True
                 seconds: dict[str, float] = self._process.ask("render", job)
                 return seconds, [self._process.channels(number) for number in range(len(job["crops"]))]
+            except MissingDependencyError:
+                self.close()  # it has ended, or lacks the device; the next scene gets the same words
+                raise
             except WorkerDiedError as error:
                 self.close()
                 if attempt == ATTEMPTS:

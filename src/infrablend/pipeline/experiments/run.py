@@ -15,7 +15,6 @@ from infrablend.core.files import read_object
 from infrablend.core.machine import describe_machine, installed_versions, source_commit
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
-from infrablend.engine.programs import blender_version
 from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
 from infrablend.pipeline.experiments import forecast
 from infrablend.pipeline.experiments.adopting import adopt_result
@@ -26,12 +25,13 @@ from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.results import collect_results
 from infrablend.pipeline.experiments.stage import RECORD, FinishedStage, Stage, StageJob, find_finished, stage_folder
+from infrablend.pipeline.plans.request import DEFAULT_EXECUTION
+from infrablend.pipeline.runs.record import recorded_versions
 from infrablend.report.results.write import write_page
 
 # Kinds of stages that continue what an interrupted run left; others start again.
 _RESUMING = ("generate", "train")
-# Packages that figures depend on.
-_PACKAGES = ("numpy", "opencv-python-headless", "Pillow", "pycocotools", "ultralytics", "torch")
+_TRAINING_PACKAGES = ("ultralytics", "torch")
 
 log = logging.getLogger(__name__)
 
@@ -231,7 +231,11 @@ def make_stage(
             "inputs": dict(stage.inputs),
             "needs": {role: made.record["key"] for role, made in needs.items()},
             "machine": describe_machine(),
-            "packages": {"infrablend": __version__, "blender": blender_version(), **installed_versions(_PACKAGES)},
+            "packages": {
+                "infrablend": __version__,
+                **recorded_versions(DEFAULT_EXECUTION),
+                **installed_versions(_TRAINING_PACKAGES),
+            },
             "commit": source_commit(),
         }
         started = time.monotonic()
