@@ -35,7 +35,7 @@ from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, split_program, time_full_
 
 from infrablend.engine.quality import MATCHED
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.rendering.emission import FRAGMENTS, SUPERSAMPLE
+from infrablend.rendering.lattice import FRAGMENTS, SUPERSAMPLE
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "build" / "bench"

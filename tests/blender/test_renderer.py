@@ -9,8 +9,8 @@ from infrablend.core.child_process import CHILD_BYTES, resident_bytes
 from infrablend.core.mesh import make_mesh
 from infrablend.core.placed import place
 from infrablend.core.scene import PartState, Weather
-from infrablend.rendering.emission import crops_of
 from infrablend.rendering.flat import FlatRenderer
+from infrablend.rendering.lattice import crops_of
 
 from .conftest import ball_mesh, box_mesh, paste, scene, thing
 

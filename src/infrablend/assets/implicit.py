@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,23 +55,21 @@ class Tube:
             `along` in [0, P - 1] (index on the path), `across` along the side and `above` along (direction of the
             path) x side, both -1 and 1 on the surface, and the signed distance.
         """
-        count = len(self.path) - 1
-        start, step = self.path[:-1], np.diff(self.path, axis=0)
-        length2 = np.einsum("ij,ij->i", step, step)
-        # |point|^2 is left out of the squared distances, as it is equal for all segments; the rest is three products.
-        run = points @ step.T - np.einsum("ij,ij->i", start, step)
+        (start, step, sides, heights), (length2, of_start, of_sides, of_heights) = self._segments
+        count, xyz = len(step), points.T
+        # |point|^2 is left out of the squared distances, as it is equal for all segments; the rest is products.
+        run = step @ xyz - (start * step).sum(axis=1)[:, None]
         t = np.clip(run / length2, 0.0, 1.0)
-        d2 = t * (t * length2 - 2.0 * run) - 2.0 * (points @ start.T) + np.einsum("ij,ij->i", start, start)
-        index = d2.argmin(axis=1)
-        share = np.take_along_axis(t, index[:, None], axis=1)[:, 0]
-        tangents, sides, heights = self._frames()
-        rel = points - (self.path[index] * (1 - share)[:, None] + self.path[index + 1] * share[:, None])
+        d2 = t * (t * length2 - 2.0 * run) - 2.0 * (start @ xyz) + of_start
+        index = d2.argmin(axis=0)
+        nearest = index * len(points) + np.arange(len(points))
+        share = t.ravel()[nearest]
         along = index + share
-        w = np.interp(along, np.arange(count + 1), self.half_width)
-        h = np.interp(along, np.arange(count + 1), self.half_height)
-        a = np.einsum("ij,ij->i", rel, tangents[index])
-        v = np.einsum("ij,ij->i", rel, sides[index])
-        u = np.einsum("ij,ij->i", rel, heights[index])
+        w, h = (of[index] + share * np.diff(of)[index] for of in (self.half_width, self.half_height))
+        # Sides and heights are at right angles to the segment, so the foot of the point may be replaced by its start.
+        v = (sides @ xyz - of_sides).ravel()[nearest]
+        u = (heights @ xyz - of_heights).ravel()[nearest]
+        a = ((run - t * length2) / np.sqrt(length2)).ravel()[nearest]
         # `a` is not zero beyond the ends, where it is divided by the length of the dome, and at kinks of the path.
         cap = np.where(along < 1e-9, self.caps[0], np.where(along > count - 1e-9, self.caps[1], np.minimum(w, h)))
         across, above, over = v / w, u / h, a / cap
@@ -91,13 +90,19 @@ class Tube:
         reach[0], reach[-1] = max(reach[0], self.caps[0]), max(reach[-1], self.caps[1])
         return (self.path - reach[:, None]).min(axis=0), (self.path + reach[:, None]).max(axis=0)
 
-    def _frames(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return direction, side and height of every segment, (P - 1, 3) each."""
-        step = np.diff(self.path, axis=0)
+    @cached_property
+    def _segments(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """Return start, step, side and height of the segments, (P - 1, 3) each, and products of them, (P - 1, 1) each.
+
+        The products are those of the step with itself, and of the start with itself, the side and the height.
+        """
+        start, step = self.path[:-1], np.diff(self.path, axis=0)
         tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
         sides = self.side - (tangents @ self.side)[:, None] * tangents
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
-        return tangents, sides, np.cross(tangents, sides)
+        heights = np.cross(tangents, sides)
+        pairs = ((step, step), (start, start), (start, sides), (start, heights))
+        return (start, step, sides, heights), tuple((a * b).sum(axis=1, keepdims=True) for a, b in pairs)
 
 
 def tube(

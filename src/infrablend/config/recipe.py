@@ -1084,11 +1084,8 @@ class _Sections(Strict):
 
     @property
     def needs_blender(self) -> bool:
-        """Whether Cycles renders: in the looks where light travels between surfaces, and for a number of samples.
-
-        Other pictures are sampled on a lattice.
-        """
-        return self.samples > 0 or self.look != "artistic"
+        """Whether Cycles renders every picture, as it does for a number of samples; others are sampled on a lattice."""
+        return self.samples > 0
 
 
 class PaperSections(Strict):

@@ -1,7 +1,7 @@
 """The Blender renderer: turns a placed scene into a crop of linear radiance, alpha and coverage.
 
-Scenes without a given number of samples, in which surfaces only emit, need no path tracing: `rendering.emission` draws
-them here. Blender starts with the first other one.
+Scenes without a given number of samples, in which nothing mirrors other surfaces clearly, need no path tracing:
+`rendering.lattice` draws them here. Blender starts with the first other one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from infrablend.engine.process import BlenderProcess
 from infrablend.engine.programs import find_blender
 from infrablend.engine.quality import sampling_for
 from infrablend.errors import MissingDependencyError, RenderError, WorkerDiedError
-from infrablend.rendering.emission import crop_of, crops_of, only_emits, render_emission
+from infrablend.rendering.lattice import crop_of, crops_of, mirrors_surfaces, needs_no_tracing, render_on_lattice
 from infrablend.rendering.surfaces import ZERO_C_K, ground_radiance, is_two_sided, surface_values
 from infrablend.thermal.radiometry import UNIT_W_M2_SR, band_radiance
 from infrablend.thermal.sky import window_transmittance
@@ -33,7 +33,6 @@ log = logging.getLogger(__name__)
 PHYSICAL_BOUNCES = 2
 # Bare metal mirrors up to 95 %: in its hollows, light that ended after two bounces would leave them black.
 METAL_BOUNCES = 16
-_LOW_EMISSIVITY = 0.5
 # Times that Blender may die on a frame before the frame fails.
 ATTEMPTS = 3
 _CLIP_M = (0.01, 10_000.0)
@@ -73,19 +72,20 @@ class BlenderRenderer:
         """
         spec, objects = scene.spec, scene.objects
         w, h = spec.camera.size_wh
-        if not spec.samples and not self._whole_frame and only_emits(scene):
-            return render_emission(scene)
+        if not spec.samples and not self._whole_frame and needs_no_tracing(scene):
+            return render_on_lattice(scene)
         started = time.perf_counter()
         crop = (0, 0, w, h) if self._whole_frame else crop_of(scene)
         if crop is None:
             return empty_result((w, h), len(objects))
         parts = [(crop, [*range(len(objects))])] if self._whole_frame else crops_of(scene)
+        bounces = METAL_BOUNCES if mirrors_surfaces(scene) else PHYSICAL_BOUNCES if spec.weather is not None else 0
         slots = {k: slot for _, group in parts for slot, k in enumerate(group)}
         job = {
             "what": spec.frame_id,
             "camera": camera_message(spec.camera, _CLIP_M),
             "crops": [part for part, _ in parts],
-            "cycles": self._cycles(spec, 0 if spec.weather is None else _bounces(scene)),
+            "cycles": self._cycles(spec, bounces),
             "sky": None if spec.weather is None else _sky(spec.weather),
             "objects": [{**_object(placed, spec), "slot": slots.get(k, 0)} for k, placed in enumerate(objects)],
         }
@@ -193,12 +193,6 @@ def _sky(weather: Weather) -> dict[str, float]:
     )
     through = window_transmittance(weather.air_k, weather.dew_point_k)
     return {"clear_at_zenith": through, "air": air, "cloud": cloud, "cover": weather.cloud, "ground": ground}
-
-
-def _bounces(scene: PlacedScene) -> int:
-    """Return the number of times that light is followed from surface to surface, in the physical look."""
-    states = [placed.spec.parts[name] for placed in scene.objects for name in placed.mesh.part_names]
-    return METAL_BOUNCES if any(s.metal or s.emissivity < _LOW_EMISSIVITY for s in states) else PHYSICAL_BOUNCES
 
 
 def _object(placed: PlacedObject, scene: SceneSpec) -> dict[str, Any]:

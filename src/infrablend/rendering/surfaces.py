@@ -64,23 +64,22 @@ def corner_normals(
     angles there. Faces without area have a normal of zero.
     """
     near_zero = np.ascontiguousarray((vertices - vertices[0]).T, np.float32)
-    a, b, c = (near_zero[:, triangles[:, k]] for k in range(3))
-    ab, bc, ca = b - a, c - b, a - c
-    face = _unit(np.stack([ca[i] * ab[j] - ca[j] * ab[i] for i, j in ((1, 2), (2, 0), (0, 1))]))
-    corners = np.repeat(face.T[:, None], 3, axis=1)
-    if smooth.any():
-        ab, bc, ca = (_unit(edge[:, smooth]) for edge in (ab, bc, ca))
-        pairs = ((ca, ab), (ab, bc), (bc, ca))
-        cosines = np.stack([-(p[0] * q[0] + p[1] * q[1] + p[2] * q[2]) for p, q in pairs], axis=1)
-        angles = np.arccos(np.clip(cosines, -1, 1))
-        at = triangles[smooth].ravel()
-        sums = [np.bincount(at, (n[smooth, None] * angles).ravel(), len(vertices)) for n in face]
-        corners[smooth] = _unit(np.stack(sums).astype(np.float32)).T[triangles[smooth]]
-    return face.T, corners
+    corner = np.ascontiguousarray(triangles.T)
+    # Edges from corner 0 to 1, 1 to 2, and 2 to 0: (3, T) for each axis.
+    x, y, z = (np.stack((p[1] - p[0], p[2] - p[1], p[0] - p[2])) for p in (axis[corner] for axis in near_zero))
+    face = _unit(np.stack((y[2] * z[0] - z[2] * y[0], z[2] * x[0] - x[2] * z[0], x[2] * y[0] - y[2] * x[0])))
+    if not smooth.any():
+        return face.T, np.repeat(face.T[:, None], 3, axis=1)
+    edges = _unit(np.stack((x, y, z)))
+    x, y, z = edges * np.roll(edges, 1, axis=1)
+    angles = np.arccos(np.clip(-(x + y + z), -1, 1)) * smooth
+    sums = [np.bincount(corner.ravel(), (axis * angles).ravel(), len(vertices)) for axis in face]
+    of_vertices = _unit(np.stack(sums).astype(np.float32)).T
+    return face.T, np.where(smooth[:, None, None], of_vertices[triangles], face.T[:, None])
 
 
 def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return vectors (3, N) of length 1; zeros stay zeros."""
+    """Return vectors (3, ...) of length 1; zeros stay zeros."""
     length = np.sqrt(vectors[0] * vectors[0] + vectors[1] * vectors[1] + vectors[2] * vectors[2])
     return np.asarray(vectors / np.maximum(length, np.float32(1e-30)))
 

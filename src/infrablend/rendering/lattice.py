@@ -1,9 +1,9 @@
-"""Draws scenes in the artistic look by sampling surfaces on a regular lattice, without tracing light.
+"""Draws scenes by sampling surfaces on a regular lattice, without tracing light.
 
-In this look a surface emits, and mirrors one uniform radiance; no light travels between surfaces. A pixel is then the
-mean over its samples of what is nearest there. The lattice leaves no noise, so it needs fewer samples than Cycles, and
-no scene has to be handed to Blender. Shading follows the node group of `blender.materials`: its values are interpolated
-in perspective, and its Fresnel reflection is that of Cycles. Tests and `make bench` compare the pictures with Cycles.
+A surface emits, and mirrors its surroundings, but not other surfaces. A pixel is then the mean over its samples of what
+is nearest there. The lattice leaves no noise, so it needs fewer samples than Cycles, and no scene has to be handed to
+Blender. Values are interpolated in perspective; `rendering.shading` has the formulas. Tests and `make bench` compare
+the pictures with Cycles, and docs/explanation/quality.md says what the missing light changes.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from infrablend.core.mesh import FloatArray
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import Fragments, SampleGrid, fragments_of, nearest_fragments
 from infrablend.core.render import Image32, RenderResult, empty_result
-from infrablend.core.scene import Appearance
-from infrablend.rendering.surfaces import ZERO_C_K, corner_normals, is_two_sided, surface_values
+from infrablend.rendering.shading import ArtisticLook, PhysicalLook, Points
+from infrablend.rendering.surfaces import corner_normals, ground_radiance, is_two_sided, surface_values
 
 # Samples along a pixel's side. Large objects have a smaller share of outlines, so they need fewer.
 SUPERSAMPLE = (6, 8)
@@ -33,6 +33,8 @@ SUPERSAMPLE = (6, 8)
 FRAGMENTS = 100_000
 # Fragments at a time: arrays that stay in the processor's cache take half the time. It does not change the picture.
 BAND_FRAGMENTS = 50_000
+# Emissivity below which a surface shows other surfaces clearly.
+_LOW_EMISSIVITY = 0.5
 # As in the material: parts above are opaque.
 _OPAQUE = 0.9999
 # One pixel more than the projected outline, so that rounding loses nothing.
@@ -43,12 +45,18 @@ CROP_COST_PX = 5_000
 Crop = tuple[int, int, int, int]
 
 
-def only_emits(scene: PlacedScene) -> bool:
-    """Return True if `render_emission` can draw the scene: artistic look, and nothing reaches behind the camera."""
-    return scene.spec.weather is None and not any(o.triangles.cut for o in scene.objects)
+def needs_no_tracing(scene: PlacedScene) -> bool:
+    """Return True if `render_on_lattice` can draw it: nothing mirrors other surfaces or reaches behind the camera."""
+    return not mirrors_surfaces(scene) and not any(o.triangles.cut for o in scene.objects)
 
 
-def render_emission(scene: PlacedScene) -> RenderResult:
+def mirrors_surfaces(scene: PlacedScene) -> bool:
+    """Return whether something mirrors so well that it shows other surfaces; in the artistic look nothing does."""
+    states = [placed.spec.parts[name] for placed in scene.objects for name in placed.mesh.part_names]
+    return scene.spec.weather is not None and any(s.metal or s.emissivity < _LOW_EMISSIVITY for s in states)
+
+
+def render_on_lattice(scene: PlacedScene) -> RenderResult:
     """Draw a scene, cropped to what its objects cover; see `core.render.Renderer`."""
     started = time.perf_counter()
     camera = scene.spec.camera
@@ -62,13 +70,15 @@ def render_emission(scene: PlacedScene) -> RenderResult:
     supersample = int(np.clip(math.sqrt(FRAGMENTS / max(area_px, 1.0)), *SUPERSAMPLE))
     bands = min(y1 - y0, math.ceil(area_px * supersample**2 / BAND_FRAGMENTS) or 1)
     edges = np.linspace(y0, y1, bands + 1).astype(int).tolist()
+    weather = scene.spec.weather
+    look = ArtisticLook(scene.spec.appearance) if weather is None else PhysicalLook(weather)
     drawn = [
-        _draw(scene, surfaces.inside(band), band, supersample)
+        _draw(scene, look, surfaces.inside(band), band, supersample)
         for band in ((x0, top, x1, bottom) for top, bottom in itertools.pairwise(edges))
     ]
     radiance, alpha, coverage = (np.concatenate(layers, axis=-2) for layers in zip(*drawn, strict=True))
     seconds = {"build": built - started, "render": time.perf_counter() - built}
-    return RenderResult((x0, y0), camera.size_wh, radiance, alpha, coverage, None, seconds)
+    return RenderResult((x0, y0), camera.size_wh, radiance, alpha, coverage, ground_radiance(scene), seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +160,9 @@ def _surfaces_of(number: int, placed: PlacedObject, scene: PlacedScene) -> _Surf
     )
 
 
-def _draw(scene: PlacedScene, surfaces: _Surfaces, crop: Crop, supersample: int) -> tuple[Image32, Image32, Image32]:
+def _draw(
+    scene: PlacedScene, look: ArtisticLook | PhysicalLook, surfaces: _Surfaces, crop: Crop, supersample: int
+) -> tuple[Image32, Image32, Image32]:
     """Return radiance (h, w), alpha (h, w) and coverage (n, h, w) of a crop."""
     x0, y0, x1, y1 = crop
     w, h = x1 - x0, y1 - y0
@@ -173,7 +185,7 @@ def _draw(scene: PlacedScene, surfaces: _Surfaces, crop: Crop, supersample: int)
 
     def light(of: _Runs) -> FloatArray:
         """Return the light of runs, weighted."""
-        return of.weight * _shade(surfaces, of.middle, grid, scene.spec.camera, scene.spec.appearance)
+        return of.weight * look.light(_points(surfaces, of.middle, grid, scene.spec.camera))
 
     labelled = surfaces.label[runs.middle.triangle]
     number = surfaces.object_number[runs.middle.triangle]
@@ -260,29 +272,21 @@ def _runs(fragments: Fragments, weight: FloatArray, grid: SampleGrid, supersampl
     return _Runs(middle, pixel, count, total(weight))
 
 
-def _shade(surfaces: _Surfaces, at: _Places, grid: SampleGrid, camera: CameraSpec, look: Appearance) -> FloatArray:
-    """Return the radiance, 0 black to 1 white, that leaves surfaces towards the camera."""
+def _points(surfaces: _Surfaces, at: _Places, grid: SampleGrid, camera: CameraSpec) -> Points:
+    """Return what shading needs to know of points."""
     celsius, emissivity, *normal = _values_at(surfaces, at, grid, slice(0, 5)).T
     # From the camera to the surface, in its axes; the third component is 1.
     (x0, y0), pitch = grid.origin_xy, grid.pitch_px
     x = (x0 + at.x * pitch - camera.size_wh[0] / 2) / camera.focal_px
     y = (y0 + at.y * pitch - camera.size_wh[1] / 2) / camera.focal_px
-    length = np.sqrt((normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2) * (x * x + y * y + 1))
-    cosine = np.abs(normal[0] * x + normal[1] * y + normal[2]) / np.maximum(length, 1e-30)
-    emissivity = np.clip(emissivity * (1 - _fresnel(cosine, surfaces.ior[at.triangle])), 0, 1)
-    cold, span = look.cold_k - ZERO_C_K, look.hot_k - look.cold_k
-    own = np.clip((celsius - cold) / span, 0, 1)
-    mirrored = min(max((look.surroundings_k - look.cold_k) / span, 0.0), 1.0)
-    return np.asarray(mirrored + emissivity * (own - mirrored))
-
-
-def _fresnel(cosine: FloatArray, ior: FloatArray) -> FloatArray:
-    """Return the share of unpolarised light that a smooth dielectric reflects at an angle of incidence."""
-    square = ior * ior - 1 + cosine * cosine
-    g = np.sqrt(np.maximum(square, 0))
-    a = (g - cosine) / np.maximum(g + cosine, 1e-30)
-    b = (cosine * (g + cosine) - 1) / (cosine * (g - cosine) + 1)
-    return np.where(square > 0, 0.5 * a * a * (1 + b * b), 1.0)
+    distance = np.sqrt(x * x + y * y + 1)
+    length = np.maximum(np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2), 1e-30)
+    along = (normal[0] * x + normal[1] * y + normal[2]) / (length * distance)
+    up = camera.world_to_camera[:, 2]
+    normal_up = (normal[0] * up[0] + normal[1] * up[1] + normal[2] * up[2]) / length
+    mirrored_up = (x * up[0] + y * up[1] + up[2]) / distance - 2 * along * normal_up
+    ior = surfaces.ior[at.triangle]
+    return Points(celsius, emissivity, ior, np.abs(along), np.where(along > 0, -normal_up, normal_up), mirrored_up)
 
 
 def _values_at(surfaces: _Surfaces, at: _Places, grid: SampleGrid, channels: slice) -> FloatArray:
