@@ -58,7 +58,8 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         "" if facts["status"] == "complete" else _unfinished(facts),
         f"Left out:\n\n{left_out}" if left_out else "",
         f"At other scales only: {elsewhere}." if elsewhere else "",
-        *(b for t in facts["tables"] for b in (f"## {t['title']}", _figures_table(t["rows"]), t["note"])),
+        # Rows of stages at other scales are left out, and so are tables without any other row.
+        *(b for t in facts["tables"] if t["rows"] for b in (f"## {t['title']}", _figures_table(t["rows"]), t["note"])),
         _CELLS if facts["tables"] else "",
         *_found_lists(evaluations),
         *(["## Datasets", _datasets_table(facts["datasets"])] if facts["datasets"] else []),
