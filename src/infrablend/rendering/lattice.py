@@ -28,7 +28,7 @@ from infrablend.rendering.shading import ArtisticLook, PhysicalLook, Points
 from infrablend.rendering.surfaces import corner_normals, ground_radiance, is_two_sided, surface_values
 
 # Samples along a pixel's side. Large objects have a smaller share of outlines, so they need fewer.
-SUPERSAMPLE = (6, 8)
+SUPERSAMPLE = (5, 8)
 # Fragments per frame for which small objects get more samples than the least.
 FRAGMENTS = 100_000
 # Fragments at a time: arrays that stay in the processor's cache take half the time. It does not change the picture.

@@ -9,14 +9,16 @@ from typing import Any
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.sampling.scene import mean_objects
 
-# Measured by `bench/recipes.py`, with one worker and Cycles on the CPU. Start and end of a run; workers start in
+# Measured by `bench/recipes.py`, with one worker. Start and end of a run, and what Blender adds; workers start in
 # parallel, so their number does not change it.
-START_S = 3.5
-# Processor time of a frame without its objects and label files, and of each object: with Cycles by model, and by the
-# lattice of the artistic look.
-FRAME_CPU_S, LATTICE_FRAME_CPU_S = 0.06, 0.015
-OBJECT_CPU_S, LATTICE_OBJECT_CPU_S = {"person": 0.115, "car": 0.175, "deer": 0.135, "boar": 0.135}, 0.03
-OTHER_OBJECT_CPU_S = 0.11  # drones
+START_S, BLENDER_START_S = 1.8, 2.0
+# Processor time of a frame without its objects and label files: in the artistic look, and in the others, which fit the
+# grey levels and the sensor.
+ARTISTIC_FRAME_CPU_S, FRAME_CPU_S = 0.02, 0.06
+# Of each object, by model, and of drones.
+OBJECT_CPU_S, OTHER_OBJECT_CPU_S = {"person": 0.06, "car": 0.065, "deer": 0.085, "boar": 0.085}, 0.035
+# What Cycles adds for each object: building its scene, and each sample of its pixels.
+CYCLES_OBJECT_CPU_S, CYCLES_SAMPLE_CPU_S = 0.05, 0.0007
 READ_PICTURE_S = 0.002
 WRITE_LABELS_S = 0.0016  # per frame and format, by one process
 # Bytes of records, logs, reports and labels: per frame, and per inserted object.
@@ -38,18 +40,19 @@ def estimate_run(
     recipe, frames, workers = plan.recipe, len(plan.frames), max(workers, 1)
     by_model = _objects_per_frame(plan)
     objects = sum(by_model.values())
-    frame_cpu_s, objects_cpu_s = LATTICE_FRAME_CPU_S, LATTICE_OBJECT_CPU_S * objects
+    frame_cpu_s = ARTISTIC_FRAME_CPU_S if recipe.look == "artistic" else FRAME_CPU_S
+    frame_cpu_s += sum(n * OBJECT_CPU_S.get(model, OTHER_OBJECT_CPU_S) for model, n in by_model.items())
+    begin_s = START_S
     if recipe.needs_blender:
-        frame_cpu_s = FRAME_CPU_S
-        objects_cpu_s = sum(n * OBJECT_CPU_S.get(model, OTHER_OBJECT_CPU_S) for model, n in by_model.items())
-    frame_cpu_s += objects_cpu_s
+        frame_cpu_s += objects * (CYCLES_OBJECT_CPU_S + CYCLES_SAMPLE_CPU_S * recipe.samples)
+        begin_s += BLENDER_START_S
     sizes = [f.background.path.stat().st_size for f in plan.frames[:: max(1, frames // 200)]]
     factor = 4.0 if recipe.output.image == "png" else 1.0
     per_frame = (statistics.fmean(sizes) if sizes else 0.0) * factor + _BYTES_PER_FRAME
     per_object = _BYTES_PER_OBJECT * objects * sum(f.configuration is not None for f in plan.frames)
-    start_s = START_S + READ_PICTURE_S * (len(plan.sample) if plan.needs_levels else 0)
+    start_s = begin_s + READ_PICTURE_S * (len(plan.sample) if plan.needs_levels else 0)
     labels_s = frames * WRITE_LABELS_S * max(1, len(recipe.output.formats))
-    core_hours = (workers * START_S * (shards or 1) + frames * frame_cpu_s + labels_s) / 3600
+    core_hours = (workers * begin_s * (shards or 1) + frames * frame_cpu_s + labels_s) / 3600
     found: dict[str, Any] = {
         "backgrounds": len(plan.dataset.images),
         "frames": frames,
