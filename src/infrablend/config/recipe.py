@@ -911,10 +911,10 @@ class Render(Strict):
     """Path tracing."""
 
     quality: Literal["matched", "paper"] = "matched"
-    """`paper`: exactly 640 samples per pixel; `matched`: as few as the documented error bars allow; in the
-    artistic look, where no light travels between surfaces, they are sampled on a lattice without Cycles."""
+    """`paper`: exactly 640 samples per pixel, traced by Cycles; `matched`: surfaces are sampled on a lattice, without
+    Cycles and without the light that they mirror from each other."""
     samples: int | None = Field(None, ge=1, le=65_536)
-    """Samples per pixel; overrides `quality`."""
+    """Samples per pixel, traced by Cycles; overrides `quality`."""
 
 
 MAX_LOOSEN, MAX_LOOSEN_PX = 2.0, 32.0

@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 
 from infrablend.core.tasks import TaskResult
-from infrablend.pipeline.plans.estimate import LATTICE_OBJECT_CPU_S, OBJECT_CPU_S, OTHER_OBJECT_CPU_S
+from infrablend.pipeline.plans.estimate import (
+    CYCLES_OBJECT_CPU_S,
+    CYCLES_SAMPLE_CPU_S,
+    OBJECT_CPU_S,
+    OTHER_OBJECT_CPU_S,
+)
 from infrablend.pipeline.runs.executors import Pace
 from tests.command_line import run
 from tests.samples import SAMPLES
@@ -61,18 +66,22 @@ def test_more_objects_take_more_time(tmp_path: Path) -> None:
     data = SAMPLES["hit-uav:json"](tmp_path / "data")
     one, many = (float(str(planned(data, "--set", f"objects.0.count={count}")["core_hours"])) for count in (1, 61))
     frames = int(str(planned(data)["frames"]))
-    more = 60 * LATTICE_OBJECT_CPU_S * frames
+    more = 60 * OTHER_OBJECT_CPU_S * frames
     assert (many - one) * 3600 == pytest.approx(more, abs=4)  # hours have three digits
 
 
-def test_traced_objects_take_the_time_of_their_model(tmp_path: Path) -> None:
+def test_objects_take_the_time_of_their_model_and_samples(tmp_path: Path) -> None:
     data = SAMPLES["hit-uav:json"](tmp_path / "data")
-    traced = ("--set", "objects.0.count=61", "--set", "render.samples=64")
-    drones, cars = (
-        float(str(planned(data, *traced, *more)["core_hours"])) for more in ((), ("--set", "objects.0.model=car"))
+    many = ("--set", "objects.0.count=61", "--set", "render.samples=64")
+    drones, cars, finer = (
+        float(str(planned(data, *many, *more)["core_hours"])) * 3600
+        for more in ((), ("--set", "objects.0.model=car"), ("--set", "render.samples=640"))
     )
     frames = int(str(planned(data)["frames"]))
-    assert (cars - drones) * 3600 == pytest.approx(61 * (OBJECT_CPU_S["car"] - OTHER_OBJECT_CPU_S) * frames, abs=4)
+    assert cars - drones == pytest.approx(61 * (OBJECT_CPU_S["car"] - OTHER_OBJECT_CPU_S) * frames, abs=4)
+    assert finer - drones == pytest.approx(61 * 576 * CYCLES_SAMPLE_CPU_S * frames, abs=4)
+    flat = float(str(planned(data, "--set", "objects.0.count=61")["core_hours"])) * 3600
+    assert drones - flat > 61 * (CYCLES_OBJECT_CPU_S + 64 * CYCLES_SAMPLE_CPU_S) * frames - 4
 
 
 def test_unchanged_pictures_have_no_records_of_inserts(tmp_path: Path) -> None:

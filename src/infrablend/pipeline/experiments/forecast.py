@@ -33,8 +33,8 @@ LEARNING = ("train", "evaluate")
 NO_WORK = ("done", "not needed", "adopted")
 """Statuses of stages that take no time."""
 
-# Seconds on two cores, as in docs/explanation/performance.md.
-FRAME_S, OBJECT_S = 0.15, 0.1
+# Seconds on one core, as in docs/explanation/performance.md.
+FRAME_S, OBJECT_S = 0.06, 0.06
 WORLD_S = 2.0
 COPY_S = 0.002
 PASTE_S = 0.02
