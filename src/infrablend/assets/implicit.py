@@ -55,31 +55,30 @@ class Tube:
             `along` in [0, P - 1] (index on the path), `across` along the side and `above` along (direction of the
             path) x side, both -1 and 1 on the surface, and the signed distance.
         """
-        (start, step, sides, heights), (length2, of_start, of_step, of_sides, of_heights), widths = self._segments
-        # Single precision is exact to a millionth of a body, and takes three quarters of the time.
-        xyz = np.ascontiguousarray(points.T, np.float32)
+        (start, step, sides, heights), (length2, of_start, of_step, of_sides, of_heights) = self._segments
+        count, xyz = len(step), points.T
         # |point|^2 is left out of the squared distances, as it is equal for all segments; the rest is products.
         run = step @ xyz - of_step
-        t = np.clip(run / length2, 0, 1)
-        d2 = t * (t * length2 - 2 * run) - 2 * (start @ xyz) + of_start
-        index = d2.argmin(axis=0)
+        t = np.clip(run / length2, 0.0, 1.0)
+        d2 = t * (t * length2 - 2.0 * run) - 2.0 * (start @ xyz) + of_start
+        # Outside a kink two segments are equally near: the first counts, whatever the rounding.
+        index = (d2 + 1e-12 * np.arange(count)[:, None]).argmin(axis=0)
         nearest = index * len(points) + np.arange(len(points))
         share = t.ravel()[nearest]
-        w, h = (of[index] + share * (of[1:] - of[:-1])[index] for of in widths)
+        along = index + share
+        w, h = (of[index] + share * (of[1:] - of[:-1])[index] for of in (self.half_width, self.half_height))
         # Sides and heights are at right angles to the segment, so the foot of the point may be replaced by its start.
         v = (sides @ xyz - of_sides).ravel()[nearest]
         u = (heights @ xyz - of_heights).ravel()[nearest]
         a = ((run - t * length2) / np.sqrt(length2)).ravel()[nearest]
         # `a` is not zero beyond the ends, where it is divided by the length of the dome, and at kinks of the path.
-        at_end = (share == 1) & (index == len(step) - 1)
-        cap = np.where((share == 0) & (index == 0), self.caps[0], np.where(at_end, self.caps[1], np.minimum(w, h)))
-        cap = cap.astype(np.float32)
+        cap = np.where(along < 1e-9, self.caps[0], np.where(along > count - 1e-9, self.caps[1], np.minimum(w, h)))
         across, above, over = v / w, u / h, a / cap
         k0 = np.sqrt(across**2 + above**2 + over**2)
         k1 = np.sqrt((across / w) ** 2 + (above / h) ** 2 + (over / cap) ** 2)
         thin = np.minimum(np.minimum(w, h), cap)
-        distance = np.where(k1 > 1e-6, k0 * (k0 - 1) / np.maximum(k1, 1e-6), -thin)
-        return index + share, across, above, distance
+        distance = np.where(k1 > 1e-6, k0 * (k0 - 1.0) / np.maximum(k1, 1e-6), -thin)
+        return along, across, above, distance
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Return the (N,) signed distances of (N, 3) points."""
@@ -93,12 +92,10 @@ class Tube:
         return (self.path - reach[:, None]).min(axis=0), (self.path + reach[:, None]).max(axis=0)
 
     @cached_property
-    def _segments(self) -> tuple[tuple[NDArray[np.float32], ...], ...]:
-        """Return what `coordinates` needs to know of the segments, in single precision.
+    def _segments(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """Return start, step, side and height of the segments, (P - 1, 3) each, and products of them, (P - 1, 1) each.
 
-        Returns:
-            Start, step, side and height, (P - 1, 3) each; the products of the step with itself, and of the start with
-            itself, the step, the side and the height, (P - 1, 1) each; half width and half height, (P,) each.
+        The products are those of the step with itself, and of the start with itself, the step, the side and the height.
         """
         start, step = self.path[:-1], np.diff(self.path, axis=0)
         tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
@@ -106,9 +103,7 @@ class Tube:
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
         heights = np.cross(tangents, sides)
         pairs = ((step, step), (start, start), (start, step), (start, sides), (start, heights))
-        products = [(a * b).sum(axis=1, keepdims=True) for a, b in pairs]
-        groups = ((start, step, sides, heights), products, (self.half_width, self.half_height))
-        return tuple(tuple(np.asarray(values, np.float32) for values in group) for group in groups)
+        return (start, step, sides, heights), tuple((a * b).sum(axis=1, keepdims=True) for a, b in pairs)
 
 
 def tube(
