@@ -270,7 +270,7 @@ def measure(plan: RunPlan, work: Work, amount: Amount, out: Path) -> dict[str, A
 
 
 def measure_physical(work: Work, out: Path) -> dict[str, Any]:
-    """Measure frames of the physical look with the whole chain: placement, matching, Cycles, sensor."""
+    """Measure frames of the physical look with the whole chain: placement, matching, light, sensor."""
     cores, logs = own_cores(), out / "log"
     shutil.rmtree(work.settings.out or out / "physical", ignore_errors=True)
     say(f"{len(work.frames)} frames of {PHYSICAL_RECIPE}")

@@ -171,6 +171,19 @@ def test_large_objects_are_drawn_in_bands_with_the_same_bytes(monkeypatch):
             assert getattr(banded, name).tobytes() == getattr(whole, name).tobytes()
 
 
+def test_objects_far_apart_are_drawn_one_by_one_with_the_same_bytes(monkeypatch):
+    things = [thing(x, y, emissivity=0.9, ior=1.5) for x, y in ((1.2, 0.5), (-1.3, -0.6), (-1.0, -0.5))]
+    veil = PartState(280.0, 0.9, label=False, opacity=0.4)
+    things[2] = dataclasses.replace(things[2], parts=dict.fromkeys(things[2].parts, veil))
+    placed = place(scene(things, samples=0, texture_k=2.0), [box_mesh((0.3, 0.3, 0.3))] * 3)
+    apart = render_on_lattice(placed)
+    assert len(lattice.crops_of(placed)) == 2
+    monkeypatch.setattr(lattice, "crops_of", lambda s: [(lattice.crop_of(s), [0, 1, 2])])
+    whole = render_on_lattice(placed)
+    for name in ("radiance", "alpha", "coverage"):
+        assert getattr(apart, name).tobytes() == getattr(whole, name).tobytes()
+
+
 @pytest.mark.parametrize("name", list_models())
 def test_backs_of_solids_are_hidden(monkeypatch, name):
     """Leaving out the backs of closed parts changes nothing but which of two touching surfaces counts."""

@@ -65,7 +65,7 @@ _GROUPS: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
     ),
     "recipes": ("Shipped recipes.", {"list": shipped.list_recipes, "show": shipped.show_recipe}),
     "blender": (
-        "Blender, which some looks need.",
+        "Blender, which few recipes need.",
         {"install": shipped.install_blender, "requirements": shipped.blender_requirements},
     ),
     "asset": ("Blender assets.", {"infrared-effect": shipped.infrared_effect}),

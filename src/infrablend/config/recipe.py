@@ -22,6 +22,7 @@ from infrablend.config.agc import Agc
 from infrablend.config.sensor_profile import PROFILES, SensorProfile, find_profile
 from infrablend.core.capture import Capture
 from infrablend.core.format_table import WrittenName
+from infrablend.core.scene import LOW_EMISSIVITY
 from infrablend.core.strict_model import Strict, in_order, range_of
 from infrablend.core.temperature import TemperatureScale, Unit
 
@@ -908,7 +909,7 @@ def _sensor_tag(value: Any) -> str:
 
 
 class Render(Strict):
-    """Path tracing."""
+    """How finely surfaces are sampled, and by what."""
 
     quality: Literal["matched", "paper"] = "matched"
     """`paper`: exactly 640 samples per pixel, traced by Cycles; `matched`: surfaces are sampled on a lattice, without
@@ -1059,7 +1060,7 @@ class _Sections(Strict):
     overlay: Overlay = Overlay()
     """How the render is laid over the background."""
     render: Render = Render()
-    """Path tracing."""
+    """Number of samples."""
     labels: Labels = Labels()
     """Which labels are written."""
     output: Output = Output()
@@ -1083,9 +1084,20 @@ class _Sections(Strict):
         return 640 if self.render.quality == "paper" else 0
 
     @property
-    def needs_blender(self) -> bool:
-        """Whether Cycles renders every picture, as it does for a number of samples; others are sampled on a lattice."""
-        return self.samples > 0
+    def needs_blender(self) -> str:
+        """Why Cycles renders, with the field that asks for it; empty where surfaces are sampled on a lattice."""
+        if self.samples > 0:
+            field = "render.samples" if self.render.samples is not None else "render.quality"
+            return f"{field} asks for {self.samples} samples per pixel"
+        parts = {
+            f"objects.{n}.parts.{name}": part
+            for n, kind in enumerate(getattr(self, "objects", ()))
+            for name, part in kind.parts.items()
+        }
+        for where, part in parts.items():
+            if self.look != "artistic" and part.emissivity and part.emissivity[0] < LOW_EMISSIVITY:
+                return f"{where}.emissivity below {LOW_EMISSIVITY:g} makes a mirror of the part"
+        return ""
 
 
 class PaperSections(Strict):

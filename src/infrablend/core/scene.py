@@ -11,6 +11,9 @@ from typing import Any, Literal
 
 from infrablend.core.camera import CameraSpec
 
+LOW_EMISSIVITY = 0.5
+"""Emissivity below which a surface shows others so clearly that their light has to be traced."""
+
 
 @dataclass(frozen=True)
 class PartState:
@@ -52,6 +55,11 @@ class PartState:
             raise ValueError(f"opacity {self.opacity:g}; expected above 0 and up to 1, below 1 only without label")
         if self.glow and self.opacity == 1:
             raise ValueError("a glow of opacity 1; expected an opacity below 1")
+
+    @property
+    def mirrors(self) -> bool:
+        """Whether the part mirrors other surfaces clearly."""
+        return self.metal or self.emissivity < LOW_EMISSIVITY
 
 
 @dataclass(frozen=True)

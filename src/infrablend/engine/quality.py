@@ -22,9 +22,8 @@ class Sampling:
     pattern: str = "AUTOMATIC"
 
 
-# `quality: matched` in the physical look, and for objects that reach behind the camera; `rendering.emission` draws the
-# rest without Cycles. The inside of a body is smooth and needs 16 samples, its outline needs more:
-# docs/explanation/quality.md lists the alternatives.
+# `quality: matched` for what `rendering.lattice` does not draw. The inside of a body is smooth and needs 16 samples,
+# its outline needs more: docs/explanation/quality.md lists the alternatives.
 MATCHED = Sampling(64, 0.006, 8, "TABULATED_SOBOL")
 
 

@@ -18,7 +18,7 @@ from infrablend.rendering.surfaces import ZERO_C_K
 from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import sky_radiance
 
-# Temperatures of the table of radiances; interpolation is good to 2e-6.
+# Temperatures of the table of radiances; interpolation is good to 2e-5 from 200 K.
 _TABLE_K = np.arange(100.0, 2000.0, 0.5)
 # Upward components of directions, and of normals, for which the light of the surroundings is computed once per scene.
 _RINGS = (np.arange(1024) + 0.5) / 512 - 1

@@ -12,7 +12,7 @@ from infrablend import api
 from infrablend.compositing.gain import SharePrior
 from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import LocalMatching
-from infrablend.errors import DatasetError
+from infrablend.errors import DatasetError, MissingDependencyError
 from infrablend.pipeline.compose.looks import local_settings
 from tests.command_line import done
 from tests.run_files import records
@@ -386,3 +386,41 @@ def test_doubtful_heights_leave_the_background_empty_if_the_recipe_says_so(tmp_p
     usual, large = records(tmp_path / "skipped")
     assert len(usual.inserted) == 1 and not large.inserted
     assert large.scene.draws["absent"] == {"untrusted": 1}
+
+
+# -- without Blender
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [
+        ("objects.0.parts.shell.emissivity=[0.2, 0.9]", r"objects\.0\.parts\.shell\.emissivity below 0\.5"),
+        ("render.quality=paper", r"render\.quality asks for 640 samples"),
+        ("render.samples=16", r"render\.samples asks for 16 samples"),
+    ],
+)
+def test_what_needs_blender_is_named_before_a_frame_is_made(tmp_path, monkeypatch, setting, reason):
+    monkeypatch.setenv("INFRABLEND_BLENDER", "none")
+    data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
+    how = api.Execution(in_process=True)
+    with pytest.raises(MissingDependencyError, match=reason + ".*switched off"):
+        api.generate("hit-uav-drone-physical", data, tmp_path / "run", settings=[setting], execution=how)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_frame_that_needs_blender_ends_the_run_which_can_be_resumed(tmp_path, monkeypatch):
+    monkeypatch.setenv("INFRABLEND_BLENDER", "none")
+    data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(k)) for k, n in enumerate(RECORDS)})
+    how, drawn = api.Execution(in_process=True), []
+
+    def first_frame_only(scene) -> bool:
+        drawn.append(scene.spec.frame_id)
+        return len(drawn) == 1
+
+    with monkeypatch.context() as patch:
+        patch.setattr("infrablend.engine.renderer.needs_no_tracing", first_frame_only)
+        with pytest.raises(MissingDependencyError, match="switched off"):
+            api.generate("hit-uav-drone-physical", data, tmp_path / "run", execution=how)
+    assert not (tmp_path / "run").exists() and len(drawn) == 2
+    api.generate("hit-uav-drone-physical", data, tmp_path / "run", execution=how, existing="resume")
+    assert len(records(tmp_path / "run")) == 6 and not drawn[2:]

@@ -26,6 +26,7 @@ from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed
 from infrablend.core.temperature import TemperatureScale
+from infrablend.errors import MissingDependencyError
 from infrablend.formats.images import Background, encode_image, output_suffix
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import (
@@ -118,8 +119,11 @@ class FrameComposer:
         """Load the recipe's models; `renderer` stays open and may be shared by several composers."""
         self._settings = settings
         self._recipe = recipe_from_json(settings.recipe_json)
-        if self._recipe.needs_blender:
-            renderer.start()
+        if reason := self._recipe.needs_blender:
+            try:
+                renderer.start()
+            except MissingDependencyError as error:
+                raise MissingDependencyError(f"{reason}: {error.message}", error.problems) from None
         self._models = {o.model: load_model(o.model) for o in self._recipe.objects}
         self._sampler = settings.extensions.make_sampler(self._recipe, self._models, settings.seed)
         self._look = make_look(self._recipe, settings)

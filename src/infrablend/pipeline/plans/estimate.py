@@ -18,7 +18,7 @@ ARTISTIC_FRAME_CPU_S, FRAME_CPU_S = 0.02, 0.06
 # Of each object, by model, and of drones.
 OBJECT_CPU_S, OTHER_OBJECT_CPU_S = {"person": 0.06, "car": 0.065, "deer": 0.085, "boar": 0.085}, 0.035
 # What Cycles adds for each object: building its scene, and each sample of its pixels.
-CYCLES_OBJECT_CPU_S, CYCLES_SAMPLE_CPU_S = 0.05, 0.0007
+CYCLES_OBJECT_CPU_S, CYCLES_SAMPLE_CPU_S = 0.05, 0.002
 READ_PICTURE_S = 0.002
 WRITE_LABELS_S = 0.0016  # per frame and format, by one process
 # Bytes of records, logs, reports and labels: per frame, and per inserted object.
@@ -44,7 +44,7 @@ def estimate_run(
     frame_cpu_s += sum(n * OBJECT_CPU_S.get(model, OTHER_OBJECT_CPU_S) for model, n in by_model.items())
     begin_s = START_S
     if recipe.needs_blender:
-        frame_cpu_s += objects * (CYCLES_OBJECT_CPU_S + CYCLES_SAMPLE_CPU_S * recipe.samples)
+        frame_cpu_s += objects * (CYCLES_OBJECT_CPU_S + CYCLES_SAMPLE_CPU_S * (recipe.samples or 64))
         begin_s += BLENDER_START_S
     sizes = [f.background.path.stat().st_size for f in plan.frames[:: max(1, frames // 200)]]
     factor = 4.0 if recipe.output.image == "png" else 1.0

@@ -313,6 +313,8 @@ def _make_frames(
                 ledger.add_background(frame.background_id, *facts)
         else:
             ledger.add_failure(frame.frame_id, result.failure)
+            if result.failure.error == MissingDependencyError.__name__:  # other frames would fail like this one
+                raise result.failure.to_exception()
         state.add(result, frame)
         if on_progress is not None:
             pace.add(result)
