@@ -248,8 +248,8 @@ class Body:
     def sample_grid(self, cell: float, shift: float) -> tuple[FloatArray, FloatArray]:
         """Return signed distances (X, Y, Z) on a grid around the body, and its first node (3,).
 
-        In blocks that the surface may cross, every node has its own value. All nodes of any other block have the same
-        value, which has the right sign.
+        Blocks that the surface may cross are halved until every node has its own value. All nodes of any other block
+        have the value of its middle, which has the right sign.
         """
         corners = [p.bounds() for p in self.primitives]
         widest = max(p.blend for p in self.primitives)
@@ -258,35 +258,35 @@ class Body:
         if self.floor:
             low[2] = max(low[2], -2 * cell)
         low = (np.floor(low / cell) + shift) * cell
-        side = BLOCK * cell
-        blocks = np.maximum(np.ceil((high - low) / side).astype(int) + 1, 1)
+        blocks = np.maximum(np.ceil((high - low) / (BLOCK * cell)).astype(int) + 1, 1)
+        grid = np.empty(blocks * BLOCK)
         index = np.stack(np.meshgrid(*(np.arange(n) for n in blocks), indexing="ij"), axis=-1).reshape(-1, 3)
-        centres = low + (index + 0.5 * (BLOCK - 1) / BLOCK) * side
-        radius = 0.5 * np.sqrt(3.0) * (BLOCK - 1) * cell
-        # The slack allows for approximate distances, which are off by up to the aspect ratio of the sections.
-        slack = 1.6 * radius + 2.0 * cell
-        own = [p.distance(centres) for p in self.primitives]
-        coarse = np.full(len(centres), FAR)
-        for p, d in zip(self.primitives, own, strict=True):
-            coarse = smooth_minimum(coarse, d, p.blend)
-        if self.floor:
-            coarse = np.maximum(coarse, -centres[:, 2])
-        active = np.flatnonzero(np.abs(coarse) < slack)
-        offsets = np.stack(np.meshgrid(*(np.arange(BLOCK),) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        nodes = low + (index[active][:, None] * BLOCK + offsets) * cell
-        values = np.full(nodes.shape[:2], FAR)
-        for p, d in zip(self.primitives, own, strict=True):
-            reached = np.flatnonzero(d[active] < slack + widest + p.blend)
-            if not len(reached):
-                continue
-            fine = p.distance(nodes[reached].reshape(-1, 3)).reshape(len(reached), -1)
-            values[reached] = smooth_minimum(values[reached], fine, p.blend)
-        if self.floor:
-            values = np.maximum(values, -nodes[:, :, 2])
-        blockwise = np.repeat(coarse[:, None], BLOCK**3, axis=1)
-        blockwise[active] = values
-        grid = blockwise.reshape(*blocks, BLOCK, BLOCK, BLOCK).transpose(0, 3, 1, 4, 2, 5)
-        return np.ascontiguousarray(grid.reshape(*(blocks * BLOCK))), low
+        reached = [np.arange(len(index))] * len(self.primitives)
+        size = BLOCK
+        while True:
+            centres = low + (index * size + 0.5 * (size - 1)) * cell
+            value = np.full(len(index), FAR)
+            own = []
+            for p, near in zip(self.primitives, reached, strict=True):
+                own.append(p.distance(centres[near]))
+                value[near] = smooth_minimum(value[near], own[-1], p.blend)
+            if self.floor:
+                value = np.maximum(value, -centres[:, 2])
+            of_blocks = grid.reshape([n for axis in grid.shape for n in (axis // size, size)]).transpose(
+                0, 2, 4, 1, 3, 5
+            )
+            of_blocks[tuple(index.T)] = value[:, None, None, None]
+            if size == 1:
+                return grid, low
+            # The slack allows for approximate distances, which are off by up to the aspect ratio of the sections.
+            slack = (1.6 * 0.5 * np.sqrt(3.0) * (size - 1) + 2.0) * cell
+            active = np.abs(value) < slack
+            number = np.cumsum(active) - 1
+            for k, (p, near, d) in enumerate(zip(self.primitives, reached, own, strict=True)):
+                kept = near[active[near] & (d < slack + widest + p.blend)]
+                reached[k] = (8 * number[kept][:, None] + np.arange(8)).ravel()
+            index = (2 * index[active][:, None] + _CORNERS).reshape(-1, 3)
+            size //= 2
 
 
 def surface(body: Body, cell: float) -> tuple[FloatArray, IntArray]:

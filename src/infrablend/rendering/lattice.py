@@ -12,8 +12,9 @@ import itertools
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from infrablend.core.mesh import FloatArray
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import Fragments, SampleGrid, fragments_of, nearest_fragments
 from infrablend.core.render import Image32, RenderResult, empty_result
+from infrablend.core.scene import SceneSpec
 from infrablend.rendering.shading import ArtisticLook, PhysicalLook, Points
 from infrablend.rendering.surfaces import corner_normals, ground_radiance, is_two_sided, surface_values
 
@@ -128,15 +130,31 @@ class _Surfaces:
 
 
 def _surfaces(scene: PlacedScene) -> _Surfaces:
-    found = [_surfaces_of(number, placed, scene) for number, placed in enumerate(scene.objects)]
+    found = [
+        replace(of, object_number=np.full(len(of.xy), number))
+        for number, of in enumerate(_surfaces_of(placed, scene.spec) for placed in scene.objects)
+    ]
     if len(found) == 1:
         return found[0]
     return _Surfaces(*(np.concatenate([getattr(s, f.name) for s in found]) for f in fields(_Surfaces)))
 
 
-def _surfaces_of(number: int, placed: PlacedObject, scene: PlacedScene) -> _Surfaces:
+# A frame is drawn again after faint objects have been moved; the surfaces of the others stay as they are.
+_kept: WeakKeyDictionary[PlacedObject, tuple[tuple[float, int], _Surfaces]] = WeakKeyDictionary()
+
+
+def _surfaces_of(placed: PlacedObject, spec: SceneSpec) -> _Surfaces:
+    """Return the surfaces of one object, as number 0."""
+    pattern = (spec.appearance.texture_k, spec.render_seed)
+    known = _kept.get(placed)
+    if known is None or known[0] != pattern:
+        known = _kept[placed] = (pattern, _compute_surfaces(placed, spec))
+    return known[1]
+
+
+def _compute_surfaces(placed: PlacedObject, spec: SceneSpec) -> _Surfaces:
     mesh, camera = placed.mesh, placed.camera
-    given = {name: values.reshape(-1, 3) for name, values in surface_values(placed, scene.spec).items()}
+    given = {name: values.reshape(-1, 3) for name, values in surface_values(placed, spec).items()}
     vertices = camera.to_camera(placed.world_m)
     face, normals = corner_normals(vertices, mesh.triangles, mesh.smooth)
     behind = np.einsum("ij,ij->i", face, vertices[mesh.triangles[:, 0]]) > 0
@@ -157,7 +175,7 @@ def _surfaces_of(number: int, placed: PlacedObject, scene: PlacedScene) -> _Surf
         xy,
         placed.triangles.inverse_depth[shown],
         *reach_of_triangles(xy),
-        np.full(len(shown), number),
+        np.zeros(len(shown), np.intp),
         given["label"][shown, 0] > 0.5,
         ior,
         values,
