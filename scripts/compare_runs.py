@@ -7,17 +7,23 @@
 Backgrounds: HIT-UAV's val split for `hit-uav-*` and `deer-above`, Halmstad's val backgrounds for `drone-sky`, and the
 virtual world in MONET's layout for `monet-*`. `hit-uav-drone` is written in every label format, the others in YOLO's.
 Runs of the commit are kept in build/compare, with a checkout and its environment. Exits with 1 if a file differs, is
-missing or is new.
+missing or is new, and says by how much the labels differ.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import numpy as np
+
+from infrablend.core.dataset import Instance
+from infrablend.core.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build" / "compare"
@@ -77,6 +83,31 @@ def differences(was: dict[str, Path], now: dict[str, Path]) -> list[str]:
     return found + [f"differs  {name}" for name in both if was[name].read_bytes() != now[name].read_bytes()]
 
 
+def inserted(run: Path) -> dict[tuple[str, object], Instance]:
+    """Return the labels of a run's inserted objects by frame and number; also of runs with one file per scene."""
+    if (run / "scenes").is_dir():
+        texts = [json.loads(p.read_text("utf-8")) for p in sorted((run / "scenes").rglob("*.json"))]
+        found = [(t["frame_id"], Instance.from_json(i)) for t in texts for i in t["inserted"]]
+    else:
+        found = [(r.frame_id, i) for r in RunFolder(run).records() for i in r.inserted]
+    return {(frame, i.extra["object"]): i for frame, i in found}
+
+
+def label_differences(was: Path, now: Path) -> str:
+    """Return by how much the labels of the objects that both runs have differ, at most."""
+    before, after = inserted(was), inserted(now)
+    pairs = [(before[key], after[key]) for key in sorted(before.keys() & after.keys(), key=str)]
+    box = [float(np.abs(a.box_xyxy - b.box_xyxy).max()) for a, b in pairs]
+    seen = [abs((a.visibility or 0.0) - (b.visibility or 0.0)) for a, b in pairs]
+    masks = [(a.mask.to_array(), b.mask.to_array()) for a, b in pairs if a.mask is not None and b.mask is not None]
+    pixels, area = [int((a != b).sum()) for a, b in masks], sum(int(a.sum()) for a, _ in masks)
+    return (
+        f"{len(pairs)} objects in both, {len(before.keys() ^ after.keys())} in one; boxes differ by up to "
+        f"{max(box, default=0):.4f} px, {sum(v > 0.01 for v in box)} of them by more than 0.01; visibility by up to "
+        f"{max(seen, default=0):.4f}; masks by {sum(pixels)} of {area} pixels, one by {max(pixels, default=0)}"
+    )
+
+
 def main() -> None:
     """Compare, and print a line per recipe."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -110,6 +141,8 @@ def main() -> None:
         found = differences(was, now)
         print(f"{recipe:28} {len(now):5} files {'equal' if not found else f'{len(found)} DIFFER'}", flush=True)
         print(*(f"    {line}" for line in found[:20]), sep="\n", end="\n" if found else "")
+        if found:
+            print(f"    {label_differences(kept, made)}", flush=True)
         failed += bool(found) or not was
         shutil.rmtree(made.parent, ignore_errors=True)
     sys.exit(bool(failed))
