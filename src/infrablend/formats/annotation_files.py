@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import stat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -34,24 +34,37 @@ from infrablend.errors import DatasetError, Problem
 MAX_TEXT_BYTES = 50_000_000
 WHOLE_JSON = MAX_RECORD
 """Bytes of the largest JSON file that is parsed as a whole, which is a little faster."""
-_understood: ContextVar[set[Path] | None] = ContextVar("understood", default=None)
+_files_read: ContextVar[set[Path] | None] = ContextVar("files_read", default=None)
 
 
 @contextmanager
-def noting_understood() -> Iterator[set[Path]]:
-    """Collect the JSON and XML files that are read without a problem within the block, so that none is read again."""
+def noting_files_read() -> Iterator[set[Path]]:
+    """Collect the annotation files that are read without a problem within the block: the others say nothing yet."""
     files: set[Path] = set()
-    token = _understood.set(files)
+    token = _files_read.set(files)
     try:
         yield files
     finally:
-        _understood.reset(token)
+        _files_read.reset(token)
 
 
 def _note(path: Path) -> None:
-    files = _understood.get()
+    files = _files_read.get()
     if files is not None:
         files.add(path)
+
+
+def leave_out(files: Iterable[Path]) -> None:
+    """State that a reader knows what files are, and that nothing of them was wanted."""
+    for path in files:
+        _note(path)
+
+
+def only_looked_at(path: Path) -> None:
+    """State that a file was read to see what it is, and is not what was looked for: nothing of it was taken."""
+    files = _files_read.get()
+    if files is not None:
+        files.discard(path)
 
 
 def _refusal_to_open(path: Path, where: str, expected: str, limit: int | None) -> Problem | None:
@@ -134,6 +147,7 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
             problems.append(problem)
             return
         with open_regular(path) as stream:
+            _note(path)
             number = 0
             while line := stream.readline(MAX_RECORD + 1):
                 number += 1
@@ -169,7 +183,11 @@ def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | Non
     """Return the UTF-8 text of a file (a byte order mark is accepted), or an empty text and the problem."""
     try:
         problem = _refusal_to_open(path, where, expected, MAX_TEXT_BYTES)
-        return ("", problem) if problem else (path.read_text(encoding="utf-8-sig"), None)
+        if problem is not None:
+            return "", problem
+        text = path.read_text(encoding="utf-8-sig")
+        _note(path)
+        return text, None
     except (OSError, UnicodeDecodeError) as error:
         found = f"not text ({getattr(error, 'strerror', None) or type(error).__name__})"
     return "", Problem(where, "annotation-unreadable", found, expected, "replace or remove it")

@@ -33,7 +33,7 @@ from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_json, too_long
+from infrablend.formats.annotation_files import only_looked_at, read_json, too_long
 from infrablend.formats.base import (
     Match,
     Numbered,
@@ -312,7 +312,10 @@ def find_files(root: Path) -> dict[Path, Split]:
 
 def _looks_like_coco(path: Path) -> bool:
     try:
-        return is_coco(read_json(path))
+        if is_coco(read_json(path)):
+            return True
+        only_looked_at(path)
+        return False
     except DatasetError:
         # A broken file named after a split will be reported when it is read; any other is no annotation file.
         return path.stem in SPLITS or path.stem.startswith("instances_")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import stat
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from infrablend.core.temperature import TemperatureScale
 from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import folder, temperatures
+from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
@@ -70,7 +71,10 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
             has no labels in the wanted format.
     """
     reader = _Reader.of(root, reading)
-    return reader.completed(reader.module.read(reader.root, splits=reading.splits, **reader.options))
+    with noting_files_read() as files:
+        dataset = reader.module.read(reader.root, splits=reading.splits, **reader.options)
+    dataset = reader.completed(dataset)
+    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files)))
 
 
 def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Iterator[Dataset]:
@@ -148,8 +152,7 @@ class _Reader:
         if self.stated:
             dataset = temperatures.with_scale(dataset, self.scale)
         dataset = add_flight_data(dataset)
-        unread = _unread(dataset) if dataset.format == folder.NAME else ()
-        remarks = (*unread, *hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
+        remarks = (*hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
         return replace(dataset, problems=(*dataset.problems, *remarks))
 
 
@@ -177,9 +180,11 @@ def _require_merged(root: Path) -> None:
         raise DatasetError(f"{root}: cannot be read", [Problem(str(root), "shards-unmerged", found, "a dataset", todo)])
 
 
-def _unread(dataset: Dataset) -> Sequence[Problem]:
-    """Return what was not read of a plain folder's labels; one problem for those of whole datasets inside of it."""
-    unread = unread_label_files(dataset)
+def _unread(dataset: Dataset, read: Collection[Path]) -> Sequence[Problem]:
+    """Return the labels that were not read; one problem for those of whole datasets inside of a plain folder."""
+    unread = unread_label_files(dataset, read)
+    if dataset.format != folder.NAME:
+        return unread
     folders = sorted({p.where.partition("/")[0] for p in unread if "/" in p.where})
     known = {name: detect(dataset.root / name).format for name in folders}
     inside = {name: format for name, format in known.items() if format not in (None, folder.NAME)}

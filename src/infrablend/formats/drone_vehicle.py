@@ -21,6 +21,7 @@ from infrablend.core.boxes import box_of_points, clockwise, corners_of_box
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
 from infrablend.formats import derived
+from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import check_box, is_near
 from infrablend.formats.pictures import is_picture_name
@@ -91,8 +92,11 @@ def read(
     for split, folder in _folders(root).items():
         if split not in wanted:
             continue
-        for kind in ("ir", "rgb") if modality == "both" else (modality,):
-            records += _read_split(found, split, folder, kind, border == "crop", unlabelled, unknown)
+        for kind in _KINDS:
+            if modality in (kind, "both"):
+                records += _read_split(found, split, folder, kind, border == "crop", unlabelled, unknown)
+            else:
+                leave_out((folder / f"{split}{_KINDS[kind][1]}").glob("*.xml"))
     if unknown:
         text = "names that are no class, left out: " + ", ".join(f"{n!r} {k}" for n, k in sorted(unknown.items()))
         found.warn(root.name, "category-unknown", text, f"one of {', '.join(c.name for c in CATEGORIES)}")

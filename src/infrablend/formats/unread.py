@@ -3,49 +3,70 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import fold_name
+from infrablend.core.files import open_regular
 from infrablend.core.json_records import is_list
+from infrablend.core.run_folder import RUN_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco, folder, yolo
 from infrablend.formats.annotation_files import read_json, read_xml
 from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_pictures, walk
 
-_SUFFIXES = {".xml", ".json", ".txt", ".csv", ".label"}
+_SUFFIXES = {".xml", ".json", ".jsonl", ".txt", ".csv", ".tsv", ".label"}
 _PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
+# Texts for people, which may name pictures as examples.
+_FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|changelog)", re.IGNORECASE)
+_PICTURE_NAME = re.compile(r"[^\\/\"'<>|,;:\t=]+?\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
+# Boxes of MOTChallenge's tables: frame, track, left, top, width, height.
+_NUMBERS = re.compile(r"(-?\d+(\.\d+)?[,; \t]+){5,}-?\d+(\.\d+)?")
+_HEAD_BYTES = 1_000_000
+# Files of one folder that are named one by one; more are one problem.
+_MOST_NAMED = 3
+_TODO = "convert it, for example with CVAT or Datumaro, to a format of docs/formats; or move it out of the folder"
 
 
-def unread_label_files(dataset: Dataset, understood: Collection[Path] = ()) -> list[Problem]:
-    """Return a problem for every label file below the dataset's folder that its reader did not understand.
+def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Problem]:
+    """Return the problems of label files below the dataset's folder that its reader did not take.
 
-    These are damaged XML and JSON files, and text files with a suffix such as `.TXT`. In a plain folder of pictures,
-    whose labels were not recognised, they are also files named like a picture, and intact annotations.
+    These are damaged XML and JSON files, text files with a suffix such as `.TXT`, files that name pictures of the
+    dataset or hold a table of boxes, and, in a plain folder of pictures, files named like a picture. Lists of pictures
+    and texts for people are none.
 
     Args:
         dataset: The dataset.
-        understood: Files that are known to be intact, and are not read again (see `noting_understood`).
+        read: Files from which the reader took something (see `annotation_files.noting_files_read`).
     """
     stems = {fold_name(i.path.stem) for i in dataset.images}
+    names = {fold_name(i.path.name) for i in dataset.images}
     plain = dataset.format == folder.NAME
     used = _used(dataset) if plain else set()
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
-    problems = []
+    ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
+    problems, alike = [], defaultdict[tuple[str, str, str], list[str]](list)
     for name in _candidates(dataset.root):
         path = dataset.root / name
-        if name in reported or PurePosixPath(name).name in reported or path in used:
+        if name in reported or PurePosixPath(name).name in reported or path in used or path in read:
             continue
-        found, todo = "" if path in understood else _fault(path, name), "restore or remove the file"
-        if not found and path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
-            found, todo = f"labels with the suffix {path.suffix}, which are not read", "rename it to .txt"
-        if not found and plain and (fold_name(path.stem) in stems or _is_annotation(path, name)):
-            found = "labels in no known layout, which are not read"
-            todo = "see docs/formats, and name the format with --format"
-        if found:
-            problems.append(Problem(name, "label-unread", found, _EXPECTED, todo))
+        if fault := _fault(path, name):
+            problems.append(Problem(name, "label-unread", fault, _EXPECTED, "restore or remove the file"))
+        elif path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
+            found = f"labels with the suffix {path.suffix}, which are not read"
+            problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
+        elif ours or _FOR_PEOPLE.match(path.name):
+            continue
+        elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or _tells_of(path, names):
+            alike[path.parent.as_posix(), path.suffix, "labels in no known layout, which are not read"].append(name)
+    for (_, _, found), files in alike.items():
+        if len(files) > _MOST_NAMED:
+            found, files = f"{len(files)} files with {found}", files[:1]
+        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO) for name in files]
     return problems
 
 
@@ -106,4 +127,22 @@ def _is_annotation(path: Path, name: str) -> bool:
     if path.suffix.lower() == ".json":
         top = read_json(path)
         return isinstance(top, dict) and is_list(top.get("annotations", top.get("annotation")))
+    return False
+
+
+def _tells_of(path: Path, pictures: Collection[str]) -> bool:
+    """Return whether a file says something of pictures, given by their folded names, or is a table of boxes."""
+    with suppress(OSError), open_regular(path) as stream:
+        lines = stream.read(_HEAD_BYTES).decode("utf-8", "replace").splitlines()
+        if path.stem.lower() in ("gt", "det") and any(_NUMBERS.match(line.strip()) for line in lines):
+            return True
+        for line in lines:
+            # A name may contain blanks, or follow one.
+            words = [n.split(" ") for n in _PICTURE_NAME.findall(line)]
+            names = [" ".join(w[k:]) for w in words for k in range(len(w))]
+            named = next((n for n in names if fold_name(n) in pictures), None)
+            # A list of pictures has a path on each line, and nothing else.
+            alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line.strip())[-1] == named
+            if named is not None and not alone:
+                return True
     return False

@@ -9,6 +9,7 @@ from typing import Any
 
 from infrablend.core.dataset import SPLITS, Dataset
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.base import check_splits, shorten, sort_images
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.hit_uav.forms import FORMS, NAME, Form, detect, find_forms
@@ -50,6 +51,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None =
                 f"{root}: form {form} is missing",
                 [Problem(str(root), "no-form", found, expected, "leave out --form")],
             )
+        leave_out(path for other in forms.keys() - {form} for path in forms[other].rglob("*"))
         forms = {form: forms[form]}
 
     data = [

@@ -10,10 +10,8 @@ from infrablend.core.output import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, UnknownFormatError
-from infrablend.formats import detection, folder, shards
-from infrablend.formats.annotation_files import noting_understood
+from infrablend.formats import detection, shards
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.formats.unread import unread_label_files
 from infrablend.pipeline.runs.written import changes_since_written
 from infrablend.report.checking import Checking, CheckReport, check_dataset, unreadable
 from infrablend.report.inspection import Inspection, inspect_dataset, write_charts
@@ -64,16 +62,13 @@ def check_folder(
     try:
         if reading.format in (None, shards.NAME) and shards.detect(root).ok:
             return _check_packed(root, reading, decode, on_progress)
-        with noting_understood() as understood:
-            dataset = detection.read(root, reading)
+        dataset = detection.read(root, reading)
     except UnknownFormatError:
         raise
     except DatasetError as error:
         if not error.problems or any(p.code in _USAGE for p in error.problems):
             raise
         return unreadable(root, error)
-    if dataset.format != folder.NAME:  # that reader reports them itself
-        dataset = replace(dataset, problems=(*dataset.problems, *unread_label_files(dataset, understood)))
     changed = changes_since_written(root, digests=decode)
     dataset = replace(dataset, problems=(*dataset.problems, *changed))
     return check_dataset(dataset, decode=decode, on_image=paced(on_progress))

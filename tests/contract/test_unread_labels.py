@@ -1,0 +1,87 @@
+"""One rule for every format: a file that tells of a dataset's pictures and was not read is named."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.command_line import run
+from tests.samples import SAMPLES
+
+from infrablend import api
+
+
+def via(name: str) -> str:
+    box = {"shape_attributes": {"name": "rect", "x": 1, "y": 2, "width": 4, "height": 3}}
+    return json.dumps({f"{name}123": {"filename": name, "size": 123, "regions": [box]}}, indent=1)
+
+
+def label_studio_min(name: str) -> str:
+    return json.dumps([{"image": f"/data/upload/1/{name}", "label": [{"x": 1, "rectanglelabels": ["car"]}]}], indent=1)
+
+
+UNKNOWN: dict[str, Callable[[str], str]] = {
+    "via_region_data.json": via,
+    "export.json": label_studio_min,
+    "_annotations.csv": lambda name: f"filename,class,xmin,ymin,xmax,ymax\n{name},car,1,2,5,5\n",
+    "labels.tsv": lambda name: f"images\\\\{name}\tcar\t1\t2\t5\t5\n",
+    "boxes.xml": lambda name: f"<dataset><image file='{name}'><box top='1' left='2'/></image></dataset>",
+    "retinanet.txt": lambda name: f"/home/me/data/{name},1,2,5,5,car\n",
+    "gt/gt.txt": lambda name: "1,1,794.27,247.59,71.245,174.88,-1,-1,-1,-1\n",
+}
+HARMLESS: dict[str, Callable[[str], str]] = {
+    "README.txt": lambda name: f"Pictures such as {name}, 640 px wide.\n",
+    "LICENSE-notes.txt": lambda name: f"{name}: CC BY 4.0\n",
+    "all.txt": lambda name: f"./images/train/{name}\n",
+    "names_of_classes.txt": lambda name: "car\nperson\n",
+    "settings.json": lambda name: '{"threshold": 0.5}',
+}
+# Packed shards are read in parts; nothing else lies in their folder.
+FORMATS = sorted(name for name in SAMPLES if name != "shards")
+
+
+def unread(root: Path) -> list[str]:
+    return [p.where for p in api.check(root, decode=False).errors if p.code == "label-unread"]
+
+
+def is_named(root: Path, file: str) -> bool:
+    """Return whether a problem names a file; some readers themselves say that a file of their suffix is not theirs."""
+    return any(file in p.where for p in api.read_dataset(root).problems)
+
+
+@pytest.mark.parametrize("sample", FORMATS)
+def test_unknown_label_files_are_named_in_every_format(tmp_path: Path, sample: str) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    assert unread(root) == []
+    dataset = api.read_dataset(root)
+    name = dataset.images[0].path.name
+    here = root if name in {p.name for p in root.rglob("*")} else None
+    for file, text in HARMLESS.items():
+        (root / file).write_text(text(name))
+    assert unread(root) == []
+    for file, text in UNKNOWN.items():
+        (root / file).parent.mkdir(exist_ok=True)
+        (root / file).write_text(text(name))
+    wanted = UNKNOWN if here is not None else {"gt/gt.txt"}  # frames of videos are pictures of the cache
+    assert [file for file in wanted if not is_named(root, file)] == []
+
+
+@pytest.mark.parametrize("file", UNKNOWN)
+def test_a_central_file_beside_pictures_is_no_clean_dataset(tmp_path: Path, file: str) -> None:
+    root = SAMPLES["folder"](tmp_path / "data") if "folder" in SAMPLES else SAMPLES["yolo:detect"](tmp_path / "data")
+    (root / file).parent.mkdir(exist_ok=True)
+    (root / file).write_text(UNKNOWN[file](api.read_dataset(root).images[0].path.name))
+    done = run("check", root, "--no-decode")
+    assert done.exit_code == 1 and file in done.output and "label-unread" in done.output
+
+
+def test_many_files_of_one_kind_are_one_problem(tmp_path: Path) -> None:
+    root = SAMPLES["coco"](tmp_path / "data")
+    name = api.read_dataset(root).images[0].path.name
+    (root / "more").mkdir()
+    for k in range(20):
+        (root / "more" / f"{k:02}.csv").write_text(UNKNOWN["_annotations.csv"](name))
+    (problem,) = [p for p in api.check(root, decode=False).errors if p.code == "label-unread"]
+    assert problem.where == "more/00.csv" and problem.found.startswith("20 files")
