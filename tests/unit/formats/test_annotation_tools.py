@@ -11,7 +11,7 @@ import pytest
 
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.formats import coco, cvat, detection, label_studio, writing
-from tests.samples import picture, records
+from tests.samples import codes, picture, records
 
 
 def blob() -> np.ndarray:
@@ -97,6 +97,30 @@ def test_a_malformed_shape_is_named_and_left_out(tmp_path: Path, shape: str, cod
     (tmp_path / "annotations.xml").write_text(text)
     dataset = detection.read(tmp_path)
     assert [p.code for p in dataset.problems] == [code] and not dataset.images[0].instances
+
+
+def test_cvats_other_shapes_are_read_or_counted_by_kind(tmp_path: Path) -> None:
+    picture(tmp_path / "images" / "a.png", 1)
+    (tmp_path / "annotations.xml").write_text("""<annotations><image id="0" name="a.png" width="64" height="48">
+  <box label="car" xtl="1" ytl="2" xbr="9" ybr="6"/>
+  <ellipse label="deer" cx="30" cy="20" rx="10" ry="5"/>
+  <ellipse label="deer" cx="30" cy="20" rx="10" ry="5" rotation="90"/>
+  <ellipse label="deer" cx="59" cy="30" rx="10" ry="5"/>
+  <ellipse label="deer" cx="inf" cy="20" rx="10" ry="5"/>
+  <ellipse label="deer" cx="1e5" cy="20" rx="10" ry="5"/>
+  <polyline label="car" points="1,2;30,40"/><points label="deer" points="9,9"/><points label="deer" points="8,8"/>
+  <cuboid label="car" xtl1="6" ytl1="6" xbr2="9" ybr2="8"/><tag label="day"/>
+  <skeleton label="deer"><points label="nose" outside="0" points="5,5"/></skeleton>
+</image></annotations>""")
+    dataset = detection.read(tmp_path)
+    _, deer, turned, cut = dataset.images[0].instances
+    np.testing.assert_allclose(deer.box_xyxy, [20, 15, 40, 25], atol=1e-9)
+    np.testing.assert_allclose(turned.box_xyxy, [25, 10, 35, 30], atol=1e-9)
+    np.testing.assert_allclose(cut.box_xyxy, [49, 25, 64, 35], atol=1e-9)
+    assert deer.mask is not None and abs(deer.mask.area_px - math.pi * 50) < 8
+    assert codes(dataset) == ["box-malformed"] * 2
+    (left_out,) = (p for p in dataset.problems if p.code == "kind-unread")
+    assert left_out.found.endswith(": 1 cuboid, 2 points, 1 polyline, 1 skeleton, 1 tag")
 
 
 def annotate(root: Path, file: str, count: int) -> None:
