@@ -45,6 +45,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import is_near, is_rectangle, obb_from_corners, overhang_px, turned_box
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import MAX_PIXELS, PictureFolder, check_name
+from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
 from infrablend.formats.values import to_bool, to_floats, to_id, to_share, to_size
 
@@ -54,6 +55,7 @@ BOXES, BRUSH = "boxes", "masks"
 """Names of the two controls in the labelling interface."""
 
 _SERVED = "/data/local-files/?d="
+_KINDS = ("rectanglelabels", "brushlabels", "polygonlabels", "ellipselabels")
 _RUN_BITS = (3, 4, 8, 16)
 _FLAGS = ("inserted", "truncated", "difficult", "occluded")
 
@@ -290,13 +292,14 @@ def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str
     """Return the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
     objects: dict[str, Instance] = {}
     for n, row in enumerate(rows):
-        if row.get("type") not in ("rectanglelabels", "brushlabels", "polygonlabels"):
+        if row.get("type") not in _KINDS:
+            found.leave_out(str(row.get("type")), where)
             continue
         here = f"{where}: result {row.get('id', n)}"
         try:
             instance = _read_result(found, row, here)
         except ValueError as error:
-            found.add(here, "annotation-malformed", str(error)[:120], "a rectangle, brush or polygon")
+            found.add(here, "annotation-malformed", str(error)[:120], "a rectangle, brush, polygon or ellipse")
             continue
         if instance is None:
             continue
@@ -333,6 +336,12 @@ def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instanc
             corners, edges = turned_box((cx, cy, w, h, angle), size_wh)
         elif overhang_px(np.array(edges).reshape(2, 2), size_wh) <= 1e-6:
             edges = np.clip(edges, 0, np.array([*size_wh, *size_wh], np.float64)).tolist()
+    elif row["type"] == "ellipselabels":
+        numbers = to_floats([value.get(k) for k in ("x", "y", "radiusX", "radiusY")] + [value.get("rotation", 0)], 5)
+        if numbers is None:
+            raise ValueError(f"an ellipse {str(value)[:60]}")
+        (x, y), (w, h) = np.array(numbers[:2]) * scale, np.array(numbers[2:4]) * scale * 2
+        edges, mask = ellipse((x, y, w, h, math.radians(numbers[4])), size_wh)
     else:
         mask = _read_mask(row, value, size_wh)
         if mask.box_xyxy is None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.formats import coco, cvat, detection, label_studio, writing
 from tests.samples import codes, picture, records
 
@@ -121,6 +122,36 @@ def test_cvats_other_shapes_are_read_or_counted_by_kind(tmp_path: Path) -> None:
     assert codes(dataset) == ["box-malformed"] * 2
     (left_out,) = (p for p in dataset.problems if p.code == "kind-unread")
     assert left_out.found.endswith(": 1 cuboid, 2 points, 1 polyline, 1 skeleton, 1 tag")
+
+
+def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
+    """Read a task of a picture of 64 x 48 px with these results."""
+    picture(root / "images" / "a.png", 1)
+    size = {"original_width": 64, "original_height": 48}
+    task = {"data": {"image": "/data/upload/1/a.png"}, "annotations": [{"result": [size | r for r in results]}]}
+    (root / "export.json").write_text(json.dumps([task]))
+    return detection.read(root)
+
+
+def test_ellipses_of_label_studio_are_read_and_other_results_counted_by_kind(tmp_path: Path) -> None:
+    place = {"x": 50, "y": 50, "radiusX": 25, "radiusY": 12.5, "ellipselabels": ["deer"]}
+    dataset = label_studio_objects(
+        tmp_path,
+        {"type": "ellipselabels", "value": place},
+        {"type": "ellipselabels", "value": place | {"rotation": 90}},
+        {"type": "ellipselabels", "value": place | {"radiusX": None}},
+        {"type": "ellipselabels", "value": place | {"radiusX": math.inf}},
+        {"type": "keypointlabels", "value": {"x": 1, "y": 1, "width": 1, "keypointlabels": ["nose"]}},
+        {"type": "choices", "value": {"choices": ["night"]}},
+        {"type": "choices", "value": {"choices": ["day"]}},
+    )
+    level, turned = dataset.images[0].instances
+    np.testing.assert_allclose(level.box_xyxy, [16, 18, 48, 30], atol=1e-9)
+    np.testing.assert_allclose(turned.box_xyxy, [26, 8, 38, 40], atol=1e-9)
+    assert level.mask is not None and abs(level.mask.area_px - math.pi * 16 * 6) < 12
+    assert codes(dataset) == ["annotation-malformed"] * 2
+    (left_out,) = (p for p in dataset.problems if p.severity == "warning")
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 choices, 1 keypointlabels")
 
 
 def annotate(root: Path, file: str, count: int) -> None:
