@@ -291,7 +291,7 @@ def _name_of(address: str, split: Split) -> tuple[str, Split]:
 def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str) -> Iterable[Instance]:
     """Return the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
     objects: dict[str, Instance] = {}
-    for n, row in enumerate(rows):
+    for n, row in enumerate(_joined(rows)):
         if row.get("type") not in _KINDS:
             found.leave_out(str(row.get("type")), where)
             continue
@@ -310,6 +310,24 @@ def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str
         else:
             objects[key if key not in objects else f"{key} {n}"] = instance
     return objects.values()
+
+
+def _joined(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the results, with shapes and their labels from separate controls in one result.
+
+    `<Rectangle>` beside `<Labels>` gives two results with the id of the region: `rectangle` and `labels`.
+    """
+    named = [r for r in rows if r.get("type") == "labels" and "id" in r and isinstance(r.get("value"), dict)]
+    labels = {str(r["id"]): r["value"].get("labels") for r in named}
+    shapes = {str(r.get("id")) for r in rows if f"{r.get('type')}labels" in _KINDS}
+    joined: list[Mapping[str, Any]] = []
+    for r in rows:
+        region, kind = str(r.get("id")), f"{r.get('type')}labels"
+        if kind in _KINDS and region in labels and isinstance(r.get("value"), dict):
+            joined.append({**r, "type": kind, "value": {**r["value"], kind: labels[region]}})
+        elif r.get("type") != "labels" or region not in shapes:
+            joined.append(r)
+    return joined
 
 
 def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instance | None:

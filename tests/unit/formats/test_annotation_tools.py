@@ -154,6 +154,27 @@ def test_ellipses_of_label_studio_are_read_and_other_results_counted_by_kind(tmp
     assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 choices, 1 keypointlabels")
 
 
+def test_labels_beside_a_shape_of_label_studio_are_its_label(tmp_path: Path) -> None:
+    """The controls `Rectangle` and `Labels`: two results with one id. Shapes without label are counted."""
+    box = {"x": 25, "y": 25, "width": 12.5, "height": 25, "rotation": 0}
+    corners = {"points": [[50, 50], [75, 50], [75, 75]]}
+    dataset = label_studio_objects(
+        tmp_path,
+        {"id": "q", "type": "rectangle", "value": box},
+        {"id": "q", "type": "labels", "value": box | {"labels": ["truck"]}},
+        {"id": "p", "type": "labels", "value": corners | {"labels": ["deer"]}},
+        {"id": "p", "type": "polygon", "value": corners},
+        {"id": "r", "type": "rectangle", "value": box},
+        {"id": "t", "type": "labels", "value": {"text": "word", "labels": ["name"]}},
+        {"type": "labels"},
+    )
+    truck, deer = dataset.images[0].instances
+    assert (truck.category, truck.box_xyxy.tolist()) == ("truck", [16, 12, 24, 24])
+    assert deer.category == "deer" and deer.mask is not None
+    (left_out,) = dataset.problems
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 labels, 1 rectangle")
+
+
 def annotate(root: Path, file: str, count: int) -> None:
     """Write annotations of both tools with that many objects in the picture `images/train/a.png`."""
     box = '<box label="Car" xtl="1" ytl="2" xbr="9" ybr="6"/>'
