@@ -124,6 +124,41 @@ def test_cvats_other_shapes_are_read_or_counted_by_kind(tmp_path: Path) -> None:
     assert left_out.found.endswith(": 1 cuboid, 2 points, 1 polyline, 1 skeleton, 1 tag")
 
 
+def cvats_coco(root: Path, *annotations: dict[str, Any]) -> Path:
+    """Write CVAT's export as COCO of a picture of 160 x 128 px with these annotations of cars."""
+    picture(root / "images" / "default" / "a.png", 1, (160, 128))
+    rows = [{"id": n, "image_id": 1, "category_id": 1, "iscrowd": 0} | a for n, a in enumerate(annotations, 1)]
+    top = {
+        "images": [{"id": 1, "width": 160, "height": 128, "file_name": "a.png"}],
+        "annotations": rows,
+        "categories": [{"id": 1, "name": "car", "supercategory": ""}, {"id": 2, "name": "deer", "supercategory": ""}],
+    }
+    (root / "annotations").mkdir()
+    (root / "annotations" / "instances_default.json").write_text(json.dumps(top))
+    return root
+
+
+def test_a_box_that_cvat_turned_is_oriented_in_its_coco_export(tmp_path: Path) -> None:
+    """60 x 20 px, turned about (80, 60). CVAT writes a rotation of 0 with each upright box."""
+
+    def car(rotation: object, segmentation: object = ()) -> dict[str, Any]:
+        attributes = {"occluded": False, "rotation": rotation}
+        return {"bbox": [50.0, 50.0, 60.0, 20.0], "segmentation": segmentation, "attributes": attributes}
+
+    outline = [[60, 55, 90, 55, 90, 65, 60, 65]]
+    root = cvats_coco(tmp_path, car(90.0), car(30.0), car(0.0), car("x"), car(360), car(90.0, outline), car(math.nan))
+    dataset = detection.read(root)
+    quarter, twelfth, *upright = dataset.images[0].instances
+    np.testing.assert_allclose(quarter.box_xyxy, [70, 30, 90, 90], atol=1e-9)
+    assert quarter.corners_xy is not None and twelfth.corners_xy is not None
+    np.testing.assert_allclose(quarter.corners_xy, [[90, 30], [90, 90], [70, 90], [70, 30]], atol=1e-9)
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    np.testing.assert_allclose(twelfth.corners_xy[0], [80 - 30 * c + 10 * s, 60 - 30 * s - 10 * c])
+    assert all(i.corners_xy is None and i.box_xyxy.tolist() == [50, 50, 110, 70] for i in upright)
+    (left_out,) = dataset.problems
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 1 rotation beside a segmentation")
+
+
 def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
     """Read a task of a picture of 64 x 48 px with these results."""
     picture(root / "images" / "a.png", 1)
