@@ -396,8 +396,19 @@ def read(
     if table is not None:
         found.problems += table.remarks(root, [r.name for r in records], [r.capture.sequence for r in records])
     found.report_left_out()
+    _report_crowds(found, records, categories)
     notes = {"labels": "coco", **named, "pitch": captures.note()}
     return Dataset(root, NAME, tuple(categories), with_ids(records), tuple(found.problems), notes)
+
+
+def _report_crowds(found: Findings, records: Iterable[ImageRecord], categories: Iterable[Category]) -> None:
+    """Warn of classes without a single object: CVAT and Datumaro mark every brush mask as a crowd."""
+    counts = Counter((i.category, i.is_crowd) for r in records for i in r.instances)
+    for name in (c.name for c in categories if not c.ignore):
+        if (crowds := counts[name, True]) and not counts[name, False]:
+            text = f"all {crowds} label(s) of {name!r} are crowds (iscrowd 1), which YOLO leaves out"
+            todo = "if they are masks of single objects, as from CVAT, set iscrowd to 0"
+            found.warn(found.root.name, "crowds-only", text, "iscrowd 0 for single objects", todo)
 
 
 def read_records(

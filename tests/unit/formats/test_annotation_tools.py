@@ -159,6 +159,15 @@ def test_a_box_that_cvat_turned_is_oriented_in_its_coco_export(tmp_path: Path) -
     assert left_out.code == "kind-unread" and left_out.found.endswith(": 1 rotation beside a segmentation")
 
 
+def test_a_class_of_crowds_alone_as_cvat_exports_masks_is_a_warning(tmp_path: Path) -> None:
+    """Categories 1 and 2 are cars and deer; a class with one object beside its crowds is as COCO means it."""
+    box, counts = {"bbox": [10, 10, 40, 20]}, {"counts": [1290, 20, 108, 20, 19042], "size": [128, 160]}
+    deer = box | {"category_id": 2, "iscrowd": 1, "segmentation": counts}
+    dataset = detection.read(cvats_coco(tmp_path, box, box | {"iscrowd": 1}, deer, deer))
+    (crowds,) = dataset.problems
+    assert (crowds.code, crowds.severity) == ("crowds-only", "warning") and "all 2 label(s) of 'deer'" in crowds.found
+
+
 def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
     """Read a task of a picture of 64 x 48 px with these results."""
     picture(root / "images" / "a.png", 1)
