@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -48,7 +49,7 @@ from infrablend.formats.base import (
     shorten,
     split_of_stem,
 )
-from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near
+from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near, turned_box
 from infrablend.formats.capture import Captures
 from infrablend.formats.losses import Written, occlusion_fields
 from infrablend.formats.pictures import PictureFolder, check_name
@@ -397,8 +398,20 @@ def read(
         raise DatasetError(f"{root}: no picture to read", shorten(found.problems))
     if table is not None:
         found.problems += table.remarks(root, [r.name for r in records], [r.capture.sequence for r in records])
+    found.report_left_out()
+    _report_crowds(found, records, categories)
     notes = {"labels": "coco", **named, "pitch": captures.note()}
     return Dataset(root, NAME, tuple(categories), with_ids(records), tuple(found.problems), notes)
+
+
+def _report_crowds(found: Findings, records: Iterable[ImageRecord], categories: Iterable[Category]) -> None:
+    """Warn of classes without a single object: CVAT and Datumaro mark every brush mask as a crowd."""
+    counts = Counter((i.category, i.is_crowd) for r in records for i in r.instances)
+    for name in (c.name for c in categories if not c.ignore):
+        if (crowds := counts[name, True]) and not counts[name, False]:
+            text = f"all {crowds} label(s) of {name!r} are crowds (iscrowd 1), which YOLO leaves out"
+            todo = "if they are masks of single objects, as from CVAT, set iscrowd to 0"
+            found.warn(found.root.name, "crowds-only", text, "iscrowd 0 for single objects", todo)
 
 
 def read_records(
@@ -575,10 +588,19 @@ def _read_annotations(
         if bbox is None:
             found.add(here, "box-malformed", f"bbox {a.get('bbox')!r}"[:120], "[x, y, w, h]", "correct the annotation")
             continue
-        box = found.box(edges_of_xywh(bbox, size_wh), size_wh, here)
+        edges: Sequence[float] = edges_of_xywh(bbox, size_wh)
+        corners = to_floats(a.get("obb"), 8)
+        if corners is None and (angle := _rotation_rad(a)) and min(bbox[2:]) > 0 and is_near(bbox):
+            if a.get("segmentation"):
+                # CVAT's box then encloses the mask and the rectangle before it is turned, which is not known any more.
+                found.leave_out("rotation beside a segmentation", here)
+            else:
+                x, y, w, h = bbox
+                turned, edges = turned_box((x + w / 2, y + h / 2, w, h, angle), size_wh)
+                corners = tuple(turned.ravel().tolist())
+        box = found.box(edges, size_wh, here)
         if box is None:
             continue
-        corners = to_floats(a.get("obb"), 8)
         extra = {k: a[k] for k in ("source_id",) if k in a} | _read_occlusion(a)
         if a.get("iscrowd") == 1:
             extra["iscrowd"] = 1
@@ -605,6 +627,13 @@ def _read_annotations(
             )
         )
     return tuple(instances)
+
+
+def _rotation_rad(a: Mapping[str, Any]) -> float:
+    """Return the angle by which CVAT turns a box about its centre; 0 without one."""
+    attributes = a.get("attributes")
+    degrees = to_number(attributes.get("rotation")) if isinstance(attributes, dict) else None
+    return math.radians((degrees or 0.0) % 360)
 
 
 def _read_mask(found: Findings, a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str) -> Mask | None:

@@ -42,6 +42,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import is_near, is_rectangle, obb_from_corners, turned_box
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
 
@@ -51,6 +52,7 @@ LABELS_FILE = "cvat_labels.json"
 ATTRIBUTES: Mapping[str, str] = {
     "inserted": "checkbox", "truncated": "checkbox", "difficult": "checkbox", "visibility": "text", "track_id": "text",
 }  # fmt: skip
+_SHAPES = ("box", "ellipse", "mask", "polygon")
 _EDGES = ("xtl", "ytl", "xbr", "ybr")
 
 
@@ -179,7 +181,7 @@ def detect(root: Path) -> Match:
 
 
 def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
-    """Read boxes, rotated boxes, masks and polygons, and find the pictures.
+    """Read boxes, rotated boxes, ellipses, masks and polygons, count other shapes, and find the pictures.
 
     These are in `images/<split>/`, `images/`, `<split>/` or beside the XML files.
 
@@ -238,7 +240,9 @@ def _read_objects(
 ) -> Iterable[Instance]:  # fmt: skip
     """Return the objects of a picture; a box and a mask of one label and group are one object."""
     objects: dict[object, Instance] = {}
-    for n, shape in enumerate(s for s in element if s.tag in ("box", "mask", "polygon")):
+    for other in (s for s in element if s.tag not in _SHAPES):
+        found.leave_out(str(other.tag), where)
+    for n, shape in enumerate(s for s in element if s.tag in _SHAPES):
         instance = _read_shape(found, shape, f"{where}: {shape.tag} {n}", size_wh)
         if instance is None:
             continue
@@ -271,6 +275,11 @@ def _read_shape(found: Findings, shape: Any, where: str, size_wh: tuple[int, int
             x0, y0, x1, y1 = edges
             cxcywha = ((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, math.radians(turn[0]))
             corners, edges = turned_box(cxcywha, size_wh)
+    elif shape.tag == "ellipse":
+        drawn = _read_ellipse(found, shape, where, size_wh)
+        if drawn is None:
+            return None
+        edges, mask = drawn
     else:
         mask = _read_mask(found, shape, where, size_wh)
         if mask is None:
@@ -290,6 +299,24 @@ def _read_shape(found: Findings, shape: Any, where: str, size_wh: tuple[int, int
         to_bool(said.get("truncated")), to_bool(said.get("difficult")), to_bool(said.get("inserted")) is True,
         None, occluded, said.get("track_id") or None,
     )  # fmt: skip
+
+
+def _read_ellipse(
+    found: Findings, shape: Any, where: str, size_wh: tuple[int, int] | None
+) -> tuple[tuple[float, ...], Mask | None] | None:
+    """Return the edges and pixels of an ellipse; None, with a problem, if it is malformed."""
+    numbers = to_floats(
+        [shape.get(k, "0" if k == "rotation" else None) for k in ("cx", "cy", "rx", "ry", "rotation")], 5
+    )
+    fault = "no size of the picture" if size_wh is None else "no cx, cy, rx, ry"
+    if numbers is not None and size_wh is not None:
+        try:
+            cx, cy, rx, ry, turn = numbers
+            return ellipse((cx, cy, 2 * rx, 2 * ry, math.radians(turn)), size_wh)
+        except ValueError as error:
+            fault = str(error)[:120]
+    found.add(where, "box-malformed", fault, "an ellipse inside the frame", "correct the annotation")
+    return None
 
 
 def _read_mask(found: Findings, shape: Any, where: str, size_wh: tuple[int, int] | None) -> Mask | None:

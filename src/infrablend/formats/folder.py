@@ -27,6 +27,7 @@ from infrablend.formats.yolo import (
     class_names,
     find_label,
     find_yaml,
+    line_form,
     read_yaml,
     report_orphans,
 )
@@ -126,9 +127,11 @@ def read(
         problem = Problem(str(root), "annotation-missing", "no label file", "a .txt for each picture")
         raise DatasetError(f"{root}: no YOLO labels", [problem])
     names = _find_names(root, pictures) if labelled else None
-    records, known = build_records(found, pictures, names, task)
+    described = find_yaml(root) if labelled else None
+    task, keypoints = line_form(read_yaml(described) if described else {}, task)
+    records, known = build_records(found, pictures, names, task, keypoints)
     if labels != "none":
-        report_orphans(found, pictures)
+        report_orphans(found, pictures, keypoints)
     return found.dataset(
         NAME, records, categories_of(known), {"labels": "yolo" if labelled else "none"}, metadata=metadata,
         splits=wanted, others=[found.place(p.path) for p in pictures],

@@ -45,6 +45,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import is_near, is_rectangle, obb_from_corners, overhang_px, turned_box
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import MAX_PIXELS, PictureFolder, check_name
+from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
 from infrablend.formats.values import to_bool, to_floats, to_id, to_share, to_size
 
@@ -54,6 +55,7 @@ BOXES, BRUSH = "boxes", "masks"
 """Names of the two controls in the labelling interface."""
 
 _SERVED = "/data/local-files/?d="
+_KINDS = ("rectanglelabels", "brushlabels", "polygonlabels", "ellipselabels")
 _RUN_BITS = (3, 4, 8, 16)
 _FLAGS = ("inserted", "truncated", "difficult", "occluded")
 
@@ -289,14 +291,15 @@ def _name_of(address: str, split: Split) -> tuple[str, Split]:
 def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str) -> Iterable[Instance]:
     """Return the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
     objects: dict[str, Instance] = {}
-    for n, row in enumerate(rows):
-        if row.get("type") not in ("rectanglelabels", "brushlabels", "polygonlabels"):
+    for n, row in enumerate(_joined(rows)):
+        if row.get("type") not in _KINDS:
+            found.leave_out(str(row.get("type")), where)
             continue
         here = f"{where}: result {row.get('id', n)}"
         try:
             instance = _read_result(found, row, here)
         except ValueError as error:
-            found.add(here, "annotation-malformed", str(error)[:120], "a rectangle, brush or polygon")
+            found.add(here, "annotation-malformed", str(error)[:120], "a rectangle, brush, polygon or ellipse")
             continue
         if instance is None:
             continue
@@ -307,6 +310,24 @@ def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str
         else:
             objects[key if key not in objects else f"{key} {n}"] = instance
     return objects.values()
+
+
+def _joined(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the results, with shapes and their labels from separate controls in one result.
+
+    `<Rectangle>` beside `<Labels>` gives two results with the id of the region: `rectangle` and `labels`.
+    """
+    named = [r for r in rows if r.get("type") == "labels" and "id" in r and isinstance(r.get("value"), dict)]
+    labels = {str(r["id"]): r["value"].get("labels") for r in named}
+    shapes = {str(r.get("id")) for r in rows if f"{r.get('type')}labels" in _KINDS}
+    joined: list[Mapping[str, Any]] = []
+    for r in rows:
+        region, kind = str(r.get("id")), f"{r.get('type')}labels"
+        if kind in _KINDS and region in labels and isinstance(r.get("value"), dict):
+            joined.append({**r, "type": kind, "value": {**r["value"], kind: labels[region]}})
+        elif r.get("type") != "labels" or region not in shapes:
+            joined.append(r)
+    return joined
 
 
 def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instance | None:
@@ -333,6 +354,12 @@ def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instanc
             corners, edges = turned_box((cx, cy, w, h, angle), size_wh)
         elif overhang_px(np.array(edges).reshape(2, 2), size_wh) <= 1e-6:
             edges = np.clip(edges, 0, np.array([*size_wh, *size_wh], np.float64)).tolist()
+    elif row["type"] == "ellipselabels":
+        numbers = to_floats([value.get(k) for k in ("x", "y", "radiusX", "radiusY")] + [value.get("rotation", 0)], 5)
+        if numbers is None:
+            raise ValueError(f"an ellipse {str(value)[:60]}")
+        (x, y), (w, h) = np.array(numbers[:2]) * scale, np.array(numbers[2:4]) * scale * 2
+        edges, mask = ellipse((x, y, w, h, math.radians(numbers[4])), size_wh)
     else:
         mask = _read_mask(row, value, size_wh)
         if mask.box_xyxy is None:

@@ -25,11 +25,13 @@ KEEP_OR_DROP = ("keep", "drop")
 
 @dataclass
 class Findings:
-    """What a reader finds in the folder of a dataset: problems, and counts for its notes."""
+    """What a reader finds in the folder of a dataset: problems, counts for its notes, kinds left out."""
 
     root: Path
     problems: list[Problem] = field(default_factory=list)
     counts: Counter[str] = field(default_factory=Counter)
+    left_out: Counter[str] = field(default_factory=Counter)
+    left_out_at: str = ""
 
     def add(self, where: str, code: str, found: str, expected: str = "", todo: str = "") -> None:
         """Record an error: the item is left out."""
@@ -38,6 +40,18 @@ class Findings:
     def warn(self, where: str, code: str, found: str, expected: str = "", todo: str = "") -> None:
         """Record a warning: the item is kept."""
         self.problems.append(Problem(where, code, found, expected, todo, "warning"))
+
+    def leave_out(self, kind: str, where: str) -> None:
+        """Count something that the reader does not understand; `report_left_out` reports all of it at once."""
+        self.left_out[kind[:40]] += 1
+        self.left_out_at = self.left_out_at or where
+
+    def report_left_out(self) -> None:
+        """Record a warning with the number of each kind that was left out, at the place of the first."""
+        if self.left_out:
+            listed = ", ".join(f"{n} {kind}" for kind, n in sorted(self.left_out.items()))
+            found = f"left out (in all; the first is here): {listed}"[:400]
+            self.warn(self.left_out_at, "kind-unread", found, "kinds that are read, see docs/formats")
 
     def add_all(self, problems: Iterable[Problem], where: str) -> None:
         """Record the problems of a file under its name in the dataset."""
@@ -124,6 +138,7 @@ class Findings:
             DatasetError: No record is left, or the table cannot be read.
         """
         root = self.root
+        self.report_left_out()
         inside: dict[str, ImageRecord] = {}
         for name, record in sorted(((_name_in(root, r), r) for r in records), key=lambda named: named[0]):
             if name in inside:

@@ -53,6 +53,8 @@ WithoutMask = Literal["omit", "obb"]
 
 # Ten decimals: the rounding error is at most 640 px * 0.5e-10 = 3e-8 px.
 _DECIMALS = 10
+# What data.yaml may say about lines of nine numbers. Ultralytics reads polygons for `detect`, too.
+_STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb": "obb"}
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
@@ -293,8 +295,11 @@ class LabelLines:
     problems: list[Problem] = field(default_factory=list)
 
 
-def parse_labels(text: str, where: str) -> LabelLines:
-    """Parse the text of a label file; malformed lines are left out and reported as errors."""
+def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
+    """Parse the text of a label file; malformed lines are left out and reported as errors.
+
+    With `keypoints`, see `line_form`, each line is a box, usually with that many further values.
+    """
     found = LabelLines()
     seen: set[tuple[int, tuple[float, ...]]] = set()
     for n, line in enumerate(text.splitlines(), 1):
@@ -306,10 +311,12 @@ def parse_labels(text: str, where: str) -> LabelLines:
             numbers = [float(w) for w in words]
         except ValueError:
             numbers = []
-        shape = len(numbers) == 5 or (len(numbers) >= 7 and len(numbers) % 2 == 1)
+        polygon = not keypoints and len(numbers) >= 7 and len(numbers) % 2 == 1
+        shape = len(numbers) in (5, 5 + keypoints) or polygon
         said, todo = repr(line[:80]), "correct the line"
         if not shape or not numbers[0].is_integer() or numbers[0] < 0:
-            expected = "class cx cy w h, or class and three or more x y pairs"
+            expected = "class cx cy w h, "
+            expected += f"then {keypoints} values of keypoints" if keypoints else "or class and three or more x y pairs"
             found.problems.append(Problem(here, "label-malformed", said, expected, todo))
             continue
         class_, values = int(numbers[0]), tuple(numbers[1:])
@@ -376,20 +383,20 @@ def find_label(path: Path, root: Path) -> Path | None:
     return next((c for c in candidates if c.is_file() and c.name != "classes.txt"), None)
 
 
-def _real_labels(path: Path, where: str) -> LabelLines | None:
+def _real_labels(path: Path, where: str, keypoints: int) -> LabelLines | None:
     """Return the lines of a label file; None for a note, a list, a count, or a file that cannot be read."""
     text, fault = read_text(path, where, "a YOLO label file")
-    labels = parse_labels(text, where)
+    labels = parse_labels(text, where, keypoints)
     return labels if fault is None and labels.rows and not labels.problems else None
 
 
-def report_orphans(found: Findings, pictures: Sequence[FoundPicture]) -> None:
+def report_orphans(found: Findings, pictures: Sequence[FoundPicture], keypoints: int = 0) -> None:
     """Warn of every label file without a picture, in the folders with labels of the pictures.
 
     If no picture has a label file, there is one warning if folders `labels` contain some.
     """
     used = {p.label for p in pictures if p.label is not None}
-    if pictures and not used and (lost := _labels_elsewhere(found.root, {p.split for p in pictures})) is not None:
+    if pictures and not used and (lost := _labels_elsewhere(found.root, {p.split for p in pictures}, keypoints)):
         text = f"no picture has a label file, though there are label files such as {lost}"
         todo = "put each picture's label file where docs/formats/yolo.md says"
         found.warn(found.root.name, "label-missing", text, "a label file per picture", todo)
@@ -397,13 +404,13 @@ def report_orphans(found: Findings, pictures: Sequence[FoundPicture]) -> None:
         if path in used or path.name == "classes.txt" or path.name.startswith("."):
             continue
         where = found.place(path)
-        labels = _real_labels(path, where)
+        labels = _real_labels(path, where, keypoints)
         if labels is not None:
             text = f"{len(labels.rows)} label(s) without a picture, left out"
             found.warn(where, "label-without-picture", text, "a picture of that name")
 
 
-def _labels_elsewhere(root: Path, splits: Collection[Split]) -> str | None:
+def _labels_elsewhere(root: Path, splits: Collection[Split], keypoints: int) -> str | None:
     """Return the first label file in a folder `labels` that is not that of another split; None without one."""
     for base, names in walk(root):
         parts = Path(base).relative_to(root).parts
@@ -412,13 +419,17 @@ def _labels_elsewhere(root: Path, splits: Collection[Split]) -> str | None:
             continue
         for name in sorted(n for n in names if n.endswith(".txt") and n != "classes.txt" and not is_hidden(n)):
             where = Path(base, name).relative_to(root).as_posix()
-            if _real_labels(Path(base, name), where) is not None:
+            if _real_labels(Path(base, name), where, keypoints) is not None:
                 return where
     return None
 
 
 def build_records(
-    found: Findings, pictures: Sequence[FoundPicture], names: Mapping[int, str] | None, task: Task | None
+    found: Findings,
+    pictures: Sequence[FoundPicture],
+    names: Mapping[int, str] | None,
+    task: Task | None,
+    keypoints: int = 0,
 ) -> tuple[list[ImageRecord], dict[int, str]]:
     """Return image records with their labels, without ids, and the class names.
 
@@ -428,6 +439,7 @@ def build_records(
         names: Category name per class number; None uses `class_<n>`, with a warning.
         task: Meaning of lines of nine numbers: corners of an oriented box (`obb`) or of a polygon (`seg`). None decides
             for oriented boxes if all lines have five or nine numbers.
+        keypoints: Number of values after a box that are left out, see `line_form`.
 
     Raises:
         DatasetError: There are labels, but the list of class names is empty.
@@ -437,7 +449,12 @@ def build_records(
     for p in pictures:
         text = None if p.label is None else found.text(p.label, "a YOLO label file")
         if p.label is not None and text is not None:
-            parsed[p.path] = parse_labels(text, found.place(p.label))
+            where = found.place(p.label)
+            labels = parse_labels(text, where, keypoints)
+            for n in (n for n, _, values in labels.rows if keypoints and len(values) > 4):
+                found.leave_out("objects' keypoints", f"{where}: line {n}")
+            rows = [(n, c, values[:4]) for n, c, values in labels.rows] if keypoints else labels.rows
+            parsed[p.path] = replace(labels, rows=rows)
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
     if names is not None and not names and used:
         said, expected = f"no class names, but labels of {len(used)} class(es)", "a name for each class"
@@ -504,6 +521,26 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if "val" not in value and "validation" in value:  # as Ultralytics does
         value["val"] = value.pop("validation")
     return value
+
+
+def line_form(top: Mapping[str, Any], task: Task | None) -> tuple[Task | None, int]:
+    """Return the meaning of lines of nine numbers and the number of values of keypoints per line.
+
+    Args:
+        top: Content of data.yaml, of which `task` and `kpt_shape` (keypoints, values of each) count.
+        task: The meaning, where it is known.
+
+    Raises:
+        DatasetError: Lines have keypoints, but `kpt_shape` does not tell how many.
+    """
+    shape = top.get("kpt_shape")
+    if shape is None and top.get("task") != "pose":
+        return task or _STATED_TASKS.get(str(top.get("task"))), 0
+    if isinstance(shape, list) and len(shape) == 2 and all(type(v) is int and v > 0 for v in shape):
+        return task, shape[0] * shape[1]
+    expected = "the number of keypoints and the number of values of each, as [17, 3]"
+    problem = Problem("data.yaml", "annotation-layout", f"kpt_shape: {shape!r}"[:120], expected, "correct it")
+    raise DatasetError("data.yaml: the form of lines with keypoints is unknown", [problem])
 
 
 def name_warnings(path: Path, names: Mapping[int, str]) -> list[Problem]:
@@ -669,10 +706,10 @@ def read(
     metadata: Path | None = None,
     task: Task | None = None,
 ) -> Dataset:
-    """Read a YOLO dataset with its `data.yaml`; `task` is the meaning of lines of nine numbers, see `build_records`.
+    """Read a YOLO dataset with its `data.yaml`; `task` is the meaning of lines of nine numbers, see `line_form`.
 
     Raises:
-        DatasetError: There is no `data.yaml`, or no picture.
+        DatasetError: There is no `data.yaml`, it does not tell the form of lines, or there is no picture.
     """
     wanted = check_splits(splits)
     path = find_yaml(root)
@@ -681,6 +718,7 @@ def read(
         raise DatasetError(f"{root}: no YOLO dataset", [problem])
     top = read_yaml(path)
     names = class_names(top["names"], path.name)
+    task, keypoints = line_form(top, task)
     found = Findings(root)
     folders, lists = _split_places(found, top, wanted, path.name)
     found.problems += name_warnings(path, names)
@@ -694,8 +732,8 @@ def read(
         found.warn(path.name, "split-twice", text, "each picture in one split")
     placed = [p for p in in_folders if p[2] not in listed] + [(split, n, f) for f, (split, n) in listed.items()]
     pictures = [FoundPicture(name, file, split, find_label(file, root)) for split, name, file in placed]
-    records, known = build_records(found, [p for p in pictures if p.split in wanted], names, task)
-    report_orphans(found, pictures)
+    records, known = build_records(found, [p for p in pictures if p.split in wanted], names, task, keypoints)
+    report_orphans(found, pictures, keypoints)
     return found.dataset(
         NAME, records, categories_of(known), {"labels": "yolo"}, metadata=metadata, splits=wanted,
         others=[found.place(p.path) for p in pictures],

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.formats import coco, cvat, detection, label_studio, writing
-from tests.samples import picture, records
+from tests.samples import codes, picture, records
 
 
 def blob() -> np.ndarray:
@@ -97,6 +98,125 @@ def test_a_malformed_shape_is_named_and_left_out(tmp_path: Path, shape: str, cod
     (tmp_path / "annotations.xml").write_text(text)
     dataset = detection.read(tmp_path)
     assert [p.code for p in dataset.problems] == [code] and not dataset.images[0].instances
+
+
+def test_cvats_other_shapes_are_read_or_counted_by_kind(tmp_path: Path) -> None:
+    picture(tmp_path / "images" / "a.png", 1)
+    (tmp_path / "annotations.xml").write_text("""<annotations><image id="0" name="a.png" width="64" height="48">
+  <box label="car" xtl="1" ytl="2" xbr="9" ybr="6"/>
+  <ellipse label="deer" cx="30" cy="20" rx="10" ry="5"/>
+  <ellipse label="deer" cx="30" cy="20" rx="10" ry="5" rotation="90"/>
+  <ellipse label="deer" cx="59" cy="30" rx="10" ry="5"/>
+  <ellipse label="deer" cx="inf" cy="20" rx="10" ry="5"/>
+  <ellipse label="deer" cx="1e5" cy="20" rx="10" ry="5"/>
+  <polyline label="car" points="1,2;30,40"/><points label="deer" points="9,9"/><points label="deer" points="8,8"/>
+  <cuboid label="car" xtl1="6" ytl1="6" xbr2="9" ybr2="8"/><tag label="day"/>
+  <skeleton label="deer"><points label="nose" outside="0" points="5,5"/></skeleton>
+</image></annotations>""")
+    dataset = detection.read(tmp_path)
+    _, deer, turned, cut = dataset.images[0].instances
+    np.testing.assert_allclose(deer.box_xyxy, [20, 15, 40, 25], atol=1e-9)
+    np.testing.assert_allclose(turned.box_xyxy, [25, 10, 35, 30], atol=1e-9)
+    np.testing.assert_allclose(cut.box_xyxy, [49, 25, 64, 35], atol=1e-9)
+    assert deer.mask is not None and abs(deer.mask.area_px - math.pi * 50) < 8
+    assert codes(dataset) == ["box-malformed"] * 2
+    (left_out,) = (p for p in dataset.problems if p.code == "kind-unread")
+    assert left_out.found.endswith(": 1 cuboid, 2 points, 1 polyline, 1 skeleton, 1 tag")
+
+
+def cvats_coco(root: Path, *annotations: dict[str, Any]) -> Path:
+    """Write CVAT's export as COCO of a picture of 160 x 128 px with these annotations of cars."""
+    picture(root / "images" / "default" / "a.png", 1, (160, 128))
+    rows = [{"id": n, "image_id": 1, "category_id": 1, "iscrowd": 0} | a for n, a in enumerate(annotations, 1)]
+    top = {
+        "images": [{"id": 1, "width": 160, "height": 128, "file_name": "a.png"}],
+        "annotations": rows,
+        "categories": [{"id": 1, "name": "car", "supercategory": ""}, {"id": 2, "name": "deer", "supercategory": ""}],
+    }
+    (root / "annotations").mkdir()
+    (root / "annotations" / "instances_default.json").write_text(json.dumps(top))
+    return root
+
+
+def test_a_box_that_cvat_turned_is_oriented_in_its_coco_export(tmp_path: Path) -> None:
+    """60 x 20 px, turned about (80, 60). CVAT writes a rotation of 0 with each upright box."""
+
+    def car(rotation: object, segmentation: object = ()) -> dict[str, Any]:
+        attributes = {"occluded": False, "rotation": rotation}
+        return {"bbox": [50.0, 50.0, 60.0, 20.0], "segmentation": segmentation, "attributes": attributes}
+
+    outline = [[60, 55, 90, 55, 90, 65, 60, 65]]
+    root = cvats_coco(tmp_path, car(90.0), car(30.0), car(0.0), car("x"), car(360), car(90.0, outline), car(math.nan))
+    dataset = detection.read(root)
+    quarter, twelfth, *upright = dataset.images[0].instances
+    np.testing.assert_allclose(quarter.box_xyxy, [70, 30, 90, 90], atol=1e-9)
+    assert quarter.corners_xy is not None and twelfth.corners_xy is not None
+    np.testing.assert_allclose(quarter.corners_xy, [[90, 30], [90, 90], [70, 90], [70, 30]], atol=1e-9)
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    np.testing.assert_allclose(twelfth.corners_xy[0], [80 - 30 * c + 10 * s, 60 - 30 * s - 10 * c])
+    assert all(i.corners_xy is None and i.box_xyxy.tolist() == [50, 50, 110, 70] for i in upright)
+    (left_out,) = dataset.problems
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 1 rotation beside a segmentation")
+
+
+def test_a_class_of_crowds_alone_as_cvat_exports_masks_is_a_warning(tmp_path: Path) -> None:
+    """Categories 1 and 2 are cars and deer; a class with one object beside its crowds is as COCO means it."""
+    box, counts = {"bbox": [10, 10, 40, 20]}, {"counts": [1290, 20, 108, 20, 19042], "size": [128, 160]}
+    deer = box | {"category_id": 2, "iscrowd": 1, "segmentation": counts}
+    dataset = detection.read(cvats_coco(tmp_path, box, box | {"iscrowd": 1}, deer, deer))
+    (crowds,) = dataset.problems
+    assert (crowds.code, crowds.severity) == ("crowds-only", "warning") and "all 2 label(s) of 'deer'" in crowds.found
+
+
+def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
+    """Read a task of a picture of 64 x 48 px with these results."""
+    picture(root / "images" / "a.png", 1)
+    size = {"original_width": 64, "original_height": 48}
+    task = {"data": {"image": "/data/upload/1/a.png"}, "annotations": [{"result": [size | r for r in results]}]}
+    (root / "export.json").write_text(json.dumps([task]))
+    return detection.read(root)
+
+
+def test_ellipses_of_label_studio_are_read_and_other_results_counted_by_kind(tmp_path: Path) -> None:
+    place = {"x": 50, "y": 50, "radiusX": 25, "radiusY": 12.5, "ellipselabels": ["deer"]}
+    dataset = label_studio_objects(
+        tmp_path,
+        {"type": "ellipselabels", "value": place},
+        {"type": "ellipselabels", "value": place | {"rotation": 90}},
+        {"type": "ellipselabels", "value": place | {"radiusX": None}},
+        {"type": "ellipselabels", "value": place | {"radiusX": math.inf}},
+        {"type": "keypointlabels", "value": {"x": 1, "y": 1, "width": 1, "keypointlabels": ["nose"]}},
+        {"type": "choices", "value": {"choices": ["night"]}},
+        {"type": "choices", "value": {"choices": ["day"]}},
+    )
+    level, turned = dataset.images[0].instances
+    np.testing.assert_allclose(level.box_xyxy, [16, 18, 48, 30], atol=1e-9)
+    np.testing.assert_allclose(turned.box_xyxy, [26, 8, 38, 40], atol=1e-9)
+    assert level.mask is not None and abs(level.mask.area_px - math.pi * 16 * 6) < 12
+    assert codes(dataset) == ["annotation-malformed"] * 2
+    (left_out,) = (p for p in dataset.problems if p.severity == "warning")
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 choices, 1 keypointlabels")
+
+
+def test_labels_beside_a_shape_of_label_studio_are_its_label(tmp_path: Path) -> None:
+    """The controls `Rectangle` and `Labels`: two results with one id. Shapes without label are counted."""
+    box = {"x": 25, "y": 25, "width": 12.5, "height": 25, "rotation": 0}
+    corners = {"points": [[50, 50], [75, 50], [75, 75]]}
+    dataset = label_studio_objects(
+        tmp_path,
+        {"id": "q", "type": "rectangle", "value": box},
+        {"id": "q", "type": "labels", "value": box | {"labels": ["truck"]}},
+        {"id": "p", "type": "labels", "value": corners | {"labels": ["deer"]}},
+        {"id": "p", "type": "polygon", "value": corners},
+        {"id": "r", "type": "rectangle", "value": box},
+        {"id": "t", "type": "labels", "value": {"text": "word", "labels": ["name"]}},
+        {"type": "labels"},
+    )
+    truck, deer = dataset.images[0].instances
+    assert (truck.category, truck.box_xyxy.tolist()) == ("truck", [16, 12, 24, 24])
+    assert deer.category == "deer" and deer.mask is not None
+    (left_out,) = dataset.problems
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 labels, 1 rectangle")
 
 
 def annotate(root: Path, file: str, count: int) -> None:

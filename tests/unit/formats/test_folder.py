@@ -31,6 +31,54 @@ def picture(path: Path, size_wh: tuple[int, int] = (100, 80)) -> Path:
     return path
 
 
+def yolo_dataset(root: Path, more: str, *lines: str, train: str = "images") -> Path:
+    """Write a dataset of one picture of 100 x 80 px with these lines, and keys of data.yaml beside the usual ones."""
+    picture(root / "images" / "a.png")
+    (root / "labels").mkdir()
+    (root / "labels" / "a.txt").write_text("\n".join(lines))
+    (root / "data.yaml").write_text(f"train: {train}\nval: {train}\nnames: [deer]\n{more}\n")
+    return root
+
+
+@pytest.mark.parametrize("train", ["images", "elsewhere"])
+@pytest.mark.parametrize("shape", [(2, 3), (2, 2), (17, 3), (1, 3)])
+def test_of_yolo_pose_the_box_is_read_and_the_keypoints_counted(
+    tmp_path: Path, shape: tuple[int, int], train: str
+) -> None:
+    """Lines of nine numbers are no oriented boxes, those of other lengths no polygons; also in a plain folder."""
+    points = " 0.45" * (shape[0] * shape[1])
+    lines = (f"0 0.5 0.5 0.2 0.2{points}", "0 0.2 0.2 0.1 0.1", f"0 0.5 0.5 0.1 0.1{points} 0.5 0.5")
+    root = yolo_dataset(tmp_path, f"kpt_shape: [{shape[0]}, {shape[1]}]", *lines, train=train)
+    (root / "labels" / "lost.txt").write_text(lines[0])
+    d = detection.read(root)
+    assert d.format == ("yolo" if train == "images" else "folder")
+    deer, other = d.images[0].instances
+    np.testing.assert_allclose(deer.box_xyxy, [40, 32, 60, 48])
+    assert [(i.corners_xy, i.mask) for i in (deer, other)] == [(None, None)] * 2
+    assert codes(d) == ["label-malformed"]
+    (left_out,) = (p for p in d.problems if p.code == "kind-unread")
+    assert left_out.where == "labels/a.txt: line 1" and left_out.found.endswith(": 1 objects' keypoints")
+    assert "label-without-picture" in codes(d, "warning")
+
+
+@pytest.mark.parametrize("said", ["kpt_shape: 17", "kpt_shape: [17, x]", "kpt_shape: [0, 3]", "task: pose"])
+def test_yolo_pose_without_a_number_of_keypoints_is_refused(tmp_path: Path, said: str) -> None:
+    with pytest.raises(DatasetError) as caught:
+        detection.read(yolo_dataset(tmp_path, said, "0 0.5 0.5 0.2 0.2 0.4 0.4 2 0.5 0.5 2"))
+    assert "kpt_shape" in caught.value.problems[0].found
+
+
+@pytest.mark.parametrize(
+    "said, oriented",
+    [("", True), ("task: obb", True), ("task: segment", False), ("task: detect", False), ("task: [x]", True)],
+)
+def test_the_stated_task_tells_polygons_of_four_corners_from_oriented_boxes(
+    tmp_path: Path, said: str, oriented: bool
+) -> None:
+    (deer,) = detection.read(yolo_dataset(tmp_path, said, "0 0.2 0.2 0.4 0.2 0.4 0.4 0.2 0.4")).images[0].instances
+    assert (deer.corners_xy is not None, deer.mask is not None) == (oriented, not oriented)
+
+
 def test_a_bare_folder_is_train(tmp_path: Path) -> None:
     for name in ("b.png", "sub/a.jpg", ".hidden.png", "sub/.x/c.png", "notes.txt"):
         picture(tmp_path / name) if name.endswith(("png", "jpg")) else (tmp_path / name).write_text("1 2 3")

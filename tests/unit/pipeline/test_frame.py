@@ -83,6 +83,23 @@ def test_objects_behind_the_virtual_camera_are_counted(tmp_path):
     assert report.counts["objects_left_out"] == {"behind_camera": 1}
 
 
+def test_labels_of_crowds_are_counted_apart(tmp_path):
+    """COCO holds them and YOLO leaves them out, so the number of labels alone hides the difference."""
+    data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
+    rows = [
+        {"id": n, "image_id": 1, "category_id": category, "bbox": [40 * n, 400, 20, 20], "iscrowd": int(n > 1)}
+        for n, category in enumerate([1, 1, 1, 2], 1)
+    ]
+    top = {
+        "images": [{"id": 1, "file_name": f"{RECORDS[0]}.png", "width": 640, "height": 512}],
+        "annotations": rows,
+        "categories": [{"id": 1, "name": "deer"}, {"id": 2, "name": "DontCare"}],
+    }
+    (data / "train.json").write_text(json.dumps(top))
+    counts = generate(data, tmp_path / "run", settings=["output.formats=[coco, yolo]"]).counts
+    assert counts["labels"]["deer"] == 3 and counts["labels_of_crowds"] == {"deer": 2}
+
+
 def test_the_contrast_before_the_gate_includes_objects_that_were_never_rendered(tmp_path):
     """Objects that are expected to be faint are moved before the first render, and were missing from the quantiles."""
     data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})

@@ -207,12 +207,14 @@ def _write_format(name: str, plan: RunPlan, out: Path, images: Sequence[ImageRec
 
 def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[ImageRecord]) -> LabelSummary:
     """Return counts and placement statistics of the finished frames."""
+    ignored = {c.name for c in plan.categories if c.ignore}
     n: defaultdict[str, Counter[str]] = defaultdict(Counter)
     per_split: defaultdict[str, Counter[str]] = defaultdict(Counter)
     for image in images:
         n["pictures"][image.split] += 1
         per_split[image.split].update(i.category for i in image.instances)
         n["labels"].update(i.category for i in image.instances)
+        n["crowds"].update(i.category for i in image.instances if i.is_crowd and i.category not in ignored)
     removed: list[Mapping[str, Any]] = []
     total: Counter[str] = Counter()
     for r in records:
@@ -233,6 +235,7 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
     draws = draw_statistics(records)
     behind = by_name.get("behind", {})
     found_at_times = {
+        "labels_of_crowds": by_name.get("crowds"),
         "frames_in_doubt": by_name.get("doubts"),
         "pitch_from": by_name.get("pitches"),
         "in_front_of": behind if behind.keys() - {"ground"} else {},
