@@ -75,3 +75,20 @@ def test_a_part_alone_may_have_no_object_but_the_merged_run_may_not(dataset, tmp
     if layout == "shards":
         assert run(*command(dataset, tmp_path / "all", *settings, words=("--shard-size", 2))).exit_code == 1
         assert run(*command(dataset, tmp_path / "one", *settings)).exit_code == 1
+
+
+def test_a_printed_focal_length_on_36_mm_is_named_as_the_cause(dataset, tmp_path):
+    """13 mm of a camera with 640 pixels of 17 um see 45 degrees, not the 108 of a sensor 36 mm wide."""
+
+    def people(out, *settings, code):
+        fields = ["placement.attempts=20", "placement.size_px=[12, 200]", "placement.min_contrast=off"]
+        fields += ["placement.max_relief_grey=0", "placement.max_noise_grey=100", "objects.0.count=1", *settings]
+        words = [word for field in fields for word in ("--set", field)]
+        return said(
+            "generate", "hit-uav-person", "--data", dataset, "--out", tmp_path / out, "--to", "yolo", *words, code=code
+        )
+
+    text = people("wide", "camera.focal_length_mm=13", code=1).partition("warning(s)")[0]
+    assert "no_place" in text and "camera.model" in text and "camera.pixel_pitch_um" in text
+    assert " px, less than placement.size_px" in text
+    people("right", "camera.model=dji-xt2-25", code=0)

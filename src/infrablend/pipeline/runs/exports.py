@@ -304,6 +304,7 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
     first, last, pitches, sizes = array("d"), array("d"), array("d"), array("d")
     rejected, absent = Counter[str](), Counter[str]()
     wanted, attempts = 0, array("q")
+    too_small = array("d")
     for r in records:
         for i in r.inserted:
             sizes.append(max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1])))
@@ -317,6 +318,8 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
         pitches.append(math.degrees(r.scene.camera.pitch_rad))
         rejected.update(draws["rejected"])
         absent.update(draws["absent"])
+        if "too_small_px" in draws:
+            too_small.append(float(draws["too_small_px"]))
     if not attempts:
         return {}
     return {
@@ -329,6 +332,7 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
         "distance_m": {"first_draw": _spread(first), "kept": _spread(last)},
         "pitch_deg": _spread(pitches),
         "size_px": _spread(sizes),
+        **({"too_small_px": max(too_small)} if too_small else {}),
     }
 
 
