@@ -11,13 +11,15 @@
         for image, target in DataLoader(dataset, batch_size=None):
             ...
 
+`DataLoader(dataset, batch_size=8, collate_fn=collate)` gives batches.
+
 Needs torch, which `infrablend[train]` installs.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -168,3 +170,16 @@ def to_tensors(frame: Frame, categories: tuple[Category, ...]) -> tuple[Any, dic
         "inserted": torch.tensor([i.inserted for i in labels], dtype=torch.bool),
         "id": frame.id,
     }
+
+
+def collate(samples: Iterable[tuple[Any, Any]]) -> tuple[list[Any], list[Any]]:
+    """Return the pictures and the targets of a batch as two lists, which torchvision's detectors take.
+
+    For `DataLoader(dataset, batch_size=8, collate_fn=collate)`: torch's own function cannot stack targets with
+    different numbers of objects. Pictures are not stacked, for they may differ in size.
+    """
+    images, targets = [], []
+    for image, target in samples:
+        images.append(image)
+        targets.append(target)
+    return images, targets

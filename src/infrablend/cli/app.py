@@ -21,8 +21,8 @@ from infrablend.core.typed_command import set_typed_command, typed_command
 from infrablend.errors import OutputError
 
 _EPILOG = (
-    "Exit codes: 0 done; 1 done, but some backgrounds or frames were skipped or failed; 2 wrong command, recipe "
-    "or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
+    "Exit codes: 0 done; 1 done, but some backgrounds or frames were skipped or failed, or nothing was inserted; 2 "
+    "wrong command, recipe or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
 )
 
 _COMMANDS: dict[str, Callable[..., None]] = {

@@ -1,7 +1,7 @@
 """Exit codes, how errors are reported to the user, and what stops the program.
 
 0    done
-1    done, but some backgrounds or frames were skipped or failed; they are listed
+1    done, but some backgrounds or frames were skipped or failed, or no object was inserted; the reasons are listed
 2    the command, the recipe or the data are wrong; nothing was written
 3    the environment is at fault: a library, a device, the disk, the network, or Blender itself
 70   a bug in InfraBlend; the log file has the details

@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
+from infrablend.config.camera_models import LENS, prefer_stated_optics, with_optics
 from infrablend.config.modes import (
     drop_fields_of_other_modes,
     explain_unknown,
@@ -154,7 +155,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     dropped, kept = _change_modes(data, pairs)
     for key, value in pairs:
         _set(data, key, value, problems)
-    _prefer_stated_lens(data, pairs)
+    _complete_lens(data, pairs, problems)
     objects = data.get("objects")
     for item in objects if isinstance(objects, list) else ():
         model = item.get("model") if isinstance(item, dict) else None
@@ -176,16 +177,24 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     return LoadedRecipe(found, tuple(dropped), tuple(kept))
 
 
-def _prefer_stated_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> None:
-    """Let a lens that the settings state count more than the field of view of the pictures' own files.
+def _complete_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]], problems: list[Problem]) -> None:
+    """Fill in the lens that a camera's model or pixel pitch means; one that settings state replaces that of the file.
 
-    A `field_of_view` of the recipe's file does not prevent that, for recipes that the studio writes state every field;
-    one among the settings does.
+    It also counts more than the field of view of the pictures' own files. A `field_of_view` of the recipe's file does
+    not prevent that, for recipes that the studio writes state every field; one among the settings does.
     """
     camera, stated = data.get("camera"), stated_camera_fields(pairs)
-    lens = stated & {"focal_length_mm", "sensor_width_mm"} and "field_of_view" not in stated
-    if lens and isinstance(camera, dict) and modes_of(data).placement == "metric":
+    if not isinstance(camera, dict):
+        return
+    if (missing := prefer_stated_optics(camera, stated)) is not None:
+        found = "stated alone, beside a focal length for another sensor"
+        problems.append(Problem("camera.pixel_pitch_um", "recipe-value", found, missing))
+    if stated & LENS and "field_of_view" not in stated and modes_of(data).placement == "metric":
         camera["field_of_view"] = "recipe"
+    try:
+        data["camera"] = with_optics(camera)
+    except ValueError as error:
+        problems.append(Problem("camera", "recipe-value", str(error), "one statement of the lens"))
 
 
 def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tuple[list[Problem], list[Problem]]:

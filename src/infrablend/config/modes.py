@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
+from infrablend.config.camera_models import LENS
 from infrablend.config.recipe import (
     Camera,
     MetricArtisticRecipe,
@@ -186,7 +187,7 @@ def kept_camera_warnings(
     has, needs = _CAMERAS[old.placement], _CAMERAS[new.placement]
     expected = f"that of {needs}, for placement.mode {new.placement}"
     found = []
-    if not given & {"focal_length_mm", "sensor_width_mm"}:
+    if not given & LENS:
         lens = f"{camera['focal_length_mm']} mm on {camera['sensor_width_mm']} mm is the lens of {has}"
         todo = "Set camera.focal_length_mm and camera.sensor_width_mm"
         found.append(Problem("camera.focal_length_mm", KEPT, lens, expected, todo, "warning"))

@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from infrablend.config.agc import Agc
+from infrablend.config.camera_models import CameraModel
 from infrablend.config.sensor_profile import PROFILES, SensorProfile, find_profile
 from infrablend.core.capture import Capture
 from infrablend.core.format_table import WrittenName
@@ -153,10 +154,16 @@ class Camera(Strict):
     `{from_horizon: true, else_deg: [-30, -10]}`."""
     roll_deg: range_of(-180, 180) = (-10.0, 10.0)  # type: ignore[valid-type]
     """Rotation about the optical axis, degrees. Paper: phi_min, phi_max = -10, 10."""
+    model: CameraModel | None = None
+    """Camera whose focal length and sensor width the file or the settings of a recipe mean, as its maker states them.
+    Its pictures show all that the detector sees: not cropped, and without digital zoom."""
+    pixel_pitch_um: float | None = Field(None, gt=0, le=1_000)
+    """Distance between the detector's pixels, micrometres, as data sheets state it: times the width of `size_px` it
+    gives `sensor_width_mm`, for the focal length printed on a lens."""
     focal_length_mm: float = Field(50.0, gt=0, le=10_000)
     """Focal length, mm; together with `sensor_width_mm` it gives the horizontal field of view. For a printed focal
-    length set the real width of the sensor, too. The default, 50 mm on 36 mm, is Blender's; the paper states no field
-    of view."""
+    length set `pixel_pitch_um`, or the real width of the sensor, too. The default, 50 mm on 36 mm, is Blender's; the
+    paper states no field of view."""
     sensor_width_mm: float = Field(36.0, gt=0, le=1_000)
     """Width of the sensor, mm; the image's width covers it."""
     size_px: tuple[Annotated[int, Field(ge=16, le=16_384)], Annotated[int, Field(ge=16, le=16_384)]] = (

@@ -233,6 +233,7 @@ class _Search:
         """Return the rule that a pose breaks, or None; then the box of the object is taken."""
         world, group = item.in_world(pose), _kind(item).group
         reason, box = examine(self._camera, world, item, self._rules)
+        self._tally.note_size(reason, box)
         reason = reason or self._collision(box, MAX_OVERLAP if group is None or not beside else group.max_overlap)
         if reason is None and hiding is not None:
             # What hides an object is not even ground.

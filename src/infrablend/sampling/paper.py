@@ -68,6 +68,7 @@ class PaperPlacer(Placer):
                     pose = fresh if rules.on_miss == "redraw" else (fresh[0], fresh[1], pose[2], pose[3])
                 tally.attempts += 1
                 reason, box = examine(camera, item.in_world(pose), item, rules)
+                tally.note_size(reason, box)
                 if reason is None and is_covered(box, avoid):
                     reason = "on_ignored"
                 elif reason is None and on_margin(margin, box):

@@ -89,12 +89,20 @@ class DrawStatistics:
         first_distance_m: Camera distance of the first draw.
         rejected: Rejected draws by reason.
         absent: Objects without a place, by reason.
+        too_small_px: Longer side of the largest box that was too small; None if none was.
     """
 
     attempts: int = 0
     first_distance_m: float | None = None
     rejected: Counter[str] = field(default_factory=Counter)
     absent: Counter[str] = field(default_factory=Counter)
+    too_small_px: float | None = None
+
+    def note_size(self, reason: str | None, box_xyxy: FloatArray | None) -> None:
+        """Keep the size of a box that was too small, if no larger one was."""
+        if reason == "too_small" and box_xyxy is not None:
+            size = float(max(box_xyxy[2] - box_xyxy[0], box_xyxy[3] - box_xyxy[1]))
+            self.too_small_px = max(size, self.too_small_px or 0.0)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -103,6 +111,7 @@ class DrawStatistics:
             "first_distance_m": self.first_distance_m,
             "rejected": dict(sorted(self.rejected.items())),
             "absent": {reason: count for reason, count in sorted(self.absent.items()) if count},
+            **({} if self.too_small_px is None else {"too_small_px": round(self.too_small_px, 2)}),
         }
 
 

@@ -103,6 +103,7 @@ class RecipeSampler:
             render_seed=integer_seed(self._seed, frame.frame_id, "render"),
             draws={
                 "wanted": len(asked),
+                "wanted_by_kind": dict(sorted(Counter(str(recipe.objects.index(r.kind)) for r in asked).items())),
                 "empty_by_recipe": empty,
                 **tally.to_json(),
                 **({} if recipe.camera.horizon is None else {"pitch_from": pitch_from}),

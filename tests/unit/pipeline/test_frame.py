@@ -79,8 +79,8 @@ def test_objects_behind_the_virtual_camera_are_counted(tmp_path):
         "objects=[{model: person, x_m: 0, y_m: -30}, {model: person, x_m: 0, y_m: 0, z_m: -1}]",
     ]
     report = generate(data, tmp_path / "run", settings=settings)
-    assert report.ok
     assert report.counts["objects_left_out"] == {"behind_camera": 1}
+    assert report.counts["objects_by_kind"]["objects.1"] == {"asked": 1, "inserted": 1}
 
 
 def test_labels_of_crowds_are_counted_apart(tmp_path):

@@ -177,6 +177,30 @@ def test_a_torch_data_set_is_shuffled_resumed_and_new_in_every_epoch(data: Path)
         opened.close()
 
 
+def test_samples_become_lists_of_pictures_and_targets() -> None:
+    from infrablend.torch import collate
+
+    assert collate([("a", 1), ("b", 2)]) == (["a", "b"], [1, 2])
+    assert collate([]) == ([], [])
+    assert pickle.loads(pickle.dumps(collate)) is collate  # for a loader's workers
+
+
+def test_a_loader_gives_batches(data: Path) -> None:
+    torch_data = pytest.importorskip("torch.utils.data")
+    from infrablend.torch import InsertDataset, collate
+
+    dataset = InsertDataset(api.FramesRequest(RECIPE, data, execution=FLAT), shuffle=False)
+    alone = list(dataset)
+    for workers in (0, 2):
+        loader = torch_data.DataLoader(dataset, batch_size=3, num_workers=workers, collate_fn=collate)
+        batches = list(loader)
+        assert all(len(images) == len(targets) <= 3 for images, targets in batches)
+        together = {t["id"]: image for images, targets in batches for image, t in zip(images, targets, strict=True)}
+        assert sorted(together) == sorted(t["id"] for _, t in alone)
+        assert all((together[t["id"]] == image).all() for image, t in alone)
+    dataset.close()
+
+
 def test_the_workers_of_a_loader_share_the_frames(data: Path) -> None:
     torch_data = pytest.importorskip("torch.utils.data")
     from infrablend.torch import InsertDataset

@@ -94,13 +94,14 @@ def evaluate_detector(
     problems: list[Problem] = []
     with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
         source = DetectionSource(weights, device, problems)
-        case, numbers, groups, counts = _prepare(dataset, source, settings, problems)
+        split = settings.split or _default_split(dataset, problems)
+        case, numbers, groups, counts = _prepare(dataset, split, source, settings, problems)
         facts: dict[str, Any] = {
             "infrablend": __version__,
             "dataset": {
                 "name": dataset.root.name,
                 "format": dataset.format,
-                "split": settings.split,
+                "split": split,
                 "images": len(case.images),
                 "labels_sha256": fingerprint(case.images),
             },
@@ -152,14 +153,13 @@ def evaluate_detector(
 
 
 def _prepare(
-    dataset: Dataset, source: DetectionSource, settings: EvaluationSettings, problems: list[Problem]
+    dataset: Dataset, split: str, source: DetectionSource, settings: EvaluationSettings, problems: list[Problem]
 ) -> tuple[Case, Mapping[str, tuple[int, ...]], tuple[str, ...], dict[str, int]]:
     """Return the labels without detections, the detector's classes of each class, groups of images, and counts.
 
     Raises:
         ModelError, DatasetError: They cannot be evaluated; the message lists all problems.
     """
-    split = settings.split
     rejected = rejected_in(dataset, split)
     listed = [i for i in dataset.images if i.split == split]
     images = with_sizes(listed, image_key, problems)
@@ -190,6 +190,18 @@ def _prepare(
             [Problem(f"split {split}", "no-instances", "no object of the evaluated classes", "some", todo)],
         )
     return Case(images, labels, (), names, task), numbers, groups, counts
+
+
+def _default_split(dataset: Dataset, problems: list[Problem]) -> str:
+    """Return the split test, or the only one with images, with a warning, in a dataset that has no test split."""
+    there = [s for s in SPLITS if any(i.split == s for i in dataset.images)]
+    broken = set(rejected_in(dataset, "test")).difference(*(rejected_in(dataset, s) for s in there))
+    if len(there) != 1 or there == ["test"] or broken:  # what could not be read of a split is no reason for another one
+        return "test"
+    found = f"no split test: evaluated on {there[0]}, the only split"
+    todo = "name it with --split; figures on pictures that the detector was trained on, or chosen by, are too good"
+    problems.append(Problem(dataset.root.name, "split-only", found, "pictures of split test", todo, "warning"))
+    return there[0]
 
 
 def _empty_split(dataset: Dataset, split: str) -> Problem:

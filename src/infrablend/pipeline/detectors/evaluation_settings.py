@@ -19,7 +19,7 @@ class EvaluationSettings:
     """Settings of an evaluation.
 
     Attributes:
-        split: train, val or test.
+        split: train, val or test [default: test, or the only split with images].
         task: Geometry to compare [default: that of the detector].
         image_size: Longer side of the pictures that the network sees; 0: native size [default: as in training].
         classes: Classes to evaluate [default: all of the dataset].
@@ -35,7 +35,7 @@ class EvaluationSettings:
         DatasetError: Another value is not one of these.
     """
 
-    split: str = "test"
+    split: str | None = None
     task: Task | None = None
     image_size: int | None = None
     classes: Sequence[str] | None = None
@@ -48,7 +48,7 @@ class EvaluationSettings:
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)
-        if self.split not in SPLITS:
+        if self.split is not None and self.split not in SPLITS:
             raise DatasetError(f"split: found {self.split!r}, expected one of {', '.join(SPLITS)}")
         if self.group not in get_args(Group):
             raise DatasetError(f"group: found {self.group!r}, expected one of {', '.join(get_args(Group))}")

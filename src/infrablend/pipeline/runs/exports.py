@@ -29,6 +29,7 @@ from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.runs.card import run_card
+from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
 from infrablend.pipeline.runs.warnings import (
     absent_warnings,
     air_warnings,
@@ -97,6 +98,7 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     problems += frame_warnings(records)
     finished = summarize(plan, records, images)
     finished = replace(finished, counts={**finished.counts, **looseness.counted(loosened)})
+    problems += nothing_inserted(plan.recipe, finished.counts, finished.draws)
     problems += absent_warnings(finished.draws) + limit_warnings(records) + air_warnings(records)
     problems += hiding_warnings(finished.counts)
     if images:
@@ -220,7 +222,6 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
     for r in records:
         removed += [{"frame_id": r.frame_id, **item} for item in r.removed if item["reason"] == "covered"]
         n["removed"].update(item["reason"] for item in r.removed)
-        n["drops"].update(d["reason"] for d in r.facts.get("drops", ()))
         n["inserted"].update(i.category for i in r.inserted)
         n["doubts"].update(doubt_codes(r))
         n["behind"].update(r.facts.get("matching", {}).get("behind", ()))
@@ -241,7 +242,6 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         "in_front_of": behind if behind.keys() - {"ground"} else {},
         "partly_hidden": hiding_statistics(records),
         "contrast_grey": contrast_statistics(records),
-        "objects_left_out": draws.get("absent"),
     }
     counts = {
         "images": len(images),
@@ -251,7 +251,7 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         "labels_inserted": by_name.get("inserted", {}),
         "labels_removed": by_name.get("removed", {}),
         "labels_partly_covered": total["covered"],
-        "objects_without_label": by_name.get("drops", {}),
+        **count_objects(plan.recipe, records),
         "masks_of_one_pixel": total["fallbacks"],
         "frames_without_object": total["without"],
         "frames_without_object_because": empty_frames(records),
@@ -307,6 +307,7 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
     first, last, pitches, sizes = array("d"), array("d"), array("d"), array("d")
     rejected, absent = Counter[str](), Counter[str]()
     wanted, attempts = 0, array("q")
+    too_small = array("d")
     for r in records:
         for i in r.inserted:
             sizes.append(max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1])))
@@ -320,6 +321,8 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
         pitches.append(math.degrees(r.scene.camera.pitch_rad))
         rejected.update(draws["rejected"])
         absent.update(draws["absent"])
+        if "too_small_px" in draws:
+            too_small.append(float(draws["too_small_px"]))
     if not attempts:
         return {}
     return {
@@ -332,6 +335,7 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
         "distance_m": {"first_draw": _spread(first), "kept": _spread(last)},
         "pitch_deg": _spread(pitches),
         "size_px": _spread(sizes),
+        **({"too_small_px": max(too_small)} if too_small else {}),
     }
 
 

@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import get_args
 
@@ -23,13 +24,14 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.exports import LabelSummary
+from infrablend.pipeline.runs.inserted import nothing_inserted
 from infrablend.pipeline.runs.key import differences
 from infrablend.pipeline.runs.packed_shard import find_whole, pack, publish
 from infrablend.pipeline.runs.record import RunState, record_header, run_record
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.pipeline.runs.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.runs.shard_source import ShardSource
-from infrablend.pipeline.runs.sharded import Layout, ShardedRun, ShardState, SharedPlan
+from infrablend.pipeline.runs.sharded import Layout, ShardedRun, ShardState, SharedPlan, added_counts
 from infrablend.pipeline.runs.stored import opened_run
 
 
@@ -137,16 +139,18 @@ def _pack(
         if (failure := failures.get(frame.frame_id)) is not None:
             state.add(TaskResult(frame.frame_id, None, failure), frame)
     state.done = len(plan.frames) - len(failures)
-    counted = {one.shard: one.source.record()["counts"]["objects_inserted"] for one in places.values()}
-    state.inserted = sum(counted.values())
+    counted = {one.shard: one.source.record()["counts"] for one in places.values()}
+    objects = reduce(added_counts, ({k: n for k, n in c.items() if k.startswith("objects_")} for c in counted.values()))
+    state.inserted = objects.pop("objects_inserted")
+    labels = LabelSummary(objects, problems=tuple(nothing_inserted(plan.recipe, objects)))
     header = record_header(plan, execution) | ({} if shared.levels is None else {"levels": list(shared.levels)})
-    record = run_record(header, plan, state, LabelSummary(), {"seconds": round(time.monotonic() - started, 3)})
+    record = run_record(header, plan, state, labels, {"seconds": round(time.monotonic() - started, 3)})
     with workspace(files.folder / files.name, "shard", RUN_FILE, existing, keep=True) as space:
         packed = ShardFiles(space.folder, files.name)
         counts = pack(plan, frames, packed, record, failures)
         publish(packed, files)
         space.discard()
-    problems = tuple(state.problems(plan, LabelSummary()))
+    problems = tuple(state.problems(plan, labels))
     return RunReport(files.folder, counts, problems, time.monotonic() - started, files.marker)
 
 

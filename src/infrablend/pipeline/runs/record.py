@@ -20,6 +20,7 @@ from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.runs.exports import LabelSummary
+from infrablend.pipeline.runs.inserted import nothing_first
 from infrablend.storage.mirror import origin_of
 
 log = logging.getLogger(__name__)
@@ -117,8 +118,8 @@ class RunState:
         log.info("traceback of frame %s:\n%s", result.key, failure.traceback)
 
     def problems(self, plan: RunPlan, labels: LabelSummary) -> list[Problem]:
-        """Return the problems of the data, of frames and of labels."""
-        return [*plan.problems, *self.skipped.values(), *self.failures.values(), *labels.problems]
+        """Return the problems of the data, of frames and of labels; first that nothing was inserted."""
+        return nothing_first([*plan.problems, *self.skipped.values(), *self.failures.values(), *labels.problems])
 
     def counts(self, plan: RunPlan, labels: LabelSummary) -> dict[str, Any]:
         """Return the counts for the run record, with those of the label files."""

@@ -34,6 +34,7 @@ from infrablend.pipeline.runs.exports import (
     remove_exports,
     require_nothing_added,
 )
+from infrablend.pipeline.runs.inserted import NOTHING_INSERTED, count_objects, nothing_first
 from infrablend.pipeline.runs.key import differences
 from infrablend.pipeline.runs.record import RUN, RunState, record_header, recorded_versions, run_record
 
@@ -52,7 +53,7 @@ class RunReport:
     Attributes:
         out: Folder of the run.
         counts: Counts of frames, objects, labels and problems, as under `counts` in the run record.
-        problems: Skipped backgrounds, failed frames and warnings.
+        problems: That nothing was inserted, skipped backgrounds, failed frames and warnings.
         seconds: Wall-clock time of this call.
         record_file: Record with all problems; None for `run.json` in `out`.
     """
@@ -66,13 +67,14 @@ class RunReport:
     @classmethod
     def of_record(cls, record: Mapping[str, Any], out: Path, record_file: Path | None = None) -> RunReport:
         """Return the report of a run that is finished already, from its record."""
-        problems = tuple(Problem(**p) for p in record.get("problems", ()))
+        problems = tuple(nothing_first(Problem(**p) for p in record.get("problems", ())))
         return cls(out, record["counts"], problems, record_file=record_file)
 
     @property
     def ok(self) -> bool:
-        """True if no background was skipped and no frame failed."""
-        return not (self.counts.get("skipped_backgrounds") or self.counts.get("failed_frames"))
+        """True if no background was skipped, no frame failed, and something of each kind of object was inserted."""
+        nothing = any(p.code == NOTHING_INSERTED for p in self.problems)
+        return not (self.counts.get("skipped_backgrounds") or self.counts.get("failed_frames") or nothing)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
@@ -243,7 +245,10 @@ def _export(
         (folder.root / WORKERS_LOG).unlink(missing_ok=True)
     remove_exports(space, folder, ledger)
     frames = [f for f in plan.frames if f.frame_id not in state.unfinished]
-    labels = LabelSummary() if plan.shard is not None else export_run(plan, folder, ledger, frames)
+    if plan.shard is None:
+        labels = export_run(plan, folder, ledger, frames)
+    else:  # whether nothing was inserted is known with all shards
+        labels = LabelSummary(count_objects(plan.recipe, ledger.records(f.frame_id for f in frames)))
     problems = state.problems(plan, labels)
     timing = {
         "seconds": round(time.monotonic() - started, 3),

@@ -37,6 +37,7 @@ from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.plans.shard import MAX_SHARDS, Shard
+from infrablend.pipeline.runs.inserted import nothing_inserted
 from infrablend.pipeline.runs.key import differences
 from infrablend.pipeline.runs.packed_shard import damage_of, run_packed
 from infrablend.pipeline.runs.run import RunReport, run_plan
@@ -356,15 +357,18 @@ def run_shards(
 
         reports.append(make(plan, shard, out, execution, existing, None if on_progress is None else report))
         before += len(shard.part_of(plan.frames))
+    counts = reduce(added_counts, (r.counts for r in reports))
+    whole = len(shards) == shards[0].count  # a part alone may have no object of a kind
+    nothing = tuple(nothing_inserted(plan.recipe, counts)) if whole else ()
+    problems = nothing + tuple(p for r in reports for p in r.problems)
     if len(reports) == 1:
-        return reports[0]
-    problems = tuple(p for r in reports for p in r.problems)
-    counts = reduce(_added, (r.counts for r in reports))
+        return replace(reports[0], problems=problems)
     return RunReport(out, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
 
 
-def _added(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+def added_counts(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the sums of two sets of counts, nested ones as well."""
     found = dict(a)
     for name, value in b.items():
-        found[name] = _added(a.get(name, {}), value) if isinstance(value, Mapping) else a.get(name, 0) + value
+        found[name] = added_counts(a.get(name, {}), value) if isinstance(value, Mapping) else a.get(name, 0) + value
     return found

@@ -88,6 +88,13 @@ _LOOKS_DOWN = (
     "use a recipe for cameras that look down, or correct pitch and height"
 )
 
+_TOO_SMALL = (
+    "the largest of those that are too small would have {px:.3g} px, less than placement.size_px: check the lens. A "
+    "focal length printed on a lens needs camera.pixel_pitch_um beside it, or camera.model instead of it; alone it is "
+    "that of a sensor camera.sensor_width_mm (36) wide, and the view far too wide. Otherwise check the camera's height "
+    "and placement.size_px"
+)
+
 
 def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
     """Return a warning per reason why objects were not inserted, with its own remedy.
@@ -111,6 +118,8 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
         )
         if most and most[0][0] == "beyond_ground":
             todo = _LOOKS_DOWN
+        elif "too_small_px" in draws and any(reason == "too_small" for reason, _ in most):
+            todo = _TOO_SMALL.format(px=draws["too_small_px"])
         problems.append(Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning"))
     return problems
 
