@@ -27,6 +27,7 @@ from infrablend.core.dataset import (
     Instance,
     Split,
 )
+from infrablend.core.file_names import real_path
 from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
@@ -46,6 +47,7 @@ from infrablend.formats.base import (
     require_known,
     require_size,
     shorten,
+    split_folders,
     split_of_stem,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near
@@ -75,6 +77,7 @@ _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
 _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.compose.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
+_ROBOFLOW = "_annotations.coco.json"
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"
 # What the camera was told about the scene, beside the scale of a picture.
@@ -298,16 +301,24 @@ def is_coco(top: object) -> bool:
 
 
 def find_files(root: Path) -> dict[Path, Split]:
-    """Return the COCO files in a folder, or in its subfolder `annotations` or `coco`, with their splits.
+    """Return the COCO files in a folder, its subfolder `annotations` or `coco`, or folders of splits, with splits.
 
     The file's name determines the split (`test.json`, `instances_val2017.json`); files with other names are train.
     """
     for folder in (root, root / "annotations", root / "coco"):
-        found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
-        files = [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
-        if files:
-            return {p: split_of_stem(p.stem) for p in files}
-    return {}
+        if files := _files_in(folder):
+            return {p: _split_of(p) for p in files}
+    return {p: split for split, folder in split_folders(root) for p in _files_in(folder)}
+
+
+def _files_in(folder: Path) -> list[Path]:
+    found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
+    return [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
+
+
+def _split_of(file: Path) -> Split:
+    """Return the split that a file's name states; Roboflow gives all files one name, in folders named after splits."""
+    return split_of_stem(real_path(file.parent).name if file.name == _ROBOFLOW else file.stem)
 
 
 def _looks_like_coco(path: Path) -> bool:
@@ -315,14 +326,14 @@ def _looks_like_coco(path: Path) -> bool:
         return is_coco(read_json(path))
     except DatasetError:
         # A broken file named after a split will be reported when it is read; any other is no annotation file.
-        return path.stem in SPLITS or path.stem.startswith("instances_")
+        return path.stem in SPLITS or path.stem.startswith("instances_") or path.name == _ROBOFLOW
 
 
 def detect(root: Path) -> Match:
     """Decide whether `root` contains COCO files."""
     files = find_files(root)
     if not files:
-        reason = "no JSON with images, annotations and categories in the folder, annotations/ or coco/"
+        reason = "no JSON with images, annotations and categories in the folder, annotations/, coco/ or train/"
         return Match(NAME, False, reason)
     return Match(NAME, True, f"COCO: {', '.join(p.relative_to(root).as_posix() for p in files)}")
 
@@ -338,7 +349,7 @@ def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) 
     if root.name == "coco":
         bases.append(root.parent)
     last = stem.rpartition("_")[2]  # of person_keypoints_train2017
-    parts = (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last)
+    parts = (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last, "data")
     return PictureFolder.with_most([base / part for base in bases for part in parts], names)
 
 
@@ -355,7 +366,7 @@ def read(
     """Read COCO files and find their pictures.
 
     Args:
-        root: Folder that contains the JSON files, directly or in `annotations/` or `coco/`.
+        root: Folder that contains the JSON files, see `find_files`.
         splits: Splits to read; None reads all.
         metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
         file: The only JSON file to read; None reads all that are found.
@@ -364,7 +375,7 @@ def read(
         DatasetError: There is no COCO file, or no picture can be read.
     """
     wanted = check_splits(splits)
-    files = {file: split_of_stem(file.stem)} if file is not None else find_files(root)
+    files = {file: _split_of(file)} if file is not None else find_files(root)
     if not files:
         problem = Problem(str(root), "annotation-missing", "no COCO file", "a JSON with images and annotations")
         raise DatasetError(f"{root}: no COCO dataset", [problem])

@@ -500,6 +500,28 @@ def test_pictures_of_one_name_in_the_folders_of_two_coco_files_are_both_read(tmp
     assert sorted(i.size_wh or () for i in d.images) == [(100, 80), (101, 80)] and codes(d) == []
 
 
+@pytest.mark.parametrize(
+    "file, pictures", [("_annotations.coco.json", ""), ("labels.json", "data/"), ("annotations.json", "images/")]
+)
+def test_coco_with_a_file_in_the_folder_of_each_split(tmp_path: Path, file: str, pictures: str) -> None:
+    """The layout of Roboflow, and of FiftyOne's exports side by side: all names are the same."""
+    for n, split in enumerate(("train", "valid", "test")):
+        picture(tmp_path / split / pictures / "a.png", (64 + n, 48))
+        image = {"id": 0, "file_name": "a.png", "width": 64 + n, "height": 48}
+        label = {"id": 0, "image_id": 0, "category_id": 1, "bbox": [10 + n, 10, 20, 9]}
+        names = [{"id": i, "name": "drone"} for i in (0, 1)]  # Roboflow lists the project beside its class
+        top = {"images": [image], "annotations": [label], "categories": names}
+        (tmp_path / split / file).write_text(json.dumps(top))
+    dataset = detection.read(tmp_path)
+    found = [(i.split, i.path.relative_to(tmp_path).parts[0], i.instances[0].box_xyxy[0]) for i in dataset.images]
+    assert found == [("train", "train", 10), ("val", "valid", 11), ("test", "test", 12)]
+    assert not dataset.problems and dataset.format == "coco"
+    if file.startswith("_"):  # one of them alone
+        assert [i.split for i in detection.read(tmp_path / "valid").images] == ["val"]
+        (tmp_path / "test" / file).write_text("{")
+        assert codes(detection.read(tmp_path)) == ["annotation-not-json"]
+
+
 def test_sizes_that_a_coco_file_lacks_come_from_the_pictures(tmp_path: Path) -> None:
     """Without them, masks would be left out and boxes not be clipped."""
     ring = [[10, 20, 40, 20, 40, 60, 10, 60]]
