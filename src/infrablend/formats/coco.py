@@ -53,7 +53,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near
 from infrablend.formats.capture import Captures
 from infrablend.formats.losses import Written, occlusion_fields
-from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.pictures import PictureFolder
 from infrablend.formats.records import Findings, table_of, with_ids
 from infrablend.formats.temperatures import info_of_scale, scale_of_record
 from infrablend.formats.values import (
@@ -339,8 +339,7 @@ def detect(root: Path) -> Match:
 
 
 def _some_names(images: Iterable[Any]) -> list[str]:
-    listed = (str(i["file_name"]) for i in images if isinstance(i, dict) and "file_name" in i)
-    return list(islice((n for n in listed if check_name(n, "") is None), 50))
+    return list(islice((str(i["file_name"]) for i in images if isinstance(i, dict) and "file_name" in i), 50))
 
 
 def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) -> PictureFolder:
@@ -350,7 +349,7 @@ def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) 
         bases.append(root.parent)
     last = stem.rpartition("_")[2]  # of person_keypoints_train2017
     parts = (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last, "data")
-    return PictureFolder.with_most([base / part for base in bases for part in parts], names)
+    return PictureFolder.with_most([base / part for base in bases for part in parts], names, file.parent)
 
 
 # -- reading ---------------------------------------------------------------------------------------------------

@@ -463,6 +463,43 @@ def test_bad_coco_file_names(tmp_path: Path, name: str) -> None:
     assert codes(d) == ["image-missing" if name[0] == "b" else "name-climbs"] and len(d.images) == 1
 
 
+@pytest.mark.parametrize(
+    ("file", "pictures", "name"),
+    [
+        ("annotations.json", "JPEGImages/a.png", r"JPEGImages\a.png"),
+        ("annotations/train.json", "images/a.png", "../images/a.png"),
+        ("annotations/train.json", "images/sub/a.png", r"..\images\sub\a.png"),
+        ("labels.json", "data/a.png", "a.png"),
+        ("train.json", r"images/a\b.png", r"a\b.png"),
+    ],
+)
+def test_coco_paths_lead_from_the_annotation_file(tmp_path: Path, file: str, pictures: str, name: str) -> None:
+    write_coco(tmp_path, images=[{"id": 1, "file_name": name, "width": 100, "height": 80}])
+    (tmp_path / "images" / "a.png").unlink()
+    path = picture(tmp_path / pictures)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / "labels.json").rename(tmp_path / file)
+    dataset = detection.read(tmp_path)
+    assert [(i.path, len(i.instances)) for i in dataset.images] == [(path, 1)] and not dataset.problems
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../../a.png", r"..\..\a.png", "../../data-2/a.png", "../x/../../a.png", "../images/l.png", "../images/a.png\0"],
+)
+def test_coco_paths_lead_nowhere_else(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "data"
+    images = [{"id": n, "file_name": f, "width": 100, "height": 80} for n, f in enumerate(("../images/a.png", name), 1)]
+    write_coco(root, images=images)
+    (root / "annotations").mkdir()
+    (root / "labels.json").rename(root / "annotations" / "train.json")
+    outside = picture(tmp_path / "a.png")
+    picture(tmp_path / "data-2" / "a.png")
+    (root / "images" / "l.png").symlink_to(outside)
+    d = coco.read(root)
+    assert [i.name for i in d.images] == ["a.png"] and codes(d) == ["name-missing" if "\0" in name else "name-climbs"]
+
+
 def test_coco_polygons_become_masks(tmp_path: Path) -> None:
     d = coco.read(write_coco(tmp_path, annotations=annotation(segmentation=[[10, 20, 40, 20, 40, 60, 10, 60]])))
     mask = d.images[0].instances[1].mask
