@@ -310,7 +310,9 @@ def _split_blocks(report: api.SplitReport) -> list[str]:
         rows.append([name, *(f"{of[s]} ({100 * shares[s]:.1f} %)" for s in splits)])
     wanted = ["wanted", *(f"{100 * w:.1f} %" for w in report.wanted)]
     blocks = [f"{len(report.groups)} groups by {report.by}", grid(["", *splits], [wanted, *rows])]
-    after = {(one.split, one.other): one for one in report.after}
+    # What was grouped by the numbers can only be apart by the same numbers.
+    by_itself = report.by == "gap" and all(one.distance <= report.gap for one in report.after)
+    after = {} if by_itself else {(one.split, one.other): one for one in report.after}
     near = []
     for one in report.before:
         then = after.get((one.split, one.other))
@@ -321,10 +323,14 @@ def _split_blocks(report: api.SplitReport) -> list[str]:
                 _near(then.near, then.images) if then else "-",
             ]
         )
-    if not near:
+    if not near and not by_itself:
         near = [[f"{one.split} near {one.other}", "-", _near(one.near, one.images)] for one in report.after]
     if near:
         blocks.append(grid(["neighbours (at most 5 frames away)", "before", "after"], near))
+    if by_itself:
+        blocks.append(
+            "neighbours after: not counted, the groups come from the same numbers; look at some groups in split.json"
+        )
     if report.losses:
         blocks.append(table(facts({"losses": report.losses})))
     return [*blocks, f"{report.out}: {report.format}, {report.files} files"]

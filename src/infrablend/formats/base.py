@@ -16,16 +16,13 @@ from infrablend.core.spool import StoredImages
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.losses import Written
 
-_SPLIT_WORDS: Mapping[str, Split] = {
+SPLIT_FOLDERS: Mapping[str, Split] = {
     "train": "train", "training": "train", "trainset": "train",
     "val": "val", "valid": "val", "validation": "val", "valset": "val", "eval": "val", "evaluation": "val",
     "minival": "val", "valminusminival": "val",
     "test": "test", "testing": "test", "testset": "test", "testdev": "test",
 }  # fmt: skip
-SPLIT_FOLDERS: Mapping[str, Split] = {
-    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
-}  # fmt: skip
-"""Split by the name of a folder, in lower case."""
+"""Split by the name of a folder, or by a word of a file's name, in lower case."""
 
 
 @dataclass(frozen=True)
@@ -150,8 +147,14 @@ def stated_split(name: str) -> Split | None:
     Only whole words count: `latest` and `valley` state no split. Of several splits the first in `SPLITS` counts.
     """
     words = re.split(r"[\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name).casefold())
-    stated = {_SPLIT_WORDS[w] for w in words if w in _SPLIT_WORDS}
+    stated = {SPLIT_FOLDERS[w] for w in words if w in SPLIT_FOLDERS}
     return next((s for s in SPLITS if s in stated), None)
+
+
+def split_folders(base: Path) -> list[tuple[Split, Path]]:
+    """Return the subfolders that are named after a split, in any case; none of a folder that does not exist."""
+    folders = sorted(d for d in base.iterdir() if d.is_dir()) if base.is_dir() else []
+    return [(SPLIT_FOLDERS[d.name.lower()], d) for d in folders if d.name.lower() in SPLIT_FOLDERS]
 
 
 def shorten(problems: Sequence[Problem], each: int = 5) -> list[Problem]:

@@ -28,6 +28,7 @@ from infrablend.core.dataset import (
     Instance,
     Split,
 )
+from infrablend.core.file_names import real_path
 from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
@@ -47,12 +48,13 @@ from infrablend.formats.base import (
     require_known,
     require_size,
     shorten,
+    split_folders,
     split_of_stem,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near, turned_box
 from infrablend.formats.capture import Captures
 from infrablend.formats.losses import Written, occlusion_fields
-from infrablend.formats.pictures import PictureFolder, check_name
+from infrablend.formats.pictures import PictureFolder
 from infrablend.formats.records import Findings, table_of, with_ids
 from infrablend.formats.temperatures import info_of_scale, scale_of_record
 from infrablend.formats.values import (
@@ -76,6 +78,7 @@ _INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
 _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.compose.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
+_ROBOFLOW = "_annotations.coco.json"
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"
 # What the camera was told about the scene, beside the scale of a picture.
@@ -299,16 +302,24 @@ def is_coco(top: object) -> bool:
 
 
 def find_files(root: Path) -> dict[Path, Split]:
-    """Return the COCO files in a folder, or in its subfolder `annotations` or `coco`, with their splits.
+    """Return the COCO files in a folder, its subfolder `annotations` or `coco`, or folders of splits, with splits.
 
     The file's name determines the split (`test.json`, `instances_val2017.json`); files with other names are train.
     """
     for folder in (root, root / "annotations", root / "coco"):
-        found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
-        files = [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
-        if files:
-            return {p: split_of_stem(p.stem) for p in files}
-    return {}
+        if files := _files_in(folder):
+            return {p: _split_of(p) for p in files}
+    return {p: split for split, folder in split_folders(root) for p in _files_in(folder)}
+
+
+def _files_in(folder: Path) -> list[Path]:
+    found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
+    return [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
+
+
+def _split_of(file: Path) -> Split:
+    """Return the split that a file's name states; Roboflow gives all files one name, in folders named after splits."""
+    return split_of_stem(real_path(file.parent).name if file.name == _ROBOFLOW else file.stem)
 
 
 def _looks_like_coco(path: Path) -> bool:
@@ -319,21 +330,20 @@ def _looks_like_coco(path: Path) -> bool:
         return False
     except DatasetError:
         # A broken file named after a split will be reported when it is read; any other is no annotation file.
-        return path.stem in SPLITS or path.stem.startswith("instances_")
+        return path.stem in SPLITS or path.stem.startswith("instances_") or path.name == _ROBOFLOW
 
 
 def detect(root: Path) -> Match:
     """Decide whether `root` contains COCO files."""
     files = find_files(root)
     if not files:
-        reason = "no JSON with images, annotations and categories in the folder, annotations/ or coco/"
+        reason = "no JSON with images, annotations and categories in the folder, annotations/, coco/ or train/"
         return Match(NAME, False, reason)
     return Match(NAME, True, f"COCO: {', '.join(p.relative_to(root).as_posix() for p in files)}")
 
 
 def _some_names(images: Iterable[Any]) -> list[str]:
-    listed = (str(i["file_name"]) for i in images if isinstance(i, dict) and "file_name" in i)
-    return list(islice((n for n in listed if check_name(n, "") is None), 50))
+    return list(islice((str(i["file_name"]) for i in images if isinstance(i, dict) and "file_name" in i), 50))
 
 
 def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) -> PictureFolder:
@@ -342,8 +352,8 @@ def _picture_folder(root: Path, file: Path, split: Split, names: Sequence[str]) 
     if root.name == "coco":
         bases.append(root.parent)
     last = stem.rpartition("_")[2]  # of person_keypoints_train2017
-    parts = (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last)
-    return PictureFolder.with_most([base / part for base in bases for part in parts], names)
+    parts = (f"images/{split}", f"images/{stem}", split, stem, "images", ".", f"images/{last}", last, "data")
+    return PictureFolder.with_most([base / part for base in bases for part in parts], names, file.parent)
 
 
 # -- reading ---------------------------------------------------------------------------------------------------
@@ -359,7 +369,7 @@ def read(
     """Read COCO files and find their pictures.
 
     Args:
-        root: Folder that contains the JSON files, directly or in `annotations/` or `coco/`.
+        root: Folder that contains the JSON files, see `find_files`.
         splits: Splits to read; None reads all.
         metadata: Table of pitch and altitude; None uses `metadata.csv` or `.json` in the folder, if it exists.
         file: The only JSON file to read; None reads all that are found.
@@ -368,7 +378,7 @@ def read(
         DatasetError: There is no COCO file, or no picture can be read.
     """
     wanted = check_splits(splits)
-    files = {file: split_of_stem(file.stem)} if file is not None else find_files(root)
+    files = {file: _split_of(file)} if file is not None else find_files(root)
     if not files:
         problem = Problem(str(root), "annotation-missing", "no COCO file", "a JSON with images and annotations")
         raise DatasetError(f"{root}: no COCO dataset", [problem])

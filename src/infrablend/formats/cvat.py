@@ -27,6 +27,7 @@ from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import files_with
 from infrablend.formats.base import (
+    SPLIT_FOLDERS,
     Match,
     category_ids,
     check_splits,
@@ -202,14 +203,14 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         if top is None:
             continue
         names |= dict.fromkeys(t for label in top.iter("label") if (t := (label.findtext("name") or "").strip()))
-        elements: dict[Split, list[Any]] = {}
+        elements: dict[tuple[Split, str], list[Any]] = {}
         for element in top.iter("image"):
-            elements.setdefault(split_of_stem(element.get("subset") or path.stem), []).append(element)
-        for split in [s for s in wanted if s in elements]:
-            listed = [n for e in elements[split] if check_name(n := e.get("name"), "") is None and n]
-            places = [root / p for p in (f"images/{split}", "images", split, ".")]
-            folder = PictureFolder.with_most(places, listed)
-            for k, element in enumerate(elements[split]):
+            subset = (element.get("subset") or "").strip()
+            elements.setdefault((split_of_stem(subset or path.stem), subset), []).append(element)
+        for split, subset in sorted((k for k in elements if k[0] in wanted), key=lambda k: wanted.index(k[0])):
+            listed = [n for e in elements[split, subset] if check_name(n := e.get("name"), "") is None and n]
+            folder = PictureFolder.with_most(_places(root, split, subset), listed)
+            for k, element in enumerate(elements[split, subset]):
                 record = _read_image(found, element, f"{path.name}: image {element.get('id', k)}", split, folder)
                 if record is not None and records.setdefault(record.path, record) is not record:
                     twice[path.name].append(record)
@@ -222,6 +223,15 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     return found.dataset(
         NAME, records.values(), named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted
     )  # fmt: skip
+
+
+def _places(root: Path, split: Split, subset: str) -> Iterator[Path]:
+    """Yield where the pictures of a subset may be: CVAT names the folders as the subset was, such as `Validation`."""
+    for base in (root / "images", root):
+        for folder in sorted(d for d in base.glob("*") if d.is_dir()):
+            if folder.name.lower() == subset.lower() or SPLIT_FOLDERS.get(folder.name.lower()) == split:
+                yield folder
+        yield base
 
 
 def _read_image(found: Findings, element: Any, where: str, split: Split, folder: PictureFolder) -> ImageRecord | None:

@@ -59,6 +59,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     if not any(f.any_camera for f in FORMATS if f.name == dataset.format):
         return dataset
     dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
+    dataset = replace(dataset, problems=(*dataset.problems, *_unread_tiffs(dataset)))
     jpegs = [i for i in dataset.images if _is_jpeg(i)]
     step = max(1, len(jpegs) // _LOOKED_AT)
     sample = jpegs[::step][:_LOOKED_AT]
@@ -119,20 +120,34 @@ def _key(image: ImageRecord) -> str:
     return f"{image.split}/{image.id}"
 
 
-def _is_jpeg(image: ImageRecord) -> bool:
-    """Return whether a picture is a JPEG file and no link; opening a pipe would wait for ever."""
+def _is_jpeg(image: ImageRecord, suffixes: Sequence[str] = (".jpg", ".jpeg")) -> bool:
+    """Return whether a picture is a JPEG file by its suffix, and no link; opening a pipe would wait for ever."""
     path = image.path
-    return path.suffix.lower() in (".jpg", ".jpeg") and path.is_file() and not path.is_symlink()
+    return path.suffix.lower() in suffixes and path.is_file() and not path.is_symlink()
 
 
 def _names_a_drone_camera(image: ImageRecord) -> bool:
-    """Return whether the head of a file that cannot be read names a camera of DJI or FLIR."""
+    """Return whether the head or, as TIFF has its tags there, the end of a file names a camera of DJI or FLIR."""
     try:
         with open_regular(image.path) as stream:
-            head = stream.read(_HEAD_BYTES)
+            ends = stream.read(_HEAD_BYTES)
+            stream.seek(max(0, image.path.stat().st_size - _HEAD_BYTES))
+            ends += stream.read(_HEAD_BYTES)
     except OSError:
         return False
-    return any(name in head for name in (b"drone-dji", b"DJI", b"FLIR"))
+    return any(name in ends for name in (b"drone-dji", b"DJI", b"FLIR"))
+
+
+def _unread_tiffs(dataset: Dataset) -> list[Problem]:
+    """Return a warning if TIFF files of a camera may state the pitch or height that their records lack."""
+    lacking = [i for i in dataset.images if i.capture.pitch_deg is None or i.capture.altitude_m is None]
+    tiffs = [i for i in lacking if _is_jpeg(i, (".tif", ".tiff"))]
+    if was_extracted(dataset) or not any(map(_names_a_drone_camera, tiffs[:: max(1, len(tiffs) // _LOOKED_AT)])):
+        return []
+    found = f"{len(tiffs)} TIFF picture(s) of a DJI or FLIR camera, whose EXIF and XMP are not read: "
+    found += _some([i.name for i in tiffs])
+    todo = "give pitch_deg and altitude_m in metadata.csv; exiftool -csv lists what the files state"
+    return [_warning(dataset, "flight-tiff", found, "the camera's JPEG files, or a table", todo)]
 
 
 def _without_level_roll(image: ImageRecord) -> ImageRecord:

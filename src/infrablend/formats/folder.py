@@ -16,7 +16,7 @@ from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco
 from infrablend.formats.annotation_files import read_text
-from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits
+from infrablend.formats.base import Match, check_splits, split_folders
 from infrablend.formats.pictures import list_pictures
 from infrablend.formats.records import Findings
 from infrablend.formats.yolo import (
@@ -53,8 +53,7 @@ def _split_folders(found: Findings) -> list[tuple[Split, Path]]:
     """Return (split, folder) pairs: `train`, `val`, `test` (also in `images/`), else the whole folder as train."""
     root = found.root
     for base in (root, root / "images"):
-        folders = sorted(d for d in base.iterdir() if d.is_dir()) if base.is_dir() else []
-        named = [(SPLIT_FOLDERS[d.name.lower()], d) for d in folders if d.name.lower() in SPLIT_FOLDERS]
+        named = split_folders(base)
         inside = {p for _, d in named for p in list_pictures(d, _SKIP).values()}
         if inside:
             outside = [n for n, p in list_pictures(root, _SKIP).items() if p not in inside]

@@ -69,6 +69,19 @@ def check_name(name: object, where: str) -> Problem | None:
     return None
 
 
+def name_in(folder: Path, name: str, start: Path | None) -> str:
+    r"""Return a picture's name in an annotation as a path in `folder`, with `/` for the `\` of Windows.
+
+    A name that climbs (`../images/a.jpg`) begins in `start`, the folder of the annotation file. Unless it then leads
+    into `folder`, it stays as it is, and `check_name` refuses it.
+    """
+    plain = name.replace("\\", "/")
+    if not plain.startswith("../") or start is None or "\0" in name:
+        return plain if not leaves(name) else name
+    inside = os.path.relpath(os.path.normpath(start / plain), folder)
+    return name if leaves(inside) else inside
+
+
 def check_link(path: Path, folder: Path, where: str) -> Problem | None:
     """Return a problem if `path`, named by an annotation, is a link out of the picture folder."""
     if is_inside(path, folder):
@@ -84,11 +97,19 @@ def check_link(path: Path, folder: Path, where: str) -> Problem | None:
 
 @dataclass(frozen=True)
 class PictureFolder:
-    """One folder of pictures to which annotations refer, by name and by stem."""
+    """One folder of pictures to which annotations refer, by name and by stem.
+
+    Attributes:
+        folder: The folder.
+        by_name: Pictures by their path in the folder.
+        by_stem: These paths by path without suffix.
+        start: Folder of the annotation file, in which names with `..` begin.
+    """
 
     folder: Path
     by_name: dict[str, Path]
     by_stem: dict[str, str]
+    start: Path | None = None
 
     @classmethod
     def scan(cls, folder: Path) -> PictureFolder:
@@ -100,10 +121,14 @@ class PictureFolder:
         return cls(folder, by_name, by_stem)
 
     @classmethod
-    def with_most(cls, places: Iterable[Path], names: Sequence[str]) -> PictureFolder:
-        """List the place that has most of the first names."""
-        # `isfile` is false for a name that is too long, where `Path.is_file` raises.
-        return cls.scan(max(places, key=lambda place: sum(os.path.isfile(place / n) for n in names[:50])))  # noqa: PTH113
+    def with_most(cls, places: Iterable[Path], names: Sequence[str], start: Path | None = None) -> PictureFolder:
+        """List the place that has most of the first names, none of which may lead out of it; see `name_in`."""
+
+        def has(place: Path, name: str) -> bool:
+            # `isfile` is false for a name that is too long, where `Path.is_file` raises.
+            return any(os.path.isfile(place / n) for n in (name, name_in(place, name, start)) if not leaves(n))  # noqa: PTH113
+
+        return replace(cls.scan(max(places, key=lambda place: sum(has(place, n) for n in names[:50]))), start=start)
 
     def find(self, name: str, where: str) -> tuple[str, Path | None, Problem | None]:
         """Return the name with its extension, the file (None if missing), and a problem if it is a link leading out.
@@ -129,6 +154,8 @@ class PictureFolder:
             expected: Where the picture should be.
             todo: What to do if it is missing.
         """
+        if isinstance(name, str) and name not in self.by_name:
+            name = name_in(self.folder, name, self.start)
         fault = check_name(name, where)
         if fault is not None:
             return str(name), None, fault

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.errors import DatasetError
 from infrablend.formats import coco, cvat, detection, label_studio, writing
 from tests.samples import codes, picture, records
 
@@ -79,6 +80,31 @@ def test_cvats_own_export_is_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(turned.box_xyxy, [25, 5, 35, 25], atol=1e-9)
     assert mask.mask is not None and np.argwhere(mask.mask.to_array()).tolist() == [[30, 51], [30, 52]]
     assert mask.box_xyxy.tolist() == [51, 30, 53, 31] and polygon.box_xyxy.tolist() == [5, 40, 10, 45]
+
+
+@pytest.mark.parametrize(
+    "subsets", [("Train", "Validation", "Test"), ("TRAINING", "Val", "testing"), ("north", "Valid", "Test")]
+)
+def test_cvats_folders_are_named_as_the_subsets_were(tmp_path: Path, subsets: tuple[str, str, str]) -> None:
+    elements = ""
+    for n, subset in enumerate(subsets):
+        picture(tmp_path / "images" / subset / "flight" / "a.png", n)
+        elements += f'<image id="{n}" name="flight/a.png" subset="{subset}" width="64" height="48">'
+        elements += '<box label="Car" xtl="1" ytl="2" xbr="11" ybr="6"/></image>'
+    (tmp_path / "annotations.xml").write_text(f"<annotations><version>1.1</version>{elements}</annotations>")
+    dataset = detection.read(tmp_path)
+    found = [(i.split, i.path.relative_to(tmp_path).parts[1], len(i.instances)) for i in dataset.images]
+    assert found == [(s, subset, 1) for s, subset in zip(("train", "val", "test"), subsets, strict=True)]
+    assert not dataset.problems
+
+
+def test_a_subset_leads_nowhere_else(tmp_path: Path) -> None:
+    picture(tmp_path / "outside" / "a.png", 1)
+    (tmp_path / "data" / "images").mkdir(parents=True)
+    element = '<image id="0" name="a.png" subset="../../outside" width="64" height="48"/>'
+    (tmp_path / "data" / "annotations.xml").write_text(f"<annotations>{element}</annotations>")
+    with pytest.raises(DatasetError):
+        detection.read(tmp_path / "data")
 
 
 @pytest.mark.parametrize(

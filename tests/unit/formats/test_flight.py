@@ -8,13 +8,16 @@ import time
 from datetime import timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from infrablend import api
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats import flight as flight_data
 from infrablend.formats.rjpeg.writing import Maker
+from tests.command_line import run
 from tests.flights import START, flight, plain_jpeg, shot, with_exif_size, with_xmp
 from tests.samples import SAMPLES, picture
 
@@ -66,6 +69,23 @@ def test_a_card_of_damaged_files_is_reported(tmp_path: Path) -> None:
     for path in tmp_path.glob("*.JPG"):
         path.write_bytes(path.read_bytes().replace(b"<x:xmpmeta", b"<xmpmeta", 1))  # the segment's length is now wrong
     assert "its flight data are not read" in " ".join(str(p) for p in api.read_dataset(tmp_path).problems)
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_telemetry_in_tiff_is_said_to_be_unread(behind: bool, tmp_path: Path) -> None:
+    """Tags before or, as libtiff writes them, behind the pixels; with a table nothing is missing."""
+    xmp = b'<x:xmpmeta xmlns:FLIR="http://ns.flir.com/xmp/1.0/">37543/1000</x:xmpmeta>'
+    pixels = Image.fromarray(np.full((400, 600), 7000, np.uint16))
+    for name in ("a.tiff", "b.TIF"):
+        pixels.save(tmp_path / name, "TIFF", tiffinfo={} if behind else {700: xmp})
+        with (tmp_path / name).open("ab") as stream:
+            stream.write(xmp if behind else b"")
+    (problem,) = [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-tiff"]
+    assert problem.severity == "warning" and "2 TIFF picture(s)" in problem.found
+    ended = run("temperatures", tmp_path, "--out", tmp_path.parent / f"{tmp_path.name}_k")
+    assert ended.exit_code == 2 and "a TIFF file" in ended.stderr and "from the card" not in ended.stderr
+    (tmp_path / "metadata.csv").write_text("stem,pitch_deg,altitude_m\na,45,37\nb,45,37\n")
+    assert not [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-tiff"]
 
 
 def test_labelled_pictures_are_kept(tmp_path: Path) -> None:

@@ -511,6 +511,43 @@ def test_bad_coco_file_names(tmp_path: Path, name: str) -> None:
     assert codes(d) == ["image-missing" if name[0] == "b" else "name-climbs"] and len(d.images) == 1
 
 
+@pytest.mark.parametrize(
+    ("file", "pictures", "name"),
+    [
+        ("annotations.json", "JPEGImages/a.png", r"JPEGImages\a.png"),
+        ("annotations/train.json", "images/a.png", "../images/a.png"),
+        ("annotations/train.json", "images/sub/a.png", r"..\images\sub\a.png"),
+        ("labels.json", "data/a.png", "a.png"),
+        ("train.json", r"images/a\b.png", r"a\b.png"),
+    ],
+)
+def test_coco_paths_lead_from_the_annotation_file(tmp_path: Path, file: str, pictures: str, name: str) -> None:
+    write_coco(tmp_path, images=[{"id": 1, "file_name": name, "width": 100, "height": 80}])
+    (tmp_path / "images" / "a.png").unlink()
+    path = picture(tmp_path / pictures)
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / "labels.json").rename(tmp_path / file)
+    dataset = detection.read(tmp_path)
+    assert [(i.path, len(i.instances)) for i in dataset.images] == [(path, 1)] and not dataset.problems
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../../a.png", r"..\..\a.png", "../../data-2/a.png", "../x/../../a.png", "../images/l.png", "../images/a.png\0"],
+)
+def test_coco_paths_lead_nowhere_else(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "data"
+    images = [{"id": n, "file_name": f, "width": 100, "height": 80} for n, f in enumerate(("../images/a.png", name), 1)]
+    write_coco(root, images=images)
+    (root / "annotations").mkdir()
+    (root / "labels.json").rename(root / "annotations" / "train.json")
+    outside = picture(tmp_path / "a.png")
+    picture(tmp_path / "data-2" / "a.png")
+    (root / "images" / "l.png").symlink_to(outside)
+    d = coco.read(root)
+    assert [i.name for i in d.images] == ["a.png"] and codes(d) == ["name-missing" if "\0" in name else "name-climbs"]
+
+
 def test_coco_polygons_become_masks(tmp_path: Path) -> None:
     d = coco.read(write_coco(tmp_path, annotations=annotation(segmentation=[[10, 20, 40, 20, 40, 60, 10, 60]])))
     mask = d.images[0].instances[1].mask
@@ -546,6 +583,28 @@ def test_pictures_of_one_name_in_the_folders_of_two_coco_files_are_both_read(tmp
         write_json(tmp_path / f"{name}.json", top)
     d = coco.read(tmp_path)
     assert sorted(i.size_wh or () for i in d.images) == [(100, 80), (101, 80)] and codes(d) == []
+
+
+@pytest.mark.parametrize(
+    "file, pictures", [("_annotations.coco.json", ""), ("labels.json", "data/"), ("annotations.json", "images/")]
+)
+def test_coco_with_a_file_in_the_folder_of_each_split(tmp_path: Path, file: str, pictures: str) -> None:
+    """The layout of Roboflow, and of FiftyOne's exports side by side: all names are the same."""
+    for n, split in enumerate(("train", "valid", "test")):
+        picture(tmp_path / split / pictures / "a.png", (64 + n, 48))
+        image = {"id": 0, "file_name": "a.png", "width": 64 + n, "height": 48}
+        label = {"id": 0, "image_id": 0, "category_id": 1, "bbox": [10 + n, 10, 20, 9]}
+        names = [{"id": i, "name": "drone"} for i in (0, 1)]  # Roboflow lists the project beside its class
+        top = {"images": [image], "annotations": [label], "categories": names}
+        (tmp_path / split / file).write_text(json.dumps(top))
+    dataset = detection.read(tmp_path)
+    found = [(i.split, i.path.relative_to(tmp_path).parts[0], i.instances[0].box_xyxy[0]) for i in dataset.images]
+    assert found == [("train", "train", 10), ("val", "valid", 11), ("test", "test", 12)]
+    assert not dataset.problems and dataset.format == "coco"
+    if file.startswith("_"):  # one of them alone
+        assert [i.split for i in detection.read(tmp_path / "valid").images] == ["val"]
+        (tmp_path / "test" / file).write_text("{")
+        assert codes(detection.read(tmp_path)) == ["annotation-not-json"]
 
 
 def test_sizes_that_a_coco_file_lacks_come_from_the_pictures(tmp_path: Path) -> None:

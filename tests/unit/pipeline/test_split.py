@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -151,6 +153,41 @@ def test_impossible_requests_are_reported_before_writing(tmp_path: Path) -> None
     shutil.move(plain / "a.jpg", plain / "a1.jpg")
     with pytest.raises(DatasetError, match="own format"):
         api.split(plain, tmp_path / "out", api.SplitRule(by="gap"))
+
+
+def roboflow(root: Path, name: Callable[[int, int], str]) -> Path:
+    """Roboflow's YOLO layout: four runs of four frames, each in three versions."""
+    for run_, n, copy in itertools.product(range(4), range(4), range(3)):
+        stem = name(100 * run_ + n, copy)
+        picture(root / "train" / "images" / f"{stem}.jpg", n)
+        label = root / "train" / "labels" / f"{stem}.txt"
+        label.parent.mkdir(parents=True, exist_ok=True)
+        label.write_text("0 0.5 0.5 0.1 0.1\n")
+    (root / "data.yaml").write_text("train: train/images\nval: valid/images\nnc: 1\nnames: [car]\n")
+    return root
+
+
+def key_of(*values: int) -> str:
+    return hashlib.md5(repr(values).encode(), usedforsecurity=False).hexdigest()
+
+
+def test_versions_of_a_frame_stay_together(tmp_path: Path) -> None:
+    """The digits of Roboflow's hashes are no frame numbers, and a guess does not check itself."""
+    root = roboflow(tmp_path / "data", lambda n, copy: f"DJI_{n:04}_jpg.rf.{key_of(n, copy)}")
+    ended = done("split", root, tmp_path / "out", "--by", "gap", "--shares", "0.5,0.25,0.25")
+    assert "4 groups by gap" in ended.stdout and "not counted" in ended.stdout and "0 of" not in ended.stdout
+    of_run: dict[str, set[str]] = {}
+    for i in api.read_dataset(tmp_path / "out").images:
+        of_run.setdefault(i.path.name[:6], set()).add(i.split)
+    assert len(of_run) == 4 and all(len(splits) == 1 for splits in of_run.values())
+
+
+@pytest.mark.parametrize("form", ["{key}", "img-{key}", "{n}000"])
+def test_groups_of_one_picture_each_are_refused(tmp_path: Path, form: str) -> None:
+    root = roboflow(tmp_path / "data", lambda n, copy: form.format(key=key_of(n, copy), n=3 * n + copy))
+    ended = run("split", root, tmp_path / "out", "--by", "gap")
+    assert ended.exit_code == 2 and "cannot group by gap" in ended.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @given(st.integers(3, 40), st.integers(1, 5), st.integers(0, 3))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
+import itertools
 import json
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +18,7 @@ from infrablend.cli.app import build_app
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats.groups import frame_place, group_images, leakage
+from infrablend.formats.groups import frame_places, group_images, leakage
 from infrablend.report.inspection import _binned, write_charts
 from tests.samples import SAMPLES, with_facts
 
@@ -97,6 +100,10 @@ def test_bins_contain_the_stated_range() -> None:
     assert len(_binned([float(v) for v in range(1000)], " m")[1]) <= 12
 
 
+def frame_place(one: ImageRecord) -> tuple[str, int] | None:
+    return frame_places([one])[0]
+
+
 def test_frames_are_counted_within_their_own_numbering() -> None:
     assert frame_place(image("1_130_90_0_04077_c2.jpg")) == ("", 4077)
     assert frame_place(image("clip a/x 12.jpg")) == ("clip a/x *", 12)
@@ -110,6 +117,43 @@ def test_frames_are_counted_within_their_own_numbering() -> None:
     assert (one.split, one.other, one.images, one.near) == ("test", "train", 3, 1)
     assert leakage(near, 11)[0].near == 2
     assert leakage([image("a/1.jpg")]) == ()
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        "DJI_{n:04}_jpg.rf.{hash}.jpg",
+        "DJI_{n:04}_png.rf.{hash}.jpg",
+        "{short}-DJI_{n:04}.jpg",
+        "{uuid}_{n:04}.jpg",
+        "DJI_2024051412{n:04}_{n:04}_T.JPG",
+        "clip{clip}_{n:04}_640x512.png",
+        "clip{clip}_{n:04}_640.png",
+        "clip{clip}_{n:04}_v2_8.png",
+        "{clip}/{n}.png",
+    ],
+)
+@pytest.mark.parametrize("copy", ["", "_v2", "_320x256", "_crop3", "_aug_7", " (1)", "_v2 (1)"])
+def test_the_digits_that_count_are_frame_numbers(form: str, copy: str) -> None:
+    """Two clips with three runs of four frames, and copies of every second frame: copies stay with their frame."""
+    images = []
+    for clip, n in itertools.product((1, 2), (1, 2, 3, 4, 51, 52, 53, 54, 91, 92, 93, 94)):
+        for suffix in ("", copy) if n % 2 and copy else ("",):
+            number = n if "{clip}" in form else n + 1000 * (clip - 1)
+            key = hashlib.sha256(f"{clip} {n} {suffix}".encode()).hexdigest()
+            ids = {"hash": key[:32], "short": key[:8], "uuid": uuid.UUID(key[:32]), "clip": clip, "n": number}
+            marks = [m for m in ("_jpg.rf", "_png.rf", ".") if m in form]
+            stem, dot, ending = form.format(**ids).partition(marks[0])
+            images.append(image(f"{stem}{suffix}{dot}{ending}"))
+    groups = group_images(images, "gap").values()
+    assert len(groups) == 6 and len({len(g) for g in groups}) == 1
+
+
+def test_words_of_hexadecimal_letters_are_no_hashes() -> None:
+    for name in ("face0012.jpg", "bead_0012.jpg", "decade00000012.jpg", "20240514_0012.jpg"):
+        place = frame_place(image(name))
+        assert place is not None and place[1] == 12, name
+    assert frame_place(image("3fa9c2bd77e01b.jpg")) is None
 
 
 def test_groups_are_runs_days_or_flights() -> None:

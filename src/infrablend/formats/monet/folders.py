@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Split
@@ -13,7 +13,6 @@ from infrablend.formats.base import SPLIT_FOLDERS
 from infrablend.formats.monet.detection import SEQUENCE, SKIPPED_FOLDERS
 from infrablend.formats.pictures import PictureFolder, list_pictures
 
-_SPLITS: Mapping[str, Split] = {**SPLIT_FOLDERS, "testing": "test"}
 _NUMBERED = re.compile(r"[A-Za-z]+_\d+")
 _SAMPLE = 50
 
@@ -94,15 +93,15 @@ def split_in(parts: Sequence[str]) -> Split | None:
     """Return the split after which a folder is named, such as `val` or `monet_val`."""
     for part in parts:
         name = part.lower().removeprefix("monet").lstrip("_-")
-        if name in _SPLITS:
-            return _SPLITS[name]
+        if name in SPLIT_FOLDERS:
+            return SPLIT_FOLDERS[name]
     return None
 
 
 def split_in_stem(stem: str) -> Split | None:
     """Return the first split among the words of a file's stem, such as `instances_val2017`."""
     words = [w.rstrip("0123456789") for w in re.split(r"[^a-z0-9]+", stem.lower())]
-    return next((_SPLITS[w] for w in words if w in _SPLITS), None)
+    return next((SPLIT_FOLDERS[w] for w in words if w in SPLIT_FOLDERS), None)
 
 
 def sequence_of(path: str, stem: str, root_name: str) -> str | None:

@@ -21,7 +21,7 @@ from infrablend.formats.values import is_place, to_number
 FIELDS = ("pitch_deg", "roll_deg", "yaw_deg", "altitude_m", "hfov_deg", "captured", "latitude_deg", "longitude_deg")
 """Facts in the order of tables. Pitch is the angle below the horizon, the height is that above the ground."""
 
-DJI, FLIR, PIX4D = "http://www.dji.com/drone-dji/1.0/", "http://ns.flir.com/xmp/1.0/", "http://pix4d.com/camera/1.0"
+DJI, FLIR, PIX4D = "http://www.dji.com/drone-dji/1.0/", "http://ns.flir.com/xmp/1.0/", "http://pix4d.com/camera/1.0/"
 UTC_AT_EXPOSURE, UTC_TAG = (DJI, "UTCAtExposure"), "XMP drone-dji:UTCAtExposure"
 EXIF_TIME = "EXIF DateTimeOriginal"
 _QUARTER, _MOST_OFF = timedelta(minutes=15), timedelta(minutes=1)

@@ -105,7 +105,11 @@ def read_header(path: Path) -> JpegHeader:
 
 
 def _walk(path: Path, file: BinaryIO, size: int) -> JpegHeader:
-    if file.read(2) != bytes((0xFF, _SOI)):
+    signature = file.read(2)
+    if signature in (b"II", b"MM"):
+        todo = "use the camera's JPEG files, or state the unit of the values with --read unit=..."
+        raise bad_file(path, "jpeg-missing", "a TIFF file, whose temperatures and telemetry are not read", todo=todo)
+    if signature != bytes((0xFF, _SOI)):
         raise bad_file(path, "jpeg-missing", "it does not start like a JPEG file")
     segments: list[Segment] = []
     size_wh: tuple[int, int] | None = None

@@ -127,7 +127,7 @@ def _xmp(maker: Maker, shot: Shot, elements: bool) -> bytes:
         }
         values = {f"drone-dji:{k}": v for k, v in named.items() if v is not None}
     else:
-        spaces = {"FLIR": FLIR, "Camera": PIX4D}
+        spaces = {"FLIR": FLIR, "Camera": PIX4D.rstrip("/")}  # as FLIR writes it
         relative = None if shot.altitude_m is None else f"{shot.altitude_m:.3f}"
         roll, yaw = f"{shot.roll_deg:.3f}", f"{shot.yaw_deg:.3f}"
         named = {"FLIR:MAVRelativeAltitude": relative, "Camera:Pitch": gimbal, "Camera:Roll": roll, "Camera:Yaw": yaw}

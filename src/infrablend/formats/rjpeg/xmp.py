@@ -6,6 +6,7 @@ entity bombs nor external entities. It is the parser that the VOC reader uses al
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, ParseError
@@ -21,13 +22,16 @@ EXTENDED = b"http://ns.adobe.com/xmp/extension/\0"
 # Cameras write a few KiB; extended XMP can hold whole pictures, which are of no use here.
 MAX_BYTES = 1024 * 1024
 MAX_ELEMENTS = 20_000
+# What XML refuses, but readers of metadata pass over: a declaration behind the packet's header, and a bare `&`.
+_DECLARATION = re.compile(rb"<\?xml\s[^>]*\?>")
+_BARE = re.compile(rb"&(?!(?:amp|lt|gt|quot|apos|#\d{1,7}|#x[0-9A-Fa-f]{1,6});)")
 _RDF = "http://www.w3.org/1999/02/22-rdf-syntax-ns#"
 _NOTE = "http://ns.adobe.com/xmp/note/"
 _DESCRIPTION = f"{{{_RDF}}}Description"
 _GUID_BYTES = 32
 
 Name = tuple[str, str]
-"""Namespace and local name of a property."""
+"""Namespace, always with the final slash that some programs leave out, and local name of a property."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,10 @@ def _add(values: dict[Name, str], data: bytes, where: str, problems: list[Proble
     # Some cameras pad the packet with zeros, and FLIR leaves one byte behind it.
     text = data.strip(b"\0 \t\r\n")
     try:
-        root = fromstring(text, forbid_dtd=True)
+        try:
+            root = fromstring(text, forbid_dtd=True)
+        except ParseError:
+            root = fromstring(_BARE.sub(b"&amp;", _DECLARATION.sub(b"", text)), forbid_dtd=True)
     except DefusedXmlException:
         found = "XMP with a document type or entities, which are refused"
         problems.append(_warning(where, "xmp-forbidden", found))
@@ -121,7 +128,7 @@ def _add(values: dict[Name, str], data: bytes, where: str, problems: list[Proble
 def _put(values: dict[Name, str], key: str, value: str | None) -> None:
     if value is not None and key.startswith("{") and not key.startswith(f"{{{_RDF}}}"):
         namespace, _, name = key[1:].partition("}")
-        values.setdefault((namespace, name), value.strip())
+        values.setdefault((namespace.rstrip("/") + "/", name), value.strip())
 
 
 def _text(element: Element) -> str | None:

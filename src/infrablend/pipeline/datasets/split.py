@@ -21,7 +21,7 @@ from infrablend.core.workspace import SPLIT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
-from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage
+from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage, states_frame
 from infrablend.formats.pictures import assign_ids, with_sizes
 from infrablend.pipeline.datasets.origin import loosened_before, origin_of
 from infrablend.pipeline.datasets.requests import SplitRule
@@ -131,6 +131,11 @@ def split_dataset(
         problem = Problem(str(dataset.root), "format-unwritable", found, "a format to write", "give --to, or --list")
         raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
     groups = group_images(dataset.images, by, gap)
+    if by == "gap" and len(groups) == len(dataset.images) > 1 and not all(map(states_frame, dataset.images)):
+        found = f"no two of {len(groups)} images have frame numbers at most {gap} apart, such as {next(iter(groups))}"
+        todo = "use a larger --gap if these count frames, else --by sequence or --by date"
+        problem = Problem("--by gap", "group-single", found, "numbers that count frames", todo)
+        raise DatasetError("cannot group by gap: every group is one picture", [problem])
     names = [c.name for c in dataset.categories if not c.ignore]
     counts = np.array([_weights(group, names) for group in groups.values()], np.float64)
     chosen = assign_groups(counts, wanted, seed)

@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from infrablend import __version__
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_text
 from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, ModelError, Problem
@@ -31,7 +31,7 @@ from infrablend.evaluation.truth import (
     image_key,
     truths,
 )
-from infrablend.formats.base import shorten
+from infrablend.formats.base import SPLIT_FOLDERS, shorten
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.groups import GROUPINGS, background_stem, group_images
 from infrablend.formats.pictures import with_sizes
@@ -45,10 +45,6 @@ log = logging.getLogger(__name__)
 PAGE, PLOTS = "evaluation.html", "plots"
 _SHOWN = 5
 _LEAST_AP = 0.001
-_SPLIT_WORDS: Mapping[str, Split] = {
-    "train": "train", "training": "train", "val": "val", "valid": "val", "validation": "val", "test": "test",
-    "testing": "test",
-}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,9 +239,9 @@ def rejected_in(dataset: Dataset, split: str) -> list[Problem]:
 
     def splits(p: Problem) -> set[str]:
         path = PurePosixPath(p.where.partition(": ")[0])
-        folders: set[str] = {_SPLIT_WORDS[f.lower()] for f in path.parts[:-1] if f.lower() in _SPLIT_WORDS}
+        folders: set[str] = {SPLIT_FOLDERS[f.lower()] for f in path.parts[:-1] if f.lower() in SPLIT_FOLDERS}
         words = re.split(r"[^a-z]+", path.stem.lower()) if path.suffix == ".json" else []
-        return folders or of_stem.get(path.stem) or {_SPLIT_WORDS[w] for w in words if w in _SPLIT_WORDS} or {split}
+        return folders or of_stem.get(path.stem) or {SPLIT_FOLDERS[w] for w in words if w in SPLIT_FOLDERS} or {split}
 
     return [p for p in dataset.problems if p.severity == "error" and split in splits(p)]
 

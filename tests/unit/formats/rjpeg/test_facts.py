@@ -122,6 +122,22 @@ def test_hostile_xmp_is_refused_and_the_rest_is_read(text: bytes, code: str, tmp
     assert [p.code for p in facts.problems] == [code] and facts.value("pitch_deg") == 60.0
 
 
+@pytest.mark.parametrize("slash", ["", "/"])
+@pytest.mark.parametrize("before", ["", '<?xml version="1.0" encoding="UTF-8"?>'])
+@pytest.mark.parametrize("prefix", ["Camera", "p4"])
+@pytest.mark.parametrize("note", ["", "<n:Note>Night &amp; Day</n:Note>", "<n:Note>Night & Day &x</n:Note>"])
+def test_xmp_as_other_programs_write_it(slash: str, before: str, prefix: str, note: str, tmp_path: Path) -> None:
+    """A final slash of the namespace, another prefix, a declaration behind the packet's header, a bare `&`."""
+    jpeg = plain_jpeg(tmp_path / "a.jpg", exif={0x010F: "FLIR"})
+    angles = "".join(f"<{prefix}:{k}>{v}/100</{prefix}:{k}>" for k, v in {"Pitch": -4500, "Roll": 200}.items())
+    text = (
+        f'<?xpacket begin="" id="W5M0MpCehiHzreSzNTczkc9d"?>{before}{HEAD.decode()}<rdf:Description xmlns:n="urn:n" '
+        f'xmlns:{prefix}="http://pix4d.com/camera/1.0{slash}">{note}{angles}</rdf:Description>{TAIL.decode()}'
+    )
+    facts = read_facts(with_xmp(jpeg, text.encode()))
+    assert (facts.value("pitch_deg"), facts.value("roll_deg")) == (45.0, 2.0) and not facts.problems
+
+
 def test_more_xmp_than_any_camera_writes_is_not_parsed(tmp_path: Path) -> None:
     path = plain_jpeg(tmp_path / "a.jpg")
     data = path.read_bytes()
