@@ -11,6 +11,7 @@ from tests.command_line import run
 from tests.samples import SAMPLES
 
 from infrablend import api
+from infrablend.errors import UnknownFormatError
 
 
 def via(name: str) -> str:
@@ -85,3 +86,19 @@ def test_many_files_of_one_kind_are_one_problem(tmp_path: Path) -> None:
         (root / "more" / f"{k:02}.csv").write_text(UNKNOWN["_annotations.csv"](name))
     (problem,) = [p for p in api.check(root, decode=False).errors if p.code == "label-unread"]
     assert problem.where == "more/00.csv" and problem.found.startswith("20 files")
+
+
+@pytest.mark.parametrize("sample", [s for s in FORMATS if s.partition(":")[0] != "folder"])
+def test_a_folder_of_two_datasets_is_said_to_be_one_or_read_as_a_whole(tmp_path: Path, sample: str) -> None:
+    (tmp_path / "all").mkdir()
+    parts = [SAMPLES[sample](tmp_path / "all" / name) for name in ("first", "second")]
+    objects = sum(api.check(p, decode=False).objects for p in parts)
+    try:
+        report = api.check(tmp_path / "all", decode=False)
+    except UnknownFormatError:
+        return
+    inside = [p for p in report.errors if p.code == "dataset-inside"]
+    if inside:
+        assert "first" in inside[0].found and "second" in inside[0].found
+    else:
+        assert report.objects >= objects or report.errors

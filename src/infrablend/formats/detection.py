@@ -24,7 +24,7 @@ from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
-from infrablend.formats.unread import hidden_pictures, unread_label_files
+from infrablend.formats.unread import hidden_pictures, label_candidates, unread_label_files
 
 DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
@@ -185,7 +185,7 @@ def _unread(dataset: Dataset, read: Collection[Path]) -> Sequence[Problem]:
     unread = unread_label_files(dataset, read)
     if dataset.format != folder.NAME:
         return unread
-    folders = sorted({p.where.partition("/")[0] for p in unread if "/" in p.where})
+    folders = sorted({name.partition("/")[0] for name in label_candidates(dataset.root) if "/" in name})
     known = {name: detect(dataset.root / name).format for name in folders}
     inside = {name: format for name, format in known.items() if format not in (None, folder.NAME)}
     if not inside:

@@ -50,7 +50,7 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
     problems, alike = [], defaultdict[tuple[str, str, str], list[str]](list)
-    for name in _candidates(dataset.root):
+    for name in label_candidates(dataset.root):
         path = dataset.root / name
         if name in reported or PurePosixPath(name).name in reported or path in used or path in read:
             continue
@@ -90,7 +90,7 @@ def hidden_pictures(root: Path) -> list[Problem]:
     return [Problem(root.name, "picture-hidden", found, expected, todo, "warning")]
 
 
-def _candidates(root: Path) -> Iterator[str]:
+def label_candidates(root: Path) -> Iterator[str]:
     """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
     for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
