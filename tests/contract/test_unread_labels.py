@@ -29,7 +29,7 @@ UNKNOWN: dict[str, Callable[[str], str]] = {
     "_annotations.csv": lambda name: f"filename,class,xmin,ymin,xmax,ymax\n{name},car,1,2,5,5\n",
     "labels.tsv": lambda name: f"images\\\\{name}\tcar\t1\t2\t5\t5\n",
     "boxes.xml": lambda name: f"<dataset><image file='{name}'><box top='1' left='2'/></image></dataset>",
-    "retinanet.txt": lambda name: f"/home/me/data/{name},1,2,5,5,car\n",
+    "retinanet.txt": lambda name: f"/mnt/data/{name},1,2,5,5,car\n",
     "gt/gt.txt": lambda name: "1,1,794.27,247.59,71.245,174.88,-1,-1,-1,-1\n",
 }
 HARMLESS: dict[str, Callable[[str], str]] = {

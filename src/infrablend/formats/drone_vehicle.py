@@ -96,7 +96,7 @@ def read(
             if modality in (kind, "both"):
                 records += _read_split(found, split, folder, kind, border == "crop", unlabelled, unknown)
             else:
-                leave_out((folder / f"{split}{_KINDS[kind][1]}").glob("*.xml"))
+                leave_out(sorted((folder / f"{split}{_KINDS[kind][1]}").glob("*.xml")))
     if unknown:
         text = "names that are no class, left out: " + ", ".join(f"{n!r} {k}" for n, k in sorted(unknown.items()))
         found.warn(root.name, "category-unknown", text, f"one of {', '.join(c.name for c in CATEGORIES)}")

@@ -13,6 +13,7 @@ from infrablend.core.file_names import fold_name
 from infrablend.core.files import open_regular
 from infrablend.core.json_records import is_list
 from infrablend.core.run_folder import RUN_FILE
+from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco, folder, yolo
 from infrablend.formats.annotation_files import read_json, read_xml
@@ -21,6 +22,8 @@ from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_pictur
 _SUFFIXES = {".xml", ".json", ".jsonl", ".txt", ".csv", ".tsv", ".label"}
 _PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
+# What InfraBlend writes of the datasets that it made.
+_RECORDS = {WORLD_FILE, CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE, "SOURCE.json"}
 # Texts for people, which may name pictures as examples.
 _FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|changelog)", re.IGNORECASE)
 _PICTURE_NAME = re.compile(r"[^\\/\"'<>|,;:\t=]+?\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
@@ -59,7 +62,7 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
         elif path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
             found = f"labels with the suffix {path.suffix}, which are not read"
             problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
-        elif ours or _FOR_PEOPLE.match(path.name):
+        elif ours or name in _RECORDS or _FOR_PEOPLE.match(path.name):
             continue
         elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or _tells_of(path, names):
             alike[path.parent.as_posix(), path.suffix, "labels in no known layout, which are not read"].append(name)

@@ -51,7 +51,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None =
                 f"{root}: form {form} is missing",
                 [Problem(str(root), "no-form", found, expected, "leave out --form")],
             )
-        leave_out(path for other in forms.keys() - {form} for path in forms[other].rglob("*"))
+        leave_out(path for other in forms if other != form for path in sorted(forms[other].rglob("*")))
         forms = {form: forms[form]}
 
     data = [
