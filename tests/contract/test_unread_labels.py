@@ -102,3 +102,13 @@ def test_a_folder_of_two_datasets_is_said_to_be_one_or_read_as_a_whole(tmp_path:
         assert "first" in inside[0].found and "second" in inside[0].found
     else:
         assert report.objects >= objects or report.errors
+
+
+def test_a_long_line_is_searched_in_time_in_proportion_to_its_length(tmp_path: Path) -> None:
+    """Searched from each of its characters, this line would take an hour."""
+    root = SAMPLES["coco"](tmp_path / "data")
+    name = api.read_dataset(root).images[0].path.name
+    (root / "notes.txt").write_text("a" * 900_000)
+    assert unread(root) == []
+    (root / "notes.txt").write_text("a" * 900_000 + f" {name} 1 2 5 5 car")
+    assert unread(root) == ["notes.txt"]

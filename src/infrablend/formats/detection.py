@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -185,7 +186,9 @@ def _unread(dataset: Dataset, read: Collection[Path]) -> Sequence[Problem]:
     unread = unread_label_files(dataset, read)
     if dataset.format != folder.NAME:
         return unread
-    folders = sorted({name.partition("/")[0] for name in label_candidates(dataset.root) if "/" in name})
+    # Datasets inside have label files and pictures in their folders; `images` and `labels` have one of both.
+    labelled = {name.partition("/")[0] for name in label_candidates(dataset.root) if "/" in name}
+    folders = sorted(labelled & _top_folders(dataset) | {p.where.partition("/")[0] for p in unread if "/" in p.where})
     known = {name: detect(dataset.root / name).format for name in folders}
     inside = {name: format for name, format in known.items() if format not in (None, folder.NAME)}
     if not inside:
@@ -195,6 +198,12 @@ def _unread(dataset: Dataset, read: Collection[Path]) -> Sequence[Problem]:
     todo = f"give one of them, such as {dataset.root / next(iter(inside))}"
     others = [p for p in unread if p.where.partition("/")[0] not in inside]
     return [Problem(dataset.root.name, DATASET_INSIDE, found, "the folder of one dataset", todo), *others]
+
+
+def _top_folders(dataset: Dataset) -> set[str]:
+    """Return the folders right below the dataset's that have pictures, at any depth."""
+    below = (os.fspath(i.path).removeprefix(f"{dataset.root}{os.sep}").partition(os.sep) for i in dataset.images)
+    return {top for top, inside, _ in below if inside}
 
 
 def _with_regular_pictures(dataset: Dataset) -> Dataset:

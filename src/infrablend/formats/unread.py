@@ -26,7 +26,11 @@ _EXPECTED = "a label file that can be read"
 _RECORDS = {WORLD_FILE, CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE, "SOURCE.json"}
 # Texts for people, which may name pictures as examples.
 _FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|changelog)", re.IGNORECASE)
-_PICTURE_NAME = re.compile(r"[^\\/\"'<>|,;:\t=]+?\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
+# The end of a picture's name, and what separates names. Names are looked for backwards from their ends: forwards, a
+# line of a megabyte without a separator would be searched from each of its characters.
+_PICTURE_END = re.compile(r"\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
+_SEPARATOR = re.compile(r"[\\/\"'<>|,;:\t=]")
+_LONGEST_NAME = 255
 # Boxes of MOTChallenge's tables: frame, track, left, top, width, height.
 _NUMBERS = re.compile(r"(-?\d+(\.\d+)?[,; \t]+){5,}-?\d+(\.\d+)?")
 _HEAD_BYTES = 1_000_000
@@ -140,12 +144,16 @@ def _tells_of(path: Path, pictures: Collection[str]) -> bool:
         if path.stem.lower() in ("gt", "det") and any(_NUMBERS.match(line.strip()) for line in lines):
             return True
         for line in lines:
-            # A name may contain blanks, or follow one.
-            words = [n.split(" ") for n in _PICTURE_NAME.findall(line)]
-            names = [" ".join(w[k:]) for w in words for k in range(len(w))]
-            named = next((n for n in names if fold_name(n) in pictures), None)
+            named = next((n for n in _picture_names(line) if fold_name(n) in pictures), None)
             # A list of pictures has a path on each line, and nothing else.
             alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line.strip())[-1] == named
             if named is not None and not alone:
                 return True
     return False
+
+
+def _picture_names(line: str) -> Iterator[str]:
+    """Yield what may be names of pictures in a line; a name may contain blanks, or follow one."""
+    for end in (m.end() for m in _PICTURE_END.finditer(line)):
+        words = _SEPARATOR.split(line[max(0, end - _LONGEST_NAME) : end])[-1].split(" ")
+        yield from (" ".join(words[k:]) for k in range(len(words)))
