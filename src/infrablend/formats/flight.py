@@ -28,6 +28,7 @@ from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
 from infrablend.formats.values import is_place, to_time
 from infrablend.thermal.sky import sun_position, time_of
 
+_JPEG, _TIFF = (".jpg", ".jpeg"), (".tif", ".tiff")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
 _HEAD_BYTES = 65536
@@ -60,7 +61,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
         return dataset
     dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
     dataset = replace(dataset, problems=(*dataset.problems, *_unread_tiffs(dataset)))
-    jpegs = [i for i in dataset.images if _is_jpeg(i)]
+    jpegs = [i for i in dataset.images if _is_file(i)]
     step = max(1, len(jpegs) // _LOOKED_AT)
     sample = jpegs[::step][:_LOOKED_AT]
     looked_at = {i.id: f for i in sample if isinstance(f := _read(i), CameraFacts)}
@@ -120,8 +121,8 @@ def _key(image: ImageRecord) -> str:
     return f"{image.split}/{image.id}"
 
 
-def _is_jpeg(image: ImageRecord, suffixes: Sequence[str] = (".jpg", ".jpeg")) -> bool:
-    """Return whether a picture is a JPEG file by its suffix, and no link; opening a pipe would wait for ever."""
+def _is_file(image: ImageRecord, suffixes: Sequence[str] = _JPEG) -> bool:
+    """Return whether a picture is a file with one of these suffixes, and no link; a pipe would wait for ever."""
     path = image.path
     return path.suffix.lower() in suffixes and path.is_file() and not path.is_symlink()
 
@@ -141,7 +142,7 @@ def _names_a_drone_camera(image: ImageRecord) -> bool:
 def _unread_tiffs(dataset: Dataset) -> list[Problem]:
     """Return a warning if TIFF files of a camera may state the pitch or height that their records lack."""
     lacking = [i for i in dataset.images if i.capture.pitch_deg is None or i.capture.altitude_m is None]
-    tiffs = [i for i in lacking if _is_jpeg(i, (".tif", ".tiff"))]
+    tiffs = [i for i in lacking if _is_file(i, _TIFF)]
     if was_extracted(dataset) or not any(map(_names_a_drone_camera, tiffs[:: max(1, len(tiffs) // _LOOKED_AT)])):
         return []
     found = f"{len(tiffs)} TIFF picture(s) of a DJI or FLIR camera, whose EXIF and XMP are not read: "
@@ -152,7 +153,7 @@ def _unread_tiffs(dataset: Dataset) -> list[Problem]:
 
 def _without_level_roll(image: ImageRecord) -> ImageRecord:
     """Return the record without a roll of 0, which only matters where a header states another."""
-    if image.capture.roll_deg != 0 or _is_jpeg(image):
+    if image.capture.roll_deg != 0 or _is_file(image):
         return image
     return replace(image, capture=replace(image.capture, roll_deg=None))
 
