@@ -1043,6 +1043,7 @@ class FrameByHand(Strict):
 
 # ---- Recipe
 
+MAX_CONFIGURATIONS = 1000
 LookName = Literal["artistic", "physical", "radiometric"]
 """How temperatures become grey levels; it follows from `appearance.mode` and `matching.mode`."""
 
@@ -1056,7 +1057,7 @@ class _Sections(Strict):
     """Name of the recipe."""
     description: str = ""
     """One sentence on its purpose."""
-    configurations: int = Field(1, ge=1, le=1000)
+    configurations: int = Field(1, ge=1, le=MAX_CONFIGURATIONS)
     """Scenes per background. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
     empty_share: float = Field(0.0, ge=0, le=1)
     """Share of frames without any insert."""

@@ -77,6 +77,12 @@ def make_plan(
     if not usable:
         of_splits = f" of split {', '.join(splits)}" if splits else ""
         raise DatasetError(f"{dataset.root}: no usable background in {len(images)} image(s){of_splits}", problems)
+    if selection.pictures is not None:
+        chosen = selection.share_out(usable, recipe.output.originals, seed)
+        drawn = {image for image, _ in chosen}
+        usable = [image for image in usable if id(image) in drawn]
+        recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
+        names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
     problems += data_warnings(recipe, usable, dataset.root) + unknown_by_hand(recipe, renamed.images)
     require_ids(recipe, usable)
 
@@ -89,7 +95,7 @@ def make_plan(
     ]
     used = replace(renamed, images=tuple(usable))
     categories = _with_new(renamed.categories, classes)
-    key = _key(recipe, seed, used, None if chosen is None else frames)
+    key = _key(recipe, seed, used) | _selected(selection, frames)
     return RunPlan(
         recipe=recipe,
         seed=seed,
@@ -114,16 +120,21 @@ def _with_new(known: Sequence[Category], classes: Iterable[str]) -> tuple[Catego
     return tuple(categories)
 
 
-def _key(recipe: Recipe, seed: int, used: Dataset, chosen: Sequence[PlannedFrame] | None) -> dict[str, Any]:
-    """Return what must match for a run to be resumed; `chosen` has the frames if they were named one by one."""
+def _selected(selection: FrameSelection, frames: Sequence[PlannedFrame]) -> dict[str, Any]:
+    """Return the choice of frames that recipe, seed and backgrounds do not determine, for the key of a run."""
+    if selection.frames is not None:
+        return {"frames": sorted(frame.frame_id for frame in frames)}
+    return {} if selection.pictures is None else {"pictures": selection.pictures}
+
+
+def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
+    """Return what must match for a run to be resumed, with any choice of frames."""
     key: dict[str, Any] = {
         "version": __version__,
         "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY})),
         "seed": seed,
         "backgrounds": fingerprint(used),
     }
-    if chosen is not None:
-        key["frames"] = sorted(frame.frame_id for frame in chosen)
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return key
