@@ -18,7 +18,7 @@ from infrablend.cli.options import (
     BackgroundsOption,
     Fields,
     JsonSession,
-    ReadingOptions,
+    ReadingWithVal,
     RecipeArgument,
     SeedOption,
     SettingsOption,
@@ -90,7 +90,7 @@ def generate(
             autocompletion=complete_written_formats,
         ),
     ] = None,
-    reading: ReadingOptions,
+    reading: ReadingWithVal,
     settings: SettingsOption = None,
     plan: Annotated[
         bool, typer.Option("--plan", help="Show what the run would produce without writing anything.")

@@ -21,6 +21,7 @@ from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import folder, temperatures
 from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
+from infrablend.formats.divide import with_val
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
@@ -69,12 +70,15 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     Raises:
         UnknownFormatError: No format fits; `problems` gives the reason for each of them.
         DatasetError: The folder cannot be read, or its format does not have one of the options. Or it is a run that
-            has no labels in the wanted format.
+            has no labels in the wanted format. Or no val split can be made.
     """
     reader = _Reader.of(root, reading)
+    splits = reading.splits if reading.val_share is None else None
     with noting_files_read() as files:
-        dataset = reader.module.read(reader.root, splits=reading.splits, **reader.options)
+        dataset = reader.module.read(reader.root, splits=splits, **reader.options)
     dataset = reader.completed(dataset)
+    if reading.val_share is not None:
+        dataset = with_val(dataset, reading.val_share, reading.splits)
     return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files)))
 
 

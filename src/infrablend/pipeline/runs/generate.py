@@ -126,6 +126,11 @@ def prepare_run(request: RunRequest) -> RunPlan:
         selection=request.selection,
         recipe_warnings=loaded.warnings,
     )
+    if request.reading.val_share is not None and "val" not in {f.background.split for f in plan.frames}:
+        raise ArgumentError(
+            f"val_share: none of the {len(plan.frames)} chosen pictures is in val. Choose more of them, or spread them "
+            "over the data with --sample or --pictures instead of --limit; and let --split, if given, contain val"
+        )
     return replace(plan, request=_recorded(request, loaded.warnings))
 
 
