@@ -189,6 +189,11 @@ class Camera(Strict):
         return self.pitch if isinstance(self.pitch, HorizonPitch) and self.pitch.from_horizon else None
 
     @property
+    def stated_height_m(self) -> tuple[float, float] | None:
+        """Range of the height that is stated for all pictures; None if each has its own, or none is needed."""
+        return None
+
+    @property
     def needs_height(self) -> bool:
         """Whether each picture has to state the height of its camera."""
         return False
@@ -266,6 +271,11 @@ class MetricCamera(Camera):
     in the table)."""
     stated_heights: StatedHeights = StatedHeights()
     """With `calibrate`: how heights in names and tables of the dataset differ from true ones."""
+
+    @property
+    def stated_height_m(self) -> tuple[float, float] | None:
+        """Range of the height that is stated for all pictures; None if each has its own."""
+        return None if self.altitude == "metadata" else (self.altitude.at(0), self.altitude.at(1))
 
     @property
     def needs_height(self) -> bool:

@@ -27,12 +27,16 @@ LENS_REPLACED = "lens-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""
 PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a pitch of the recipe that replaces others in the files."""
+HEIGHT_REPLACED = "height-replaced"
+"""Code of the warning about a height of the recipe that replaces others in the files."""
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
 # Clear of the horizon, where day and night are a matter of opinion.
 _SUN_IS_UP_RAD = math.radians(6)
 # A stated pitch that differs by more from the files' is reported.
 _PITCH_TOLERANCE_DEG = 15.0
+# A stated height that differs by a larger share from the files' is reported.
+_HEIGHT_TOLERANCE = 0.25
 
 
 def require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
@@ -103,7 +107,8 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
         what = "no labels in any image, so objects in the backgrounds stay unlabelled"
         todo = "check --data, or set labels.mode to new if the data has no labels"
         found.append(Problem(root.name, "no-labels", what, "labels to merge with", todo, "warning"))
-    return [*found, *_other_lens(recipe, images), *_other_pitch(recipe, images), *_sun_unused(recipe, images)]
+    found += [*_other_lens(recipe, images), *_other_pitch(recipe, images), *_other_height(recipe, images)]
+    return [*found, *_sun_unused(recipe, images)]
 
 
 def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
@@ -143,6 +148,22 @@ def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]
     )
     todo = "set camera.pitch to metadata, unless another view of the objects is wanted or the files are wrong"
     return [Problem("camera.pitch", PITCH_REPLACED, found, "the pitch of each picture", todo, "warning")]
+
+
+def _other_height(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    stated = recipe.camera.stated_height_m
+    if stated is None:
+        return []
+    low, high = stated[0] * (1 - _HEIGHT_TOLERANCE), stated[1] * (1 + _HEIGHT_TOLERANCE)
+    known = [i.capture.altitude_m for i in images]
+    other = [height for height in known if height is not None and not low <= height <= high]
+    if not other:
+        return []
+    span = f"{stated[0]:g}" if stated[0] == stated[1] else f"{stated[0]:g} to {stated[1]:g}"
+    found = f"{span} m for all pictures, but the files of {len(other)} picture(s) state "
+    found += f"{min(other):.0f} to {max(other):.0f} m"
+    todo = "set camera.altitude to metadata, unless another size of the objects is wanted or the files are wrong"
+    return [Problem("camera.altitude", HEIGHT_REPLACED, found, "the height of each picture", todo, "warning")]
 
 
 def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
