@@ -948,6 +948,9 @@ class Labels(Strict):
     rename: dict[str, ClassName] = Field(default_factory=dict)
     """New names of original categories, e.g. `{Car: vehicle, OtherVehicle: vehicle}`. Several categories may share a
     name, also with a new object."""
+    similar_names: Literal["refuse", "keep"] = "refuse"
+    """Classes of inserted objects that differ from a class of the dataset (after `rename`) in case or number alone,
+    such as `person` beside `Person` or `people`: `refuse` them, or `keep` them as classes of their own."""
     keep_categories: tuple[str, ...] | None = None
     """Original categories whose labels are kept, by the name after `rename`; all by default."""
     obb: Literal["min_area", "heading"] = "min_area"

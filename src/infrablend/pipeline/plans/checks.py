@@ -10,6 +10,7 @@ from pathlib import Path
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Recipe
+from infrablend.core.class_names import differ_in_form
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
@@ -191,6 +192,33 @@ def require_classes(recipe: Recipe, field: str, names: Collection[str], dataset:
         found, expected = f"found {', '.join(unknown)}", f"categories of the dataset ({known})"
         problem = Problem(field, "recipe-value", found, expected)
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
+
+
+def require_distinct_classes(recipe: Recipe, inserted: Sequence[str], dataset: Dataset) -> None:
+    """Check that no class of inserted objects is one of the dataset in another spelling: it would be a second class.
+
+    Args:
+        recipe: Recipe that may allow it.
+        inserted: Class of each entry of the recipe's `objects`.
+        dataset: Dataset with its classes renamed as the recipe asks.
+
+    Raises:
+        RecipeError: The name of a class differs in case or number alone from one of the dataset.
+    """
+    known = [c.name for c in dataset.categories]
+    if recipe.labels.similar_names == "keep":
+        return
+    problems = []
+    for n, name in enumerate(inserted):
+        similar = next((k for k in known if differ_in_form(name, k)), None)
+        if similar is not None and name not in known:
+            joined, renamed = f"objects.{n}.category={similar}", f"labels.rename={{{similar}: {name}}}"
+            found = f"the class {name!r} beside {similar!r} of the dataset: two classes for one kind of object"
+            todo = f"set {joined} to insert into the dataset's class, or {renamed} to rename that; or set "
+            todo += "labels.similar_names=keep for two classes"
+            problems.append(Problem(f"objects.{n}.category", "class-similar", found, "one name for each kind", todo))
+    if problems:
+        raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", problems)
 
 
 def unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:

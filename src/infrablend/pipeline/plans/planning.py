@@ -23,6 +23,7 @@ from infrablend.pipeline.plans.checks import (
     data_warnings,
     dataset_remarks,
     require_classes,
+    require_distinct_classes,
     require_ids,
     require_loosened,
     require_options,
@@ -63,6 +64,7 @@ def make_plan(
     require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
     renamed = rename_classes(dataset, recipe.labels.rename)
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
+    require_distinct_classes(recipe, classes, renamed)
 
     names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
     images, chosen = selection.backgrounds(renamed.images, seed), None
