@@ -355,6 +355,10 @@ class Count(Numbers):
         return of_flight(self.by_flight, picture) or self
 
 
+ALL_PARTS = "*"
+"""Name for all parts of a model that are not named."""
+
+
 class PartOverride(Strict):
     """Thermal properties of one part of a model, instead of the model's own."""
 
@@ -430,8 +434,16 @@ class ObjectKind(Strict):
     """Factor on the model's size; log-uniform."""
     options: dict[str, Any] = Field(default_factory=dict)
     """Options of the model, e.g. `pose: grazing`; `infrablend models describe NAME` lists them."""
+    delta_t_k: range_of(-100, 1000) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Added to the temperatures of all parts of the object, also to those of `parts`, kelvin; one draw per object.
+    Ground beside the object that it warms or shades stays as it is."""
     parts: dict[str, PartOverride] = Field(default_factory=dict)
-    """Other temperatures or emissivities for named parts."""
+    """Other temperatures or emissivities for named parts, and by the name `*` for all parts of the object that are not
+    named: `{"*": {delta_t_k: [5, 15]}, motor: {delta_t_k: 40}}`."""
+
+    def part_override(self, name: str, *, ground: bool) -> PartOverride | None:
+        """Return what is stated for a part; `ground` says whether it is ground beside the object, which `*` is not."""
+        return self.parts.get(name) or (None if ground else self.parts.get(ALL_PARTS))
 
     def draw_count(self, rng: np.random.Generator, picture: Capture) -> int:
         """Draw the number of objects in a picture; a fixed number takes nothing from `rng`."""
