@@ -422,7 +422,7 @@ class ObjectKind(Strict):
 
     model: str = Field(min_length=1)
     """Name in `infrablend models list`, or the path of your own model's YAML. A path in a recipe file is relative to
-    that file; a path set on the command line for a shipped recipe is relative to the current folder."""
+    that file; one that is set on the command line or in Python is relative to the current folder."""
     category: ClassName | None = None
     """Class of its labels; the model's own by default. With the name of a class that the dataset already
     has, the objects join this class; any other name is a new class."""
@@ -855,9 +855,9 @@ class _Imitation(Strict):
     """Whether the range of grey levels of the whole dataset has to be known."""
 
     profile: Annotated[Literal["hit-uav", "monet", "generic-640x512"] | SensorProfile, BeforeValidator(_known_profile)]
-    """The camera: the name of a shipped profile, the path of a profile's .json or .yaml (relative to the recipe;
-    `infrablend profile` writes such files), or its fields. `monet` is provisional. Labels describe the object before
-    the sensor."""
+    """The camera: the name of a shipped profile, the path of a profile's .json or .yaml (relative to the recipe, or to
+    the current folder where it is set on the command line; `infrablend profile` writes such files), or its fields.
+    `monet` is provisional. Labels describe the object before the sensor."""
     optics: float = Field(1.0, ge=0, le=2)
     """Factor on the blur, which is estimated from the edges of each background; 0: `overlay.softness_px` instead."""
     motion_px: range_of(0, 40) = (0.0, 0.0)  # type: ignore[valid-type]
