@@ -30,7 +30,7 @@ from infrablend.pipeline.plans.checks import (
     unknown_by_hand,
     without_effect,
 )
-from infrablend.pipeline.plans.left_out import usable_images
+from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
@@ -78,7 +78,8 @@ def make_plan(
     problems += left_out
     if not usable:
         of_splits = f" of split {', '.join(splits)}" if splits else ""
-        raise DatasetError(f"{dataset.root}: no usable background in {len(images)} image(s){of_splits}", problems)
+        reasons = [*all_in_colour(images), *problems]
+        raise DatasetError(f"{dataset.root}: no usable background in {len(images)} image(s){of_splits}", reasons)
     if selection.pictures is not None:
         chosen = selection.share_out(usable, recipe.output.originals, seed)
         drawn = {image for image, _ in chosen}
