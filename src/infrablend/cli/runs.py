@@ -272,6 +272,7 @@ def parse_generate(ctx: typer.Context, words: Sequence[str]) -> dict[str, Any]:
     if wrong := [option for key, option in _OURS.items() if (given[key] or None) != (normal[key] or None)]:
         raise typer.BadParameter(f"{', '.join(wrong)}: the jobs set it themselves; leave it out")
     api.FrameSelection(given["limit"], given["sample"], given["frames"], given["pictures"])
+    api.Reading(val_share=given["val_share"])
     if given["price"] is not None:
         raise typer.BadParameter("used by --plan only, which no job gives; leave it out", param_hint="--price")
     return given

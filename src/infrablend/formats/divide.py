@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -17,7 +18,6 @@ from infrablend.formats.base import check_splits, sort_images
 # Number of orders in which groups are assigned; the best result is used.
 _TRIES = 8
 _OPTION = "--val-share"
-_BY_HAND = "leave --val-share out, or divide the data before: infrablend split DATASET OUT --by gap"
 # A share of val that is further off than by this factor is reported.
 _FAR_OFF = 1.5
 
@@ -56,11 +56,11 @@ def with_val(dataset: Dataset, share: float, splits: Sequence[str] | None = None
     if not share / _FAR_OFF <= reached <= share * _FAR_OFF:
         found = f"{len(moved)} of {len(training)} picture(s), {100 * reached:.0f} %: whole days or sequences only"
         expected = f"about {100 * share:.0f} %"
-        problems.append(Problem(_OPTION, "val-share-far", found, expected, "give a share that they allow", "warning"))
+        problems.append(Problem(_OPTION, "val-share-far", found, expected, _by_hand(dataset), "warning"))
     per_split = np.array([weights[np.array(chosen) == k].sum(axis=0) for k in (0, 1)])
     if lacking := [n for n, (train, val) in zip(names, per_split[:, 1:].T, strict=True) if train and not val]:
         found = f"no object of {', '.join(lacking)} in val"
-        problems.append(Problem(_OPTION, "class-absent", found, "objects of every class", _BY_HAND, "warning"))
+        problems.append(Problem(_OPTION, "class-absent", found, "objects of every class", _by_hand(dataset), "warning"))
     return replace(
         dataset,
         images=sort_images(i for i in images if i.split in wanted),
@@ -76,7 +76,7 @@ def _by_day(dataset: Dataset, training: Sequence[ImageRecord]) -> tuple[dict[str
         found = f"{len(unknown)} of {len(training)} training pictures have neither: {', '.join(unknown[:3])}"
         found = found if training else "no picture in train"
         expected = "training pictures, each with a sequence or a date of capture"
-        raise _refused(dataset, "group-unknown", found, expected, _BY_HAND)
+        raise _refused(dataset, "group-unknown", found, expected, _by_hand(dataset))
     first_day: dict[str | None, str] = {}
     for capture in (i.capture for i in training):
         if capture.sequence is not None and capture.captured is not None:
@@ -93,10 +93,16 @@ def _by_day(dataset: Dataset, training: Sequence[ImageRecord]) -> tuple[dict[str
     (whole,) = by_day
     if len(by_sequence) == 1:
         found = f"all {len(training)} training pictures are of {next(iter(by_sequence))}"
-        raise _refused(dataset, "group-single", found, "at least two days or sequences", _BY_HAND)
+        raise _refused(dataset, "group-single", found, "at least two days or sequences", _by_hand(dataset))
     found = f"all training pictures are of {whole}, so train and val show different sequences of one day"
-    problem = Problem(_OPTION, "val-same-day", found, "sequences of several days", "take more data for val", "warning")
+    todo = "judge detectors on pictures of another day"
+    problem = Problem(_OPTION, "val-same-day", found, "sequences of several days", todo, "warning")
     return dict(sorted(by_sequence.items())), [problem]
+
+
+def _by_hand(dataset: Dataset) -> str:
+    command = f"infrablend split {shlex.quote(str(dataset.root))} OUT --by gap"
+    return f"leave --val-share out, or divide the data before ({command}) and give the result as data"
 
 
 def _refused(dataset: Dataset, code: str, found: str, expected: str, todo: str) -> DatasetError:
