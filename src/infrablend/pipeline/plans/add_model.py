@@ -102,8 +102,8 @@ class ModelSurvey:
         if not axis:
             return []
         found = f"it seems to lie on its side: {height:.3g} high (axis {up}), {length:.3g} long and {width:.3g} wide"
-        todo = f"look at the sheet; repeat with --up {axis}, or --up -{axis} if it is then upside down; or write up: "
-        todo += f"{axis.upper()} into its description"
+        todo = f"look at the sheet; give --up {axis}, or --up -{axis} if it is then upside down, and remove the "
+        todo += f"description if there is one, or write up: {axis.upper()} into it"
         return [Problem(str(self.file), "model-on-its-side", found, expected, todo, "warning")]
 
     @property
