@@ -15,7 +15,7 @@ from defusedxml import ElementTree
 from defusedxml.common import DefusedXmlException
 
 from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import open_regular
+from infrablend.core.files import LFS_POINTER, open_regular, or_lfs_pointer
 from infrablend.core.json_records import (
     MAX_DEPTH,
     MAX_RECORD,
@@ -108,6 +108,7 @@ def read_json(path: Path, *, rows: bool = False) -> Any:
         if isinstance(error, DatasetError):
             raise
         problem = Problem(path.name, NOT_JSON, f"not JSON ({error or type(error).__name__})", expected, todo)
+        problem = or_lfs_pointer(problem, path)
     raise DatasetError(f"{path}: {problem.found}", [problem])
 
 
@@ -163,6 +164,9 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
                 except UnicodeDecodeError as error:
                     problems.append(Problem(here, NOT_JSON, f"not UTF-8 ({error.reason})", expected, todo))
                     continue
+                if number == 1 and text.startswith(LFS_POINTER.decode()):
+                    problems.append(or_lfs_pointer(Problem(where, NOT_JSON, "", expected), path))
+                    return
                 if text:
                     yield number, text
     except OSError as error:
@@ -186,6 +190,8 @@ def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | Non
         if problem is not None:
             return "", problem
         text = path.read_text(encoding="utf-8-sig")
+        if text.startswith(LFS_POINTER.decode()):
+            return "", or_lfs_pointer(Problem(where, "annotation-unreadable", "", expected), path)
         _note(path)
         return text, None
     except (OSError, UnicodeDecodeError) as error:
@@ -211,7 +217,7 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
         found, todo = f"cannot be read ({error.strerror or 'unknown reason'})", "check the file and its permissions"
     except Exception as error:  # unknown encodings, nesting without end
         found, todo = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name), "fetch it again"
-    return None, Problem(where, "annotation-not-xml", found, "an XML file with labels", todo)
+    return None, or_lfs_pointer(Problem(where, "annotation-not-xml", found, "an XML file with labels", todo), path)
 
 
 def child_text(element: Any, key: str) -> str | None:

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import fold_name
-from infrablend.core.files import open_regular
+from infrablend.core.files import LFS_FOUND, LFS_TODO, open_regular
 from infrablend.core.json_records import is_list
 from infrablend.core.run_folder import RUN_FILE
 from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
@@ -62,7 +62,8 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
         if name in reported or PurePosixPath(name).name in reported or path in used or path in read:
             continue
         if fault := _fault(path, name):
-            problems.append(Problem(name, "label-unread", fault, _EXPECTED, "restore or remove the file"))
+            todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
+            problems.append(Problem(name, "label-unread", fault, _EXPECTED, todo))
         elif path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
             found = f"labels with the suffix {path.suffix}, which are not read"
             problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))

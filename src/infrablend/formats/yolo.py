@@ -472,7 +472,9 @@ def build_records(
     for p in pictures:
         size_wh: tuple[int, int] | None = None
         instances: tuple[Instance, ...] = ()
-        if p.label is not None and p.path in parsed:
+        if p.label is not None and p.path not in parsed:
+            continue  # its labels cannot be read: it would pass as a picture without objects
+        if p.label is not None:
             size_wh = found.size(p.path, found.place(p.path))
             if size_wh is None:
                 continue

@@ -1,0 +1,74 @@
+"""What other tools leave in the folder of a dataset is read, known to be irrelevant, or named with the next step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.command_line import run
+from tests.samples import picture
+
+from infrablend import api
+
+LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32\nsize 12345\n"
+VOC = (
+    "<annotation><filename>{name}.jpg</filename><size><width>64</width><height>48</height></size><object>"
+    "<name>{category}</name><bndbox><xmin>8</xmin><ymin>6</ymin><xmax>24</xmax><ymax>18</ymax></bndbox></object>"
+    "</annotation>"
+)
+COCO = {
+    "images": [{"id": k, "file_name": f"f{k}.jpg", "width": 64, "height": 48} for k in (1, 2)],
+    "annotations": [{"id": k, "image_id": k, "category_id": 1, "bbox": [8, 6, 16, 12]} for k in (1, 2)],
+    "categories": [{"id": 1, "name": "deer"}],
+}
+
+
+def put(root: Path, files: dict[str, str]) -> Path:
+    """Write text files and, for empty texts of picture names, pictures."""
+    for k, (name, text) in enumerate(files.items()):
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if text or path.suffix not in (".jpg", ".png"):
+            path.write_text(text)
+        else:
+            picture(path, k)
+    return root
+
+
+# -- Git LFS -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        {"f1.jpg": LFS},
+        {"images/f1.jpg": "", "labels/f1.txt": LFS, "images/f2.jpg": "", "labels/f2.txt": "0 0.5 0.5 0.1 0.1\n"},
+        {"images/train/f1.jpg": "", "labels/train/f1.txt": "0 0.5 0.5 0.1 0.1\n", "data.yaml": LFS},
+        {"f1.jpg": "", "annotations/instances_train.json": LFS},
+        {"f1.jpg": "", "labels_my-project.json": LFS},
+        {"f1.jpg": "", "f1.xml": LFS, "f2.jpg": "", "f2.xml": VOC.format(name="f2", category="deer")},
+        {"f1.jpg": "", "metadata.csv": LFS},
+        {"train/f1.jpg": "", "train/metadata.jsonl": LFS},
+    ],
+    ids=["picture", "yolo", "data.yaml", "coco", "unknown", "voc", "table", "jsonl"],
+)
+def test_a_pointer_of_git_lfs_is_named_with_the_command_that_fetches_the_file(
+    tmp_path: Path, files: dict[str, str]
+) -> None:
+    done = run("check", put(tmp_path / "data", files))
+    assert done.exit_code == 1
+    (pointer,) = [name for name, text in files.items() if text == LFS]
+    line = next(line for line in done.output.splitlines() if "LFS" in line)
+    assert pointer in line and "a pointer of Git LFS" in line and "git lfs pull" in line
+
+
+def test_a_picture_whose_yolo_labels_are_a_pointer_is_no_picture_without_objects(tmp_path: Path) -> None:
+    files = {"f1.jpg": "", "f1.txt": LFS, "f2.jpg": "", "f2.txt": "0 0.5 0.5 0.1 0.1\n", "classes.txt": "deer\n"}
+    assert [i.name for i in api.read_dataset(put(tmp_path / "data", files)).images] == ["f2.jpg"]
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj", ".usda", ".blend"])
+def test_a_pointer_of_git_lfs_in_place_of_a_model(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / f"deer{suffix}").write_text(LFS)
+    done = run("models", "add", tmp_path / f"deer{suffix}", "--category", "deer", "--size-m", 1)
+    assert done.exit_code == 2 and "a pointer of Git LFS" in done.output and "git lfs pull" in done.output
