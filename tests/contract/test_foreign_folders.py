@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -72,3 +73,55 @@ def test_a_pointer_of_git_lfs_in_place_of_a_model(tmp_path: Path, suffix: str) -
     (tmp_path / f"deer{suffix}").write_text(LFS)
     done = run("models", "add", tmp_path / f"deer{suffix}", "--category", "deer", "--size-m", 1)
     assert done.exit_code == 2 and "a pointer of Git LFS" in done.output and "git lfs pull" in done.output
+
+
+# -- masks as pictures ---------------------------------------------------------------------------------------------
+
+VOC_FILES = {f"Annotations/f{k}.xml": VOC.format(name=f"f{k}", category="deer") for k in (1, 2)}
+MASKS = {
+    "voc": {"JPEGImages/f{}.jpg": "SegmentationClass/f{}.png"},
+    "kaggle": {"images/f{}.jpg": "masks/f{}.png"},
+    "kaggle-splits": {"train/images/f{}.jpg": "train/masks/f{}.png"},
+    "mmsegmentation": {"img_dir/train/f{}.jpg": "ann_dir/train/f{}.png"},
+    "mfnet": {"images/f{}.png": "labels/f{}.png"},
+    "roboflow": {"train/f{}.jpg": "train/f{}_mask.png"},
+}
+
+
+@pytest.mark.parametrize("kind", MASKS)
+def test_masks_beside_pictures_are_no_pictures_but_unread_labels(tmp_path: Path, kind: str) -> None:
+    ((name, mask),) = MASKS[kind].items()
+    put(tmp_path / "data", {form.format(k): "" for k in (1, 2) for form in (name, mask)})
+    dataset = api.read_dataset(tmp_path / "data")
+    assert [i.path.suffix for i in dataset.images] == [Path(name).suffix] * 2
+    assert {i.path.stem for i in dataset.images} == {"f1", "f2"}
+    said = run("check", tmp_path / "data", "--no-decode")
+    assert said.exit_code == 1 and mask.format(1) in said.output and "masks of pictures" in said.output
+    for words in (["convert", tmp_path / "data", tmp_path / "out", "--to", "yolo"], ["inspect", tmp_path / "data"]):
+        assert "masks of pictures" in run(*words).output
+
+
+def test_masks_of_pictures_with_other_labels_are_a_warning(tmp_path: Path) -> None:
+    masks = {f"Segmentation{kind}/f{k}.png": "" for kind in ("Class", "Object") for k in (1, 2)}
+    root = put(tmp_path / "data", {"JPEGImages/f1.jpg": "", "JPEGImages/f2.jpg": "", **VOC_FILES, **masks})
+    report = api.check(root, decode=False)
+    assert (report.images, report.objects, report.errors) == (2, 2, ())
+    assert {p.where for p in api.read_dataset(root).problems} == masks.keys()
+
+
+def test_a_folder_called_masks_may_hold_pictures(tmp_path: Path) -> None:
+    put(tmp_path / "data", {"masks/f1.jpg": "", "people/f2.jpg": ""})
+    assert [i.name for i in api.read_dataset(tmp_path / "data").images] == ["masks/f1.jpg", "people/f2.jpg"]
+
+
+# -- two kinds of labels -------------------------------------------------------------------------------------------
+
+
+def test_yolo_labels_beside_coco_labels_are_named(tmp_path: Path) -> None:
+    labels = {f"f{k}.txt": "0 0.5 0.5 0.1 0.1\n" for k in (1, 2)}
+    root = put(tmp_path / "data", {"f1.jpg": "", "f2.jpg": "", **labels, "coco.json": json.dumps(COCO)})
+    found = {p.where: p.severity for p in api.read_dataset(root).problems}
+    assert found == {"f1.txt": "warning", "f2.txt": "warning"}
+    put(root, {"f3.jpg": "", "f3.txt": "0 0.5 0.5 0.1 0.1\n"})  # a picture that COCO does not list
+    dataset = api.read_dataset(root)
+    assert len(dataset.images) == 2 and {p.where for p in dataset.problems} >= {"f1.txt", "f2.txt"}

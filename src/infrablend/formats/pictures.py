@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -22,6 +23,11 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
+# Folders, and ends of names, of pictures whose pixels say which object is where in the picture of the same stem.
+_MASK = re.compile(
+    r"(?:^|/)(?:segmentation(?:class|object)\w*|(?:\w+[_-])?masks?|ann_dir|annotations?|labels?)/|[_-]masks?\.\w+$",
+    re.IGNORECASE,
+)
 
 
 def is_hidden(name: str) -> bool:
@@ -49,8 +55,34 @@ def walk(folder: Path, skip: Sequence[str] = ()) -> Iterator[tuple[str, list[str
 def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
     """Return the pictures below `folder` by relative POSIX path, sorted; empty if the folder does not exist.
 
-    The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out.
+    The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out. Masks
+    of other pictures, see `masks_of`, are left out, too.
     """
+    found = _pictures_below(folder, skip)
+    masks = masks_of(found)
+    return {name: path for name, path in found.items() if name not in masks} if masks else found
+
+
+def list_masks(folder: Path) -> dict[str, str]:
+    """Return the relative paths of masks below a folder, see `masks_of`, with the stems of their pictures."""
+    return masks_of(_pictures_below(folder))
+
+
+def masks_of(names: Collection[str]) -> dict[str, str]:
+    """Return which of some pictures, by relative path, are masks of others, with the stems of these.
+
+    The folder or the name tells, as in `SegmentationClass/a.png`, `masks/a.png` and `a_mask.png`. In a folder none of
+    whose pictures has the stem of a picture elsewhere, there are no masks.
+    """
+    stems = {n: re.sub(r"[_-]masks?$", "", PurePosixPath(n).stem) for n in names if _MASK.search(n)}
+    if not stems:
+        return {}
+    others = {PurePosixPath(n).stem for n in names if n not in stems}
+    folders = {n.rpartition("/")[0] for n, stem in stems.items() if stem in others}
+    return {n: stem for n, stem in stems.items() if n.rpartition("/")[0] in folders}
+
+
+def _pictures_below(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for base, names in walk(folder, skip):
         here = Path(base)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterator
@@ -14,10 +15,10 @@ from infrablend.core.files import LFS_FOUND, LFS_TODO, open_regular
 from infrablend.core.json_records import is_list
 from infrablend.core.run_folder import RUN_FILE
 from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
-from infrablend.errors import DatasetError, Problem
-from infrablend.formats import coco, folder, yolo
+from infrablend.errors import DatasetError, Problem, Severity
+from infrablend.formats import folder
 from infrablend.formats.annotation_files import read_json, read_xml
-from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_pictures, walk
+from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_masks, walk
 
 _SUFFIXES = {".xml", ".json", ".jsonl", ".txt", ".csv", ".tsv", ".label"}
 _PART = re.compile(r"\.part(-\d+)?$")
@@ -26,6 +27,8 @@ _EXPECTED = "a label file that can be read"
 _RECORDS = {WORLD_FILE, CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE, "SOURCE.json"}
 # Texts for people, which may name pictures as examples.
 _FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|changelog)", re.IGNORECASE)
+# Folders that separate pictures from labels.
+_KIND = re.compile(r"(?<=/)(?:images?|imgs?|jpegimages|labels?|annotations?|xmls?)/", re.IGNORECASE)
 # The end of a picture's name, and what separates names. Names are looked for backwards from their ends: forwards, a
 # line of a megabyte without a separator would be searched from each of its characters.
 _PICTURE_END = re.compile(r"\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
@@ -43,38 +46,48 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
     """Return the problems of label files below the dataset's folder that its reader did not take.
 
     These are damaged XML and JSON files, text files with a suffix such as `.TXT`, files that name pictures of the
-    dataset or hold a table of boxes, and, in a plain folder of pictures, files named like a picture. Lists of pictures
-    and texts for people are none.
+    dataset or hold a table of boxes, files named like a picture, and masks. Lists of pictures and texts for people are
+    none. A file of one picture, or its mask, is only worth a warning if the picture has labels from elsewhere.
 
     Args:
         dataset: The dataset.
         read: Files from which the reader took something (see `annotation_files.noting_files_read`).
     """
-    stems = {fold_name(i.path.stem) for i in dataset.images}
     names = {fold_name(i.path.name) for i in dataset.images}
     plain = dataset.format == folder.NAME
-    used = _used(dataset) if plain else set()
+    labelled = {fold_name(i.path.stem): bool(i.instances) for i in dataset.images}
+    # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
+    places = set() if plain else {_place(os.fspath(i.path)) for i in dataset.images}
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
-    problems, alike = [], defaultdict[tuple[str, str, str], list[str]](list)
+    problems, alike = [], defaultdict[tuple[str, str, str, Severity], list[str]](list)
     for name in label_candidates(dataset.root):
         path = dataset.root / name
-        if name in reported or PurePosixPath(name).name in reported or path in used or path in read:
+        stem = fold_name(path.stem)
+        if name in reported or PurePosixPath(name).name in reported or path in read:
             continue
         if fault := _fault(path, name):
             todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
             problems.append(Problem(name, "label-unread", fault, _EXPECTED, todo))
-        elif path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
+        elif path.suffix != path.suffix.lower() == ".txt" and stem in labelled:
             found = f"labels with the suffix {path.suffix}, which are not read"
             problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
         elif ours or name in _RECORDS or _FOR_PEOPLE.match(path.name):
             continue
-        elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or _tells_of(path, names):
-            alike[path.parent.as_posix(), path.suffix, "labels in no known layout, which are not read"].append(name)
-    for (_, _, found), files in alike.items():
+        elif labelled.get(stem) and (plain or _place(os.fspath(path)) in places):
+            found = "labels of a picture that has other labels, which are not read"
+            alike[path.parent.as_posix(), path.suffix, found, "warning"].append(name)
+        elif (plain and (stem in labelled or _is_annotation(path, name))) or _tells_of(path, names):
+            found = "labels in no known layout, which are not read"
+            alike[path.parent.as_posix(), path.suffix, found, "error"].append(name)
+    for name, of in {} if ours else list_masks(dataset.root).items():
+        if dataset.root / name not in read and fold_name(of) in labelled:
+            severity: Severity = "warning" if labelled[fold_name(of)] else "error"
+            alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", severity].append(name)
+    for (_, _, found, severity), files in alike.items():
         if len(files) > _MOST_NAMED:
             found, files = f"{len(files)} files with {found}", files[:1]
-        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO) for name in files]
+        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO, severity) for name in files]
     return problems
 
 
@@ -107,12 +120,9 @@ def label_candidates(root: Path) -> Iterator[str]:
         )
 
 
-def _used(dataset: Dataset) -> set[Path]:
-    root = dataset.root
-    labels = {yolo.find_label(p, root) for p in list_pictures(root).values()}
-    files = set(coco.find_files(root)) if dataset.notes.get("labels") == "coco" else set()
-    table = dataset.notes.get("table")
-    return {p for p in labels if p is not None} | files | ({root / table} if table else set())
+def _place(path: str) -> str:
+    """Return a path without suffix and without folders that only separate pictures from labels."""
+    return _KIND.sub("", path.rpartition(".")[0])
 
 
 def _fault(path: Path, name: str) -> str:
