@@ -212,7 +212,7 @@ def _represent_name(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 _QuotedForBoth.add_representer(str, _represent_name)
 
 
-def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Problem, ...]]:
+def data_yaml(classes: Classes, splits: Iterable[str], task: Task = "detect") -> tuple[str, tuple[Problem, ...]]:
     """Return the text of a `data.yaml`, and warnings.
 
     There is no `path`, so that Ultralytics uses the file's own folder and the dataset can be moved. Ultralytics needs
@@ -238,6 +238,8 @@ def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Probl
                 Problem("data.yaml", f"{split}-absent", found, f"pictures of split {split}", todo, severity="warning")
             )
         lines.append(f"{split}: images/{stand_in}\n")
+    if task == "seg":
+        lines.append("task: segment\n")  # for our reader: polygons of four corners look like oriented boxes
     if stand_ins:
         lines.append(f"stand_ins: [{', '.join(stand_ins)}]\n")
     names = {number: name for name, number in sorted(classes.items(), key=lambda item: item[1])}
@@ -279,7 +281,7 @@ def write(
         label = out / "labels" / image.split / name.with_suffix(".txt")
         files.append(write_text(label, label_text(image, classes, task, losses, without_mask)))
         files.append(link_or_copy(image.path, out / "images" / image.split / name))
-    text, problems = data_yaml(classes, {i.split for i in ordered})
+    text, problems = data_yaml(classes, {i.split for i in ordered}, task)
     files.append(write_text(out / "data.yaml", text))
     return Written.of(files, losses, problems)
 
