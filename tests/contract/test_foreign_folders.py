@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.command_line import run
@@ -17,7 +19,7 @@ VOC = (
     "<name>{category}</name><bndbox><xmin>8</xmin><ymin>6</ymin><xmax>24</xmax><ymax>18</ymax></bndbox></object>"
     "</annotation>"
 )
-COCO = {
+COCO: dict[str, Any] = {
     "images": [{"id": k, "file_name": f"f{k}.jpg", "width": 64, "height": 48} for k in (1, 2)],
     "annotations": [{"id": k, "image_id": k, "category_id": 1, "bbox": [8, 6, 16, 12]} for k in (1, 2)],
     "categories": [{"id": 1, "name": "deer"}],
@@ -125,3 +127,43 @@ def test_yolo_labels_beside_coco_labels_are_named(tmp_path: Path) -> None:
     put(root, {"f3.jpg": "", "f3.txt": "0 0.5 0.5 0.1 0.1\n"})  # a picture that COCO does not list
     dataset = api.read_dataset(root)
     assert len(dataset.images) == 2 and {p.where for p in dataset.problems} >= {"f1.txt", "f2.txt"}
+
+
+# -- what was written ----------------------------------------------------------------------------------------------
+
+
+def crowds_of_cvat(root: Path) -> Path:
+    """Two deer as brush masks, which CVAT exports as crowds, and a car."""
+    files = put(root, {"images/f1.jpg": "", "images/f2.jpg": ""})
+    rows = [a | {"iscrowd": 1} for a in COCO["annotations"]] + [COCO["annotations"][0] | {"id": 3, "category_id": 2}]
+    top = COCO | {"annotations": rows, "categories": [{"id": 1, "name": "deer"}, {"id": 2, "name": "car"}]}
+    (files / "coco.json").write_text(json.dumps(top))
+    return files
+
+
+def test_convert_counts_the_labels_that_it_wrote(tmp_path: Path) -> None:
+    data = crowds_of_cvat(tmp_path / "data")
+    said = run("convert", data, tmp_path / "yolo", "--to", "yolo").output
+    assert re.search(r"^labels +car 1, deer 0$", said, re.MULTILINE)
+    assert re.search(r"^labels lost +deer 2$", said, re.MULTILINE) and "lost: ignore_dropped 2" in said
+    assert "all 2 label(s) of 'deer' are crowds" in said and "--dont-care keep" in said
+    said = run("convert", data, tmp_path / "kept", "--to", "yolo", "--dont-care", "keep").output
+    assert re.search(r"^labels +car 1, deer 2$", said, re.MULTILINE) and "labels lost" not in said
+    said = run("convert", data, tmp_path / "seg", "--to", "yolo-seg").output  # the car has no mask
+    assert re.search(r"^labels +car 0, deer 0$", said, re.MULTILINE)
+
+
+def test_split_counts_the_labels_that_it_wrote(tmp_path: Path) -> None:
+    data = crowds_of_cvat(tmp_path / "data")
+    rule = api.SplitRule(by="gap", gap=1, shares=(0.5, 0, 0.5))
+    report = api.split(data, tmp_path / "split", rule, to="yolo")
+    assert sum(report.objects["deer"].values()) == 0 and sum(report.objects["car"].values()) == 1
+    assert sum(api.split(data, tmp_path / "same", rule).objects["deer"].values()) == 2
+
+
+def test_generate_counts_the_labels_of_each_format(tmp_path: Path) -> None:
+    words = ["--set", "camera.pitch={fixed_deg: 60}", "--set", "output.formats=[coco, yolo, dota]"]
+    done = run("generate", "hit-uav-drone", "--data", crowds_of_cvat(tmp_path / "d"), "--out", tmp_path / "r", *words)
+    assert re.search(r"^labels in coco, dota +car \d, deer [1-9]", done.output, re.MULTILINE)
+    assert re.search(r"^labels in yolo +car \d, deer 0", done.output, re.MULTILINE)
+    assert re.search(r"^lost: ignore_dropped yolo [1-9]", done.output, re.MULTILINE)

@@ -39,7 +39,7 @@ from infrablend.formats.base import (
     stated_split,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_shares, overhang_px, snap_edges
-from infrablend.formats.losses import Written, count_dropped
+from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.pictures import check_link, check_name, is_hidden, list_pictures, walk
 from infrablend.formats.polygons import outline, rasterise
 from infrablend.formats.records import Findings
@@ -169,7 +169,7 @@ def _polygon_values(
 
 
 def label_text(
-    image: ImageRecord, classes: Classes, task: Task, losses: Counter[str], without_mask: WithoutMask = "omit"
+    image: ImageRecord, classes: Classes, task: Task, losses: Losses, without_mask: WithoutMask = "omit"
 ) -> str:
     """Return the text of an image's label file, and count losses; an image without objects gives empty text.
 
@@ -186,14 +186,17 @@ def label_text(
     for instance in image.instances:
         if instance.category not in classes:
             losses["ignore_dropped"] += 1
+            losses.left_out[image.split, instance.category] += 1
             continue
         if task == "seg":
             values = _polygon_values(image, instance, losses, without_mask)
         else:
             values = (_box_values if task == "detect" else _corner_values)(instance, size_wh, losses)
-        if values is not None:
-            count_dropped(instance, losses, *_FLAGS)
-            lines.append(_line(classes[instance.category], values))
+        if values is None:
+            losses.left_out[image.split, instance.category] += 1
+            continue
+        count_dropped(instance, losses, *_FLAGS)
+        lines.append(_line(classes[instance.category], values))
     return "".join(lines)
 
 
@@ -269,12 +272,14 @@ def write(
     ordered = in_order(images)
     classes = yolo_classes(categories, dont_care)
     regions = {c.name for c in categories if c.ignore}
-    losses: Counter[str] = Counter()
+    losses = Losses()
     files: list[Path] = []
     for image in ordered:
-        if any(i.is_crowd for i in image.instances):
+        if crowds := [i for i in image.instances if i.is_crowd]:
             kept = tuple(i for i in image.instances if dont_care == "keep" or not i.is_crowd)
-            losses["ignore_dropped"] += len(image.instances) - len(kept)
+            if dont_care == "drop":
+                losses["ignore_dropped"] += len(crowds)
+                losses.left_out.update((image.split, i.category) for i in crowds)
             losses["ignore_as_class"] += count_crowds(kept, regions)
             image = replace(image, instances=kept)
         name = PurePosixPath(image.name)
