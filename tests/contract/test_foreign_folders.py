@@ -12,6 +12,7 @@ from tests.command_line import run
 from tests.samples import picture
 
 from infrablend import api
+from infrablend.errors import DatasetError
 
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32\nsize 12345\n"
 VOC = (
@@ -167,3 +168,60 @@ def test_generate_counts_the_labels_of_each_format(tmp_path: Path) -> None:
     assert re.search(r"^labels in coco, dota +car \d, deer [1-9]", done.output, re.MULTILINE)
     assert re.search(r"^labels in yolo +car \d, deer 0", done.output, re.MULTILINE)
     assert re.search(r"^lost: ignore_dropped yolo [1-9]", done.output, re.MULTILINE)
+
+
+# -- Darknet -------------------------------------------------------------------------------------------------------
+
+ROW, NAMES, DATA = "1 0.5 0.5 0.1 0.1\n", "car\ndeer\n", "classes = 2\ntrain = data/train.txt\nnames = data/obj.names\n"
+VALID = DATA + "valid = data/{}\nbackup = backup/\n"
+DARKNET: dict[str, tuple[dict[str, str], list[str]]] = {
+    "cvat": (
+        {
+            "obj_train_data/f1.jpg": "", "obj_train_data/f1.txt": ROW, "obj.names": NAMES, "obj.data": DATA,
+            "train.txt": "data/obj_train_data/f1.jpg\n",
+        },
+        ["train"],
+    ),
+    "cvat-subsets": (
+        {
+            "obj_train_data/f1.jpg": "", "obj_train_data/f1.txt": ROW, "obj_valid_data/f2.jpg": "",
+            "obj_valid_data/f2.txt": ROW, "obj.names": NAMES, "obj.data": VALID.format("valid.txt"),
+            "train.txt": "data/obj_train_data/f1.jpg\n", "valid.txt": "data/obj_valid_data/f2.jpg\n",
+        },
+        ["train", "val"],
+    ),
+    "darknet": (
+        {
+            "data/obj/f1.jpg": "", "data/obj/f1.txt": ROW, "data/obj/f2.jpg": "", "data/obj/f2.txt": ROW,
+            "data/obj.names": NAMES, "data/obj.data": VALID.format("test.txt"),
+            "data/train.txt": "/darknet/data/obj/f1.jpg\n", "data/test.txt": "C:\\darknet\\data\\obj\\f2.jpg\n",
+        },
+        ["train", "val"],
+    ),
+    "roboflow": (
+        {
+            "train/f1.jpg": "", "train/f1.txt": ROW, "train/_darknet.labels": NAMES, "valid/f2.jpg": "",
+            "valid/f2.txt": ROW, "valid/_darknet.labels": NAMES,
+        },
+        ["train", "val"],
+    ),
+    "names-alone": ({"f1.jpg": "", "f1.txt": ROW, "my.names": NAMES}, ["train"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", DARKNET)
+def test_darknets_lists_and_names_are_read(tmp_path: Path, kind: str) -> None:
+    files, splits = DARKNET[kind]
+    dataset = api.read_dataset(put(tmp_path / "data", files))
+    assert [i.split for i in dataset.images] == splits and dataset.problems == ()
+    assert [o.category for i in dataset.images for o in i.instances] == ["deer"] * len(splits)
+
+
+def test_darknets_files_lead_nowhere_else(tmp_path: Path) -> None:
+    files = DARKNET["cvat"][0]
+    put(tmp_path, {"outside.names": "secret\nother\n", "secret.jpg": ""})
+    stated = {"obj.data": DATA.replace("data/obj.names", "../outside.names")}
+    with pytest.raises(DatasetError, match="names"):
+        api.read_dataset(put(tmp_path / "names", files | stated))
+    data = put(tmp_path / "pictures", files | {"train.txt": files["train.txt"] + "../secret.jpg\n"})
+    assert [p.code for p in api.read_dataset(data).problems] == ["name-climbs"]

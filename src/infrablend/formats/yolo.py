@@ -12,6 +12,8 @@ from __future__ import annotations
 import contextlib
 import datetime
 import math
+import os
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +30,7 @@ from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_text
+from infrablend.formats.annotation_files import files_with, read_text
 from infrablend.formats.base import (
     Match,
     check_splits,
@@ -499,20 +501,28 @@ def build_records(
 
 
 def find_yaml(root: Path) -> Path | None:
-    """Return the dataset's description: `data.yaml` or a similar name, or the only YAML file."""
+    """Return the dataset's description: `data.yaml` or a similar name, the only YAML file, or Darknet's `obj.data`."""
     named = next((root / n for n in _YAML_NAMES if (root / n).is_file()), None)
     if named is not None:
         return named
     others = sorted(p for p in root.glob("*.y*ml") if not p.name.startswith(".") and p.is_file())
+    for place in (root, root / "data"):
+        others = others or files_with(place, "*.data", lambda head: b"names" in head, 10_000)
     return others[0] if len(others) == 1 else None
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the mapping in a `data.yaml`.
+def read_yaml(path: Path, root: Path) -> dict[str, Any]:
+    """Return the mapping in a `data.yaml`, or what Darknet's `obj.data` says, by the same keys.
+
+    Args:
+        path: The file.
+        root: Folder of the dataset.
 
     Raises:
         DatasetError: The file is not YAML, or not a mapping with `names`.
     """
+    if path.suffix == ".data":
+        return _read_darknet(path, root)
     text, problem = read_text(path, path.name, "a data.yaml")
     value: Any = None
     if problem is None:
@@ -530,6 +540,30 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if "val" not in value and "validation" in value:  # as Ultralytics does
         value["val"] = value.pop("validation")
     return value
+
+
+def _read_darknet(path: Path, root: Path) -> dict[str, Any]:
+    """Return the lists of pictures and the names of the classes that a Darknet `.data` file gives as `key = path`."""
+    text, problem = read_text(path, path.name, "Darknet's description of a dataset")
+    said = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
+    names = end_inside(root, said.get("names", ""))
+    if problem is None and names is None:
+        found, expected = f"names = {said.get('names')!r}, no file of the dataset", "a file with a class on each line"
+        problem = Problem(path.name, "names", found, expected, "correct the line or restore the file")
+    if problem is None:
+        text, problem = read_text(root / str(names), str(names), "a class on each line")
+    if problem is not None:
+        raise DatasetError(f"{path}: no description of a dataset", [problem])
+    keys = {"train": "train", "valid": "val", "test": "test"}
+    lists = {split: end_inside(root, said[key]) or said[key] for key, split in keys.items() if said.get(key)}
+    return {**lists, "names": [s.strip() for s in text.splitlines() if s.strip()]}
+
+
+def end_inside(folder: Path, name: str) -> str | None:
+    """Return the longest end of a path that is a file below a folder: lists often begin elsewhere, as at `data/`."""
+    parts = [p for p in re.split(r"[\\/]", name.rpartition("../")[2]) if p not in ("", ".", "..")]
+    ends = ("/".join(parts[k:]) for k in range(len(parts)))
+    return next((end for end in ends if os.path.isfile(folder / end)), None)  # noqa: PTH113 - also of names too long
 
 
 def line_form(top: Mapping[str, Any], task: Task | None) -> tuple[Task | None, int]:
@@ -618,9 +652,9 @@ def detect(root: Path) -> Match:
     """Decide whether `root` is a YOLO dataset: its `data.yaml` has `names` and a split that exists."""
     path = find_yaml(root)
     if path is None:
-        return Match(NAME, False, "no data.yaml")
+        return Match(NAME, False, "no data.yaml and no obj.data")
     try:
-        top = read_yaml(path)
+        top = read_yaml(path, root)
         class_names(top["names"], path.name)
     except DatasetError as error:
         return Match(NAME, False, f"{path.name}: {error.problems[0].found if error.problems else error.message}")
@@ -679,7 +713,8 @@ def _split_places(
 def _listed_pictures(found: Findings, lists: Sequence[tuple[Split, Path]]) -> dict[Path, tuple[Split, str]]:
     """Return split and name of the pictures in lists (text files with one path per line, as Ultralytics reads them).
 
-    Paths are relative to the list, else to the dataset. A picture listed twice belongs to the first split.
+    Paths are relative to the list, else to the dataset, or end in it, see `end_inside`. A picture listed twice belongs
+    to the first split.
     """
     root = found.root
     listed: dict[Path, tuple[Split, str]] = {}
@@ -691,6 +726,8 @@ def _listed_pictures(found: Findings, lists: Sequence[tuple[Split, Path]]) -> di
             here = f"{found.place(file)}: line {n}"
             fault = check_name(name, here)
             path = next((p for p in (file.parent / name, root / name) if not fault and p.is_file()), None)
+            if path is None and (end := end_inside(root, name)) is not None:
+                path, fault = root / end, None
             if path is None:
                 expected, todo = "a picture of the dataset", "correct the list"
                 found.problems.append(fault or Problem(here, "image-missing", f"no file {name!r}", expected, todo))
@@ -725,7 +762,7 @@ def read(
     if path is None:
         problem = Problem(str(root), "annotation-missing", "no data.yaml", "a data.yaml", "read it as a plain folder")
         raise DatasetError(f"{root}: no YOLO dataset", [problem])
-    top = read_yaml(path)
+    top = read_yaml(path, root)
     names = class_names(top["names"], path.name)
     task, keypoints = line_form(top, task)
     found = Findings(root)
