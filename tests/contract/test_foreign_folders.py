@@ -225,3 +225,85 @@ def test_darknets_files_lead_nowhere_else(tmp_path: Path) -> None:
         api.read_dataset(put(tmp_path / "names", files | stated))
     data = put(tmp_path / "pictures", files | {"train.txt": files["train.txt"] + "../secret.jpg\n"})
     assert [p.code for p in api.read_dataset(data).problems] == ["name-climbs"]
+
+
+# -- imagefolder ---------------------------------------------------------------------------------------------------
+
+BOX = json.dumps({"bbox": [[8, 6, 16, 12]], "categories": ["deer"]})
+CSV = 'file_name,objects\n%sf1.jpg,"' + BOX.replace('"', '""') + '"\n%sf2.jpg,\n'
+LINE = f'{{"file_name": "val/f1.jpg", "objects": {BOX}}}\n'
+
+
+@pytest.mark.parametrize(
+    ("files", "split"),
+    [
+        ({"f1.jpg": "", "f2.jpg": "", "metadata.csv": CSV % ("", "")}, "train"),
+        ({"test/f1.jpg": "", "test/f2.jpg": "", "test/metadata.csv": CSV % ("", "")}, "test"),
+        ({"test/f1.jpg": "", "test/f2.jpg": "", "metadata.csv": CSV % ("test/", "test/")}, "test"),
+        ({"val/f1.jpg": "", "metadata.jsonl": LINE}, "val"),
+    ],
+    ids=["csv", "csv-split", "csv-whole", "jsonl-whole"],
+)
+def test_objects_of_an_imagefolder_may_be_in_a_table_and_in_one_file(
+    tmp_path: Path, files: dict[str, str], split: str
+) -> None:
+    dataset = api.read_dataset(put(tmp_path / "data", files))
+    assert dataset.format == "huggingface" and dataset.problems == ()
+    assert {i.split for i in dataset.images} == {split}
+    (deer,) = (o for i in dataset.images for o in i.instances)
+    assert deer.category == "deer" and deer.box_xyxy.tolist() == [8, 6, 24, 18]
+
+
+def test_an_imagefolders_table_of_labels_is_named(tmp_path: Path) -> None:
+    root = put(tmp_path / "data", {"f1.jpg": "", "metadata.csv": "file_name,label\nf1.jpg,deer\n"})
+    (problem,) = api.read_dataset(root).problems
+    assert (problem.where, problem.code, problem.severity) == ("metadata.csv", "label-unread", "error")
+    table = "file_name,pitch_deg,label\nf1.jpg,45,deer\n"
+    dataset = api.read_dataset(put(root, {"metadata.csv": table}))
+    assert dataset.images[0].capture.pitch_deg == 45 and "unknown columns label" in dataset.problems[0].found
+
+
+def test_unknown_columns_of_an_imagefolder_are_counted(tmp_path: Path) -> None:
+    objects = {"bbox": [[8, 6, 16, 12]], "category": ["deer"], "depth": [2]}
+    row = {"file_name": "f1.jpg", "label": 3, "text": "", "objects": objects}
+    root = put(tmp_path / "data", {"train/f1.jpg": "", "train/metadata.jsonl": json.dumps(row)})
+    (problem,) = api.read_dataset(root).problems
+    assert problem.code == "kind-unread" and problem.found.endswith(": 1 column depth of objects, 1 column label")
+
+
+# -- XML -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("encoding", "declared"),
+    [("utf-16", "UTF-16"), ("utf-16", ""), ("latin-1", "ISO-8859-1"), ("cp1252", "windows-1252"), ("utf-8-sig", "")],
+)
+def test_xml_is_read_in_its_encoding(tmp_path: Path, encoding: str, declared: str) -> None:
+    text = f"<?xml version='1.0' encoding='{declared}'?>" * bool(declared) + VOC.format(name="f1", category="Rehkühe")
+    root = put(tmp_path / "data", {"f1.jpg": ""})
+    (root / "f1.xml").write_bytes(text.encode(encoding))
+    dataset = api.read_dataset(root)
+    assert [o.category for o in dataset.images[0].instances] == ["Rehkühe"] and dataset.problems == ()
+
+
+@pytest.mark.parametrize(("encoding", "declared"), [("latin-1", ""), ("gbk", "gbk"), ("utf-8", "UTF-16")])
+def test_xml_in_an_encoding_that_is_not_declared_or_not_known_is_named(
+    tmp_path: Path, encoding: str, declared: str
+) -> None:
+    category = "车" if encoding == "gbk" else "Rehkühe"
+    text = f"<?xml version='1.0' encoding='{declared}'?>" * bool(declared) + VOC.format(name="f1", category=category)
+    root = put(tmp_path / "data", {"f1.jpg": ""})
+    (root / "f1.xml").write_bytes(text.encode(encoding))
+    (problem,) = api.read_dataset(root).problems
+    assert (problem.where, problem.severity) == ("f1.xml", "error")
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le"])
+def test_cvats_xml_in_another_encoding_is_read_or_named(tmp_path: Path, encoding: str) -> None:
+    box = '<box label="deer" xtl="8" ytl="6" xbr="24" ybr="18"/>'
+    image = f'<image id="0" name="f1.jpg" width="64" height="48">{box}</image>'
+    text = f'<?xml version="1.0" encoding="UTF-16"?><annotations><version>1.1</version>{image}</annotations>'
+    root = put(tmp_path / "data", {"images/f1.jpg": ""})
+    (root / "annotations.xml").write_bytes(text.encode(encoding))
+    dataset = api.read_dataset(root)
+    assert any(i.instances for i in dataset.images) or [p.where for p in dataset.problems] == ["annotations.xml"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 import stat
@@ -179,8 +180,16 @@ def files_with(root: Path, pattern: str, is_ours: Callable[[bytes], bool], head_
     found = []
     for path in sorted(p for p in root.glob(pattern) if not leaves_folder(p)):
         with suppress(OSError), open_regular(path) as stream:
-            found += [path] if is_ours(stream.read(head_bytes)) else []
+            found += [path] if is_ours(as_utf8(stream.read(head_bytes))) else []
     return found
+
+
+def as_utf8(text: bytes) -> bytes:
+    """Return the start of a text in UTF-8 if it is in UTF-16, which the mark or a zero in its first bytes tells."""
+    marked = text.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if not marked and b"\0" not in text[:2]:
+        return text
+    return text.decode("utf-16" if marked else "utf-16-be" if text[:1] == b"\0" else "utf-16-le", "ignore").encode()
 
 
 def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | None]:

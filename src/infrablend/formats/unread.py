@@ -17,7 +17,7 @@ from infrablend.core.run_folder import RUN_FILE
 from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem, Severity
 from infrablend.formats import folder
-from infrablend.formats.annotation_files import read_json, read_xml
+from infrablend.formats.annotation_files import as_utf8, read_json, read_xml
 from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_masks, walk
 
 _SUFFIXES = {".xml", ".json", ".jsonl", ".txt", ".csv", ".tsv", ".label"}
@@ -151,7 +151,7 @@ def _is_annotation(path: Path, name: str) -> bool:
 def _tells_of(path: Path, pictures: Collection[str]) -> bool:
     """Return whether a file says something of pictures, given by their folded names, or is a table of boxes."""
     with suppress(OSError), open_regular(path) as stream:
-        lines = stream.read(_HEAD_BYTES).decode("utf-8", "replace").splitlines()
+        lines = as_utf8(stream.read(_HEAD_BYTES)).decode("utf-8", "replace").splitlines()
         if path.stem.lower() in ("gt", "det") and any(_NUMBERS.match(line.strip()) for line in lines):
             return True
         for line in lines:
