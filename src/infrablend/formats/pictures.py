@@ -23,11 +23,11 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
-# Folders, and ends of names, of pictures whose pixels say which object is where in the picture of the same stem.
-_MASK = re.compile(
-    r"(?:^|/)(?:segmentation(?:class|object)\w*|(?:\w+[_-])?masks?|ann_dir|annotations?|labels?)/|[_-]masks?\.\w+$",
-    re.IGNORECASE,
+# Folders of pictures whose pixels say which object is where in the picture of the same stem.
+_MASK_FOLDER = re.compile(
+    r"(?:^|/)(?:segmentation(?:class|object)\w*|(?:\w+[_-])?masks?|ann_dir|annotations?|labels?)(?:/|$)", re.IGNORECASE
 )
+_MASK_END = re.compile(r"[_-]masks?$")
 
 
 def is_hidden(name: str) -> bool:
@@ -63,21 +63,19 @@ def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
     return {name: path for name, path in found.items() if name not in masks} if masks else found
 
 
-def list_masks(folder: Path) -> dict[str, str]:
-    """Return the relative paths of masks below a folder, see `masks_of`, with the stems of their pictures."""
-    return masks_of(_pictures_below(folder))
-
-
 def masks_of(names: Collection[str]) -> dict[str, str]:
     """Return which of some pictures, by relative path, are masks of others, with the stems of these.
 
     The folder or the name tells, as in `SegmentationClass/a.png`, `masks/a.png` and `a_mask.png`. In a folder none of
     whose pictures has the stem of a picture elsewhere, there are no masks.
     """
-    stems = {n: re.sub(r"[_-]masks?$", "", PurePosixPath(n).stem) for n in names if _MASK.search(n)}
-    if not stems:
-        return {}
-    others = {PurePosixPath(n).stem for n in names if n not in stems}
+    inside = {folder for folder in {n.rpartition("/")[0] for n in names} if _MASK_FOLDER.search(folder)}
+    stems = {
+        n: _MASK_END.sub("", PurePosixPath(n).stem)
+        for n in names
+        if n.rpartition("/")[0] in inside or ("mask" in n and _MASK_END.search(PurePosixPath(n).stem))
+    }
+    others = {PurePosixPath(n).stem for n in names if n not in stems} if stems else set()
     folders = {n.rpartition("/")[0] for n, stem in stems.items() if stem in others}
     return {n: stem for n, stem in stems.items() if n.rpartition("/")[0] in folders}
 

@@ -18,7 +18,7 @@ from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEM
 from infrablend.errors import DatasetError, Problem, Severity
 from infrablend.formats import folder
 from infrablend.formats.annotation_files import as_utf8, read_json, read_xml
-from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_masks, walk
+from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, is_picture_name, masks_of, walk
 
 _SUFFIXES = {".xml", ".json", ".jsonl", ".txt", ".csv", ".tsv", ".label"}
 _PART = re.compile(r"\.part(-\d+)?$")
@@ -53,19 +53,24 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
         dataset: The dataset.
         read: Files from which the reader took something (see `annotation_files.noting_files_read`).
     """
+    files = list(_files_below(dataset.root))
+    reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
+    left = [name for name in files if _is_candidate(name) and dataset.root / name not in read]
+    left = [name for name in left if name not in reported and PurePosixPath(name).name not in reported]
+    masks = masks_of([name for name in files if is_picture_name(name)])
+    masks = {name: stem for name, stem in masks.items() if dataset.root / name not in read}
+    if not left and not masks:
+        return []
     names = {fold_name(i.path.name) for i in dataset.images}
     plain = dataset.format == folder.NAME
     labelled = {fold_name(i.path.stem): bool(i.instances) for i in dataset.images}
     # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
     places = set() if plain else {_place(os.fspath(i.path)) for i in dataset.images}
-    reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
     problems, alike = [], defaultdict[tuple[str, str, str, Severity], list[str]](list)
-    for name in label_candidates(dataset.root):
+    for name in left:
         path = dataset.root / name
         stem = fold_name(path.stem)
-        if name in reported or PurePosixPath(name).name in reported or path in read:
-            continue
         if fault := _fault(path, name):
             todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
             problems.append(Problem(name, "label-unread", fault, _EXPECTED, todo))
@@ -80,14 +85,14 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
         elif (plain and (stem in labelled or _is_annotation(path, name))) or _tells_of(path, names):
             found = "labels in no known layout, which are not read"
             alike[path.parent.as_posix(), path.suffix, found, "error"].append(name)
-    for name, of in {} if ours else list_masks(dataset.root).items():
-        if dataset.root / name not in read and fold_name(of) in labelled:
+    for name, of in {} if ours else masks.items():
+        if fold_name(of) in labelled:
             severity: Severity = "warning" if labelled[fold_name(of)] else "error"
             alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", severity].append(name)
-    for (_, _, found, severity), files in alike.items():
-        if len(files) > _MOST_NAMED:
-            found, files = f"{len(files)} files with {found}", files[:1]
-        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO, severity) for name in files]
+    for (_, _, found, severity), same in alike.items():
+        if len(same) > _MOST_NAMED:
+            found, same = f"{len(same)} files with {found}", same[:1]
+        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO, severity) for name in same]
     return problems
 
 
@@ -113,11 +118,17 @@ def hidden_pictures(root: Path) -> list[Problem]:
 
 def label_candidates(root: Path) -> Iterator[str]:
     """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
+    return filter(_is_candidate, _files_below(root))
+
+
+def _is_candidate(name: str) -> bool:
+    return name[name.rfind(".") :].lower() in _SUFFIXES
+
+
+def _files_below(root: Path) -> Iterator[str]:
     for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
-        yield from (
-            prefix + n for n in sorted(names) if not is_hidden(n) and PurePosixPath(n).suffix.lower() in _SUFFIXES
-        )
+        yield from (prefix + n for n in sorted(names) if not is_hidden(n))
 
 
 def _place(path: str) -> str:
