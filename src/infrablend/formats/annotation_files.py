@@ -250,6 +250,12 @@ def delimiter_of(text: str, lines: int = 1) -> str:
     return max(",;\t", key=start.count)
 
 
+def titles_of(head: bytes) -> set[str]:
+    """Return the titles of the columns of a table, from its first bytes."""
+    line = head.decode("utf-8-sig", "ignore").partition("\n")[0]
+    return {title.strip(' "\r') for title in line.split(delimiter_of(line))}
+
+
 def comma_of(rows: Sequence[Sequence[str]], delimiter: str) -> str:
     """Return what stands for a comma in numbers: nothing where it separates thousands, else a decimal point.
 

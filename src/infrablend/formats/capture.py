@@ -14,7 +14,7 @@ from typing import Any
 from infrablend.core.capture import FACTS, UNKNOWN, Capture
 from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import comma_of, delimiter_of, only_looked_at, read_json, read_text
+from infrablend.formats.annotation_files import comma_of, delimiter_of, files_with, read_json, read_text, titles_of
 from infrablend.formats.values import to_time
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
@@ -55,14 +55,10 @@ def find_table(root: Path) -> Path | None:
 
     Hugging Face calls a table of labels or texts `metadata.csv`, too: with a column `file_name`, and none of ours.
     """
-    return next((p for n in TABLE_NAMES if (p := root / n).is_file() and not _is_foreign(p)), None)
-
-
-def _is_foreign(path: Path) -> bool:
-    header = read_text(path, path.name, "")[0].partition("\n")[0] if path.suffix == ".csv" else ""
-    columns = {c.strip(' "') for c in re.split("[,;\t]", header)}
-    only_looked_at(path)
-    return "file_name" in columns and not columns & set(FACTS)
+    foreign = files_with(
+        root, TABLE_NAMES[0], lambda head: "file_name" in (t := titles_of(head)) and not t & set(FACTS), 1000
+    )
+    return next((p for n in TABLE_NAMES if (p := root / n).is_file() and p not in foreign), None)
 
 
 def _keys(name: str) -> tuple[str, ...]:

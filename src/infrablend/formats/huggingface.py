@@ -12,7 +12,6 @@ and a number that is known in some splits alone is left out of all.
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +29,7 @@ from infrablend.core.files import finite, link_or_copy, write_chunks
 from infrablend.core.format_table import FIELDS
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import files_with, read_lines
+from infrablend.formats.annotation_files import files_with, read_lines, titles_of
 from infrablend.formats.base import (
     SPLIT_FOLDERS,
     Match,
@@ -264,12 +263,7 @@ def _files(root: Path) -> dict[Path, Split | None]:
 
 def _in_folder(folder: Path) -> list[Path]:
     lines = files_with(folder, FILE, lambda head: b"file_name" in head or folder.name in _FOLDERS, 1000)
-    return lines or files_with(folder, "metadata.csv", lambda head: {b"file_name", b"objects"} <= _columns(head), 1000)
-
-
-def _columns(head: bytes) -> set[bytes]:
-    first = head.removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0]
-    return {c.strip(b' "\r') for c in re.split(rb"[,;\t]", first)}
+    return lines or files_with(folder, "metadata.csv", lambda head: {"file_name", "objects"} <= titles_of(head), 1000)
 
 
 def _without_file(root: Path) -> dict[Path, Split]:

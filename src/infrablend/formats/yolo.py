@@ -59,6 +59,8 @@ _DECIMALS = 10
 _STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb": "obb"}
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
+# Folders in the longest end of a path that is looked for in a dataset.
+_DEEPEST = 20
 _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 
 
@@ -562,6 +564,7 @@ def _read_darknet(path: Path, root: Path) -> dict[str, Any]:
 def end_inside(folder: Path, name: str) -> str | None:
     """Return the longest end of a path that is a file below a folder: lists often begin elsewhere, as at `data/`."""
     parts = [p for p in re.split(r"[\\/]", name.rpartition("../")[2]) if p not in ("", ".", "..")]
+    parts = parts[-_DEEPEST:]
     ends = ("/".join(parts[k:]) for k in range(len(parts)))
     return next((end for end in ends if os.path.isfile(folder / end)), None)  # noqa: PTH113 - also of names too long
 
