@@ -225,6 +225,9 @@ def test_darknets_files_lead_nowhere_else(tmp_path: Path) -> None:
         api.read_dataset(put(tmp_path / "names", files | stated))
     data = put(tmp_path / "pictures", files | {"train.txt": files["train.txt"] + "../secret.jpg\n"})
     assert [p.code for p in api.read_dataset(data).problems] == ["name-climbs"]
+    long = "a" * 5000 + ".jpg\n" + "a/" * 100_000 + "b.jpg\n"
+    dataset = api.read_dataset(put(tmp_path / "long", files | {"train.txt": files["train.txt"] + long}))
+    assert len(dataset.images) == 1 and [p.code for p in dataset.problems] == ["image-missing"] * 2
 
 
 # -- imagefolder ---------------------------------------------------------------------------------------------------

@@ -550,7 +550,7 @@ def _read_darknet(path: Path, root: Path) -> dict[str, Any]:
     said = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
     names = end_inside(root, said.get("names", ""))
     if problem is None and names is None:
-        found, expected = f"names = {said.get('names')!r}, no file of the dataset", "a file with a class on each line"
+        found, expected = f"names = {said.get('names')!r}"[:120], "a file of the dataset with a class on each line"
         problem = Problem(path.name, "names", found, expected, "correct the line or restore the file")
     if problem is None:
         text, problem = read_text(root / str(names), str(names), "a class on each line")
@@ -566,7 +566,11 @@ def end_inside(folder: Path, name: str) -> str | None:
     parts = [p for p in re.split(r"[\\/]", name.rpartition("../")[2]) if p not in ("", ".", "..")]
     parts = parts[-_DEEPEST:]
     ends = ("/".join(parts[k:]) for k in range(len(parts)))
-    return next((end for end in ends if os.path.isfile(folder / end)), None)  # noqa: PTH113 - also of names too long
+    return next((end for end in ends if _is_file(folder / end)), None)
+
+
+def _is_file(path: Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 - `Path.is_file` raises for names that are too long
 
 
 def line_form(top: Mapping[str, Any], task: Task | None) -> tuple[Task | None, int]:
@@ -728,12 +732,14 @@ def _listed_pictures(found: Findings, lists: Sequence[tuple[Split, Path]]) -> di
                 continue
             here = f"{found.place(file)}: line {n}"
             fault = check_name(name, here)
-            path = next((p for p in (file.parent / name, root / name) if not fault and p.is_file()), None)
+            path = next((p for p in (file.parent / name, root / name) if not fault and _is_file(p)), None)
             if path is None and (end := end_inside(root, name)) is not None:
                 path, fault = root / end, None
             if path is None:
                 expected, todo = "a picture of the dataset", "correct the list"
-                found.problems.append(fault or Problem(here, "image-missing", f"no file {name!r}", expected, todo))
+                found.problems.append(
+                    fault or Problem(here, "image-missing", f"no file {name[:120]!r}", expected, todo)
+                )
             elif fault := check_link(path, root, here):
                 found.problems.append(fault)
             elif listed.setdefault(path, (split, _below_images(path, root)))[0] != split:
