@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.masks import Mask
 from infrablend.formats import yolo
 from infrablend.formats.box_checks import check_box, obb_from_corners
+from infrablend.formats.losses import Losses
 from infrablend.formats.pictures import check_name
 from infrablend.formats.polygons import outline, rasterise
 from infrablend.formats.records import Findings
@@ -24,7 +24,7 @@ SHARES = st.floats(0, 1, allow_subnormal=False)
 
 def text(size_wh: tuple[int, int], instance: Instance, task: yolo.Task) -> str:
     image = ImageRecord("a", Path("a.png"), "train", size_wh, (instance,))
-    return yolo.label_text(image, {"cow": 0}, task, Counter())
+    return yolo.label_text(image, {"cow": 0}, task, Losses())
 
 
 def read(made: str, size_wh: tuple[int, int], task: yolo.Task) -> Instance:

@@ -24,7 +24,7 @@ from urllib.parse import unquote
 
 import zstandard
 
-from infrablend.core.files import NotRegularError, open_regular
+from infrablend.core.files import LFS_FOUND, LFS_POINTER, LFS_TODO, NotRegularError, open_regular
 from infrablend.errors import ModelError, Problem
 
 # Version of what the import makes of the same files, geometry and names; a new one imports every model again.
@@ -211,8 +211,12 @@ def _read(main: Path, name: str) -> bytes:
             size = os.fstat(stream.fileno()).st_size
             if size > MAX_BYTES:
                 raise too_large(main, f"{name} has {size >> 20} MB")
-            return stream.read(MAX_BYTES + 1)
+            data = stream.read(MAX_BYTES + 1)
     except NotRegularError as error:
         raise ModelError(f"model file {main}: {name} is no regular file; expected one") from error
     except OSError as error:
         raise ModelError(f"model file {path}: cannot be read ({error.strerror or error})") from error
+    if data.startswith(LFS_POINTER):
+        fault = Problem(str(path), NO_FILE, LFS_FOUND, f"a valid {path.suffix} file", LFS_TODO)
+        raise ModelError(f"model file {main}: cannot be read", [fault])
+    return data

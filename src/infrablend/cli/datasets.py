@@ -20,7 +20,7 @@ from infrablend.cli.options import (
     key_values,
     split_at_commas,
 )
-from infrablend.cli.output import facts, grid, show_report, show_result, shown_progress, table
+from infrablend.cli.output import facts, grid, loss_lines, show_report, show_result, shown_progress, table
 
 if TYPE_CHECKING:
     from infrablend.report.checking import CheckReport
@@ -234,13 +234,10 @@ def convert(
 
 
 def _conversion_lines(report: api.ConvertReport) -> list[str]:
-    from infrablend.formats.losses import LOSSES
-
     rows = facts({k: v for k, v in report.counts.items() if k != "selection"})
     if selection := report.counts.get("selection"):
         rows["selection"] = _selection_text(selection)
-    lost = [f"lost: {kind} {n}: {LOSSES[kind.rpartition('.')[2]]}" for kind, n in report.losses.items()]
-    return [table(rows), *lost, str(report.out)]
+    return [table(rows), *loss_lines(report.losses), str(report.out)]
 
 
 def _selection_text(selection: Mapping[str, Any]) -> str:
@@ -332,7 +329,7 @@ def _split_blocks(report: api.SplitReport) -> list[str]:
             "neighbours after: not counted, the groups come from the same numbers; look at some groups in split.json"
         )
     if report.losses:
-        blocks.append(table(facts({"losses": report.losses})))
+        blocks.append("\n".join(loss_lines(report.losses)))
     return [*blocks, f"{report.out}: {report.format}, {report.files} files"]
 
 

@@ -119,6 +119,17 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     )
 
 
+def loss_lines(losses: Mapping[str, int]) -> list[str]:
+    """Return a line for each kind of loss, from counts by kind or by `<format>.<kind>`."""
+    from infrablend.formats.losses import LOSSES
+
+    by_kind: dict[str, list[str]] = {}
+    for key, n in losses.items():
+        of, _, kind = key.rpartition(".")
+        by_kind.setdefault(kind, []).append(f"{of} {n}".lstrip())
+    return [f"lost: {kind} {', '.join(counts)}: {LOSSES[kind]}" for kind, counts in by_kind.items()]
+
+
 def facts(data: Mapping[str, Any]) -> dict[str, str]:
     """Return the rows for `table` of a mapping of plain values: units come from the names, lists become lengths.
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,7 +27,7 @@ from infrablend.cli.options import (
     earlier_output,
     reported,
 )
-from infrablend.cli.output import facts, print_warnings, show_report, show_result, shown_progress, table
+from infrablend.cli.output import facts, loss_lines, print_warnings, show_report, show_result, shown_progress, table
 from infrablend.cli.session import Session
 from infrablend.core.addresses import shown
 from infrablend.errors import ArgumentError
@@ -146,8 +147,22 @@ def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None
 
 def _show_run(report: api.RunReport, session: Session) -> None:
     record = report.record_file or report.out / "run.json"
-    text = f"{table(facts(report.counts))}\n{shown(report.out)}".lstrip("\n")
-    show_report(session, report, record, report.to_json(), lambda: text)
+    lines = [table(_run_rows(report.counts)), *loss_lines(report.losses), shown(report.out)]
+    show_report(session, report, record, report.to_json(), lambda: "\n".join(lines).lstrip("\n"))
+
+
+def _run_rows(counts: Mapping[str, Any]) -> dict[str, str]:
+    """Return the rows of a run's counts; formats that hold the same labels share one."""
+    rows: dict[str, Any] = {}
+    for key, value in counts.items():
+        if key == "labels" and (by_format := counts.get("labels_by_format")):
+            alike: dict[str, list[str]] = {}
+            for name, held in by_format.items():
+                alike.setdefault(json.dumps(held), []).append(name)
+            rows |= {f"labels in {', '.join(names)}": json.loads(held) for held, names in alike.items()}
+        elif key != "labels_by_format":
+            rows[key] = value
+    return facts(rows)
 
 
 def merge(

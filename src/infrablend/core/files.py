@@ -14,6 +14,7 @@ import shutil
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,10 @@ _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, 
 
 
 NAME_TOO_LONG = "name-too-long"
+
+LFS_POINTER = b"version https://git-lfs"
+"""Start of the small text that Git leaves in place of a file that is stored with Git LFS."""
+LFS_FOUND, LFS_TODO = "a pointer of Git LFS in place of the file", "run `git lfs pull` in its repository"
 
 _MARK = 10  # digits of the digest in a temporary name
 
@@ -211,6 +216,14 @@ def read_regular(path: Path, folder: Path | None = None) -> bytes:
         if size > LARGEST_READ_BYTES:
             raise OSError(errno.EFBIG, f"{size / 2**30:.1f} GiB; expected at most 1 GiB", str(path))
         return stream.read()
+
+
+def or_lfs_pointer(problem: Problem, path: Path) -> Problem:
+    """Return the problem of a file that cannot be read; it says so if a pointer of Git LFS is in its place."""
+    with contextlib.suppress(OSError), open_regular(path) as stream:
+        if stream.read(len(LFS_POINTER)) == LFS_POINTER:
+            return replace(problem, found=LFS_FOUND, todo=LFS_TODO)
+    return problem
 
 
 def load_json(path: Path) -> Any:

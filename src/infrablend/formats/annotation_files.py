@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import json
 import re
 import stat
@@ -15,7 +16,7 @@ from defusedxml import ElementTree
 from defusedxml.common import DefusedXmlException
 
 from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import open_regular
+from infrablend.core.files import LFS_POINTER, open_regular, or_lfs_pointer
 from infrablend.core.json_records import (
     MAX_DEPTH,
     MAX_RECORD,
@@ -108,6 +109,7 @@ def read_json(path: Path, *, rows: bool = False) -> Any:
         if isinstance(error, DatasetError):
             raise
         problem = Problem(path.name, NOT_JSON, f"not JSON ({error or type(error).__name__})", expected, todo)
+        problem = or_lfs_pointer(problem, path)
     raise DatasetError(f"{path}: {problem.found}", [problem])
 
 
@@ -163,6 +165,9 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
                 except UnicodeDecodeError as error:
                     problems.append(Problem(here, NOT_JSON, f"not UTF-8 ({error.reason})", expected, todo))
                     continue
+                if number == 1 and text.startswith(LFS_POINTER.decode()):
+                    problems.append(or_lfs_pointer(Problem(where, NOT_JSON, "", expected), path))
+                    return
                 if text:
                     yield number, text
     except OSError as error:
@@ -175,8 +180,16 @@ def files_with(root: Path, pattern: str, is_ours: Callable[[bytes], bool], head_
     found = []
     for path in sorted(p for p in root.glob(pattern) if not leaves_folder(p)):
         with suppress(OSError), open_regular(path) as stream:
-            found += [path] if is_ours(stream.read(head_bytes)) else []
+            found += [path] if is_ours(as_utf8(stream.read(head_bytes))) else []
     return found
+
+
+def as_utf8(text: bytes) -> bytes:
+    """Return the start of a text in UTF-8 if it is in UTF-16, which the mark or a zero in its first bytes tells."""
+    marked = text.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    if not marked and b"\0" not in text[:2]:
+        return text
+    return text.decode("utf-16" if marked else "utf-16-be" if text[:1] == b"\0" else "utf-16-le", "ignore").encode()
 
 
 def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | None]:
@@ -186,6 +199,8 @@ def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | Non
         if problem is not None:
             return "", problem
         text = path.read_text(encoding="utf-8-sig")
+        if text.startswith(LFS_POINTER.decode()):
+            return "", or_lfs_pointer(Problem(where, "annotation-unreadable", "", expected), path)
         _note(path)
         return text, None
     except (OSError, UnicodeDecodeError) as error:
@@ -211,7 +226,7 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
         found, todo = f"cannot be read ({error.strerror or 'unknown reason'})", "check the file and its permissions"
     except Exception as error:  # unknown encodings, nesting without end
         found, todo = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name), "fetch it again"
-    return None, Problem(where, "annotation-not-xml", found, "an XML file with labels", todo)
+    return None, or_lfs_pointer(Problem(where, "annotation-not-xml", found, "an XML file with labels", todo), path)
 
 
 def child_text(element: Any, key: str) -> str | None:
@@ -233,6 +248,12 @@ def delimiter_of(text: str, lines: int = 1) -> str:
     """Return what separates columns: what occurs most often in the first lines, comma, semicolon or tab."""
     start = "\n".join(text[:_LINE_CHARACTERS].splitlines()[:lines])
     return max(",;\t", key=start.count)
+
+
+def titles_of(head: bytes) -> set[str]:
+    """Return the titles of the columns of a table, from its first bytes."""
+    line = head.decode("utf-8-sig", "ignore").partition("\n")[0]
+    return {title.strip(' "\r') for title in line.split(delimiter_of(line))}
 
 
 def comma_of(rows: Sequence[Sequence[str]], delimiter: str) -> str:

@@ -35,7 +35,7 @@ from infrablend.formats.base import (
     require_options,
 )
 from infrablend.formats.box_checks import edges_of_xywh, snap_edges
-from infrablend.formats.losses import Written, count_dropped
+from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.values import csv_text, number_text, to_floats, to_int
@@ -417,7 +417,7 @@ def write(
         ValueError: A category is not in the list.
     """
     ordered = in_order(images)
-    losses: Counter[str] = Counter()
+    losses = Losses()
     species = _species_numbers(categories)
     regions = {c.name for c in categories if c.ignore}
     ignored = regions if dont_care == "drop" else set()
@@ -431,10 +431,13 @@ def write(
     for (split, sequence), group in _grouped(ordered, places).items():
         table = lines.setdefault(f"{folder_of[split]}/annotations/{sequence}.csv", [])
         for image in (ordered[n] for n in group):
-            kept = [o for o in image.instances if o.category not in ignored]
-            if dont_care == "drop":
-                kept = [o for o in kept if not o.is_crowd]
-            losses["ignore_dropped"] += len(image.instances) - len(kept)
+            kept = []
+            for o in image.instances:
+                if o.category in ignored or (o.is_crowd and dont_care == "drop"):
+                    losses["ignore_dropped"] += 1
+                    losses.left_out[split, o.category] += 1
+                else:
+                    kept.append(o)
             losses["ignore_as_class"] += count_crowds(kept, regions)
             losses["empty_unsaid"] += not kept and image.extra.get("labelled", True) is True
             require_known(replace(image, instances=tuple(kept)), species)

@@ -14,17 +14,17 @@ from typing import Any
 from infrablend.core.capture import FACTS, UNKNOWN, Capture
 from infrablend.core.json_records import is_list, is_table
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import comma_of, delimiter_of, read_json, read_text
+from infrablend.formats.annotation_files import comma_of, delimiter_of, files_with, read_json, read_text, titles_of
 from infrablend.formats.values import to_time
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
-_KEYS = ("file", "stem", "sequence")
+_KEYS = ("file", "file_name", "stem", "sequence")
 # Columns that `infrablend frames` writes for people and other programs.
 UNREAD = ("time_s", "yaw_deg", "latitude_deg", "longitude_deg")
 # Facts that a row for a whole sequence cannot state, because they are those of one picture.
 _OF_PICTURE = ("sequence", "captured", "frame")
-# Key of the cells of a row beyond the last column.
-_SURPLUS = "\0"
+SURPLUS = "\0"
+"""Key of the cells of a row beyond the last column."""
 # HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.
 _NAME = re.compile(r"([01])_(\d{1,4})_(\d{1,2})_([01])_(\d{1,9})(?:_c(\d+))?", re.ASCII)
 
@@ -51,8 +51,14 @@ def facts_from_name(name: str) -> NameFacts | None:
 
 
 def find_table(root: Path) -> Path | None:
-    """Return `metadata.csv` or `metadata.json` in the folder, in this order, or None."""
-    return next((root / n for n in TABLE_NAMES if (root / n).is_file()), None)
+    """Return `metadata.csv` or `metadata.json` in the folder, in this order, or None.
+
+    Hugging Face calls a table of labels or texts `metadata.csv`, too: with a column `file_name`, and none of ours.
+    """
+    foreign = files_with(
+        root, TABLE_NAMES[0], lambda head: "file_name" in (t := titles_of(head)) and not t & set(FACTS), 1000
+    )
+    return next((p for n in TABLE_NAMES if (p := root / n).is_file() and p not in foreign), None)
 
 
 def _keys(name: str) -> tuple[str, ...]:
@@ -154,7 +160,7 @@ def read_table(path: Path) -> CaptureTable:
     Raises:
         DatasetError: The file cannot be read, or has no such columns.
     """
-    rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
+    rows = _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path)
     columns = {k for _, row in rows for k in row}
     telemetry = [name for name, fact in FACTS.items() if fact.field == "telemetry"]
     if not rows or not columns & set(_KEYS) or not columns & set(telemetry):
@@ -163,7 +169,7 @@ def read_table(path: Path) -> CaptureTable:
         problem = Problem(path.name, "table-columns", found, expected, "rename the columns")
         raise DatasetError(f"{path}: no table of pitch and altitude", [problem])
     problems: list[Problem] = []
-    unknown = sorted(columns - {*_KEYS, *FACTS, *UNREAD, _SURPLUS, ""})
+    unknown = sorted(columns - {*_KEYS, *FACTS, *UNREAD, SURPLUS, ""})
     if unknown:
         found = f"unknown columns {', '.join(unknown)}, ignored"
         problems.append(Problem(path.name, "table-columns", found, severity="warning"))
@@ -171,8 +177,8 @@ def read_table(path: Path) -> CaptureTable:
     for where, row in rows:
         key = next((v for k in _KEYS if (v := str(row.get(k) or "").strip())), "")
         capture, fault = _capture(row)
-        if _SURPLUS in row:
-            fault = ("table-value", f"{len(row[_SURPLUS])} cell(s) more than columns", "a cell for each column")
+        if SURPLUS in row:
+            fault = ("table-value", f"{len(row[SURPLUS])} cell(s) more than columns", "a cell for each column")
         elif not key:
             fault = ("table-value", "no file, stem or sequence", "the name of a picture or sequence")
         elif fault is None and key in captures:
@@ -180,13 +186,13 @@ def read_table(path: Path) -> CaptureTable:
         if fault is not None:
             problems.append(Problem(f"{path.name}: {where}", *fault, "correct the table"))
             continue
-        of_picture = any(str(row.get(k) or "").strip() for k in ("file", "stem"))
+        of_picture = any(str(row.get(k) or "").strip() for k in _KEYS[:3])
         known = capture if of_picture else replace(capture, **dict.fromkeys(_OF_PICTURE))
         captures[key.removeprefix("./")] = known
     return CaptureTable(captures, tuple(problems), path.name)
 
 
-def _csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+def csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Return the rows of a table with commas, semicolons or tabs; numbers may have decimal commas."""
     text, problem = read_text(path, path.name, "a CSV table")
     if problem is None:
@@ -215,7 +221,7 @@ def _records(
         row: dict[str, Any] = dict(zip(titles, cells, strict=False))
         row |= {k: v.replace(",", comma) for k, v in row.items() if k in numbers}
         if any(c.strip() for c in cells[len(titles) :]):
-            row[_SURPLUS] = cells[len(titles) :]
+            row[SURPLUS] = cells[len(titles) :]
         records.append((where, row))
     return records
 

@@ -420,7 +420,8 @@ def _report_crowds(found: Findings, records: Iterable[ImageRecord], categories: 
     for name in (c.name for c in categories if not c.ignore):
         if (crowds := counts[name, True]) and not counts[name, False]:
             text = f"all {crowds} label(s) of {name!r} are crowds (iscrowd 1), which YOLO leaves out"
-            todo = "if they are masks of single objects, as from CVAT, set iscrowd to 0"
+            todo = "if they are masks of single objects, as from CVAT, set iscrowd to 0, or keep crowds as objects: "
+            todo += "labels.dont_care=keep in a recipe, --dont-care keep for convert"
             found.warn(found.root.name, "crowds-only", text, "iscrowd 0 for single objects", todo)
 
 

@@ -127,7 +127,7 @@ def read(
         raise DatasetError(f"{root}: no YOLO labels", [problem])
     names = _find_names(root, pictures) if labelled else None
     described = find_yaml(root) if labelled else None
-    task, keypoints = line_form(read_yaml(described) if described else {}, task)
+    task, keypoints = line_form(read_yaml(described, root) if described else {}, task)
     records, known = build_records(found, pictures, names, task, keypoints)
     if labels != "none":
         report_orphans(found, pictures, keypoints)
@@ -138,12 +138,16 @@ def read(
 
 
 def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] | None:
-    """Return class names from `data.yaml`, or `classes.txt` in the folder, in `labels/` or beside the first label."""
+    """Return class names from `data.yaml`, from Darknet's files, or from `classes.txt`; None without any of these.
+
+    `classes.txt` may be in the folder, in `labels/` or beside the first label, `_darknet.labels` only there.
+    """
     path = find_yaml(root)
     if path is not None:
-        return class_names(read_yaml(path)["names"], path.name)
+        return class_names(read_yaml(path, root)["names"], path.name)
     first = next(p.label for p in pictures if p.label is not None)
-    for candidate in (root / "classes.txt", root / "labels" / "classes.txt", first.parent / "classes.txt"):
+    names = [root / "classes.txt", root / "labels" / "classes.txt", first.parent / "classes.txt"]
+    for candidate in (*names, first.parent / "_darknet.labels", *sorted(root.glob("*.names"))):
         if candidate.is_file():
             text, problem = read_text(candidate, candidate.name, "a class name on each line")
             if problem is not None:

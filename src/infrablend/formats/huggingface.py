@@ -29,8 +29,9 @@ from infrablend.core.files import finite, link_or_copy, write_chunks
 from infrablend.core.format_table import FIELDS
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_lines
+from infrablend.formats.annotation_files import files_with, read_lines, titles_of
 from infrablend.formats.base import (
+    SPLIT_FOLDERS,
     Match,
     category_ids,
     check_splits,
@@ -43,6 +44,7 @@ from infrablend.formats.base import (
     split_parts,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near
+from infrablend.formats.capture import SURPLUS, UNREAD, csv_rows
 from infrablend.formats.losses import BOXES, Written
 from infrablend.formats.pictures import PictureFolder
 from infrablend.formats.records import Findings, with_ids
@@ -253,22 +255,34 @@ def _drop_untyped(
 # -- reading ---------------------------------------------------------------------------------------------------
 
 
-def _files(root: Path) -> dict[Path, Split]:
-    return {p: split for name, split in _FOLDERS.items() if (p := root / name / FILE).is_file()}
+def _files(root: Path) -> dict[Path, Split | None]:
+    """Return the files with their splits; None for one of the whole folder, in which the pictures' folders tell."""
+    files: dict[Path, Split | None] = {p: s for name, s in _FOLDERS.items() for p in _in_folder(root / name)}
+    return files or dict.fromkeys(_in_folder(root))
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    lines = files_with(folder, FILE, lambda head: b"file_name" in head or folder.name in _FOLDERS, 1000)
+    return lines or files_with(folder, "metadata.csv", lambda head: {"file_name", "objects"} <= titles_of(head), 1000)
 
 
 def _without_file(root: Path) -> dict[Path, Split]:
     """Return the folders of splits that have pictures, but no file: those of splits without any object."""
     folders = {root / name: split for name, split in _FOLDERS.items()}
-    return {p: s for p, s in folders.items() if p.is_dir() and not (p / FILE).exists()}
+    return {p: s for p, s in folders.items() if p.is_dir() and not _in_folder(p)}
 
 
 def detect(root: Path) -> Match:
-    """Decide whether `root` contains the folder of a split with a `metadata.jsonl`."""
+    """Decide whether `root`, or its folder of a split, has a `metadata.jsonl`, or `metadata.csv` with objects."""
     files = _files(root)
     if not files:
-        return Match(NAME, False, f"no train/{FILE}, val/{FILE} or test/{FILE}")
+        return Match(NAME, False, f"no {FILE} in it or in train, val or test")
     return Match(NAME, True, f"imagefolder: {', '.join(p.relative_to(root).as_posix() for p in files)}")
+
+
+# Columns that are read, or tell nothing more.
+_KNOWN = {"file_name", "width", "height", "image_id", "id", _SCALE, _OBJECTS, *FACTS, *UNREAD}
+_OF_OBJECTS = {"bbox", "category", "categories", "label", "category_id", "ignore", "inserted", "id", "area", *_OPTIONAL}
 
 
 @dataclass
@@ -299,24 +313,25 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     wanted = check_splits(splits)
     state = _Reading(root)
     records: list[ImageRecord] = []
-    for path, split in _files(root).items():
-        if split not in wanted:
+    files = _files(root)
+    for path, stated in files.items():
+        if stated not in (*wanted, None):
             continue
         where = state.place(path)
         folder = PictureFolder.scan(path.parent)
         seen: set[str] = set()
-        for n, line in read_lines(path, where, "a line of JSON per picture", state.problems):
-            record = _read_line(line, f"{where}: line {n}", split, folder, state)
+        for here, row in _rows(path, where, state):
+            split = stated or SPLIT_FOLDERS.get(str(row.get("file_name")).partition("/")[0].lower(), "train")
+            record = _read_row(row, here, split, folder, state)
             if record is not None and record.name in seen:
-                twice = f"a second line for {record.name!r}"
-                state.add(f"{where}: line {n}", "image-duplicate", twice, "each picture once")
+                state.add(here, "image-duplicate", f"a second line for {record.name!r}", "each picture once")
             elif record is not None:
                 seen.add(record.name)
-                records.append(record)
+                records += [record] if split in wanted else []
         if unlisted := sorted(set(folder.by_name) - seen):
             text = f"{len(unlisted)} picture(s) without a line, left out: {', '.join(unlisted[:3])}"
             state.warn(where, "image-unlisted", text, "a line per picture")
-    for path, split in _without_file(root).items() if records else ():
+    for path, split in _without_file(root).items() if records and None not in files.values() else ():
         folder = PictureFolder.scan(path)
         if split not in wanted or not folder.by_name:
             continue
@@ -329,19 +344,39 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     if not records:
         state.add(str(root), "annotation-missing", "no picture with a line", f"<split>/{FILE}")
         raise DatasetError(f"{root}: nothing to read in {', '.join(wanted)}", shorten(state.problems))
+    state.report_left_out()
     ordered = tuple(sorted(state.categories.values(), key=lambda c: c.id))
     return Dataset(root, NAME, ordered, with_ids(records), tuple(state.problems), {"labels": NAME})
 
 
-def _read_line(line: str, where: str, split: Split, folder: PictureFolder, state: _Reading) -> ImageRecord | None:
+def _rows(path: Path, where: str, state: _Reading) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the place and the columns of each line of a file."""
+    if path.suffix == ".csv":
+        try:
+            rows = csv_rows(path)
+        except DatasetError as error:
+            state.add_all(error.problems, where)
+            return
+        for place, cells in rows:
+            if SURPLUS in cells:
+                state.add(f"{where}: {place}", "table-value", "more cells than columns", "a cell for each column")
+                continue
+            row = {k: v for k, v in cells.items() if v}
+            yield f"{where}: {place}", {**row, _OBJECTS: _json(row.get(_OBJECTS, "null"))}
+        return
+    for n, line in read_lines(path, where, "a line of JSON per picture", state.problems):
+        row = _json(line)
+        if isinstance(row, dict):
+            yield f"{where}: line {n}", row
+        else:
+            state.add(f"{where}: line {n}", "annotation-not-json", line[:80], "a JSON object", "correct the line")
+
+
+def _json(text: str) -> Any:
     try:
-        row = json.loads(line)
+        return json.loads(text)
     except (ValueError, RecursionError):
-        row = None
-    if not isinstance(row, dict):
-        state.add(where, "annotation-not-json", line[:80], "a JSON object", "correct the line")
-        return None
-    return _read_row(row, where, split, folder, state)
+        return text
 
 
 def _read_row(
@@ -351,6 +386,8 @@ def _read_row(
     if fault is not None or picture is None:
         state.problems += [fault] if fault else []
         return None
+    for unknown in (k for k in row if k not in _KNOWN and row[k] not in (None, "")):
+        state.leave_out(f"column {unknown}", where)
     size_wh = to_size(row.get("width"), row.get("height"))
     facts = {fact: _text(v) if isinstance(v := row.get(fact), str) else v for fact in FACTS}
     capture = Capture.from_json(facts, strict=False)
@@ -370,6 +407,8 @@ def _read_objects(value: object, where: str, size_wh: tuple[int, int] | None, st
         if value is not None:
             state.add(where, "annotation-layout", "objects without a list `bbox`", "bbox: [[x, y, w, h], ...]")
         return ()
+    for unknown in (k for k in columns if boxes and k not in _OF_OBJECTS):
+        state.leave_out(f"column {unknown} of objects", where)
     # Columns of the wrong length cannot be assigned to objects.
     short = sorted(k for k, v in columns.items() if not isinstance(v, list) or len(v) != len(boxes))
     if short:

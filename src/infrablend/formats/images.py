@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, JpegImagePlugin
 
-from infrablend.core.files import write_bytes
+from infrablend.core.files import or_lfs_pointer, write_bytes
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures import MAX_PIXELS, open_picture
 
@@ -132,7 +132,8 @@ def _orientation(picture: Any) -> Any:
 
 
 def _refuse(path: Path, code: str, found: str, expected: str, todo: str) -> DatasetError:
-    return DatasetError(f"{path}: {found}", [Problem(path.name, code, found, expected, todo)])
+    problem = or_lfs_pointer(Problem(path.name, code, found, expected, todo), path)
+    return DatasetError(f"{path}: {problem.found}", [problem])
 
 
 def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint16], PixelMode, list[Problem]]:

@@ -22,7 +22,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_chunks, write_text
 from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
@@ -30,6 +30,7 @@ from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import files_with, read_json
 from infrablend.formats.base import (
+    SPLIT_FOLDERS,
     Match,
     category_ids,
     check_splits,
@@ -38,6 +39,7 @@ from infrablend.formats.base import (
     named_categories,
     require_known,
     require_size,
+    split_folders,
     split_of_stem,
     split_parts,
     unmarked_regions,
@@ -229,6 +231,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     records: dict[Path, ImageRecord] = {}
     twice: dict[str, list[ImageRecord]] = defaultdict(list)
     folder = PictureFolder.scan(root / "images")
+    places = [(split, f"{inside.name}/") for split, inside in split_folders(folder.folder)]
     for path in files:
         try:
             tasks = read_json(path)
@@ -236,7 +239,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
             found.problems += error.problems
             continue
         for n, task in enumerate(tasks if is_list(tasks) else ()):
-            record = _read_task(found, task, f"{path.name}: task {n}", split_of_stem(path.stem), folder)
+            record = _read_task(found, task, f"{path.name}: task {n}", split_of_stem(path.stem), folder, places)
             if record is None or record.split not in wanted:
                 continue
             if records.setdefault(record.path, record) is not record:
@@ -246,7 +249,10 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     return found.dataset(NAME, records.values(), categories, {"labels": NAME}, metadata=metadata, splits=wanted)
 
 
-def _read_task(found: Findings, task: object, where: str, split: Split, folder: PictureFolder) -> ImageRecord | None:
+def _read_task(
+    found: Findings, task: object, where: str, split: Split, folder: PictureFolder, places: Sequence[tuple[Split, str]]
+) -> ImageRecord | None:
+    """Return the picture of a task, found in `folder` in one of the `places` of its split, else anywhere."""
     data = task.get("data") if isinstance(task, dict) else None
     address = data.get("image") if isinstance(data, dict) else None
     if not isinstance(task, dict) or not isinstance(data, dict) or not isinstance(address, str):
@@ -255,8 +261,8 @@ def _read_task(found: Findings, task: object, where: str, split: Split, folder: 
     name, split = _name_of(address, split)
     fault = check_name(name, where)
     picture = None
-    for key in (f"{split}/{name}", name) if fault is None else ():
-        _, picture, fault = folder.find(key, where)
+    for place in (*(p for s, p in places if s == split), "") if fault is None else ():
+        _, picture, fault = folder.find(place + name, where)
         if picture is not None or fault is not None:
             break
     if fault is None and picture is None:
@@ -282,8 +288,8 @@ def _name_of(address: str, split: Split) -> tuple[str, Split]:
     folders = path.replace("\\", "/").split("/")
     if "images" in folders[:-1]:
         folders = folders[len(folders) - folders[::-1].index("images") :]
-        if len(folders) > 1 and folders[0] in SPLITS:
-            return "/".join(folders[1:]), folders[0]
+        if len(folders) > 1 and (stated := SPLIT_FOLDERS.get(folders[0].lower())):
+            return "/".join(folders[1:]), stated
         return "/".join(folders), split
     return folders[-1], split
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.errors import Problem
 
 LOSSES: Mapping[str, str] = {
@@ -48,18 +48,35 @@ LOSSES: Mapping[str, str] = {
 """Meaning of every kind of loss that writers count."""
 
 
+class Losses(Counter[str]):
+    """Losses by kind (see `LOSSES`), and the objects that are in no file because of them, by split and class."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.left_out: Counter[tuple[str, str]] = Counter()
+
+
 @dataclass(frozen=True)
 class Written:
-    """Result of a writer: the files, the losses by kind (see `LOSSES`), and warnings."""
+    """Result of a writer.
+
+    Attributes:
+        files: The files.
+        losses: Losses by kind, see `LOSSES`.
+        problems: Warnings.
+        left_out: Number of objects that are in none of the files, by split and class.
+    """
 
     files: tuple[Path, ...] = ()
     losses: Mapping[str, int] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
+    left_out: Mapping[tuple[str, str], int] = field(default_factory=dict)
 
     @classmethod
     def of(cls, files: Iterable[Path], losses: Mapping[str, int], problems: Iterable[Problem] = ()) -> Written:
         """Return the result with the kinds of losses that occurred, sorted."""
-        return cls(tuple(files), {k: n for k, n in sorted(losses.items()) if n}, tuple(problems))
+        left_out = losses.left_out if isinstance(losses, Losses) else {}
+        return cls(tuple(files), {k: n for k, n in sorted(losses.items()) if n}, tuple(problems), left_out)
 
     @classmethod
     def together(cls, parts: Iterable[Written]) -> Written:
@@ -67,11 +84,27 @@ class Written:
         files: list[Path] = []
         problems: list[Problem] = []
         losses: Counter[str] = Counter()
+        left_out: Counter[tuple[str, str]] = Counter()
         for part in parts:
             files += part.files
             problems += part.problems
             losses.update(part.losses)
-        return cls(tuple(files), dict(sorted(losses.items())), tuple(problems))
+            left_out.update(part.left_out)
+        return cls(tuple(files), dict(sorted(losses.items())), tuple(problems), left_out)
+
+    def kept(self, images: Iterable[ImageRecord]) -> Counter[tuple[str, str]]:
+        """Return the number of objects in the files, by split and class, of the images that were to be written."""
+        kept: Counter[tuple[str, str]] = Counter((i.split, o.category) for i in images for o in i.instances)
+        kept.subtract(self.left_out)
+        return kept
+
+
+def by_class(counts: Mapping[tuple[str, str], int]) -> dict[str, int]:
+    """Return the number of objects by class, sorted, from that by split and class."""
+    found: Counter[str] = Counter()
+    for (_, name), n in counts.items():
+        found[name] += n
+    return dict(sorted(found.items()))
 
 
 BOXES = ("amodal_box", "visible_box")

@@ -25,7 +25,7 @@ from infrablend.core.files import link_or_copy, write_bytes, write_json
 from infrablend.core.json_records import is_list
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_json
+from infrablend.formats.annotation_files import leave_out, read_json
 from infrablend.formats.base import (
     Match,
     category_ids,
@@ -165,6 +165,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
         base = root / "masks" / split
         listing = PictureFolder.scan(root / "images" / split)
         tables = [p for p in sorted(base.rglob("*.json")) if not p.name.startswith(".")] if base.is_dir() else []
+        leave_out(sorted(base.rglob("*.png")))  # read with their tables
         read = [r for p in tables if (r := _read_table(found, p, split, listing, names)) is not None]
         records += read
         unlisted = sorted(set(listing.by_name) - {r.name for r in read})

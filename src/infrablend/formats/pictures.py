@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -14,6 +15,7 @@ from PIL import Image
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import is_inside, leaves
+from infrablend.core.files import or_lfs_pointer
 from infrablend.core.run_folder import kept_aside
 from infrablend.errors import Problem
 
@@ -21,6 +23,11 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
+# Folders of pictures whose pixels say which object is where in the picture of the same stem.
+_MASK_FOLDER = re.compile(
+    r"(?:^|/)(?:segmentation(?:class|object)\w*|(?:\w+[_-])?masks?|ann_dir|annotations?|labels?)(?:/|$)", re.IGNORECASE
+)
+_MASK_END = re.compile(r"[_-]masks?$")
 
 
 def is_hidden(name: str) -> bool:
@@ -48,8 +55,32 @@ def walk(folder: Path, skip: Sequence[str] = ()) -> Iterator[tuple[str, list[str
 def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
     """Return the pictures below `folder` by relative POSIX path, sorted; empty if the folder does not exist.
 
-    The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out.
+    The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out. Masks
+    of other pictures, see `masks_of`, are left out, too.
     """
+    found = _pictures_below(folder, skip)
+    masks = masks_of(found)
+    return {name: path for name, path in found.items() if name not in masks} if masks else found
+
+
+def masks_of(names: Collection[str]) -> dict[str, str]:
+    """Return which of some pictures, by relative path, are masks of others, with the stems of these.
+
+    The folder or the name tells, as in `SegmentationClass/a.png`, `masks/a.png` and `a_mask.png`. In a folder none of
+    whose pictures has the stem of a picture elsewhere, there are no masks.
+    """
+    inside = {folder for folder in {n.rpartition("/")[0] for n in names} if _MASK_FOLDER.search(folder)}
+    stems = {
+        n: _MASK_END.sub("", PurePosixPath(n).stem)
+        for n in names
+        if n.rpartition("/")[0] in inside or ("mask" in n and _MASK_END.search(PurePosixPath(n).stem))
+    }
+    others = {PurePosixPath(n).stem for n in names if n not in stems} if stems else set()
+    folders = {n.rpartition("/")[0] for n, stem in stems.items() if stem in others}
+    return {n: stem for n, stem in stems.items() if n.rpartition("/")[0] in folders}
+
+
+def _pictures_below(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for base, names in walk(folder, skip):
         here = Path(base)
@@ -233,9 +264,8 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         found = str(error)
     except Exception as error:  # PIL's decoders raise what they like on broken headers
         found = f"no readable picture ({error or type(error).__name__})".replace(str(path), path.name)
-        return None, Problem(
-            where, "image-unreadable", found, "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
-        )
+        expected, todo = "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
+        return None, or_lfs_pointer(Problem(where, "image-unreadable", found, expected, todo), path)
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import defaultdict
 from collections.abc import Collection, Iterator
@@ -10,14 +11,14 @@ from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import fold_name
-from infrablend.core.files import open_regular
+from infrablend.core.files import LFS_FOUND, LFS_TODO, open_regular
 from infrablend.core.json_records import is_list
 from infrablend.core.run_folder import RUN_FILE
 from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
-from infrablend.errors import DatasetError, Problem
-from infrablend.formats import coco, folder, yolo
-from infrablend.formats.annotation_files import read_json, read_xml
-from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_pictures, walk
+from infrablend.errors import DatasetError, Problem, Severity
+from infrablend.formats import folder
+from infrablend.formats.annotation_files import as_utf8, read_json, read_xml
+from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, is_picture_name, masks_of, walk
 
 _SUFFIXES = {".xml", ".json", ".jsonl", ".txt", ".csv", ".tsv", ".label"}
 _PART = re.compile(r"\.part(-\d+)?$")
@@ -26,6 +27,8 @@ _EXPECTED = "a label file that can be read"
 _RECORDS = {WORLD_FILE, CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE, "SOURCE.json"}
 # Texts for people, which may name pictures as examples.
 _FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|changelog)", re.IGNORECASE)
+# Folders that separate pictures from labels.
+_KIND = re.compile(r"(?<=/)(?:images?|imgs?|jpegimages|labels?|annotations?|xmls?)/", re.IGNORECASE)
 # The end of a picture's name, and what separates names. Names are looked for backwards from their ends: forwards, a
 # line of a megabyte without a separator would be searched from each of its characters.
 _PICTURE_END = re.compile(r"\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
@@ -43,37 +46,53 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
     """Return the problems of label files below the dataset's folder that its reader did not take.
 
     These are damaged XML and JSON files, text files with a suffix such as `.TXT`, files that name pictures of the
-    dataset or hold a table of boxes, and, in a plain folder of pictures, files named like a picture. Lists of pictures
-    and texts for people are none.
+    dataset or hold a table of boxes, files named like a picture, and masks. Lists of pictures and texts for people are
+    none. A file of one picture, or its mask, is only worth a warning if the picture has labels from elsewhere.
 
     Args:
         dataset: The dataset.
         read: Files from which the reader took something (see `annotation_files.noting_files_read`).
     """
-    stems = {fold_name(i.path.stem) for i in dataset.images}
+    files = list(_files_below(dataset.root))
+    reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
+    left = [name for name in files if _is_candidate(name) and dataset.root / name not in read]
+    left = [name for name in left if name not in reported and PurePosixPath(name).name not in reported]
+    masks = masks_of([name for name in files if is_picture_name(name)])
+    masks = {name: stem for name, stem in masks.items() if dataset.root / name not in read}
+    if not left and not masks:
+        return []
     names = {fold_name(i.path.name) for i in dataset.images}
     plain = dataset.format == folder.NAME
-    used = _used(dataset) if plain else set()
-    reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
+    labelled = {fold_name(i.path.stem): bool(i.instances) for i in dataset.images}
+    # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
+    places = set() if plain else {_place(os.fspath(i.path)) for i in dataset.images}
     ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
-    problems, alike = [], defaultdict[tuple[str, str, str], list[str]](list)
-    for name in label_candidates(dataset.root):
+    problems, alike = [], defaultdict[tuple[str, str, str, Severity], list[str]](list)
+    for name in left:
         path = dataset.root / name
-        if name in reported or PurePosixPath(name).name in reported or path in used or path in read:
-            continue
+        stem = fold_name(path.stem)
         if fault := _fault(path, name):
-            problems.append(Problem(name, "label-unread", fault, _EXPECTED, "restore or remove the file"))
-        elif path.suffix != path.suffix.lower() == ".txt" and fold_name(path.stem) in stems:
+            todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
+            problems.append(Problem(name, "label-unread", fault, _EXPECTED, todo))
+        elif path.suffix != path.suffix.lower() == ".txt" and stem in labelled:
             found = f"labels with the suffix {path.suffix}, which are not read"
             problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
         elif ours or name in _RECORDS or _FOR_PEOPLE.match(path.name):
             continue
-        elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or _tells_of(path, names):
-            alike[path.parent.as_posix(), path.suffix, "labels in no known layout, which are not read"].append(name)
-    for (_, _, found), files in alike.items():
-        if len(files) > _MOST_NAMED:
-            found, files = f"{len(files)} files with {found}", files[:1]
-        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO) for name in files]
+        elif labelled.get(stem) and (plain or _place(os.fspath(path)) in places):
+            found = "labels of a picture that has other labels, which are not read"
+            alike[path.parent.as_posix(), path.suffix, found, "warning"].append(name)
+        elif (plain and (stem in labelled or _is_annotation(path, name))) or _tells_of(path, names):
+            found = "labels in no known layout, which are not read"
+            alike[path.parent.as_posix(), path.suffix, found, "error"].append(name)
+    for name, of in {} if ours else masks.items():
+        if fold_name(of) in labelled:
+            severity: Severity = "warning" if labelled[fold_name(of)] else "error"
+            alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", severity].append(name)
+    for (_, _, found, severity), same in alike.items():
+        if len(same) > _MOST_NAMED:
+            found, same = f"{len(same)} files with {found}", same[:1]
+        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO, severity) for name in same]
     return problems
 
 
@@ -99,19 +118,22 @@ def hidden_pictures(root: Path) -> list[Problem]:
 
 def label_candidates(root: Path) -> Iterator[str]:
     """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
+    return filter(_is_candidate, _files_below(root))
+
+
+def _is_candidate(name: str) -> bool:
+    return name[name.rfind(".") :].lower() in _SUFFIXES
+
+
+def _files_below(root: Path) -> Iterator[str]:
     for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
-        yield from (
-            prefix + n for n in sorted(names) if not is_hidden(n) and PurePosixPath(n).suffix.lower() in _SUFFIXES
-        )
+        yield from (prefix + n for n in sorted(names) if not is_hidden(n))
 
 
-def _used(dataset: Dataset) -> set[Path]:
-    root = dataset.root
-    labels = {yolo.find_label(p, root) for p in list_pictures(root).values()}
-    files = set(coco.find_files(root)) if dataset.notes.get("labels") == "coco" else set()
-    table = dataset.notes.get("table")
-    return {p for p in labels if p is not None} | files | ({root / table} if table else set())
+def _place(path: str) -> str:
+    """Return a path without suffix and without folders that only separate pictures from labels."""
+    return _KIND.sub("", path.rpartition(".")[0])
 
 
 def _fault(path: Path, name: str) -> str:
@@ -140,7 +162,7 @@ def _is_annotation(path: Path, name: str) -> bool:
 def _tells_of(path: Path, pictures: Collection[str]) -> bool:
     """Return whether a file says something of pictures, given by their folded names, or is a table of boxes."""
     with suppress(OSError), open_regular(path) as stream:
-        lines = stream.read(_HEAD_BYTES).decode("utf-8", "replace").splitlines()
+        lines = as_utf8(stream.read(_HEAD_BYTES)).decode("utf-8", "replace").splitlines()
         if path.stem.lower() in ("gt", "det") and any(_NUMBERS.match(line.strip()) for line in lines):
             return True
         for line in lines:

@@ -12,6 +12,8 @@ from __future__ import annotations
 import contextlib
 import datetime
 import math
+import os
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +30,7 @@ from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_text
+from infrablend.formats.annotation_files import files_with, read_text
 from infrablend.formats.base import (
     Match,
     check_splits,
@@ -39,7 +41,7 @@ from infrablend.formats.base import (
     stated_split,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_shares, overhang_px, snap_edges
-from infrablend.formats.losses import Written, count_dropped
+from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.pictures import check_link, check_name, is_hidden, list_pictures, walk
 from infrablend.formats.polygons import outline, rasterise
 from infrablend.formats.records import Findings
@@ -57,6 +59,8 @@ _DECIMALS = 10
 _STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb": "obb"}
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
+# Folders in the longest end of a path that is looked for in a dataset.
+_DEEPEST = 20
 _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
 
 
@@ -169,7 +173,7 @@ def _polygon_values(
 
 
 def label_text(
-    image: ImageRecord, classes: Classes, task: Task, losses: Counter[str], without_mask: WithoutMask = "omit"
+    image: ImageRecord, classes: Classes, task: Task, losses: Losses, without_mask: WithoutMask = "omit"
 ) -> str:
     """Return the text of an image's label file, and count losses; an image without objects gives empty text.
 
@@ -186,14 +190,17 @@ def label_text(
     for instance in image.instances:
         if instance.category not in classes:
             losses["ignore_dropped"] += 1
+            losses.left_out[image.split, instance.category] += 1
             continue
         if task == "seg":
             values = _polygon_values(image, instance, losses, without_mask)
         else:
             values = (_box_values if task == "detect" else _corner_values)(instance, size_wh, losses)
-        if values is not None:
-            count_dropped(instance, losses, *_FLAGS)
-            lines.append(_line(classes[instance.category], values))
+        if values is None:
+            losses.left_out[image.split, instance.category] += 1
+            continue
+        count_dropped(instance, losses, *_FLAGS)
+        lines.append(_line(classes[instance.category], values))
     return "".join(lines)
 
 
@@ -212,7 +219,7 @@ def _represent_name(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
 _QuotedForBoth.add_representer(str, _represent_name)
 
 
-def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Problem, ...]]:
+def data_yaml(classes: Classes, splits: Iterable[str], task: Task = "detect") -> tuple[str, tuple[Problem, ...]]:
     """Return the text of a `data.yaml`, and warnings.
 
     There is no `path`, so that Ultralytics uses the file's own folder and the dataset can be moved. Ultralytics needs
@@ -238,6 +245,8 @@ def data_yaml(classes: Classes, splits: Iterable[str]) -> tuple[str, tuple[Probl
                 Problem("data.yaml", f"{split}-absent", found, f"pictures of split {split}", todo, severity="warning")
             )
         lines.append(f"{split}: images/{stand_in}\n")
+    if task == "seg":
+        lines.append("task: segment\n")  # for our reader: polygons of four corners look like oriented boxes
     if stand_ins:
         lines.append(f"stand_ins: [{', '.join(stand_ins)}]\n")
     names = {number: name for name, number in sorted(classes.items(), key=lambda item: item[1])}
@@ -267,19 +276,21 @@ def write(
     ordered = in_order(images)
     classes = yolo_classes(categories, dont_care)
     regions = {c.name for c in categories if c.ignore}
-    losses: Counter[str] = Counter()
+    losses = Losses()
     files: list[Path] = []
     for image in ordered:
-        if any(i.is_crowd for i in image.instances):
+        if crowds := [i for i in image.instances if i.is_crowd]:
             kept = tuple(i for i in image.instances if dont_care == "keep" or not i.is_crowd)
-            losses["ignore_dropped"] += len(image.instances) - len(kept)
+            if dont_care == "drop":
+                losses["ignore_dropped"] += len(crowds)
+                losses.left_out.update((image.split, i.category) for i in crowds)
             losses["ignore_as_class"] += count_crowds(kept, regions)
             image = replace(image, instances=kept)
         name = PurePosixPath(image.name)
         label = out / "labels" / image.split / name.with_suffix(".txt")
         files.append(write_text(label, label_text(image, classes, task, losses, without_mask)))
         files.append(link_or_copy(image.path, out / "images" / image.split / name))
-    text, problems = data_yaml(classes, {i.split for i in ordered})
+    text, problems = data_yaml(classes, {i.split for i in ordered}, task)
     files.append(write_text(out / "data.yaml", text))
     return Written.of(files, losses, problems)
 
@@ -472,7 +483,9 @@ def build_records(
     for p in pictures:
         size_wh: tuple[int, int] | None = None
         instances: tuple[Instance, ...] = ()
-        if p.label is not None and p.path in parsed:
+        if p.label is not None and p.path not in parsed:
+            continue  # its labels cannot be read: it would pass as a picture without objects
+        if p.label is not None:
             size_wh = found.size(p.path, found.place(p.path))
             if size_wh is None:
                 continue
@@ -490,20 +503,28 @@ def build_records(
 
 
 def find_yaml(root: Path) -> Path | None:
-    """Return the dataset's description: `data.yaml` or a similar name, or the only YAML file."""
+    """Return the dataset's description: `data.yaml` or a similar name, the only YAML file, or Darknet's `obj.data`."""
     named = next((root / n for n in _YAML_NAMES if (root / n).is_file()), None)
     if named is not None:
         return named
     others = sorted(p for p in root.glob("*.y*ml") if not p.name.startswith(".") and p.is_file())
+    for place in (root, root / "data"):
+        others = others or files_with(place, "*.data", lambda head: b"names" in head, 10_000)
     return others[0] if len(others) == 1 else None
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the mapping in a `data.yaml`.
+def read_yaml(path: Path, root: Path) -> dict[str, Any]:
+    """Return the mapping in a `data.yaml`, or what Darknet's `obj.data` says, by the same keys.
+
+    Args:
+        path: The file.
+        root: Folder of the dataset.
 
     Raises:
         DatasetError: The file is not YAML, or not a mapping with `names`.
     """
+    if path.suffix == ".data":
+        return _read_darknet(path, root)
     text, problem = read_text(path, path.name, "a data.yaml")
     value: Any = None
     if problem is None:
@@ -521,6 +542,35 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if "val" not in value and "validation" in value:  # as Ultralytics does
         value["val"] = value.pop("validation")
     return value
+
+
+def _read_darknet(path: Path, root: Path) -> dict[str, Any]:
+    """Return the lists of pictures and the names of the classes that a Darknet `.data` file gives as `key = path`."""
+    text, problem = read_text(path, path.name, "Darknet's description of a dataset")
+    said = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
+    names = end_inside(root, said.get("names", ""))
+    if problem is None and names is None:
+        found, expected = f"names = {said.get('names')!r}"[:120], "a file of the dataset with a class on each line"
+        problem = Problem(path.name, "names", found, expected, "correct the line or restore the file")
+    if problem is None:
+        text, problem = read_text(root / str(names), str(names), "a class on each line")
+    if problem is not None:
+        raise DatasetError(f"{path}: no description of a dataset", [problem])
+    keys = {"train": "train", "valid": "val", "test": "test"}
+    lists = {split: end_inside(root, said[key]) or said[key] for key, split in keys.items() if said.get(key)}
+    return {**lists, "names": [s.strip() for s in text.splitlines() if s.strip()]}
+
+
+def end_inside(folder: Path, name: str) -> str | None:
+    """Return the longest end of a path that is a file below a folder: lists often begin elsewhere, as at `data/`."""
+    parts = [p for p in re.split(r"[\\/]", name.rpartition("../")[2]) if p not in ("", ".", "..")]
+    parts = parts[-_DEEPEST:]
+    ends = ("/".join(parts[k:]) for k in range(len(parts)))
+    return next((end for end in ends if _is_file(folder / end)), None)
+
+
+def _is_file(path: Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113 - `Path.is_file` raises for names that are too long
 
 
 def line_form(top: Mapping[str, Any], task: Task | None) -> tuple[Task | None, int]:
@@ -609,9 +659,9 @@ def detect(root: Path) -> Match:
     """Decide whether `root` is a YOLO dataset: its `data.yaml` has `names` and a split that exists."""
     path = find_yaml(root)
     if path is None:
-        return Match(NAME, False, "no data.yaml")
+        return Match(NAME, False, "no data.yaml and no obj.data")
     try:
-        top = read_yaml(path)
+        top = read_yaml(path, root)
         class_names(top["names"], path.name)
     except DatasetError as error:
         return Match(NAME, False, f"{path.name}: {error.problems[0].found if error.problems else error.message}")
@@ -670,7 +720,8 @@ def _split_places(
 def _listed_pictures(found: Findings, lists: Sequence[tuple[Split, Path]]) -> dict[Path, tuple[Split, str]]:
     """Return split and name of the pictures in lists (text files with one path per line, as Ultralytics reads them).
 
-    Paths are relative to the list, else to the dataset. A picture listed twice belongs to the first split.
+    Paths are relative to the list, else to the dataset, or end in it, see `end_inside`. A picture listed twice belongs
+    to the first split.
     """
     root = found.root
     listed: dict[Path, tuple[Split, str]] = {}
@@ -681,10 +732,14 @@ def _listed_pictures(found: Findings, lists: Sequence[tuple[Split, Path]]) -> di
                 continue
             here = f"{found.place(file)}: line {n}"
             fault = check_name(name, here)
-            path = next((p for p in (file.parent / name, root / name) if not fault and p.is_file()), None)
+            path = next((p for p in (file.parent / name, root / name) if not fault and _is_file(p)), None)
+            if path is None and (end := end_inside(root, name)) is not None:
+                path, fault = root / end, None
             if path is None:
                 expected, todo = "a picture of the dataset", "correct the list"
-                found.problems.append(fault or Problem(here, "image-missing", f"no file {name!r}", expected, todo))
+                found.problems.append(
+                    fault or Problem(here, "image-missing", f"no file {name[:120]!r}", expected, todo)
+                )
             elif fault := check_link(path, root, here):
                 found.problems.append(fault)
             elif listed.setdefault(path, (split, _below_images(path, root)))[0] != split:
@@ -716,7 +771,7 @@ def read(
     if path is None:
         problem = Problem(str(root), "annotation-missing", "no data.yaml", "a data.yaml", "read it as a plain folder")
         raise DatasetError(f"{root}: no YOLO dataset", [problem])
-    top = read_yaml(path)
+    top = read_yaml(path, root)
     names = class_names(top["names"], path.name)
     task, keypoints = line_form(top, task)
     found = Findings(root)

@@ -203,6 +203,17 @@ def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
     return detection.read(root)
 
 
+@pytest.mark.parametrize(
+    "address", ["images/Valid/a.png", "/data/local-files/?d=x%5Cimages%5Cvalid%5Ca.png", "/data/upload/1/a.png"]
+)
+def test_pictures_of_label_studio_lie_in_folders_of_splits_whatever_their_case(tmp_path: Path, address: str) -> None:
+    picture(tmp_path / "images" / "Valid" / "a.png", 1)
+    task = {"data": {"image": address}, "annotations": [{"result": []}]}
+    (tmp_path / "val.json").write_text(json.dumps([task]))
+    (image,) = detection.read(tmp_path).images
+    assert (image.split, image.name) == ("val", "a.png")
+
+
 def test_ellipses_of_label_studio_are_read_and_other_results_counted_by_kind(tmp_path: Path) -> None:
     place = {"x": 50, "y": 50, "radiusX": 25, "radiusY": 12.5, "ellipselabels": ["deer"]}
     dataset = label_studio_objects(

@@ -17,7 +17,8 @@ import yaml
 from PIL import Image
 
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import Category
+from infrablend.core.dataset import Category, ImageRecord, Instance
+from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats import coco, detection, folder, writing, yolo
@@ -81,6 +82,16 @@ def test_the_stated_task_tells_polygons_of_four_corners_from_oriented_boxes(
 ) -> None:
     (deer,) = detection.read(yolo_dataset(tmp_path, said, "0 0.2 0.2 0.4 0.2 0.4 0.4 0.2 0.4")).images[0].instances
     assert (deer.corners_xy is not None, deer.mask is not None) == (oriented, not oriented)
+
+
+def test_written_polygons_of_four_corners_are_read_as_polygons(tmp_path: Path) -> None:
+    mask = np.zeros((80, 100), np.bool_)
+    mask[10:20, 30:50] = True
+    deer = Instance("deer", np.array([30.0, 10.0, 50.0, 20.0]), mask=Mask.from_array(mask))
+    image = ImageRecord("a", picture(tmp_path / "a.png"), "train", (100, 80), (deer,))
+    writing.write("yolo-seg", tmp_path / "out", [image], [Category(0, "deer")])
+    ((found,),) = (i.instances for i in detection.read(tmp_path / "out").images)
+    assert found.corners_xy is None and found.mask is not None and (found.mask.to_array() == mask).all()
 
 
 def test_a_bare_folder_is_train(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from infrablend.core.output import require_apart
 from infrablend.core.workspace import CONVERT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
+from infrablend.formats.losses import by_class
 from infrablend.formats.pictures import with_sizes
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline.datasets.origin import AT_MOST, invalid_texts, loosened_before, origin_of, renamed_texts
@@ -36,7 +37,7 @@ class ConvertReport:
     Attributes:
         out: Folder that was written.
         format: Name of the format that was written.
-        counts: Number of images per split, and of labels written and dropped per class.
+        counts: Number of images per split, and of labels written, lost and dropped per class.
         losses: Counts of what the format cannot hold, by kind; see `losses.LOSSES`.
         problems: Errors in the source, and warnings of the writer.
     """
@@ -126,6 +127,9 @@ def convert_dataset(
         except ValueError as error:  # a label that the format does not allow
             raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
         problems += written.problems
+        counts["labels"] = by_class(written.kept(images))
+        if written.left_out:
+            counts["labels_lost"] = by_class(written.left_out)
         changes = _changes(writer.name, classes.rename, chosen, problems)
         for name, n in earlier.items():
             up_to = "Up to " if name == AT_MOST else ""

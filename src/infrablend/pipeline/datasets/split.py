@@ -39,7 +39,7 @@ class SplitReport:
         seed: Seed of the order in which groups were assigned.
         wanted: Requested shares of train, val and test.
         images: Number of images per split.
-        objects: Number of objects per class and split.
+        objects: Number of objects written per class and split.
         groups: Split of each group.
         before: Neighbouring images in different splits, in the source's splits.
         after: Neighbouring images in different splits, in the new splits.
@@ -238,8 +238,10 @@ def _write_dataset(
         layout=written_layout(out, written.files, SPLIT_FILE),
     )
     write_card(out, card)
+    kept = written.kept(records)
     return replace(
         report,
+        objects={name: {s: kept[s, name] for s in of} for name, of in report.objects.items()},
         losses=written.losses,
         files=len(written.files) + 1,
         problems=(*report.problems, *written.problems),

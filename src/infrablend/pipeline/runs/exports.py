@@ -23,7 +23,7 @@ from infrablend.core.spool import Spool, store_images
 from infrablend.core.workspace import NOTE, Workspace
 from infrablend.errors import OutputError, Problem
 from infrablend.formats import huggingface, writing
-from infrablend.formats.losses import Written
+from infrablend.formats.losses import Written, by_class
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
@@ -85,8 +85,11 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     images = store_images(labelled(), folder.root)
     losses: Counter[str] = Counter()
     problems: list[Problem] = []
+    labels: dict[str, dict[str, int]] = {}
     for name in plan.recipe.output.formats if images else ():
         written = _write_format(name, plan, folder.root, images)
+        if written.files:
+            labels[name] = by_class(written.kept(images))
         losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
         problems += written.problems
     # The pictures load with `datasets` from where they are.
@@ -97,7 +100,9 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
         problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
     problems += frame_warnings(records)
     finished = summarize(plan, records, images)
-    finished = replace(finished, counts={**finished.counts, **looseness.counted(loosened)})
+    differing = any(held != finished.counts["labels"] for held in labels.values())
+    written_counts = {"labels_by_format": labels} if differing else {}
+    finished = replace(finished, counts={**finished.counts, **written_counts, **looseness.counted(loosened)})
     problems += nothing_inserted(plan.recipe, finished.counts, finished.draws)
     problems += absent_warnings(finished.draws) + limit_warnings(records) + air_warnings(records)
     problems += hiding_warnings(finished.counts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,7 @@ class RunReport:
         problems: That nothing was inserted, skipped backgrounds, failed frames and warnings.
         seconds: Wall-clock time of this call.
         record_file: Record with all problems; None for `run.json` in `out`.
+        losses: Counts of what formats cannot hold, by `<format>.<kind>`; see `losses.LOSSES`.
     """
 
     out: Path
@@ -63,12 +64,13 @@ class RunReport:
     problems: tuple[Problem, ...] = ()
     seconds: float = 0.0
     record_file: Path | None = None
+    losses: Mapping[str, int] = field(default_factory=dict)
 
     @classmethod
     def of_record(cls, record: Mapping[str, Any], out: Path, record_file: Path | None = None) -> RunReport:
         """Return the report of a run that is finished already, from its record."""
         problems = tuple(nothing_first(Problem(**p) for p in record.get("problems", ())))
-        return cls(out, record["counts"], problems, record_file=record_file)
+        return cls(out, record["counts"], problems, record_file=record_file, losses=record.get("losses", {}))
 
     @property
     def ok(self) -> bool:
@@ -82,6 +84,7 @@ class RunReport:
             "out": shown(self.out),
             "ok": self.ok,
             "counts": dict(self.counts),
+            "losses": dict(self.losses),
             "problems": [p.to_json() for p in self.problems],
             "seconds": round(self.seconds, 3),
         }
@@ -216,7 +219,8 @@ def run_in(
                 f"interrupted while labels were being written; all {state.done + state.resumed} frames are kept in "
                 f"{folder.root}. Repeat the command with --resume to write the labels."
             ) from error
-    return RunReport(space.out, record["counts"], tuple(problems), time.monotonic() - started), record
+    seconds = time.monotonic() - started
+    return RunReport(space.out, record["counts"], tuple(problems), seconds, losses=record["losses"]), record
 
 
 def _without(
