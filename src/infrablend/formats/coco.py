@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -35,7 +36,7 @@ from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import only_looked_at, read_json, too_long
+from infrablend.formats.annotation_files import leave_out, only_looked_at, read_json, too_long
 from infrablend.formats.base import (
     Match,
     Numbered,
@@ -48,8 +49,8 @@ from infrablend.formats.base import (
     require_known,
     require_size,
     shorten,
-    split_folders,
     split_of_stem,
+    stated_split,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near, turned_box
 from infrablend.formats.capture import Captures
@@ -79,6 +80,9 @@ _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.compose.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
 _ROBOFLOW = "_annotations.coco.json"
+# FLIR's ADAS dataset v2: COCO's file, one with all that annotators drew, and which frames show the same.
+_FLIR, _UNFILTERED, _PAIRS = "coco.json", "index.json", "rgb_to_thermal_vid_map.json"
+_VISIBLE = re.compile(r"(?<![a-z])(rgb|visible)(?![a-z])", re.IGNORECASE)
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"
 # What the camera was told about the scene, beside the scale of a picture.
@@ -302,24 +306,30 @@ def is_coco(top: object) -> bool:
 
 
 def find_files(root: Path) -> dict[Path, Split]:
-    """Return the COCO files in a folder, its subfolder `annotations` or `coco`, or folders of splits, with splits.
+    """Return the COCO files in a folder, its subfolder `annotations` or `coco`, or folders that state a split.
 
-    The file's name determines the split (`test.json`, `instances_val2017.json`); files with other names are train.
+    Else the file's name determines the split (`test.json`, `instances_val2017.json`); files with other names are train.
     """
     for folder in (root, root / "annotations", root / "coco"):
         if files := _files_in(folder):
             return {p: _split_of(p) for p in files}
-    return {p: split for split, folder in split_folders(root) for p in _files_in(folder)}
+    inside = sorted(d for d in root.iterdir() if d.is_dir()) if root.is_dir() else []
+    return {p: split for d in inside if (split := stated_split(d.name)) for p in _files_in(d)}
 
 
 def _files_in(folder: Path) -> list[Path]:
     found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
-    return [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
+    others = {"metadata.json", *([_UNFILTERED] if _is_flir(folder / _FLIR) else [])}
+    return [p for p in found if p.name not in others and _looks_like_coco(p)]
+
+
+def _is_flir(file: Path) -> bool:
+    return file.name == _FLIR and file.is_file() and file.with_name(_UNFILTERED).is_file()
 
 
 def _split_of(file: Path) -> Split:
-    """Return the split that a file's name states; Roboflow gives all files one name, in folders named after splits."""
-    return split_of_stem(real_path(file.parent).name if file.name == _ROBOFLOW else file.stem)
+    """Return the split that a file's name states, or that of its folder, where Roboflow and FLIR state it."""
+    return split_of_stem(real_path(file.parent).name if file.name == _ROBOFLOW or _is_flir(file) else file.stem)
 
 
 def _looks_like_coco(path: Path) -> bool:
@@ -403,7 +413,12 @@ def read(
         if fault := too_long(where, "info", top.get("info")):
             found.problems.append(fault)
         folder = _picture_folder(root, path, split, _some_names(top["images"]))
-        records += read_records(found, top, folder, split, where, categories, captures, taken)
+        of_file = read_records(found, top, folder, split, where, categories, captures, taken)
+        if _is_flir(path):
+            leave_out([path.with_name(_UNFILTERED), root / _PAIRS])
+            if _VISIBLE.search(real_path(path.parent).name):
+                of_file = [replace(r, extra={**r.extra, "modality": "visible"}) for r in of_file]
+        records += of_file
     if not records:
         raise DatasetError(f"{root}: no picture to read", shorten(found.problems))
     if table is not None:

@@ -607,6 +607,19 @@ def test_coco_with_a_file_in_the_folder_of_each_split(tmp_path: Path, file: str,
         assert codes(detection.read(tmp_path)) == ["annotation-not-json"]
 
 
+def test_the_folders_of_flir_adas_v2_are_one_dataset(tmp_path: Path) -> None:
+    root = SAMPLES["coco:flir"](tmp_path / "FLIR_ADAS_v2")
+    dataset = detection.read(root)
+    assert not dataset.problems and [c.name for c in dataset.categories] == ["person", "bike", "car", "sheep"]
+    found = [(i.split, i.extra.get("modality"), len(i.instances)) for i in dataset.images]
+    assert found == [("train", None, 2), ("train", "visible", 2), ("val", None, 0), ("test", None, 2)]
+    for name, split, kind in (("images_thermal_val", "val", None), ("images_rgb_train", "train", "visible")):
+        (alone,) = detection.read(root / name).images
+        assert (alone.split, alone.extra.get("modality")) == (split, kind)
+    (root / "images_thermal_val" / "more.csv").write_text("data/video-a1-frame-000000-xT7.jpg,car,1,2,3,4\n")
+    assert [p.where for p in detection.read(root).problems] == ["images_thermal_val/more.csv"]
+
+
 def test_sizes_that_a_coco_file_lacks_come_from_the_pictures(tmp_path: Path) -> None:
     """Without them, masks would be left out and boxes not be clipped."""
     ring = [[10, 20, 40, 20, 40, 60, 10, 60]]
