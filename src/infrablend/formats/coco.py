@@ -469,12 +469,12 @@ def read_records(
     scale = info.get(_SCALE) if isinstance(info, dict) else None
     records: list[ImageRecord] = []
     seen_names: set[str] = set()
-    seen_ids: set[int] = set()
+    seen_ids: set[int | str] = set()
     left_out: list[int] = []
     measured = 0
     for i, r in enumerate(top["images"]):
         here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
-        number = to_int(r.get("id")) if isinstance(r, dict) else None
+        number = _key(r.get("id")) if isinstance(r, dict) else None
         if number is None:
             found.add(here, "image-malformed", repr(r)[:80], "an image record with an id")
             continue
@@ -508,27 +508,34 @@ def read_records(
 
 def _category_names(
     found: Findings, rows: Iterable[Any], where: str, categories: list[Category]
-) -> dict[int, str]:  # fmt: skip
-    """Return the name of each category of a file by its number; new categories are appended to those of all files."""
-    names: dict[int, str] = {}
+) -> dict[int | str, str]:  # fmt: skip
+    """Return the name of each category of a file by its id; new categories are appended to those of all files."""
+    names: dict[int | str, str] = {}
     for i, c in enumerate(rows):
-        number = to_int(c.get("id")) if isinstance(c, dict) else None
+        number = _key(c.get("id")) if isinstance(c, dict) else None
         if number is None or not isinstance(c.get("name"), str) or number in names:
             found.add(f"{where}: category {i}", "category-malformed", repr(c)[:80], "a new id and a name")
             continue
         names[number] = c["name"]
         if all(k.name != c["name"] for k in categories):
-            free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
+            taken = {k.id for k in categories}
+            free = number if isinstance(number, int) and number not in taken else max(taken, default=-1) + 1
             ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
             categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
     return names
 
 
-def _by_image(found: Findings, rows: Iterable[Any], where: str) -> dict[int, list[bytes]]:
+def _key(value: object) -> int | str | None:
+    """Return an id: a whole number, or text, which some tools write in its place; None for anything else."""
+    number = to_int(value)
+    return value if number is None and isinstance(value, str) and value else number
+
+
+def _by_image(found: Findings, rows: Iterable[Any], where: str) -> dict[int | str, list[bytes]]:
     """Return the annotations by `image_id`, pickled: as bytes they take a fifth of the memory until they are needed."""
-    of_image: dict[int, list[bytes]] = {}
+    of_image: dict[int | str, list[bytes]] = {}
     for i, a in enumerate(rows):
-        number = to_int(a.get("image_id")) if isinstance(a, dict) else None
+        number = _key(a.get("image_id")) if isinstance(a, dict) else None
         if number is None:
             found.add(f"{where}: annotation {i}", "annotation-malformed", repr(a)[:80], "an annotation record")
             continue
@@ -552,7 +559,7 @@ def _stated_facts(r: Mapping[str, Any], videos: Mapping[int, str]) -> Capture:
 
 
 def _remarks(
-    where: str, left_out: Sequence[int], measured: int, unknown: Mapping[int, Sequence[bytes]]
+    where: str, left_out: Sequence[int], measured: int, unknown: Mapping[int | str, Sequence[bytes]]
 ) -> list[Problem]:
     """Return what is to be said about a file as a whole.
 
@@ -570,7 +577,7 @@ def _remarks(
     if measured:
         found = f"{measured} image(s) without width and height, which were read from the pictures"
         problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
-    for number, left in sorted(unknown.items()):
+    for number, left in sorted(unknown.items(), key=str):
         text = f"{len(left)} annotation(s) of image_id {number}"
         problems.append(Problem(where, "image-unknown", text, "the id of a picture that can be read"))
     return problems
@@ -592,7 +599,7 @@ def _settings(value: object) -> dict[str, Any]:
 def _read_annotations(
     found: Findings,
     records: Sequence[Mapping[str, Any]],
-    names: Mapping[int, str],
+    names: Mapping[int | str, str],
     size_wh: tuple[int, int] | None,
     where: str,
 ) -> tuple[Instance, ...]:
@@ -604,9 +611,9 @@ def _read_annotations(
         if number is not None and number in seen:
             found.warn(here, "annotation-duplicate", f"a second annotation with id {number}", "each id once")
         seen |= {number} if number is not None else set()
-        category = to_int(a.get("category_id"))
+        category = _key(a.get("category_id"))
         if category is None or category not in names:
-            text, expected = f"category_id {a.get('category_id')!r}", f"one of {sorted(names)}"
+            text, expected = f"category_id {a.get('category_id')!r}", f"one of {sorted(names, key=str)}"
             found.add(here, "category-unknown", text, expected, "add it to categories")
             continue
         bbox = to_floats(a.get("bbox"), 4)
@@ -626,6 +633,8 @@ def _read_annotations(
         box = found.box(edges, size_wh, here)
         if box is None:
             continue
+        if a.get("keypoints"):
+            found.leave_out("keypoints", here)
         extra = {k: a[k] for k in ("source_id",) if k in a} | _read_occlusion(a)
         if a.get("iscrowd") == 1:
             extra["iscrowd"] = 1

@@ -6,6 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
@@ -19,7 +20,8 @@ from infrablend.formats import coco, folder, yolo
 from infrablend.formats.annotation_files import read_json, read_xml
 from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_pictures, walk
 
-_SUFFIXES = {".xml", ".json", ".jsonl", ".txt", ".csv", ".tsv", ".label"}
+_JSON_SUFFIXES = {".json", ".jsonl", ".ndjson", ".geojson", ".manifest"}
+_SUFFIXES = {".xml", ".txt", ".csv", ".tsv", ".label", ".tfrecord", ".record", ".pkl", *_JSON_SUFFIXES}
 _PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
 # What InfraBlend writes of the datasets that it made.
@@ -29,10 +31,18 @@ _FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|change
 # The end of a picture's name, and what separates names. Names are looked for backwards from their ends: forwards, a
 # line of a megabyte without a separator would be searched from each of its characters.
 _PICTURE_END = re.compile(r"\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
-_SEPARATOR = re.compile(r"[\\/\"'<>|,;:\t=]")
+_SEPARATOR = re.compile(r"[\\/\"'<>|,;:=\x00-\x1f\ufffd]")
 _LONGEST_NAME = 255
-# Boxes of MOTChallenge's tables: frame, track, left, top, width, height.
-_NUMBERS = re.compile(r"(-?\d+(\.\d+)?[,; \t]+){5,}-?\d+(\.\d+)?")
+# What Label Studio puts before the names of uploaded pictures.
+_UPLOADED = re.compile(r"[0-9a-f]{8}-(?=.)")
+# Names without a suffix in tables and in JSON; plain numbers and dates are none.
+_TELLING = re.compile(r"(?=.*\d).*[^\d.+-]", re.DOTALL)
+_CELL = re.compile(r"[,;\t|\"' \[\]()]+")
+_VALUE = re.compile(r':\s*"([^"\\/]{1,255})"')
+# A line of a table of boxes: left, top, width and height at least, perhaps after the frame and the track.
+_NUMBER = r"-?\d++(?:\.\d++)?"
+_NUMBERS = re.compile(rf"(?:{_NUMBER}[,; \t]++){{3,}}{_NUMBER}")
+_TRUTH = re.compile(r"(?:^|[\W_])(?:gt|det|ground_?truth)(?:[\W_]|$)")
 _HEAD_BYTES = 1_000_000
 # Files of one folder that are named one by one; more are one problem.
 _MOST_NAMED = 3
@@ -43,15 +53,15 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
     """Return the problems of label files below the dataset's folder that its reader did not take.
 
     These are damaged XML and JSON files, text files with a suffix such as `.TXT`, files that name pictures of the
-    dataset or hold a table of boxes, and, in a plain folder of pictures, files named like a picture. Lists of pictures
-    and texts for people are none.
+    dataset or hold a table of boxes, files named after a picture with its suffix, and, in a plain folder of pictures,
+    files named like a picture. Lists of pictures and texts for people are none.
 
     Args:
         dataset: The dataset.
         read: Files from which the reader took something (see `annotation_files.noting_files_read`).
     """
     stems = {fold_name(i.path.stem) for i in dataset.images}
-    names = {fold_name(i.path.name) for i in dataset.images}
+    pictures = _Pictures.of(dataset)
     plain = dataset.format == folder.NAME
     used = _used(dataset) if plain else set()
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
@@ -68,7 +78,7 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
             problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
         elif ours or name in _RECORDS or _FOR_PEOPLE.match(path.name):
             continue
-        elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or _tells_of(path, names):
+        elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or pictures.are_told_of(path):
             alike[path.parent.as_posix(), path.suffix, "labels in no known layout, which are not read"].append(name)
     for (_, _, found), files in alike.items():
         if len(files) > _MOST_NAMED:
@@ -101,9 +111,12 @@ def label_candidates(root: Path) -> Iterator[str]:
     """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
     for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
-        yield from (
-            prefix + n for n in sorted(names) if not is_hidden(n) and PurePosixPath(n).suffix.lower() in _SUFFIXES
-        )
+        yield from (prefix + n for n in sorted(names) if not is_hidden(n) and _suffix(n) in _SUFFIXES)
+
+
+def _suffix(name: str) -> str:
+    """Return the suffix of a file, without the number of a part as in `train.record-00000-of-00010`."""
+    return PurePosixPath(name).suffix.lower().partition("-")[0]
 
 
 def _used(dataset: Dataset) -> set[Path]:
@@ -115,7 +128,10 @@ def _used(dataset: Dataset) -> set[Path]:
 
 
 def _fault(path: Path, name: str) -> str:
-    """Return why an XML or JSON file cannot be read; empty for readable files and those of other types."""
+    """Return why a file cannot be read; empty for XML and JSON that can be, and for other files with contents.
+
+    An empty text file says nothing, or that a picture shows no object, unless its name speaks of tables.
+    """
     if path.suffix.lower() == ".xml":
         problem = read_xml(path, name)[1]
         return "" if problem is None else problem.found
@@ -124,7 +140,8 @@ def _fault(path: Path, name: str) -> str:
             read_json(path)
         except DatasetError as error:
             return error.problems[0].found
-    return ""
+    silent = path.suffix.lower() in (".txt", ".label") and not _TRUTH.search(fold_name(path.stem))
+    return "an empty file" if not silent and path.is_file() and not path.stat().st_size else ""
 
 
 def _is_annotation(path: Path, name: str) -> bool:
@@ -137,23 +154,64 @@ def _is_annotation(path: Path, name: str) -> bool:
     return False
 
 
-def _tells_of(path: Path, pictures: Collection[str]) -> bool:
-    """Return whether a file says something of pictures, given by their folded names, or is a table of boxes."""
-    with suppress(OSError), open_regular(path) as stream:
-        lines = stream.read(_HEAD_BYTES).decode("utf-8", "replace").splitlines()
-        if path.stem.lower() in ("gt", "det") and any(_NUMBERS.match(line.strip()) for line in lines):
+@dataclass(frozen=True)
+class _Pictures:
+    """Names by which files tell of the pictures of a dataset.
+
+    Attributes:
+        names: Names of the files, folded.
+        stems: Those without suffix, unless they look like numbers.
+        folders: Names of the folders that they are in, folded.
+    """
+
+    names: frozenset[str]
+    stems: frozenset[str]
+    folders: frozenset[str]
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> _Pictures:
+        paths = [i.path for i in dataset.images]
+        names, stems = frozenset(fold_name(p.name) for p in paths), frozenset(p.stem for p in paths)
+        folders = frozenset(fold_name(p.parent.name) for p in paths)
+        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), folders)
+
+    def are_told_of(self, path: Path) -> bool:
+        """Return whether a file says something of the pictures, or is a table of boxes."""
+        stem = fold_name(path.stem)
+        if stem in self.names:  # f.jpg.json
             return True
-        for line in lines:
-            named = next((n for n in _picture_names(line) if fold_name(n) in pictures), None)
-            # A list of pictures has a path on each line, and nothing else.
-            alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line.strip())[-1] == named
-            if named is not None and not alone:
+        with suppress(OSError), open_regular(path) as stream:
+            text = stream.read(_HEAD_BYTES).decode("utf-8", "replace")
+            lines = [line for line in map(str.strip, text.splitlines()) if line]
+            if not lines:
+                return stem in self.folders
+            numbers = [_NUMBERS.match(line) is not None for line in lines]
+            if any(numbers) and (_TRUTH.search(stem) or (numbers[0] and stem in self.folders)):
                 return True
-    return False
+            listed = False
+            for line in lines:
+                named = next((n for n in _picture_names(line) if fold_name(n) in self.names), None)
+                # A list of pictures has a path on each line, and nothing else.
+                alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line)[-1] == named
+                if (named is not None and not alone) or self._has_stem(line, _suffix(path.name)):
+                    return True
+                listed |= alone
+            return listed and any(numbers)
+        return False
+
+    def _has_stem(self, line: str, suffix: str) -> bool:
+        """Return whether a line names a picture without its suffix: a value in JSON, a cell beside those of a box."""
+        if suffix in _JSON_SUFFIXES:
+            return not self.stems.isdisjoint(_VALUE.findall(line))
+        cells = _CELL.split(line) if suffix in (".csv", ".tsv", ".txt") else []
+        return not self.stems.isdisjoint(cells) and sum(re.fullmatch(_NUMBER, c) is not None for c in cells) >= 4
 
 
 def _picture_names(line: str) -> Iterator[str]:
     """Yield what may be names of pictures in a line; a name may contain blanks, or follow one."""
     for end in (m.end() for m in _PICTURE_END.finditer(line)):
         words = _SEPARATOR.split(line[max(0, end - _LONGEST_NAME) : end])[-1].split(" ")
-        yield from (" ".join(words[k:]) for k in range(len(words)))
+        for name in (" ".join(words[k:]) for k in range(len(words))):
+            yield name
+            if uploaded := _UPLOADED.match(name):
+                yield name[uploaded.end() :]

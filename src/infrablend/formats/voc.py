@@ -37,11 +37,11 @@ from infrablend.formats.base import (
     require_size,
     unmarked_regions,
 )
-from infrablend.formats.box_checks import snap_edges, turned_box
+from infrablend.formats.box_checks import is_near, snap_edges, turned_box
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import is_hidden, list_pictures, walk
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
-from infrablend.formats.values import number_text, to_bool, to_floats, to_size
+from infrablend.formats.values import number_text, to_bool, to_floats, to_number, to_size
 
 NAME = "voc"
 OPTIONS = {
@@ -320,6 +320,9 @@ def _object(
     else:
         first = 1.0 if from_one else 0.0
         edges = tuple(snap_edges((values[0] - first, values[1] - first, values[2], values[3]), size_wh))
+        if (angle := _rotation_rad(element)) and is_near(edges) and edges[0] < edges[2] and edges[1] < edges[3]:
+            (x0, y0, x1, y1) = edges
+            corners, edges = turned_box(((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, angle), size_wh)
     box = found.box(edges, size_wh, where)
     if box is None:
         return None
@@ -337,6 +340,12 @@ def _object(
     return Instance(
         name, box, corners, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=extra
     )  # fmt: skip
+
+
+def _rotation_rad(element: Any) -> float:
+    """Return the angle by which CVAT turns a box about its centre; 0 without one."""
+    said = {child_text(a, "name"): child_text(a, "value") for a in element.findall("attributes/attribute")}
+    return math.radians((to_number(said.get("rotation")) or 0.0) % 360)
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
