@@ -78,6 +78,16 @@ def test_a_central_file_beside_pictures_is_no_clean_dataset(tmp_path: Path, file
     assert done.exit_code == 1 and file in done.output and "label-unread" in done.output
 
 
+@pytest.mark.parametrize("sample", ["folder:yolo", "yolo:detect"])
+def test_a_list_among_the_labels_of_yolo_is_named(tmp_path: Path, sample: str) -> None:
+    """Its reader looks at each text file there, for labels without a picture."""
+    root = SAMPLES[sample](tmp_path / "data")
+    label = next(p for p in root.rglob("*.txt") if p.name != "classes.txt" and p.read_text())
+    (label.parent / "boxes.txt").write_text(f"{api.read_dataset(root).images[0].path.name} 1,2,5,5,0\n")
+    (name,) = unread(root)
+    assert name.endswith("/boxes.txt")
+
+
 def test_many_files_of_one_kind_are_one_problem(tmp_path: Path) -> None:
     root = SAMPLES["coco"](tmp_path / "data")
     name = api.read_dataset(root).images[0].path.name

@@ -28,7 +28,7 @@ from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import read_text
+from infrablend.formats.annotation_files import only_looked_at, read_text
 from infrablend.formats.base import (
     Match,
     check_splits,
@@ -386,6 +386,7 @@ def find_label(path: Path, root: Path) -> Path | None:
 def _real_labels(path: Path, where: str, keypoints: int) -> LabelLines | None:
     """Return the lines of a label file; None for a note, a list, a count, or a file that cannot be read."""
     text, fault = read_text(path, where, "a YOLO label file")
+    only_looked_at(path)
     labels = parse_labels(text, where, keypoints)
     return labels if fault is None and labels.rows and not labels.problems else None
 
