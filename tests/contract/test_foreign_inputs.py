@@ -1,7 +1,7 @@
 """Labels of other tools, after public bug reports: read rightly, or named with the next step by every command.
 
-docs/how_to/check_a_dataset.md lists the kinds with their sources. `test_bad_input` damages them, the inputs that the
-sessions share, and the samples of the newest readers.
+docs/how_to/check_a_dataset.md lists the kinds with their sources. Then all of them are damaged, with further inputs of
+other tools where real data are, and the samples of the newest readers.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import json
 import os
 import shutil
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -192,7 +191,13 @@ def valid_obb(root: Path) -> Path:
     return put(root, "train/images/ftrain.jpg", "valid/images/fvalid.jpg", **labels)
 
 
-READ = (ids_of_text, keypoints, turned_voc, valid_obb)
+def yolo_pixels(root: Path) -> Path:
+    """Corners in pixels instead of shares: github.com/ultralytics/yolov5/issues/443."""
+    labels = {"labels/f1.txt": "0 0 0 14 0 14 18 0 18\n", "labels/f2.txt": "0 0.5 0.5 0.2 0.2\n"}
+    return put(root, "images/f1.jpg", "images/f2.jpg", **labels, **{"data.yaml": "train: images\nnames: [deer]\n"})
+
+
+READ = (ids_of_text, keypoints, turned_voc, valid_obb, yolo_pixels)
 
 
 def objects(root: Path) -> list[tuple[str, list[float]]]:
@@ -231,25 +236,25 @@ def test_oriented_boxes_in_a_folder_called_valid(tmp_path: Path) -> None:
     assert objects(valid_obb(tmp_path / "data")) == [("train", [4, 6, 14, 18]), ("val", [4, 6, 14, 18])]
 
 
+def test_yolo_labels_in_pixels_are_no_boxes_of_the_whole_picture(tmp_path: Path) -> None:
+    root = yolo_pixels(tmp_path / "data")
+    report = api.check(root, decode=False)
+    assert report.objects == 1 and [p.where for p in report.errors] == ["labels/f1.txt: line 1"]
+    for command, more in (("check", ()), ("convert", (tmp_path / "out", "--to", "coco"))):
+        done = run(command, root, *more)
+        assert done.exit_code == 1 and "Divide pixels by its width and height" in " ".join(done.output.split())
+
+
 # -- bad input ----------------------------------------------------------------------------------------------------
 
-NEWEST = ("visdrone", "labelme", "coco:flir")
-SHARED = Path(os.environ.get("INFRABLEND_REAL_DATA", "")) / "foreign"
 # Files that only name classes, folders or all that annotators drew.
 BESIDE = {"data.yaml", "meta.json", "index.json"}
 # An empty text file of these says that its picture shows nothing, or nothing at all.
-EMPTY_IS_NONE = ("valid_obb", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider")
+EMPTY_IS_NONE = ("valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider")
 # Too large for memory or, of pictures, in pixels; JSON may have any size, but is read in other ways beyond this one.
 TEN_TIMES = {".json": 2 * WHOLE_JSON, ".jpg": 0, ".tiff": 0}
-
-
-def bad_inputs() -> dict[str, Callable[[Path], Path]]:
-    """Builders of the kinds above, of the newest samples, and of the shared inputs, by name."""
-    made: dict[str, Callable[[Path], Path]] = {kind.__name__: kind for kind in (*NAMED, *READ)}
-    made |= {name: SAMPLES[name] for name in NEWEST}
-    for folder in sorted(SHARED.glob("*/data*")) if SHARED.is_dir() else ():
-        made[f"{folder.parent.name}/{folder.name}"] = partial(shutil.copytree, folder)
-    return made
+BAD = {kind.__name__: kind for kind in (*NAMED, *READ)} | {n: SAMPLES[n] for n in ("visdrone", "labelme", "coco:flir")}
+bad = pytest.mark.parametrize("how", ["truncated", "empty", "ten times too large"])
 
 
 def file_to_damage(root: Path) -> Path:
@@ -269,19 +274,32 @@ def damage(path: Path, how: str) -> None:
         Image.new("1", (20_000, 10_000)).save(path, "PNG")
 
 
-@pytest.mark.parametrize("how", ["truncated", "empty", "ten times too large"])
-@pytest.mark.parametrize("name", bad_inputs())
-def test_bad_input_is_named_and_the_rest_is_read(tmp_path: Path, name: str, how: str) -> None:
-    root = bad_inputs()[name](tmp_path / "data")
+def check_damaged(root: Path, name: str, how: str) -> None:
+    """Damage a file of a dataset, and assert that `check` names it and reads the others."""
     before = api.check(root, decode=False)
     damaged = file_to_damage(root)
     damage(damaged, how)
-    picture = damaged.suffix in (".jpg", ".tiff")
-    done = run("check", root, *(() if picture else ("--no-decode",)))
+    done = run("check", root, *(() if damaged.suffix in (".jpg", ".tiff") else ("--no-decode",)))
     output = " ".join(done.output.split())
-    assert done.exception is None or isinstance(done.exception, SystemExit), output
+    assert done.exception is None or isinstance(done.exception, SystemExit), (name, output)
     if how == "empty" and name.startswith(EMPTY_IS_NONE):
-        assert 0 < api.check(root, decode=False).objects < before.objects or not before.objects
+        assert 0 < api.check(root, decode=False).objects <= before.objects or not before.objects
         return
     place = damaged.relative_to(root)
-    assert done.exit_code and (place.name in output or f"{place.parts[0]} (" in output), output
+    assert done.exit_code and (place.name in output or f"{place.parts[0]} (" in output), (name, output)
+
+
+@bad
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_named_and_the_rest_is_read(tmp_path: Path, name: str, how: str) -> None:
+    check_damaged(BAD[name](tmp_path / "data"), name, how)
+
+
+@bad
+@pytest.mark.realdata
+def test_bad_input_of_the_shared_kinds_is_named(tmp_path: Path, real_data: Path, how: str) -> None:
+    folders = sorted((real_data / "foreign").glob("*/data*"))
+    if not folders:
+        pytest.skip("NEEDS REAL DATA: no folder foreign")
+    for n, folder in enumerate(folders):
+        check_damaged(shutil.copytree(folder, tmp_path / str(n)), folder.parent.name, how)

@@ -55,6 +55,8 @@ WithoutMask = Literal["omit", "obb"]
 _DECIMALS = 10
 # What data.yaml may say about lines of nine numbers. Ultralytics reads polygons for `detect`, too.
 _STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb": "obb"}
+# Larger shares of a picture are pixels.
+_FAR_SHARE = 10
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 _YAML_NAMES = ("data.yaml", "data.yml", "dataset.yaml", "dataset.yml")
@@ -320,8 +322,10 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
             found.problems.append(Problem(here, "label-malformed", said, expected, todo))
             continue
         class_, values = int(numbers[0]), tuple(numbers[1:])
-        if not all(math.isfinite(v) and abs(v) < 1000 for v in values):
-            found.problems.append(Problem(here, "box-not-finite", said, "finite shares of the picture", todo))
+        if not all(abs(v) < _FAR_SHARE for v in values):
+            code = "box-outside" if all(map(math.isfinite, values)) else "box-not-finite"
+            expected, todo = "shares of the picture, from 0 to 1", "divide pixels by its width and height"
+            found.problems.append(Problem(here, code, said, expected, todo))
             continue
         if (class_, values) in seen:
             text = "a repeated line, kept"
