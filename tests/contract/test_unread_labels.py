@@ -11,7 +11,7 @@ from tests.command_line import run
 from tests.samples import SAMPLES
 
 from infrablend import api
-from infrablend.errors import UnknownFormatError
+from infrablend.errors import DatasetError, UnknownFormatError
 
 
 def via(name: str) -> str:
@@ -67,6 +67,17 @@ def test_unknown_label_files_are_named_in_every_format(tmp_path: Path, sample: s
         (root / file).write_text(text(name))
     wanted = UNKNOWN if here is not None else {"gt/gt.txt"}  # frames of videos are pictures of the cache
     assert [file for file in wanted if not is_named(root, file)] == []
+
+
+@pytest.mark.parametrize("sample", FORMATS)
+@pytest.mark.parametrize("split", ["train", "val", "test"])
+def test_labels_of_other_splits_are_not_unread(tmp_path: Path, sample: str, split: str) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    try:
+        dataset = api.read_dataset(root, reading=api.Reading(splits=[split]))
+    except DatasetError:
+        return  # no picture in it
+    assert [p.where for p in dataset.problems if p.code == "label-unread"] == []
 
 
 @pytest.mark.parametrize("file", UNKNOWN)

@@ -75,7 +75,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     with noting_files_read() as files:
         dataset = reader.module.read(reader.root, splits=reading.splits, **reader.options)
     dataset = reader.completed(dataset)
-    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files)))
+    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, reading.splits)))
 
 
 def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Iterator[Dataset]:
@@ -181,9 +181,9 @@ def _require_merged(root: Path) -> None:
         raise DatasetError(f"{root}: cannot be read", [Problem(str(root), "shards-unmerged", found, "a dataset", todo)])
 
 
-def _unread(dataset: Dataset, read: Collection[Path]) -> Sequence[Problem]:
+def _unread(dataset: Dataset, read: Collection[Path], splits: Collection[str] | None) -> Sequence[Problem]:
     """Return the labels that were not read; one problem for those of whole datasets inside of a plain folder."""
-    unread = unread_label_files(dataset, read)
+    unread = unread_label_files(dataset, read, splits)
     if dataset.format != folder.NAME:
         return unread
     # Datasets inside have label files and pictures in their folders; `images` and `labels` have one of both.

@@ -18,9 +18,10 @@ from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEM
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import coco, folder, yolo
 from infrablend.formats.annotation_files import read_json, read_xml
+from infrablend.formats.base import stated_split
 from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, list_pictures, walk
 
-_JSON_SUFFIXES = {".json", ".jsonl", ".ndjson", ".geojson", ".manifest"}
+_JSON_SUFFIXES = {".json", ".jsonl", ".ndjson", ".geojson", ".manifest", ".odgt"}
 _SUFFIXES = {".xml", ".txt", ".csv", ".tsv", ".label", ".tfrecord", ".record", ".pkl", *_JSON_SUFFIXES}
 _PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
@@ -38,7 +39,7 @@ _UPLOADED = re.compile(r"[0-9a-f]{8}-(?=.)")
 # Names without a suffix in tables and in JSON; plain numbers and dates are none.
 _TELLING = re.compile(r"(?=.*\d).*[^\d.+-]", re.DOTALL)
 _CELL = re.compile(r"[,;\t|\"' \[\]()]+")
-_VALUE = re.compile(r':\s*"([^"\\/]{1,255})"')
+_TEXT = re.compile(r'(:\s*)?"([^"\\/]{1,255})"(?=(\s*:)?)')
 # A line of a table of boxes: left, top, width and height at least, perhaps after the frame and the track.
 _NUMBER = r"-?\d++(?:\.\d++)?"
 _NUMBERS = re.compile(rf"(?:{_NUMBER}[,; \t]++){{3,}}{_NUMBER}")
@@ -49,7 +50,9 @@ _MOST_NAMED = 3
 _TODO = "convert it, for example with CVAT or Datumaro, to a format of docs/formats; or move it out of the folder"
 
 
-def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Problem]:
+def unread_label_files(
+    dataset: Dataset, read: Collection[Path] = (), splits: Collection[str] | None = None
+) -> list[Problem]:
     """Return the problems of label files below the dataset's folder that its reader did not take.
 
     These are damaged XML and JSON files, text files with a suffix such as `.TXT`, files that name pictures of the
@@ -59,15 +62,16 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
     Args:
         dataset: The dataset.
         read: Files from which the reader took something (see `annotation_files.noting_files_read`).
+        splits: Splits that were asked for; None for all.
     """
     stems = {fold_name(i.path.stem) for i in dataset.images}
-    pictures = _Pictures.of(dataset)
+    names = _Pictures.of(dataset)
     plain = dataset.format == folder.NAME
     used = _used(dataset) if plain else set()
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
     problems, alike = [], defaultdict[tuple[str, str, str], list[str]](list)
-    for name in label_candidates(dataset.root):
+    for name in label_candidates(dataset.root, splits):
         path = dataset.root / name
         if name in reported or PurePosixPath(name).name in reported or path in used or path in read:
             continue
@@ -78,7 +82,7 @@ def unread_label_files(dataset: Dataset, read: Collection[Path] = ()) -> list[Pr
             problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
         elif ours or name in _RECORDS or _FOR_PEOPLE.match(path.name):
             continue
-        elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or pictures.are_told_of(path):
+        elif (plain and (fold_name(path.stem) in stems or _is_annotation(path, name))) or _tells_of(path, names):
             alike[path.parent.as_posix(), path.suffix, "labels in no known layout, which are not read"].append(name)
     for (_, _, found), files in alike.items():
         if len(files) > _MOST_NAMED:
@@ -107,11 +111,15 @@ def hidden_pictures(root: Path) -> list[Problem]:
     return [Problem(root.name, "picture-hidden", found, expected, todo, "warning")]
 
 
-def label_candidates(root: Path) -> Iterator[str]:
-    """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
+def label_candidates(root: Path, splits: Collection[str] | None = None) -> Iterator[str]:
+    """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder.
+
+    Those whose path states another split than `splits` are left out; None asks for all.
+    """
     for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
-        yield from (prefix + n for n in sorted(names) if not is_hidden(n) and _suffix(n) in _SUFFIXES)
+        found = (prefix + n for n in sorted(names) if not is_hidden(n) and _suffix(n) in _SUFFIXES)
+        yield from (n for n in found if splits is None or stated_split(n) in (None, *splits))
 
 
 def _suffix(name: str) -> str:
@@ -175,36 +183,37 @@ class _Pictures:
         folders = frozenset(fold_name(p.parent.name) for p in paths)
         return cls(names, frozenset(s for s in stems if _TELLING.match(s)), folders)
 
-    def are_told_of(self, path: Path) -> bool:
-        """Return whether a file says something of the pictures, or is a table of boxes."""
-        stem = fold_name(path.stem)
-        if stem in self.names:  # f.jpg.json
-            return True
-        with suppress(OSError), open_regular(path) as stream:
-            text = stream.read(_HEAD_BYTES).decode("utf-8", "replace")
-            lines = [line for line in map(str.strip, text.splitlines()) if line]
-            if not lines:
-                return stem in self.folders
-            numbers = [_NUMBERS.match(line) is not None for line in lines]
-            if any(numbers) and (_TRUTH.search(stem) or (numbers[0] and stem in self.folders)):
-                return True
-            listed = False
-            for line in lines:
-                named = next((n for n in _picture_names(line) if fold_name(n) in self.names), None)
-                # A list of pictures has a path on each line, and nothing else.
-                alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line)[-1] == named
-                if (named is not None and not alone) or self._has_stem(line, _suffix(path.name)):
-                    return True
-                listed |= alone
-            return listed and any(numbers)
-        return False
-
-    def _has_stem(self, line: str, suffix: str) -> bool:
-        """Return whether a line names a picture without its suffix: a value in JSON, a cell beside those of a box."""
+    def has_stem(self, line: str, suffix: str) -> bool:
+        """Return whether a line names a picture without its suffix: in JSON, or beside the numbers of a box."""
         if suffix in _JSON_SUFFIXES:
-            return not self.stems.isdisjoint(_VALUE.findall(line))
+            return any(text in self.stems for value, text, key in _TEXT.findall(line) if value or key)
         cells = _CELL.split(line) if suffix in (".csv", ".tsv", ".txt") else []
         return not self.stems.isdisjoint(cells) and sum(re.fullmatch(_NUMBER, c) is not None for c in cells) >= 4
+
+
+def _tells_of(path: Path, pictures: _Pictures) -> bool:
+    """Return whether a file says something of the pictures, or is a table of boxes."""
+    stem = fold_name(path.stem)
+    if stem in pictures.names:  # f.jpg.json
+        return True
+    with suppress(OSError), open_regular(path) as stream:
+        text = stream.read(_HEAD_BYTES).decode("utf-8", "replace")
+        lines = [line for line in map(str.strip, text.splitlines()) if line]
+        if not lines:
+            return stem in pictures.folders
+        numbers = [_NUMBERS.match(line) is not None for line in lines]
+        if any(numbers) and (_TRUTH.search(stem) or (numbers[0] and stem in pictures.folders)):
+            return True
+        listed = False
+        for line in lines:
+            named = next((n for n in _picture_names(line) if fold_name(n) in pictures.names), None)
+            # A list of pictures has a path on each line, and nothing else.
+            alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line)[-1] == named
+            if (named is not None and not alone) or pictures.has_stem(line, _suffix(path.name)):
+                return True
+            listed |= alone
+        return listed and any(numbers)
+    return False
 
 
 def _picture_names(line: str) -> Iterator[str]:
