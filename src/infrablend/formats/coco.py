@@ -82,6 +82,7 @@ MEASURED = ("changed_grey", "contrast_grey", "scr")
 _ROBOFLOW = "_annotations.coco.json"
 # FLIR's ADAS dataset v2: COCO's file, one with all that annotators drew, and which frames show the same.
 _FLIR, _UNFILTERED, _PAIRS = "coco.json", "index.json", "rgb_to_thermal_vid_map.json"
+_FLIR_NAME = re.compile(r"video-(\w+)-frame-(\d{1,9})-", re.ASCII)
 _VISIBLE = re.compile(r"(?<![a-z])(rgb|visible)(?![a-z])", re.IGNORECASE)
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"
@@ -416,8 +417,8 @@ def read(
         of_file = read_records(found, top, folder, split, where, categories, captures, taken)
         if _is_flir(path):
             leave_out([path.with_name(_UNFILTERED), root / _PAIRS])
-            if _VISIBLE.search(real_path(path.parent).name):
-                of_file = [replace(r, extra={**r.extra, "modality": "visible"}) for r in of_file]
+            visible = _VISIBLE.search(real_path(path.parent).name) is not None
+            of_file = [_of_flir(r, visible) for r in of_file]
         records += of_file
     if not records:
         raise DatasetError(f"{root}: no picture to read", shorten(found.problems))
@@ -427,6 +428,14 @@ def read(
     _report_crowds(found, records, categories)
     notes = {"labels": "coco", **named, "pitch": captures.note()}
     return Dataset(root, NAME, tuple(categories), with_ids(records), tuple(found.problems), notes)
+
+
+def _of_flir(record: ImageRecord, visible: bool) -> ImageRecord:
+    """Return a picture of FLIR's dataset with the sequence and the number that its name states, and its light."""
+    named, capture = _FLIR_NAME.search(record.name), record.capture
+    if named is not None:
+        capture = replace(capture, sequence=named[1], frame=int(named[2]))
+    return replace(record, capture=capture, extra={**record.extra, **({"modality": "visible"} if visible else {})})
 
 
 def _report_crowds(found: Findings, records: Iterable[ImageRecord], categories: Iterable[Category]) -> None:

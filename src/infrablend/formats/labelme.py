@@ -244,6 +244,8 @@ def _painted(code: object, points: NDArray[np.float64], size_wh: tuple[int, int]
         if not is_decodable(data):
             raise ValueError("not a picture")
         with Image.open(io.BytesIO(data), formats=("PNG",)) as picture:
+            if picture.width * picture.height > 4 * size_wh[0] * size_wh[1]:
+                raise ValueError("far larger than the picture")
             pixels = np.asarray(picture)
     except Exception as error:  # PIL's decoders raise what they like on damaged data
         raise ValueError(f"a mask that is no PNG file in base64 ({error or type(error).__name__})") from None

@@ -612,6 +612,7 @@ def test_the_folders_of_flir_adas_v2_are_one_dataset(tmp_path: Path) -> None:
     root = SAMPLES["coco:flir"](tmp_path / "FLIR_ADAS_v2")
     dataset = detection.read(root)
     assert not dataset.problems and [c.name for c in dataset.categories] == ["person", "bike", "car", "sheep"]
+    assert [(i.capture.sequence, i.capture.frame) for i in dataset.images[:2]] == [("a0", 0), ("a2", 0)]
     found = [(i.split, i.extra.get("modality"), len(i.instances)) for i in dataset.images]
     assert found == [("train", None, 2), ("train", "visible", 2), ("val", None, 0), ("test", None, 2)]
     for name, split, kind in (("images_thermal_val", "val", None), ("images_rgb_train", "train", "visible")):

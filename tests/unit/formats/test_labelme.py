@@ -124,9 +124,10 @@ def test_malformed_shapes_are_named_and_the_others_read(tmp_path: Path) -> None:
         shape("circle", [1, 1], ["a", 2]),
         shape("mask", [1, 1], [2, 2], mask="no PNG"),
         shape("mask", [100, 100], [102, 102], mask=png([[1]])),
+        shape("mask", [0, 0], [2, 2], mask=png(np.ones((200, 200)))),
         shape("rectangle", [1, 1], [1, 5]),
     )
-    assert codes(d) == ["annotation-malformed"] * 8 + ["box-empty"]
+    assert codes(d) == ["annotation-malformed"] * 9 + ["box-empty"]
     assert len(d.images[0].instances) == 1 and d.problems[0].where == "f.json: shape 1"
 
 
