@@ -187,9 +187,9 @@ def _instance(found: Findings, shape: object, size_wh: tuple[int, int], where: s
     """
     if not isinstance(shape, dict):
         raise ValueError(f"{str(shape)[:60]!r} instead of a shape")
-    kind = shape.get("shape_type") or "polygon"
+    kind = str(shape.get("shape_type") or "polygon")
     if kind != "polygon" and kind not in _CORNERS:
-        found.leave_out(str(kind), where)
+        found.leave_out(kind, where)
         return None
     label = shape.get("label")
     if not isinstance(label, str) or not label.strip():

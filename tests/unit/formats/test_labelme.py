@@ -69,10 +69,10 @@ def test_every_kind_of_shape(tmp_path: Path) -> None:
 
 
 def test_shapes_without_an_area_are_counted_by_kind(tmp_path: Path) -> None:
-    kinds = ("point", "line", "linestrip", "points", "cuboid")
+    kinds: tuple[Any, ...] = ("point", "line", "linestrip", "points", "cuboid", ["box"])
     d = read(tmp_path, *(shape(k, [1, 1]) for k in kinds), shape("line", [1, 1], [2, 2]))
     assert codes(d, "warning") == ["kind-unread"] and objects(d) == ()
-    assert "1 cuboid, 2 line, 1 linestrip, 1 point, 1 points" in d.problems[0].found
+    assert "1 ['box'], 1 cuboid, 2 line, 1 linestrip, 1 point, 1 points" in d.problems[0].found
 
 
 def test_outlines_of_a_group_are_one_object(tmp_path: Path) -> None:
