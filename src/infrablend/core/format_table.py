@@ -256,7 +256,10 @@ def find_writer(name: str) -> Writer:
     if found := next((w for w in WRITERS if w.name == name), None):
         return found
     expected = ", ".join((*written_names(), NATIVE))
-    raise UnknownFormatError(f"format {name!r} cannot be written: expected one of {expected}")
+    raise UnknownFormatError(
+        f"format {name!r} cannot be written: expected one of {expected}. For any other format write coco, which "
+        "Datumaro and CVAT convert"
+    )
 
 
 def writer_for_task(task: str) -> Writer:

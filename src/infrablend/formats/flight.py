@@ -47,6 +47,8 @@ _ASKED = {
     "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
     "hfov_deg": ("field of view", "--set camera.focal_length_mm=40 (of a sensor 36 mm wide)"),
 }
+FLIGHT_MISSING = "flight-missing"
+"""Code of the warning about pictures without a pitch, a height or a field of view."""
 FOR_ALL = " for all pictures, also those that have one"
 """What a field of the recipe does that replaces a value which only some pictures lack."""
 GIVEN = "table, annotation or file name"
@@ -306,7 +308,7 @@ def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
             found = f"{title} missing in {len(lacking)} of {len(images)} pictures: {_some(lacking)}"
             todo = f"give a column {name} in metadata.csv, or {setting}"
             todo += FOR_ALL if len(lacking) < len(images) else ""
-            problems.append(_warning(dataset, "flight-missing", found, "it in EXIF or XMP, or from you", todo))
+            problems.append(_warning(dataset, FLIGHT_MISSING, found, "it in EXIF or XMP, or from you", todo))
     return problems
 
 

@@ -14,11 +14,18 @@ from infrablend.pipeline.plans.estimate import (
     OBJECT_CPU_S,
     OTHER_OBJECT_CPU_S,
 )
+from infrablend.pipeline.runs import generate
 from infrablend.pipeline.runs.executors import Pace
 from tests.command_line import run
 from tests.samples import SAMPLES
 
 RECIPE = "hit-uav-drone"
+
+
+@pytest.fixture(autouse=True)
+def without_forecast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Place no objects: these tests ask for very many."""
+    monkeypatch.setattr(generate, "forecast_objects", lambda plan: ({}, []))
 
 
 def planned(data: Path, *options: object) -> dict[str, object]:

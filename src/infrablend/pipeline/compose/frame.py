@@ -138,13 +138,8 @@ class FrameComposer:
         """
         if frame.configuration is None:
             return self._unchanged(frame)
-        background = self._settings.extensions.load(frame.background)
-        self._look.check(frame, background)
-        canvas = self._canvas(frame, background)
-
         # The objects, their places and temperatures.
-        scene = self._sampler.sample(canvas.key, canvas.site)
-        scene = drop_barely_visible(scene, self._recipe.placement.min_visibility)
+        canvas, scene = self._arrange(frame)
 
         # Objects that nobody can see in the finished picture are moved, or left out in the end.
         first, moves = FirstContrasts(scene), 0
@@ -156,11 +151,30 @@ class FrameComposer:
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
-        image_bytes = encode_image(picture.pixels, background, self._recipe.output.image)
+        image_bytes = encode_image(picture.pixels, canvas.background, self._recipe.output.image)
         facts = {**picture.facts, **({"contrast_first": first.found} if moves and first.found else {})}
         made = {"scene": picture.scene.spec, "mapping": picture.mapping.to_json(), "facts": facts}
-        record = self._record(frame, background, labels, image_bytes, made)
+        record = self._record(frame, canvas.background, labels, image_bytes, made)
         return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
+
+    def place(self, frame: PlannedFrame) -> FrameRecord:
+        """Return the record of a frame whose objects have their places, with their boxes; nothing is drawn.
+
+        Objects that nobody could see in the finished picture are still among them.
+
+        Raises:
+            DatasetError: The background cannot be used.
+        """
+        canvas, scene = self._arrange(frame)
+        return self._record(frame, canvas.background, annotate(scene)[0], b"", {"scene": scene.spec, "mapping": None})
+
+    def _arrange(self, frame: PlannedFrame) -> tuple[Canvas, PlacedScene]:
+        """Return what is known of a frame's background, and the scene whose objects have places there."""
+        background = self._settings.extensions.load(frame.background)
+        self._look.check(frame, background)
+        canvas = self._canvas(frame, background)
+        scene = self._sampler.sample(canvas.key, canvas.site)
+        return canvas, drop_barely_visible(scene, self._recipe.placement.min_visibility)
 
     def _unchanged(self, frame: PlannedFrame) -> ComposedFrame:
         """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""

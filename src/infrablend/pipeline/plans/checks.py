@@ -16,6 +16,7 @@ from infrablend.core.rng import stream
 from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.formats.detection import DATASET_INSIDE
+from infrablend.formats.flight import FLIGHT_MISSING
 from infrablend.formats.temperatures import IMPLAUSIBLE, implausible_scales
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.formats.writing import unwritable
@@ -83,7 +84,8 @@ def dataset_remarks(recipe: Recipe, dataset: Dataset) -> tuple[Problem, ...]:
     Raises:
         DatasetError: It is a folder of datasets, or its temperatures are needed and no scene has them.
     """
-    remarks = dataset.problems
+    # What the recipe needs of flight data is asked for picture by picture (`left_out`).
+    remarks = tuple(p for p in dataset.problems if p.code != FLIGHT_MISSING)
     if whole := [p for p in remarks if p.code == DATASET_INSIDE]:
         # Their labels would be lost, and their objects become unlabelled background.
         raise DatasetError(f"{dataset.root}: a folder of datasets, not of one dataset", whole)

@@ -38,7 +38,7 @@ def estimate_run(
         price_per_core_hour: Price, in any currency; None gives no cost.
     """
     recipe, frames, workers = plan.recipe, len(plan.frames), max(workers, 1)
-    by_model = _objects_per_frame(plan)
+    by_model = objects_per_frame(plan)
     objects = sum(by_model.values())
     frame_cpu_s = ARTISTIC_FRAME_CPU_S if recipe.look == "artistic" else FRAME_CPU_S
     frame_cpu_s += sum(n * OBJECT_CPU_S.get(model, OTHER_OBJECT_CPU_S) for model, n in by_model.items())
@@ -77,7 +77,7 @@ def estimate_run(
     return {**found, "left_out": dict(Counter(p.code for p in plan.problems if p.severity == "error"))}
 
 
-def _objects_per_frame(plan: RunPlan) -> dict[str, float]:
+def objects_per_frame(plan: RunPlan) -> dict[str, float]:
     """Return the mean number of objects by model in frames that are not unchanged pictures, from about 200 of them."""
     changed = [f for f in plan.frames if f.configuration is not None]
     some = [mean_objects(plan.recipe, f.key((1, 1))) for f in changed[:: max(1, len(changed) // 200)]]

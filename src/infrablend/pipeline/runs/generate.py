@@ -23,6 +23,7 @@ from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import make_plan, with_scale
 from infrablend.pipeline.plans.request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
+from infrablend.pipeline.runs.forecast import forecast_objects
 from infrablend.pipeline.runs.run import RunReport, run_plan
 from infrablend.pipeline.runs.sharded import run_shards
 from infrablend.pipeline.runs.stored import require_packed, run_stored_shards
@@ -63,24 +64,27 @@ def _wanted(request: RunRequest, plan: RunPlan) -> ShardRequest | None:
 
 
 def describe_run(request: RunRequest, price_per_core_hour: float | None = None) -> dict[str, Any]:
-    """Return the estimated frames, disk space, time, cost and categories of a run without writing anything.
+    """Return the estimated frames, disk space, time, cost, categories and objects of a run without writing anything.
 
-    With a shard in the request, times are those of one shard and of merging.
+    With a shard in the request, times are those of one shard and of merging. What is expected of objects and cameras
+    is in the fields `expected_...`, see `forecast_objects`.
     """
     plan = prepare_run(request)
     wanted = _wanted(request, plan)
     shown = (KEPT, LENS_REPLACED, PITCH_REPLACED)
     others = [p for p in plan.problems if p.severity == "warning" and p.code not in (DROPPED, *shown)]
     shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
+    expected, absent = forecast_objects(plan)
     return {
         **estimate_run(plan, request.execution.worker_count(), shards, price_per_core_hour),
         "device": request.execution.device,
         "out": None if request.out is None or wanted else outlook(request.out, request.existing),
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
+        **{f"expected_{name}": value for name, value in expected.items()},
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
         "kept_fields": [str(p) for p in plan.problems if p.code in shown],
-        "warnings": format_problems(dict.fromkeys(others)),
+        "warnings": format_problems(dict.fromkeys([*absent, *others])),
     }
 
 

@@ -1,0 +1,82 @@
+"""What `generate --plan` says of the objects to come: their number, sizes and cameras, and where these came from."""
+
+import json
+
+import numpy as np
+import pytest
+
+from infrablend import api
+from infrablend.errors import DatasetError
+from infrablend.pipeline.runs import forecast
+from tests.flat_renderer import render_flat
+from tests.unit.pipeline.test_run import dataset
+
+__all__ = ["dataset"]
+
+PAPER, METRIC = "hit-uav-drone", "hit-uav-person"
+BROAD = ("placement.size_px=[2, 200]", "placement.min_contrast=off", "placement.max_relief_grey=0",
+         "placement.max_noise_grey=100")  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def flat(monkeypatch):
+    render_flat(monkeypatch)
+
+
+def expected(recipe, data, *settings):
+    facts = api.plan(recipe, data, settings=settings).facts
+    return {k.removeprefix("expected_"): v for k, v in facts.items() if k.startswith("expected_")}, facts["warnings"]
+
+
+def test_objects_and_sizes_are_those_of_the_run(dataset, tmp_path):
+    found, _ = expected(PAPER, dataset, "objects.0.count=2")
+    report = api.generate(PAPER, dataset, tmp_path / "run", settings=["objects.0.count=2", "output.formats=[coco]"])
+    assert found["objects"] == report.counts["labels_inserted"] and "left_out" not in found
+    labels = [a for f in (tmp_path / "run").rglob("*.json") for a in json.loads(f.read_text()).get("annotations", ())]
+    sizes = [max(a["bbox"][2:]) for a in labels if a.get("inserted")]
+    assert len(sizes) == found["objects"]["drone"]
+    # Boxes that were drawn from masks differ from projected ones by less than a pixel.
+    assert found["size_px"]["drone"]["50 %"] == pytest.approx(np.percentile(sizes, 50), abs=1)
+    assert found["size_px"]["drone"]["95 %"] == pytest.approx(np.percentile(sizes, 95), abs=1)
+
+
+def test_cameras_say_where_they_came_from(dataset):
+    paper, _ = expected(PAPER, dataset)
+    assert paper["pitch_deg"].keys() == {"metadata"} and paper["distance_m"].keys() == {"recipe"}
+    real, _ = expected(METRIC, dataset, *BROAD)
+    assert real["height_m"].keys() <= {"labels", "metadata"} and real["hfov_deg"].keys() == {"recipe"}
+    stated, _ = expected(METRIC, dataset, *BROAD, "camera.altitude={fixed_m: 31}", "camera.pitch={fixed_deg: 62}")
+    assert stated["height_m"] == {"recipe": {"5 %": 31, "50 %": 31, "95 %": 31}}
+    assert stated["pitch_deg"] == {"recipe": {"5 %": 62, "50 %": 62, "95 %": 62}}
+
+
+def test_a_run_that_would_insert_nothing_is_foretold_with_the_size_of_its_objects(dataset):
+    """13 mm of a camera with 640 pixels of 17 um see 45 degrees, not the 108 of a sensor 36 mm wide."""
+    tight = ("placement.size_px=[12, 200]", *BROAD[1:])
+    found, warnings = expected(METRIC, dataset, *tight, "camera.focal_length_mm=13", "camera.altitude={fixed_m: 200}")
+    assert set(found["objects"].values()) == {0} and found["left_out"]["no_place"]
+    assert any("none of the" in w and " px, less than placement.size_px" in w for w in warnings)
+    assert found["hfov_deg"]["recipe"]["50 %"] == pytest.approx(108.3, abs=0.1)
+
+
+def test_few_frames_speak_for_many(dataset, monkeypatch):
+    whole, _ = expected(PAPER, dataset, "configurations=30")
+    monkeypatch.setattr(forecast, "_FRAMES", (5, 5))
+    some, _ = expected(PAPER, dataset, "configurations=30")
+    assert whole["tried"] > some["tried"] == 5 and whole["objects"] == some["objects"]
+
+
+def test_backgrounds_that_cannot_be_used_are_counted(dataset, monkeypatch):
+    def refuse(*_):
+        raise DatasetError("damaged")
+
+    monkeypatch.setattr(forecast.FrameComposer, "place", refuse)
+    found, _ = expected(PAPER, dataset)
+    assert found["unusable"] == {"unusable": found["tried"]}
+
+
+def test_unchanged_pictures_alone_expect_nothing(dataset):
+    both = ["output.originals=true"]
+    original = next(f for f in api.frames(PAPER, dataset, settings=both).ids if "_c" not in f)
+    facts = api.plan(PAPER, dataset, selection=api.FrameSelection(frames=(original,)), settings=both).facts
+    assert facts["frames"] and not any(k.startswith("expected_") for k in facts)
