@@ -329,7 +329,6 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     if not records:
         state.add(str(root), "annotation-missing", "no picture with a line", f"<split>/{FILE}")
         raise DatasetError(f"{root}: nothing to read in {', '.join(wanted)}", shorten(state.problems))
-    state.report_left_out()
     ordered = tuple(sorted(state.categories.values(), key=lambda c: c.id))
     return Dataset(root, NAME, ordered, with_ids(records), tuple(state.problems), {"labels": NAME})
 
@@ -356,8 +355,6 @@ def _read_row(
     facts = {fact: _text(v) if isinstance(v := row.get(fact), str) else v for fact in FACTS}
     capture = Capture.from_json(facts, strict=False)
     capture = replace(capture, radiometry=state.checked(scale_of_record(row.get(_SCALE), NAME, where)))
-    for key in sorted(k for k, v in row.items() if isinstance(v, list | dict) and v and k not in (_OBJECTS, _SCALE)):
-        state.leave_out(f"field {key}", where)
     instances = _read_objects(row.get("objects"), where, size_wh, state)
     return ImageRecord("", picture, split, size_wh, instances, capture, file_name=name)
 

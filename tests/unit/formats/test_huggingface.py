@@ -130,14 +130,6 @@ def test_bad_lines_are_named_and_the_others_read(tmp_path: Path, line: str, code
     assert any(i.name == "0_60_30_0_00001.jpg" for i in dataset.images)
 
 
-def test_other_fields_with_values_of_their_own_are_counted(tmp_path: Path) -> None:
-    _, out = written(tmp_path, lambda i: i)
-    rows = [row | {"annotations": {"bbox": [[1, 2, 3, 4]]}, "tags": [], "note": "x"} for row in lines(out, "train")]
-    (out / "train" / huggingface.FILE).write_text("".join(json.dumps(row) + "\n" for row in rows))
-    (left_out,) = detection.read(out).problems
-    assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 field annotations")
-
-
 def test_nothing_readable_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "train").mkdir()
     (tmp_path / "train" / huggingface.FILE).write_text("{}\n")
