@@ -38,7 +38,7 @@ _LONGEST_NAME = 255
 _UPLOADED = re.compile(r"[0-9a-f]{8}-(?=.)")
 # Names without a suffix in tables and in JSON; plain numbers and dates are none.
 _TELLING = re.compile(r"(?=.*\d).*[^\d.+-]", re.DOTALL)
-_CELL = re.compile(r"[,;\t|\"' \[\]()]+")
+_CELL = re.compile(r"[,;\s|\"'\[\]()]+")
 _TEXT = re.compile(r'(:\s*)?"([^"\\/]{1,255})"(?=(\s*:)?)')
 # A line of a table of boxes: left, top, width and height at least, perhaps after the frame and the track.
 _NUMBER = r"-?\d++(?:\.\d++)?"
@@ -183,12 +183,14 @@ class _Pictures:
         folders = frozenset(fold_name(p.parent.name) for p in paths)
         return cls(names, frozenset(s for s in stems if _TELLING.match(s)), folders)
 
-    def has_stem(self, line: str, suffix: str) -> bool:
-        """Return whether a line names a picture without its suffix: in JSON, or beside the numbers of a box."""
+    def are_named_in(self, text: str, suffix: str) -> bool:
+        """Return whether a text names a picture without its suffix: in JSON, or beside the numbers of a box."""
         if suffix in _JSON_SUFFIXES:
-            return any(text in self.stems for value, text, key in _TEXT.findall(line) if value or key)
-        cells = _CELL.split(line) if suffix in (".csv", ".tsv", ".txt") else []
-        return not self.stems.isdisjoint(cells) and sum(re.fullmatch(_NUMBER, c) is not None for c in cells) >= 4
+            return any(said in self.stems for value, said, key in _TEXT.findall(text) if value or key)
+        if suffix not in (".csv", ".tsv", ".txt") or self.stems.isdisjoint(_CELL.split(text)):
+            return False
+        rows = (cells for line in text.splitlines() if not self.stems.isdisjoint(cells := _CELL.split(line)))
+        return any(sum(re.fullmatch(_NUMBER, c) is not None for c in cells) >= 4 for cells in rows)
 
 
 def _tells_of(path: Path, pictures: _Pictures) -> bool:
@@ -201,15 +203,17 @@ def _tells_of(path: Path, pictures: _Pictures) -> bool:
         lines = [line for line in map(str.strip, text.splitlines()) if line]
         if not lines:
             return stem in pictures.folders
-        numbers = [_NUMBERS.match(line) is not None for line in lines]
-        if any(numbers) and (_TRUTH.search(stem) or (numbers[0] and stem in pictures.folders)):
+        numbers = map(_NUMBERS.match, lines)
+        if (stem in pictures.folders and _NUMBERS.match(lines[0])) or (_TRUTH.search(stem) and any(numbers)):
+            return True
+        if pictures.are_named_in(text, _suffix(path.name)):
             return True
         listed = False
         for line in lines:
             named = next((n for n in _picture_names(line) if fold_name(n) in pictures.names), None)
             # A list of pictures has a path on each line, and nothing else.
             alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line)[-1] == named
-            if (named is not None and not alone) or pictures.has_stem(line, _suffix(path.name)):
+            if named is not None and not alone:
                 return True
             listed |= alone
         return listed and any(numbers)
