@@ -128,6 +128,12 @@ def detections(root: Path) -> Path:
     return put(root, "f1.jpg", **{"predictions.json": [{"image_id": "f1", "category_id": 1, "bbox": [4, 6, 10, 12]}]})
 
 
+def fiftyone_detections(root: Path) -> Path:
+    """Stems as keys: docs.voxel51.com/user_guide/export_datasets.html, FiftyOneImageDetectionDataset."""
+    labels = {"f1": [{"label": 0, "bounding_box": [0.1, 0.1, 0.2, 0.2]}]}
+    return put(root, "data/f1.jpg", **{"labels.json": {"classes": ["deer"], "labels": labels}})
+
+
 NAMED: dict[Callable[[Path], Path], str] = {
     open_images: "train-annotations-bbox.csv",
     supervisely: "ds0/ann/f1.jpg.json",
@@ -140,6 +146,7 @@ NAMED: dict[Callable[[Path], Path], str] = {
     wider: "wider_train_bbx.txt",
     tf_record: "train.record-00000-of-00010",
     detections: "predictions.json",
+    fiftyone_detections: "labels.json",
 }
 
 
