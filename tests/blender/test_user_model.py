@@ -233,8 +233,10 @@ def test_an_obj_that_stands_on_z(files, tmp_path):
     for file, extra in ((files / "thing.obj", PARTS), (turned, PARTS + "up: Z\n")):
         sizes.append(built(ready_model(describe(files, tmp_path, "", extra, file=file))).size_m)
     assert sizes[0] == pytest.approx(sizes[1], abs=1e-5)
-    with pytest.raises(ModelError, match=r"up is set, but a \.fbx file records its vertical axis"):
-        ready_model(describe(files, tmp_path, "fbx", PARTS + "up: Z\n"))
+    as_read, stated, turned_x = (
+        built(ready_model(describe(files, tmp_path, "fbx", PARTS + up))).size_m for up in ("", "up: Z\n", "up: X\n")
+    )
+    assert as_read == pytest.approx(stated) and turned_x == pytest.approx(as_read[[2, 1, 0]])
 
 
 def z_up_glb(path):

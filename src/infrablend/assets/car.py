@@ -137,7 +137,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
     for part, (_, opacity) in GROUND_RINGS.items():
         # Black, because the sky that ground mirrors is part of its apparent temperature already.
         role = part_role("asphalt", _GROUND_K, what, emissivity=(1.0, 1.0), ior=1.0, label=False, opacity=opacity)
-        roles[part] = replace(role, glow=True)
+        roles[part] = replace(role, glow=True, ground=True)
     if params.get(SHADOW_PARAM):
         roles[SHADOW] = _shadow_role()
     if params["state"] in ("day_sun", "day_driven"):
@@ -152,7 +152,9 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 
 
 def _shadow_role() -> PartRange:
-    return part_role("asphalt", _SHADOW_K, "ground in the car's shade (est.)", label=False, opacity=_SHADOW_OPACITY)
+    what = "ground in the car's shade (est.)"
+    role = part_role("asphalt", _SHADOW_K, what, label=False, opacity=_SHADOW_OPACITY)
+    return replace(role, ground=True)
 
 
 def _deltas(state: str, colour: str) -> dict[str, Range]:

@@ -64,6 +64,7 @@ class PartRange:
         opacity: In (0, 1]; a part below 1 is translucent, and labels ignore it.
         sun: Response to sunlight, which replaces `delta_t_k` in scenes with a sun; None for none.
         glow: Whether a translucent part is ground that the object warms, see `core.scene.PartState`.
+        ground: Whether it is ground beside the object, which has no part in the temperature of the whole object.
 
     Raises:
         ValueError: A range is reversed or a value is outside its limits.
@@ -80,6 +81,7 @@ class PartRange:
     opacity: float = 1.0
     sun: SunResponse | None = None
     glow: bool = False
+    ground: bool = False
 
     def __post_init__(self) -> None:
         (cold, warm), (low, high) = self.delta_t_k, self.emissivity

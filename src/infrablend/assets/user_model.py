@@ -5,7 +5,7 @@
     file: fox.glb            # beside the YAML; .glb .gltf .obj .fbx .usd .usda .usdc .usdz .blend
     origin: feet             # feet: middle of the ground below; centre: middle of the box; file: as in the file
     heading: +X              # where its nose points once it is upright (Z up)
-    up: Z                    # glTF and OBJ: the vertical axis in the file; Y by default
+    up: Z                    # the axis that points up; by default Y in glTF and OBJ, Z elsewhere
     length_m: 0.7            # its longest side; or scale: 0.01
     parts:
       body: {match: ["Fox_Body*"], delta_t_k: [4, 10], kind: fur}
@@ -45,8 +45,14 @@ from infrablend.core.validation_messages import read_model
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem
 
-# Files that do not record their vertical axis reliably: many tools write glTF with Z up against its specification.
-UP_IS_OPEN = (".glb", ".gltf", ".obj")
+# Files with Y up, which Blender turns, and which do not record that reliably: many tools write glTF with Z up.
+Y_UP = (".glb", ".gltf", ".obj")
+# Axis that points up -> columns and signs of the vertices once Z points up: turns, not mirror images.
+_TURNS: Mapping[str, tuple[list[int], tuple[float, float, float]]] = {
+    "X": ([2, 1, 0], (-1.0, 1.0, 1.0)), "-X": ([2, 1, 0], (1.0, 1.0, -1.0)),
+    "Y": ([0, 2, 1], (1.0, -1.0, 1.0)), "-Y": ([0, 2, 1], (1.0, 1.0, -1.0)),
+    "Z": ([0, 1, 2], (1.0, 1.0, 1.0)), "-Z": ([0, 1, 2], (1.0, -1.0, -1.0)),
+}  # fmt: skip
 SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
 
 
@@ -56,8 +62,8 @@ def _known_kind(value: str) -> str:
     return value
 
 
-def _upper(value: Any) -> Any:
-    return value.upper() if isinstance(value, str) else value
+def _axis(value: Any) -> Any:
+    return value.upper().removeprefix("+") if isinstance(value, str) else value
 
 
 class UserPart(Strict):
@@ -108,7 +114,7 @@ class UserModel(Strict):
     description: str = ""
     origin: Literal["feet", "centre", "file"] = "file"
     heading: Literal["+X", "-X", "+Y", "-Y"] = "+X"
-    up: Annotated[Literal["Y", "Z"] | None, BeforeValidator(_upper)] = None
+    up: Annotated[Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None, BeforeValidator(_axis)] = None
     length_m: float | None = Field(None, gt=0, le=1e5)
     scale: float = Field(1.0, gt=0, le=1e6)
     parts: dict[str, UserPart] = Field(default_factory=dict)
@@ -173,11 +179,6 @@ def read_description(path: Path) -> tuple[UserModel, Path]:
     file = path.parent / described.file
     if file.suffix.lower() not in SUFFIXES:
         raise ModelError(f"model {path}: file {described.file!r} has an unknown type; expected {' '.join(SUFFIXES)}")
-    if described.up is not None and file.suffix.lower() not in UP_IS_OPEN:
-        raise ModelError(
-            f"model {path}: up is set, but a {file.suffix} file records its vertical axis; expected no up, which is "
-            f"for {', '.join(UP_IS_OPEN)} files. Remove it"
-        )
     if not is_regular_file(file):
         raise ModelError(f"model {path}: file {described.file!r} does not exist; expected the 3D model beside the YAML")
     if leaves_folder(file):
@@ -357,6 +358,22 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
     return names, {n: roles[n] for n in roles if n in used}
 
 
+def up_of(file: Path) -> str:
+    """Return the axis that points up in a 3D file that keeps to the rules of its format."""
+    return "Y" if file.suffix.lower() in Y_UP else "Z"
+
+
+def in_file(vertices: FloatArray, file: Path) -> FloatArray:
+    """Return (n, 3) vertices as Blender imports them from a file, with Z up, along the axes of the file."""
+    return vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0) if file.suffix.lower() in Y_UP else vertices
+
+
+def upright(vertices: FloatArray, up: str) -> FloatArray:
+    """Return (n, 3) vertices turned so that an axis, such as `Y` or `-X`, points along Z."""
+    order, signs = _TURNS[up]
+    return vertices[:, order] * signs
+
+
 def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str], where: str) -> Mesh:
     order = sorted(set(part_of_group))
     group_part = np.array([order.index(n) for n in part_of_group], np.int32)
@@ -366,8 +383,8 @@ def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str
     corners = np.asarray(data["triangles"], np.int64) * len(order) + part_of_triangle[:, None]
     kept, triangles = np.unique(corners, return_inverse=True)
     vertices: FloatArray = np.asarray(data["vertices_m"], np.float64)[kept // len(order)]
-    if described.up == "Z":  # Blender took Y for up and turned the model: turn it back
-        vertices = vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
+    if described.up is not None:
+        vertices = upright(in_file(vertices, Path(described.file)), described.up)
     turn = {"+X": (1, 0), "-X": (-1, 0), "+Y": (0, -1), "-Y": (0, 1)}[described.heading]
     c, s = turn
     vertices = vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]], np.float64)

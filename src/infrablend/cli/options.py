@@ -234,10 +234,12 @@ def _reading(names: str) -> Fields:
         format=typer.Option(metavar="NAME", parser=one_format, autocompletion=complete_read_format),
         metadata=typer.Option(metavar="FILE"),
         options=typer.Option("--read"),
+        val_share=typer.Option(metavar="SHARE"),
     )
 
 
-ReadingOptions = Annotated[Reading, _reading("")]
+ReadingWithVal = Annotated[Reading, _reading("")]
+ReadingOptions = Annotated[Reading, _reading("splits format form metadata options")]
 ReadingOfAllSplits = Annotated[Reading, _reading("format form metadata options")]
 ReadingOfFormat = Annotated[Reading, _reading("format options")]
 ReadingOfPictures = Annotated[Reading, _reading("splits format options")]

@@ -18,7 +18,7 @@ from infrablend.cli.options import (
     BackgroundsOption,
     Fields,
     JsonSession,
-    ReadingOptions,
+    ReadingWithVal,
     RecipeArgument,
     SeedOption,
     SettingsOption,
@@ -56,7 +56,7 @@ def generate(
     ],
     selection: Annotated[
         api.FrameSelection,
-        Fields(limit=typer.Option(min=1), sample=typer.Option(min=1)),
+        Fields(limit=typer.Option(min=1), sample=typer.Option(min=1), pictures=typer.Option(min=1)),
     ],
     shard: Annotated[
         str | None,
@@ -90,7 +90,7 @@ def generate(
             autocompletion=complete_written_formats,
         ),
     ] = None,
-    reading: ReadingOptions,
+    reading: ReadingWithVal,
     settings: SettingsOption = None,
     plan: Annotated[
         bool, typer.Option("--plan", help="Show what the run would produce without writing anything.")
@@ -271,7 +271,8 @@ def parse_generate(ctx: typer.Context, words: Sequence[str]) -> dict[str, Any]:
     normal = {p.name: p.default for p in command.params}
     if wrong := [option for key, option in _OURS.items() if (given[key] or None) != (normal[key] or None)]:
         raise typer.BadParameter(f"{', '.join(wrong)}: the jobs set it themselves; leave it out")
-    api.FrameSelection(given["limit"], given["sample"], given["frames"])
+    api.FrameSelection(given["limit"], given["sample"], given["frames"], given["pictures"])
+    api.Reading(val_share=given["val_share"])
     if given["price"] is not None:
         raise typer.BadParameter("used by --plan only, which no job gives; leave it out", param_hint="--price")
     return given

@@ -6,20 +6,24 @@ fields in the file) and a maker in `pipeline/experiments` (how it is made).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from infrablend.config.loading import parse_mapping, read_text
+from infrablend.config.loading import parse_mapping, read_text, whole_path
 from infrablend.config.recipe import LooseFactor, LoosePx
+from infrablend.config.sensor_profile import PROFILE_SUFFIXES
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.file_names import real_path
 from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale, shipped_names
 from infrablend.core.strict_model import Strict
 from infrablend.core.validation_messages import read_model
 from infrablend.errors import RecipeError
+
+_PATH_FIELD = re.compile(r"objects\.\d+\.model|sensor\.profile", re.ASCII)
 
 Metric = Literal["p", "r", "map50", "map50_95"]
 METRICS: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
@@ -69,7 +73,7 @@ class Generate(Strict):
     recipe: str = Field(min_length=1)
     """Name of a shipped recipe, or a YAML file; its path is relative to this file."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Recipe fields to change."""
+    """Recipe fields to change; paths of models and of a sensor profile are relative to this file."""
     splits: tuple[Split, ...] = SPLITS
     """Splits to make."""
 
@@ -490,13 +494,17 @@ def load_experiment(experiment: str | Path) -> Experiment:
 
 
 def parse_experiment(text: str, where: str, folder: Path | None = None) -> Experiment:
-    """Return the experiment in a YAML text, as `load_experiment`; paths of recipes are relative to `folder`."""
+    """Return the experiment in a YAML text, as `load_experiment`; paths in it are relative to `folder`."""
     data = parse_mapping(text, f"experiment {where}", "docs/how_to/experiments.md")
     items = data.get("data")
     for item in items.values() if isinstance(items, Mapping) else ():
         recipe = item.get("recipe") if isinstance(item, dict) else None
         if folder is not None and isinstance(recipe, str) and recipe.lower().endswith((".yaml", ".yml")):
             item["recipe"] = str(real_path(folder / recipe))
+        settings = item.get("settings") if isinstance(item, dict) else None
+        if folder is not None and isinstance(settings, dict):
+            paths = {k: v for k, v in settings.items() if isinstance(v, str) and _PATH_FIELD.fullmatch(str(k))}
+            settings |= {k: whole_path(folder, v) for k, v in paths.items() if v.lower().endswith(PROFILE_SUFFIXES)}
     found = read_model(Experiment, data, where, "experiment", "see docs/how_to/experiments.md for all fields")
     if isinstance(found, Experiment):
         return found

@@ -127,7 +127,8 @@ def read_recipe(recipe: str | Path, settings: Settings = ()) -> LoadedRecipe:
 
     Args:
         recipe: A shipped name, or a path (anything with a suffix or a folder in it).
-        settings: `key=value` texts (dotted keys, YAML values), or a mapping of dotted keys to values.
+        settings: `key=value` texts (dotted keys, YAML values), or a mapping of dotted keys to values. Paths in them are
+            relative to the working directory.
 
     Raises:
         RecipeError: With every unknown key and bad value at once.
@@ -144,7 +145,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
         text: The YAML text.
         where: Name of the recipe in errors.
         settings: As of `read_recipe`.
-        folder: Folder that paths in the recipe are relative to; the working directory by default.
+        folder: Folder that paths in the text are relative to; the working directory by default.
 
     Raises:
         RecipeError: With every unknown key and bad value at once.
@@ -152,19 +153,13 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     data = parse_mapping(text, f"recipe {where}", "docs/reference/recipe.md")
     problems: list[Problem] = []
     pairs = _pairs(settings, problems)
+    _make_paths_whole(data, folder or Path())  # those of the settings are relative to the working directory
     dropped, kept = _change_modes(data, pairs)
     for key, value in pairs:
         _set(data, key, value, problems)
     _complete_lens(data, pairs, problems)
-    objects = data.get("objects")
-    for item in objects if isinstance(objects, list) else ():
-        model = item.get("model") if isinstance(item, dict) else None
-        if isinstance(model, str) and model.lower().endswith(_YAML):
-            # The record of a run has the whole path, so that the run can be used from any folder.
-            path = (folder or Path()) / model
-            # A description that is a link out of its folder is refused by its reader.
-            item["model"] = str(real_path(path.parent) / path.name)
-    _read_profile(data, folder)
+    _make_paths_whole(data, Path())
+    _read_profile(data)
     problems += wrong_modes(data)
     modes = modes_of(data)
     see = "see docs/reference/recipe.md for all fields"
@@ -212,14 +207,33 @@ def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tup
     return drop_fields_of_other_modes(data, old, new), kept_camera_warnings(result, pairs, old, new)
 
 
-def _read_profile(data: dict[str, Any], folder: Path | None) -> None:
+def _make_paths_whole(data: Mapping[str, Any], folder: Path) -> None:
+    """Replace paths of models and of a sensor profile, which are relative to a folder, by whole paths.
+
+    The record of a run has the whole path, so that the run can be used from any folder.
+    """
+    objects, sensor = data.get("objects"), data.get("sensor")
+    places = [(item, "model", _YAML) for item in (objects if isinstance(objects, list) else ())]
+    for item, field, suffixes in [*places, (sensor, "profile", PROFILE_SUFFIXES)]:
+        named = item.get(field) if isinstance(item, dict) else None
+        if isinstance(named, str) and named.lower().endswith(tuple(suffixes)):
+            item[field] = whole_path(folder, named)
+
+
+def whole_path(folder: Path, named: str) -> str:
+    """Return the whole path of a file; a link is kept, as its reader refuses a description that leaves its folder."""
+    path = folder / named
+    return str(real_path(path.parent) / path.name)
+
+
+def _read_profile(data: dict[str, Any]) -> None:
     """Replace the path of a sensor profile by the profile's fields, so that a run depends on no further file."""
     sensor = data.get("sensor")
     if not isinstance(sensor, dict):
         return
     named = sensor.get("profile")
     if isinstance(named, str) and named.lower().endswith(PROFILE_SUFFIXES):
-        data["sensor"] = {**sensor, "profile": read_profile((folder or Path()) / named).model_dump(mode="json")}
+        data["sensor"] = {**sensor, "profile": read_profile(Path(named)).model_dump(mode="json")}
 
 
 def _require_settings(settings: Settings) -> None:

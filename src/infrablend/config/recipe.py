@@ -189,6 +189,11 @@ class Camera(Strict):
         return self.pitch if isinstance(self.pitch, HorizonPitch) and self.pitch.from_horizon else None
 
     @property
+    def stated_height_m(self) -> tuple[float, float] | None:
+        """Range of the height that is stated for all pictures; None if each has its own, or none is needed."""
+        return None
+
+    @property
     def needs_height(self) -> bool:
         """Whether each picture has to state the height of its camera."""
         return False
@@ -268,6 +273,11 @@ class MetricCamera(Camera):
     """With `calibrate`: how heights in names and tables of the dataset differ from true ones."""
 
     @property
+    def stated_height_m(self) -> tuple[float, float] | None:
+        """Range of the height that is stated for all pictures; None if each has its own."""
+        return None if self.altitude == "metadata" else (self.altitude.at(0), self.altitude.at(1))
+
+    @property
     def needs_height(self) -> bool:
         """Whether each picture has to state the height of its camera."""
         return self.altitude == "metadata"
@@ -345,6 +355,10 @@ class Count(Numbers):
         return of_flight(self.by_flight, picture) or self
 
 
+ALL_PARTS = "*"
+"""Name for all parts of a model that are not named."""
+
+
 class PartOverride(Strict):
     """Thermal properties of one part of a model, instead of the model's own."""
 
@@ -408,7 +422,7 @@ class ObjectKind(Strict):
 
     model: str = Field(min_length=1)
     """Name in `infrablend models list`, or the path of your own model's YAML. A path in a recipe file is relative to
-    that file; a path set on the command line for a shipped recipe is relative to the current folder."""
+    that file; one that is set on the command line or in Python is relative to the current folder."""
     category: ClassName | None = None
     """Class of its labels; the model's own by default. With the name of a class that the dataset already
     has, the objects join this class; any other name is a new class."""
@@ -420,8 +434,16 @@ class ObjectKind(Strict):
     """Factor on the model's size; log-uniform."""
     options: dict[str, Any] = Field(default_factory=dict)
     """Options of the model, e.g. `pose: grazing`; `infrablend models describe NAME` lists them."""
+    delta_t_k: range_of(-100, 1000) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Added to the temperatures of all parts of the object, also to those of `parts`, kelvin; one draw per object.
+    Ground beside the object that it warms or shades stays as it is."""
     parts: dict[str, PartOverride] = Field(default_factory=dict)
-    """Other temperatures or emissivities for named parts."""
+    """Other temperatures or emissivities for named parts, and by the name `*` for all parts of the object that are not
+    named: `{"*": {delta_t_k: [5, 15]}, motor: {delta_t_k: 40}}`."""
+
+    def part_override(self, name: str, *, ground: bool) -> PartOverride | None:
+        """Return what is stated for a part; `ground` says whether it is ground beside the object, which `*` is not."""
+        return self.parts.get(name) or (None if ground else self.parts.get(ALL_PARTS))
 
     def draw_count(self, rng: np.random.Generator, picture: Capture) -> int:
         """Draw the number of objects in a picture; a fixed number takes nothing from `rng`."""
@@ -833,9 +855,9 @@ class _Imitation(Strict):
     """Whether the range of grey levels of the whole dataset has to be known."""
 
     profile: Annotated[Literal["hit-uav", "monet", "generic-640x512"] | SensorProfile, BeforeValidator(_known_profile)]
-    """The camera: the name of a shipped profile, the path of a profile's .json or .yaml (relative to the recipe;
-    `infrablend profile` writes such files), or its fields. `monet` is provisional. Labels describe the object before
-    the sensor."""
+    """The camera: the name of a shipped profile, the path of a profile's .json or .yaml (relative to the recipe, or to
+    the current folder where it is set on the command line; `infrablend profile` writes such files), or its fields.
+    `monet` is provisional. Labels describe the object before the sensor."""
     optics: float = Field(1.0, ge=0, le=2)
     """Factor on the blur, which is estimated from the edges of each background; 0: `overlay.softness_px` instead."""
     motion_px: range_of(0, 40) = (0.0, 0.0)  # type: ignore[valid-type]
@@ -938,6 +960,9 @@ class Labels(Strict):
     rename: dict[str, ClassName] = Field(default_factory=dict)
     """New names of original categories, e.g. `{Car: vehicle, OtherVehicle: vehicle}`. Several categories may share a
     name, also with a new object."""
+    similar_names: Literal["refuse", "keep"] = "refuse"
+    """Classes of inserted objects that differ from a class of the dataset (after `rename`) in case or number alone,
+    such as `person` beside `Person` or `people`: `refuse` them, or `keep` them as classes of their own."""
     keep_categories: tuple[str, ...] | None = None
     """Original categories whose labels are kept, by the name after `rename`; all by default."""
     obb: Literal["min_area", "heading"] = "min_area"
@@ -1043,6 +1068,7 @@ class FrameByHand(Strict):
 
 # ---- Recipe
 
+MAX_CONFIGURATIONS = 1000
 LookName = Literal["artistic", "physical", "radiometric"]
 """How temperatures become grey levels; it follows from `appearance.mode` and `matching.mode`."""
 
@@ -1056,7 +1082,7 @@ class _Sections(Strict):
     """Name of the recipe."""
     description: str = ""
     """One sentence on its purpose."""
-    configurations: int = Field(1, ge=1, le=1000)
+    configurations: int = Field(1, ge=1, le=MAX_CONFIGURATIONS)
     """Scenes per background. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
     empty_share: float = Field(0.0, ge=0, le=1)
     """Share of frames without any insert."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,9 +19,10 @@ from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import folder, temperatures
+from infrablend.formats import folder, temperatures, video
 from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
+from infrablend.formats.divide import with_val
 from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
@@ -31,6 +33,7 @@ DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
 PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
+_FEW_VIDEOS = 3  # named one by one
 # Read from runs that have it, whatever else they have.
 _FIRST_OF_RUN = "coco"
 
@@ -69,13 +72,16 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     Raises:
         UnknownFormatError: No format fits; `problems` gives the reason for each of them.
         DatasetError: The folder cannot be read, or its format does not have one of the options. Or it is a run that
-            has no labels in the wanted format.
+            has no labels in the wanted format. Or no val split can be made.
     """
     reader = _Reader.of(root, reading)
+    splits = reading.splits if reading.val_share is None else None
     with noting_files_read() as files:
-        dataset = reader.module.read(reader.root, splits=reading.splits, **reader.options)
+        dataset = reader.module.read(reader.root, splits=splits, **reader.options)
     dataset = reader.completed(dataset)
-    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, reading.splits)))
+    if reading.val_share is not None:
+        dataset = with_val(dataset, reading.val_share, reading.splits)
+    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits)))
 
 
 def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Iterator[Dataset]:
@@ -120,6 +126,8 @@ class _Reader:
         root, format = _labels_of_run(root, reading.format)
         if format is None:
             found = detect(root)
+            if found.format is None and (films := sorted(p for p in root.rglob("*") if _is_video(p))):
+                raise UnknownFormatError(f"{root}: no format fits", [_video_problem(root, films)])
             if found.format is None:
                 problems = [Problem(m.format, "not-this-format", m.reason) for m in found.matches]
                 raise UnknownFormatError(f"{root}: no format fits", problems)
@@ -157,10 +165,29 @@ class _Reader:
         return replace(dataset, problems=(*dataset.problems, *remarks))
 
 
+def _is_video(path: Path) -> bool:
+    return path.suffix.lower() in video.SUFFIXES and path.is_file()
+
+
+def _video_problem(root: Path, videos: Sequence[Path]) -> Problem:
+    """Return what to do with videos in place of pictures: the command that extracts their frames."""
+    named = [shlex.quote(str(p)) for p in videos]
+    if len(named) > _FEW_VIDEOS:
+        named = sorted({f"{shlex.quote(str(p.parent))}/*{p.suffix}" for p in videos})
+    frames = shlex.quote(f"{root.resolve().stem}_frames")
+    found = "a video" if videos == [root] else f"{len(videos)} video(s) and no picture"
+    todo = f"extract frames with infrablend frames {' '.join(named)} --out {frames}, then use {frames}"
+    return Problem(shown(root), "video-not-pictures", found, "the folder of a dataset of pictures", todo)
+
+
 def _missing(root: Path) -> DatasetError:
+    if _is_video(root):
+        return DatasetError("no dataset to read", [_video_problem(root, [root])])
     found, todo = "no such folder", "check the path"
     if address_of(root) is not None:
         todo = "copy it here first, with `infrablend merge` if it is a run"
+    elif root.is_file():
+        found, todo = "a file", "give the folder that it is in, or unpack it if it is an archive"
     elif (left := unfinished(root)) is not None:
         found, _, todo = left.partition("; ")
     problem = Problem(shown(root), "folder-missing", found, "the folder of a dataset", todo)

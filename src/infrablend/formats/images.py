@@ -22,6 +22,12 @@ SaveKind = Literal["same", "png"]
 _SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",), "BMP": (".bmp",), "TIFF": (".tif", ".tiff")}
 
 
+IN_COLOUR = "image-colour"
+"""Code of the warning about a picture in colour."""
+COLOURS = "in colour (visible light, or thermal with a palette)"
+COLOUR_REMEDY = "leave visible pictures out, and export thermal ones in white-hot grey"
+
+
 @dataclass(frozen=True, eq=False)
 class Background:
     """A decoded picture, and everything needed to write a similar one.
@@ -138,8 +144,8 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
     """Return the grey levels, the mode to write back, and warnings on conversions."""
     problems: list[Problem] = []
 
-    def warn(code: str, found: str, expected: str) -> None:
-        problems.append(Problem(path.name, code, found, expected, severity="warning"))
+    def warn(code: str, found: str, expected: str, todo: str = "") -> None:
+        problems.append(Problem(path.name, code, found, expected, todo, "warning"))
 
     mode = str(picture.mode)
     if mode == "L":
@@ -167,7 +173,8 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
     grey = grey_of_rgb(rgb)
     if grey.ndim == 2:
         return grey, "RGB", problems
-    warn("image-colour", "three channels that differ, converted to grey", "a thermal picture in grey")
+    found = f"{COLOURS}; converted to grey levels, which do not follow temperature"
+    warn(IN_COLOUR, found, "a thermal picture in grey", COLOUR_REMEDY)
     return np.array(picture.convert("L"), np.uint8), "RGB", problems
 
 

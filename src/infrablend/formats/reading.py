@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from infrablend.core.arguments import require_names
+from infrablend.errors import ArgumentError
 
 
 @dataclass(frozen=True)
@@ -19,9 +20,11 @@ class Reading:
         form: Annotation form to read, e.g. rotate_json [default: all].
         metadata: CSV or JSON table of pitch and altitude.
         options: Option of the dataset reader (docs/formats); repeatable.
+        val_share: Make a val split of this share of the training pictures, by whole days and sequences, of data that
+            have none.
 
     Raises:
-        ArgumentError: `splits` is no list of names.
+        ArgumentError: `splits` is no list of names, or the share is not between 0 and 1.
     """
 
     splits: Sequence[str] | None = None
@@ -29,9 +32,13 @@ class Reading:
     form: str | None = None
     metadata: str | Path | None = None
     options: Mapping[str, str] = field(default_factory=dict)
+    val_share: float | None = None
 
     def __post_init__(self) -> None:
         require_names("splits", self.splits)
+        share = self.val_share
+        if share is not None and not (isinstance(share, int | float) and 0 < share < 1):
+            raise ArgumentError(f"val_share: found {share!r}, expected a number between 0 and 1, such as 0.2")
 
 
 READ_ALL = Reading()

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from infrablend.assets.model import ObjectModel, PartRange
-from infrablend.config.recipe import Object, Recipe
+from infrablend.config.recipe import ALL_PARTS, Object, Recipe
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import Mesh
 from infrablend.core.placed import PlacedObject, PlacedScene, place
@@ -234,11 +234,12 @@ class _Light:
     def __init__(
         self, air_k: float, weather: Weather | None, camera: CameraSpec, site: Site | None, streams: Streams
     ) -> None:
-        """Start the streams of temperatures and emissivities, and in the sun that of the surfaces' absorptivities."""
+        """Start the streams of temperatures and emissivities, and in the sun that of surfaces' absorptivities."""
         self._air_k, self._camera, self._site = air_k, camera, site
         self._sun = None if weather is None else weather.sun
         self._heat = streams("heat")
         self._lit = None if self._sun is None else streams("sun")
+        self._shift = streams("shift")
 
     def fall_on(self, item: PlacementRequest, pose: Pose) -> tuple[PlacementRequest, bool]:
         """Return an object with any thermal shadow of its own, and whether it stands in the shade itself."""
@@ -252,6 +253,8 @@ class _Light:
         One draw sets the temperature level of the whole object; a second one per part varies it.
         """
         heat = self._heat.random()
+        low, high = kind.delta_t_k
+        shift_k = low + (high - low) * float(self._shift.random())
         absorbs: dict[str, float] = {}
         if self._lit is not None:
             surfaces = sorted({r.sun.surface for r in roles.values() if r.sun is not None})
@@ -260,7 +263,7 @@ class _Light:
         for name in sorted(roles):
             role = roles[name]
             own, surface = self._heat.random(2)
-            override = kind.parts.get(name)
+            override = kind.part_override(name, ground=role.ground)
             sun, rise_k = role.sun if absorbs else None, 0.0
             delta = role.delta_t_k if sun is None else sun.shade_k
             if override and override.delta_t_k:
@@ -272,7 +275,7 @@ class _Light:
             share = 0.7 * heat + 0.3 * own
             if name in mesh.part_names:
                 parts[name] = PartState(
-                    temperature_k=self._air_k + delta[0] + (delta[1] - delta[0]) * share,
+                    temperature_k=self._air_k + delta[0] + (delta[1] - delta[0]) * share + shift_k * (not role.ground),
                     emissivity=emissivity[0] + (emissivity[1] - emissivity[0]) * surface,
                     label=role.label,
                     ior=role.ior,
@@ -374,7 +377,7 @@ def require_parts(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         f"objects.{i}.parts.{part}: {kind.model} has no such part; it has {', '.join(sorted(models[kind.model].parts))}"
         for i, kind in enumerate(recipe.objects)
         for part in kind.parts
-        if part not in models[kind.model].parts
+        if part not in {*models[kind.model].parts, ALL_PARTS}
     ]
     if wrong:
         raise ModelError(f"recipe {recipe.name}: " + "; ".join(wrong))

@@ -350,6 +350,8 @@ def test_models_add_passes_the_answers_and_asks_on_a_terminal(api, capsys, monke
     args, _ = api.calls["add_model"]
     assert args == (Path("q.glb"), ModelAnswers("drone", 0.4, {"A": "motor"}), Path("o"))
     assert api.calls["show_model"][0] == ("o/q.yaml", Path("o/q.png"))
+    assert main([*argv, "--up", "-z"]) == 0
+    assert api.calls["add_model"][0][1] == ModelAnswers(parts={"A": "motor"}, up="-z")
 
     api.answers["survey_model"] = types.SimpleNamespace(file_size=(4.0, 2.0, 1.0), unknown_parts=["B"])
     typed = iter(["drone", 0.3, "sponge", "wood"])

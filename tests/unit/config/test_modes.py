@@ -247,7 +247,7 @@ def test_recipes_keep_their_modes_through_json(name):
 
 def test_plan_and_run_record_list_dropped_fields(tmp_path, write_tiny_hit_uav):
     data = write_tiny_hit_uav(tmp_path / "data", ("normal_json",))
-    settings = {"placement.mode": "metric", "camera.altitude": {"fixed_m": 50}, "placement.max_relief_grey": 0}
+    settings = {"placement.mode": "metric", "camera.altitude": {"random_m": [60, 130]}, "placement.max_relief_grey": 0}
     dropped = ["objects.0.x_m", "objects.0.y_m", "camera.distance_m"]
     plan = api.plan("hit-uav-drone", data, settings=settings)
     assert [text.split(":")[0] for text in plan.to_json()["dropped_fields"]] == dropped

@@ -4,6 +4,7 @@ import pytest
 
 from infrablend.config.loading import load_recipe, parse_recipe
 from infrablend.config.recipe import FixedPitch, RandomPitch
+from infrablend.config.sensor_profile import find_profile
 from infrablend.errors import RecipeError
 
 
@@ -100,10 +101,38 @@ def test_model_paths_are_relative_to_the_recipe(tmp_path):
     assert load_recipe(tmp_path / "r.yaml").objects[0].model == str(tmp_path / "fox.yaml")
 
 
-def test_a_model_set_in_a_shipped_recipe_is_relative_to_the_current_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    recipe = load_recipe("hit-uav-drone", ["objects.0.model=models/fox.yaml"])
-    assert recipe.objects[0].model == str(tmp_path / "models" / "fox.yaml")  # whole, for the record of the run
+@pytest.mark.parametrize("shipped", [True, False])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ["objects.0.model=models/fox.yaml"],
+        {"objects.0.model": "models/fox.yaml"},
+        {"objects.0": {"model": "models/fox.yaml"}},
+        {"objects": [{"model": "models/fox.yaml"}]},
+    ],
+)
+def test_a_model_that_is_set_is_relative_to_the_current_folder(tmp_path, monkeypatch, settings, shipped):
+    here, recipe = tmp_path / "here", tmp_path / "recipes" / "r.yaml"
+    here.mkdir()
+    recipe.parent.mkdir()
+    recipe.write_text("name: r\nobjects: [{model: hare.yaml}, {model: hare.yaml}]")
+    monkeypatch.chdir(here)
+    objects = load_recipe("hit-uav-drone" if shipped else recipe, settings).objects
+    assert objects[0].model == str(here / "models" / "fox.yaml")  # whole, for the record of the run
+    assert [o.model for o in objects[1:]] == [str(recipe.parent / "hare.yaml")] * (len(objects) - 1)
+
+
+def test_a_profile_that_is_set_is_relative_to_the_current_folder(tmp_path, monkeypatch):
+    here, recipe = tmp_path / "here", tmp_path / "recipes" / "r.yaml"
+    for folder, name in ((here, "mine"), (recipe.parent, "theirs")):
+        folder.mkdir()
+        (folder / "p.json").write_text(find_profile("monet").model_copy(update={"name": name}).model_dump_json())
+    recipe.write_text("name: r\nobjects: [{model: drone}]\nsensor: {profile: p.json}")
+    monkeypatch.chdir(here)
+    assert load_recipe(recipe).sensor.profile.name == "theirs"
+    assert load_recipe(recipe, ["sensor.profile=p.json"]).sensor.profile.name == "mine"
+    (recipe.parent / "p.json").unlink()
+    assert load_recipe(recipe, ["sensor.profile=p.json"]).sensor.profile.name == "mine"
 
 
 def test_incompatible_options_are_reported():

@@ -17,7 +17,7 @@ import pytest
 import infrablend.config
 from infrablend import api
 from infrablend.cli import main
-from infrablend.config.experiment import Check, list_experiments, load_experiment, parse_experiment
+from infrablend.config.experiment import Check, Generate, list_experiments, load_experiment, parse_experiment
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
 from infrablend.errors import (
@@ -183,6 +183,19 @@ def test_every_shipped_experiment_is_whole() -> None:
 def test_the_papers_figures_of_the_pitch_stand_in_the_file() -> None:
     rows = {r.title: r.paper for r in load_experiment("pitch-alignment").tables[0].rows}
     assert [rows[t].map50_95 for t in ("Fixed at 0°", "Random [0°, 90°]", "Metadata aligned")] == [0.133, 0.910, 0.964]
+
+
+def test_paths_in_settings_are_relative_to_the_file(tmp_path: Path) -> None:
+    settings = "{objects.0.model: fox.yaml, sensor.profile: p.json, objects.1.model: drone, name: a.yaml}"
+    text = f"{HEAD}data: {{a: {{kind: generate, of: hit-uav, recipe: hit-uav-drone, settings: {settings}}}}}\n"
+    (tmp_path / "few.yaml").write_text(text)
+    item = load_experiment(tmp_path / "few.yaml").data["a"]
+    assert isinstance(item, Generate) and item.settings == {
+        "objects.0.model": str(tmp_path / "fox.yaml"),
+        "sensor.profile": str(tmp_path / "p.json"),
+        "objects.1.model": "drone",
+        "name": "a.yaml",
+    }
 
 
 def test_all_faults_of_a_file_are_reported_at_once() -> None:

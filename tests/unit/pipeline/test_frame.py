@@ -12,8 +12,10 @@ from infrablend import api
 from infrablend.compositing.gain import SharePrior
 from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import LocalMatching
-from infrablend.errors import DatasetError, MissingDependencyError
+from infrablend.errors import DatasetError, MissingDependencyError, RecipeError
 from infrablend.pipeline.compose.looks import local_settings
+from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.runs.generate import prepare_run
 from tests.command_line import done
 from tests.run_files import records
 
@@ -217,6 +219,44 @@ def test_other_class_names_change_no_picture(tmp_path):
     assert [(r.scene, r.mapping, r.image_sha256) for r in plain] == [
         (r.scene, r.mapping, r.image_sha256) for r in renamed
     ]
+
+
+@pytest.mark.parametrize(
+    ("inserted", "known", "similar"),
+    [
+        ("person", ["car", "Person"], "Person"),
+        ("Person", ["persons"], "persons"),
+        ("People", ["person"], "person"),
+        ("Bus", ["BUSES"], "BUSES"),
+        ("bodies", ["body"], "body"),
+        ("person", ["Person", "person"], None),
+        ("deer", ["red deer"], None),
+        ("car", ["cart"], None),
+    ],
+)
+def test_a_class_in_another_spelling_than_the_datasets_is_refused(tmp_path, inserted, known, similar):
+    data = tmp_path / "data"
+    write_yolo(data, "a", scenery(0), ["0 0.5 0.5 0.1 0.1"])
+    (data / "data.yaml").write_text(f"train: images/train\nnames: [{', '.join(known)}]\n")
+    settings = {"objects.0.category": inserted, "camera.pitch": {"fixed_deg": 45}, "output.formats": ["yolo"]}
+
+    def make_plan(**more):
+        return prepare_run(RunRequest("hit-uav-drone", data, settings={**settings, **more}))
+
+    if similar is None:
+        assert inserted in [c.name for c in make_plan().categories]
+        return
+    with pytest.raises(RecipeError) as caught:
+        make_plan()
+    (problem,) = caught.value.problems
+    assert problem.where == "objects.0.category" and f"{inserted!r} beside {similar!r}" in problem.found
+    assert (
+        f"objects.0.category={similar} " in problem.todo and f"labels.rename={{{similar}: {inserted}}} " in problem.todo
+    )
+    assert make_plan(**{"objects.0.category": similar}).new_categories == ()
+    renamed = make_plan(**{"labels.rename": {similar: inserted}})
+    assert renamed.new_categories == () and similar not in {c.name for c in renamed.categories}
+    assert make_plan(**{"labels.similar_names": "keep"}).new_categories == (inserted,)
 
 
 def test_run_without_a_place_for_objects_reports_it(tmp_path):

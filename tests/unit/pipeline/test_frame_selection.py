@@ -1,9 +1,11 @@
-"""Frames chosen by id or by a sample: the same bytes as in the full run, and unknown ids with similar ones."""
+"""Frames chosen by id, sample or number: the same bytes as in the full run, and unknown ids with similar ones."""
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +79,65 @@ def test_a_sample_is_spread_over_the_dataset_and_drawn_with_the_seed() -> None:
     assert list(FrameSelection(sample=200).backgrounds(pictures, 0)) == pictures
 
 
+@pytest.mark.parametrize("originals", [False, True])
+@pytest.mark.parametrize(("count", "size"), [(7, 1), (7, 3), (7, 7), (7, 8), (7, 15), (7, 40), (1, 5)])
+def test_a_number_of_pictures_is_exact_and_spread_over_the_backgrounds(count: int, size: int, originals: bool) -> None:
+    pictures = images(count)
+    chosen = FrameSelection(pictures=size).share_out(pictures, originals, 0)
+    assert chosen == FrameSelection(pictures=size).share_out(pictures, originals, 0)
+    per_background = Counter(image for image, _ in chosen)
+    assert len(chosen) == size and max(per_background.values()) - min(per_background.values()) <= 1
+    assert len(per_background) == min(count, max(1, size // 2) if originals else size)
+    for image, n in per_background.items():
+        configurations = sorted(k for i, k in chosen if i == image and k is not None)
+        assert configurations == list(range(n - (originals and n > 1)))
+
+
+def test_more_pictures_than_configurations_allow_are_refused() -> None:
+    with pytest.raises(ArgumentError, match="found 2001, expected at most 1000 for each of 2 usable"):
+        FrameSelection(pictures=2001).share_out(images(2), False, 0)
+    assert len(FrameSelection(pictures=2002).share_out(images(2), True, 0)) == 2002
+
+
+@pytest.mark.parametrize("size", [3, 7])
+def test_a_number_of_pictures_has_the_bytes_of_a_full_run(data: Path, tmp_path: Path, size: int) -> None:
+    full = api.generate(RECIPE, data, tmp_path / "full", settings=["configurations=2"], execution=FLAT)
+    chosen = FrameSelection(pictures=size)
+    report = api.generate(RECIPE, data, tmp_path / "run", selection=chosen, execution=FLAT)
+    assert full.ok and report.ok and report.counts["frames"] == size
+    made = {n: b for n, b in files(tmp_path / "run", "images").items() if n.endswith(".jpg")}
+    assert len(made) == size and made.items() <= files(tmp_path / "full", "images").items()
+    with pytest.raises(OtherSettingsError, match=f"pictures was {size}, is {size + 1}"):
+        more = FrameSelection(pictures=size + 1)
+        api.generate(RECIPE, data, tmp_path / "run", selection=more, execution=FLAT, existing="resume")
+    frame = max(n.removeprefix("images/").removesuffix(".jpg") for n in made)
+    assert api.rerender(tmp_path / "run", frame, tmp_path / "again.jpg").read_bytes() == made[f"images/{frame}.jpg"]
+
+
+def test_shards_have_the_number_of_pictures_together(data: Path, tmp_path: Path) -> None:
+    request = api.RunRequest(RECIPE, data, tmp_path / "parts", FrameSelection(pictures=5), execution=FLAT)
+    for number in (1, 2):
+        api.generate_shard(replace(request, shard=api.ShardRequest(number, 2)))
+    api.merge([tmp_path / "parts"], tmp_path / "merged")
+    api.generate(RECIPE, data, tmp_path / "whole", selection=FrameSelection(pictures=5), execution=FLAT)
+    assert files(tmp_path / "merged", "images") == files(tmp_path / "whole", "images")
+
+
+def test_a_number_of_pictures_is_chosen_from_usable_backgrounds(data: Path, tmp_path: Path) -> None:
+    for form in "normal_json", "rotate_json":
+        (data / form / "train" / "0_60_30_0_00001.jpg").unlink()
+    report = api.generate(RECIPE, data, tmp_path / "run", selection=FrameSelection(pictures=4), execution=FLAT)
+    assert report.counts["frames"] == 4 and report.ok
+    assert any(p.code == "image-missing" for p in report.problems)
+
+
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
         ({"limit": 1, "sample": 1}, "limit and sample exclude each other"),
+        ({"limit": 1, "pictures": 1}, "limit and pictures exclude each other"),
+        ({"frames": ["a"], "pictures": 1}, "frames and pictures exclude each other"),
+        ({"pictures": 0}, "pictures"),
         ({"frames": []}, "an empty list"),
         ({"frames": "a,b"}, "expected a list of names"),
         ({"sample": 0}, "sample"),
@@ -103,7 +160,9 @@ def test_unknown_frames_are_named_with_similar_ones(data: Path, tmp_path: Path) 
 
 def test_the_command_line_plans_chosen_frames(data: Path, tmp_path: Path) -> None:
     words = ("generate", RECIPE, "--data", data, "--out", tmp_path / "run", "--plan", "--json")
-    for chosen, count in (("--frames", "test/0_130_90_0_00004_c1,0_60_30_0_00001"), 3), (("--sample", 2), 4):
+    by_id = ("--frames", "test/0_130_90_0_00004_c1,0_60_30_0_00001")
+    for chosen, count in (by_id, 3), (("--sample", 2), 4), (("--pictures", 9), 9):
         assert json.loads(run(*words, *chosen).stdout)["frames"] == count
-    refused = run(*words, "--sample", 2, "--limit", 1)
-    assert refused.exit_code == 2 and "limit and sample exclude each other" in refused.output
+    for other in "--sample", "--limit":
+        refused = run(*words, other, 2, "--pictures", 1)
+        assert refused.exit_code == 2 and f"{other[2:]} and pictures exclude each other" in refused.output

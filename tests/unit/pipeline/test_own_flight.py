@@ -15,7 +15,7 @@ from infrablend.errors import DatasetError
 from infrablend.formats.rjpeg.facts import fov_of_35mm
 from infrablend.formats.rjpeg.writing import Maker
 from infrablend.pipeline.plans.request import RunRequest
-from infrablend.pipeline.runs.generate import prepare_run
+from infrablend.pipeline.runs.generate import describe_run, prepare_run
 from tests.flights import SIZE_WH, flight, shot
 from tests.run_files import records
 
@@ -105,6 +105,23 @@ def test_a_pitch_that_differs_from_the_files_is_reported_once(tmp_path: Path) ->
     (remark,) = remarks(fixed_deg=90)
     assert "the files of 3 picture(s) state 60 to 60 degrees" in remark
     assert remarks(random_deg=[80, 90]) == [remark]
+
+
+def test_a_height_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> None:
+    data = flight(tmp_path, 3, altitude_m=80.0)
+
+    def remarks(recipe: str = "hit-uav-people", **altitude: object) -> list[str]:
+        settings = {"camera.altitude": altitude} if altitude else {}
+        plan = prepare_run(RunRequest(recipe, data, settings=settings))
+        return [str(p) for p in plan.problems if p.code == "height-replaced"]
+
+    assert remarks() == remarks(fixed_m=100) == remarks(random_m=[20, 65]) == []
+    (remark,) = remarks(fixed_m=160)
+    assert "160 m for all pictures, but the files of 3 picture(s) state 80 to 80 m" in remark
+    (drawn,) = remarks("deer-above")
+    assert "17 to 42 m for all pictures" in drawn and "camera.altitude to metadata" in drawn
+    (shown,) = (p for p in describe_run(RunRequest("deer-above", data))["kept_fields"] if "altitude" in p)
+    assert shown == drawn
 
 
 def test_daylight_that_is_not_stated_is_reported(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def test_more_objects_take_more_time(tmp_path: Path) -> None:
 
 def test_objects_take_the_time_of_their_model_and_samples(tmp_path: Path) -> None:
     data = SAMPLES["hit-uav:json"](tmp_path / "data")
-    many = ("--set", "objects.0.count=61", "--set", "render.samples=64")
+    many = ("--set", "objects.0.count=61", "--set", "render.samples=64", "--set", "labels.similar_names=keep")
     drones, cars, finer = (
         float(str(planned(data, *many, *more)["core_hours"])) * 3600
         for more in ((), ("--set", "objects.0.model=car"), ("--set", "render.samples=640"))

@@ -684,6 +684,24 @@ def test_pictures_that_look_down_have_no_place_for_a_recipe_of_the_sky():
     assert "look down" not in other.todo
 
 
+def test_visible_pictures_without_pitch_are_called_so_first(tmp_path):
+    """A pitch would not help: the pictures that are looked at are all in colour."""
+    folder = tmp_path / "visible"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for n in range(5):
+        Image.fromarray(rng.integers(0, 255, (128, 160, 3), dtype=np.uint8)).save(folder / f"DJI_{n}_W.png")
+    with pytest.raises(DatasetError, match="no usable background") as caught:
+        generate(folder, tmp_path / "run")
+    first, *others = caught.value.problems
+    assert first.code == "image-colour" and "as train/DJI_0_W.png, train/DJI_1_W.png" in first.found
+    assert first.expected == "thermal pictures in grey" and {p.code for p in others} == {"no-pitch"}
+    Image.new("L", (160, 128), 90).save(folder / "DJI_0_W.png")
+    with pytest.raises(DatasetError, match="no usable background") as caught:
+        generate(folder, tmp_path / "run")
+    assert {p.code for p in caught.value.problems} == {"no-pitch"}
+
+
 def test_warnings_of_single_frames_reach_the_report(dataset, tmp_path):
     folder = tmp_path / "colour"
     folder.mkdir()
@@ -693,6 +711,8 @@ def test_warnings_of_single_frames_reach_the_report(dataset, tmp_path):
     report = generate(folder, tmp_path / "run")
     (colour,) = [p for p in report.problems if p.code == "image-colour"]
     assert "and 2 more" in colour.where
+    assert colour.found.startswith("in colour (visible light, or thermal with a palette); converted to grey")
+    assert "leave visible pictures out" in colour.todo
     assert any(p.code == "no-labels" for p in report.problems)
     written = json.loads((tmp_path / "run" / "run.json").read_text())["problems"]
     assert {"image-colour", "no-labels"} <= {p["code"] for p in written}

@@ -16,8 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infrablend import api
-from infrablend.errors import DatasetError, OutputError
-from infrablend.pipeline.datasets.split import assign_groups, check_shares, split_warnings
+from infrablend.core.dataset import Dataset
+from infrablend.errors import ArgumentError, DatasetError, OutputError
+from infrablend.formats.divide import assign_groups
+from infrablend.pipeline.datasets.split import check_shares, split_warnings
 from tests.command_line import done, run
 from tests.samples import SAMPLES, picture
 
@@ -208,6 +210,94 @@ def test_shares_are_met_within_the_largest_group(groups: int, classes: int, seed
 def test_split_with_share_zero_is_empty() -> None:
     assert set(assign_groups(np.ones((20, 1)), (0.8, 0.0, 0.2), 0)) == {0, 2}
     assert check_shares((8, 0, 2)) == (0.8, 0.0, 0.2)
+
+
+def flown(root: Path, flights: dict[str, tuple[str, str, int]], split: str = "train") -> Path:
+    """A YOLO set whose table states sequence and time of capture of the pictures of each flight: (.., .., pictures)."""
+    rows = ["file,pitch_deg,sequence,captured"]
+    for name, (sequence, captured, pictures) in flights.items():
+        for n in range(pictures):
+            path = picture(root / "images" / split / f"{name}-{n}.png", len(rows))
+            label = root / "labels" / split / f"{path.stem}.txt"
+            label.parent.mkdir(parents=True, exist_ok=True)
+            label.write_text("0 0.5 0.5 0.1 0.1\n")
+            rows.append(f"{path.name},45,{sequence},{captured}")
+    (root / "metadata.csv").write_text("\n".join(rows) + "\n")
+    (root / "data.yaml").write_text(f"{split}: images/{split}\nnames: [fox]\n")
+    return root
+
+
+THREE_DAYS = {
+    "a": ("evening", "2024-05-01T23:50:00", 4),
+    "b": ("evening", "2024-05-02T00:10:00", 4),
+    "c": ("noon", "2024-05-01T12:00:00", 8),
+    "d": ("dawn", "2024-05-03T05:00:00", 4),
+}
+
+
+def held_splits(dataset: Dataset) -> dict[str, set[str]]:
+    found: dict[str, set[str]] = {}
+    for image in dataset.images:
+        found.setdefault(image.path.stem[0], set()).add(image.split)
+    return found
+
+
+def test_val_is_made_of_whole_days_and_sequences(tmp_path: Path) -> None:
+    root = flown(tmp_path / "data", THREE_DAYS)
+    dataset = api.read_dataset(root, api.Reading(val_share=0.2))
+    assert held_splits(dataset) == {"a": {"train"}, "b": {"train"}, "c": {"train"}, "d": {"val"}}
+    assert dataset.notes["val"] == {"share": 0.2, "groups": ["2024-05-03"]}
+    assert not [p for p in dataset.problems if p.where == "--val-share"]
+    only = api.read_dataset(root, api.Reading(val_share=0.2, splits=("train",)))
+    assert len(only.images) == 16 and {i.split for i in only.images} == {"train"}
+
+
+@pytest.mark.parametrize(
+    ("flights", "codes", "val"),
+    [
+        ({"a": ("s", "2024-05-01", 9), "b": ("t", "2024-05-01", 2)}, ["val-same-day"], {"b"}),
+        ({"a": ("s", "", 9), "b": ("t", "", 2)}, [], {"b"}),
+        ({"a": ("", "2024-05-01", 9), "b": ("", "2024-05-02", 2)}, [], {"b"}),
+        ({"a": ("s", "2024-05-01", 5), "b": ("t", "2024-05-02", 5)}, ["val-share-far"], {"a"}),
+    ],
+)
+def test_val_follows_what_the_pictures_state(
+    tmp_path: Path, flights: dict[str, tuple[str, str, int]], codes: list[str], val: set[str]
+) -> None:
+    dataset = api.read_dataset(flown(tmp_path / "data", flights), api.Reading(val_share=0.2))
+    assert {name for name, splits in held_splits(dataset).items() if splits == {"val"}} == val
+    assert [p.code for p in dataset.problems if p.where == "--val-share"] == codes
+
+
+@pytest.mark.parametrize(
+    ("flights", "split", "found"),
+    [
+        ({"a": ("s", "2024-05-01", 3)}, "val", "3 picture(s) in val already"),
+        ({"a": ("s", "2024-05-01", 3)}, "test", "no picture in train"),
+        ({"a": ("s", "2024-05-01", 3)}, "train", "all 3 training pictures are of s"),
+        ({"a": ("s", "2024-05-01", 3), "b": ("", "", 2)}, "train", "2 of 5 training pictures have neither: b-0.png"),
+    ],
+)
+def test_data_that_cannot_be_divided_are_refused(
+    tmp_path: Path, flights: dict[str, tuple[str, str, int]], split: str, found: str
+) -> None:
+    root = flown(tmp_path / "data", flights, split)
+    ended = run("generate", "hit-uav-drone", "--data", root, "--out", tmp_path / "out", "--val-share", 0.2)
+    assert ended.exit_code == 2 and found in " ".join(ended.stderr.split()) and not (tmp_path / "out").exists()
+
+
+def test_a_run_with_a_val_split_is_resumed_and_judged_as_made(tmp_path: Path) -> None:
+    root, flat = flown(tmp_path / "data", THREE_DAYS), api.Execution(renderer="flat", in_process=True)
+    settings, reading = ["output.formats=[coco]"], api.Reading(val_share=0.2)
+    report = api.generate("hit-uav-drone", root, tmp_path / "run", settings=settings, reading=reading, execution=flat)
+    assert report.ok and report.counts["images_per_split"] == {"train": 32, "val": 8}
+    assert len({i.split for i in api.read_dataset(tmp_path / "run").images}) == 2
+    api.exclude(tmp_path / "run", ["val/d-0_c0"])
+    assert api.rerender(tmp_path / "run", "val/d-1_c1", tmp_path / "again.png").is_file()
+    with pytest.raises(ArgumentError, match="none of the 4 chosen pictures is in val"):
+        api.generate(
+            "hit-uav-drone", root, tmp_path / "few", limit=2, settings=settings, reading=reading, execution=flat
+        )
 
 
 def test_hit_uav_without_neighbours(real_data: Path, tmp_path: Path) -> None:

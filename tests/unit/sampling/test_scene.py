@@ -164,3 +164,45 @@ def test_part_overrides_reach_the_scene_and_unknown_parts_are_named():
     assert s.objects[0].parts["motor"].temperature_k == pytest.approx(s.ambient_k + 99)
     with pytest.raises(ModelError, match="turbine"):
         require_parts(load_recipe("hit-uav-drone", {"objects.0.parts": {"turbine": {"delta_t_k": 9}}}), MODELS)
+
+
+def of_first(settings, model="drone", state=None):
+    models = {model: load_model(model)}
+    options = {
+        "objects.0.model": model,
+        **({"objects.0.options": {"state": state, "sheltered": True}} if state else {}),
+    }
+    spec = sample_scene(key(), load_recipe("hit-uav-drone", {**options, **settings}), models, 0).spec
+    return {name: part.temperature_k - spec.ambient_k for name, part in spec.objects[0].parts.items()}, spec.objects[0]
+
+
+def test_all_parts_that_are_not_named_are_overridden_together():
+    settings = {"objects.0.parts": {"*": {"delta_t_k": 5, "emissivity": 0.7}, "motor": {"delta_t_k": 99}}}
+    found, drone = of_first(settings)
+    assert found.pop("motor") == pytest.approx(99)
+    assert list(found.values()) == pytest.approx([5] * len(found))
+    drawn = of_first({})[1].parts["motor"].emissivity
+    assert {p.emissivity for n, p in drone.parts.items() if n != "motor"} == {0.7}
+    assert drone.parts["motor"].emissivity == drawn
+    require_parts(load_recipe("hit-uav-drone", settings), MODELS)
+
+
+def test_a_shift_warms_all_parts_of_an_object_alike():
+    usual, plain = of_first({})
+    warmer, shifted = of_first({"objects.0.delta_t_k": -12.5})
+    assert warmer == pytest.approx({name: delta_k - 12.5 for name, delta_k in usual.items()})
+    assert (plain.position_m, plain.params) == (shifted.position_m, shifted.params)
+    stated, _ = of_first({"objects.0.delta_t_k": 10, "objects.0.parts": {"*": {"delta_t_k": 5}}})
+    assert list(stated.values()) == pytest.approx([15] * len(stated))
+    drawn, _ = of_first({"objects.0.delta_t_k": [0, 10]})
+    (shift_k,) = {round(drawn[name] - usual[name], 6) for name in usual}
+    assert 0 < shift_k < 10
+
+
+def test_ground_beside_a_car_is_no_part_of_its_temperature():
+    usual, _ = of_first({}, "car", "parked_cold")
+    settings = {"objects.0.delta_t_k": 20, "objects.0.parts": {"*": {"delta_t_k": 5}}}
+    found, _ = of_first(settings, "car", "parked_cold")
+    ground = {name for name in found if name.startswith("ground_")}
+    assert ground and {name: found[name] for name in ground} == {name: usual[name] for name in ground}
+    assert [found[name] for name in set(found) - ground] == pytest.approx([25] * (len(found) - len(ground)))

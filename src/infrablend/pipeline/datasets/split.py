@@ -9,26 +9,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_text
 from infrablend.core.format_table import NATIVE, find_writer
 from infrablend.core.output import require_apart
-from infrablend.core.rng import stream
 from infrablend.core.workspace import SPLIT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
+from infrablend.formats.divide import assign_groups, group_weights
 from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage, states_frame
 from infrablend.formats.pictures import assign_ids, with_sizes
 from infrablend.pipeline.datasets.origin import loosened_before, origin_of
 from infrablend.pipeline.datasets.requests import SplitRule
 from infrablend.report.card import dataset_card, write_card, written_layout
 
-# Number of orders in which groups are assigned; the best result is used.
-_TRIES = 8
 # A class is scarce in a split that has less than this part of its share of the class's objects.
 _SCARCE = 0.2
 
@@ -137,8 +132,7 @@ def split_dataset(
         problem = Problem("--by gap", "group-single", found, "numbers that count frames", todo)
         raise DatasetError("cannot group by gap: every group is one picture", [problem])
     names = [c.name for c in dataset.categories if not c.ignore]
-    counts = np.array([_weights(group, names) for group in groups.values()], np.float64)
-    chosen = assign_groups(counts, wanted, seed)
+    chosen = assign_groups(group_weights(groups.values(), names), wanted, seed)
     of_group: dict[str, Split] = dict(zip(groups, (SPLITS[k] for k in chosen), strict=True))
     images = [replace(i, split=of_group[name]) for name, group in groups.items() for i in group]
     report = SplitReport(
@@ -185,65 +179,6 @@ def check_shares(shares: Sequence[float]) -> tuple[float, float, float]:
     total = sum(shares)
     train, val, test = (s / total for s in shares)
     return train, val, test
-
-
-def _weights(group: Sequence[ImageRecord], names: Sequence[str]) -> list[int]:
-    """Return the counts to balance over the splits: the group's images, then its objects of each class."""
-    counts = Counter(o.category for i in group for o in i.instances)
-    return [len(group), *(counts[n] for n in names)]
-
-
-def assign_groups(counts: NDArray[np.float64], shares: Sequence[float], seed: int) -> list[int]:
-    """Return the index of the split of each of n groups so that every column of the (n, k) counts follows the shares.
-
-    All columns weigh the same, whatever their sums; columns of zeros are ignored.
-    """
-    totals = counts.sum(axis=0)
-    parts = counts[:, totals > 0] / totals[totals > 0]
-    target = np.array(shares, np.float64)
-    allowed = [k for k, share in enumerate(shares) if share > 0]
-    best: tuple[float, list[int]] | None = None
-    for attempt in range(_TRIES):
-        # Large groups go first and small ones fill the gaps; later attempts vary the order slightly.
-        shake = stream(seed, "split", attempt).uniform(0.5, 1.5, len(parts)) if attempt else np.ones(len(parts))
-        order = np.argsort(-parts.sum(axis=1) * shake, kind="stable")
-        chosen = np.full(len(parts), -1)
-        held = np.zeros((len(target), parts.shape[1]))
-        for g in order:
-            chosen[g] = min((_cost_of(held, parts[g], s, target), s) for s in allowed)[1]
-            held[chosen[g]] += parts[g]
-        _improve(chosen, held, parts, target, allowed)
-        cost = float(((held - target[:, None]) ** 2).sum())
-        if best is None or cost < best[0] - 1e-12:
-            best = cost, [int(s) for s in chosen]
-    return best[1] if best is not None else []
-
-
-def _cost_of(held: NDArray[np.float64], part: NDArray[np.float64], split: int, target: NDArray[np.float64]) -> float:
-    before = held[split] - target[split]
-    return float(((before + part) ** 2 - before**2).sum())
-
-
-def _improve(
-    chosen: NDArray[np.int_],
-    held: NDArray[np.float64],
-    parts: NDArray[np.float64],
-    target: NDArray[np.float64],
-    allowed: Sequence[int],
-) -> None:
-    """Move single groups to other splits, in place, until no move helps."""
-    for _ in range(100):
-        moved = False
-        for g in range(len(parts)):
-            here = int(chosen[g])
-            held[here] -= parts[g]
-            costs = ((round(_cost_of(held, parts[g], s, target), 12), s != here, s) for s in allowed)
-            there = min(costs)[2]
-            held[there] += parts[g]
-            moved |= there != here
-            chosen[g] = there
-        if not moved:
-            return
 
 
 def split_warnings(

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
 from infrablend.assets.part_roles import ROLES, Guess, guess_roles, patterns
-from infrablend.assets.user_model import SUFFIXES, GroupFacts, geometry_file, read_geometry
+from infrablend.assets.user_model import SUFFIXES, GroupFacts, geometry_file, read_geometry, up_of
+from infrablend.core.arguments import require_choice
 from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.errors import ModelError, Problem
 from infrablend.pipeline.plans.models import import_geometry, ready_model
+
+log = logging.getLogger(__name__)
+
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+# A side that is longer by a larger share tells how a model lies.
+_CLEARLY = 1.2
 
 
 @dataclass(frozen=True)
@@ -27,11 +37,17 @@ class ModelAnswers:
         category: Class of its labels, e.g. drone.
         size_m: Length of its longest side.
         parts: Role of an object or a material of the file, e.g. Mesh1=motor; repeatable.
+        up: Axis that points up in the file [default: y in glTF and OBJ, else z].
     """
 
     category: str | None = None
     size_m: float | None = None
     parts: Mapping[str, str] = field(default_factory=dict)
+    up: Axis | None = None
+
+    def __post_init__(self) -> None:
+        if self.up is not None:
+            require_choice("up", self.up, get_args(Axis))
 
 
 @dataclass(frozen=True)
@@ -65,6 +81,30 @@ class ModelSurvey:
                 if name not in names:
                     names.append(name)
         return names
+
+    @property
+    def doubts(self) -> list[Problem]:
+        """A warning if the model seems to lie on its side, by its size; none where the user says what is up."""
+        if self.answers.up is not None:
+            return []
+        up = up_of(self.file).lower()
+        sides = dict(zip("xzy" if up == "y" else "xyz", self.file_size, strict=True))
+        height = sides.pop(up)
+        (short, width), (long, length) = sorted(sides.items(), key=lambda side: side[1])
+        flies = "feathers" in self.guess.roles or "bird" in (self.answers.category or "").lower()
+        axis = ""
+        if self.guess.family == "person" and length > _CLEARLY * height:
+            axis, expected = long, "people who are taller than wide"
+        elif self.guess.family == "animal" and width > _CLEARLY * height and not flies:
+            axis, expected = short, "animals that are taller than wide"
+        elif self.guess.family in ("car", "drone") and height > _CLEARLY * length:
+            axis, expected = short, f"a {self.guess.family} that is longer than high"
+        if not axis:
+            return []
+        found = f"it seems to lie on its side: {height:.3g} high (axis {up}), {length:.3g} long and {width:.3g} wide"
+        todo = f"look at the sheet; give --up {axis}, or --up -{axis} if it is then upside down, and remove the "
+        todo += f"description if there is one, or write up: {axis.upper()} into it"
+        return [Problem(str(self.file), "model-on-its-side", found, expected, todo, "warning")]
 
     @property
     def missing(self) -> list[Problem]:
@@ -127,7 +167,8 @@ def add_model(file: Path, out: Path | None, answers: ModelAnswers) -> Path:
     """
     survey = survey_model(file, answers)
     if missing := survey.missing:
-        raise ModelError(f"model file {file}: {len(missing)} thing(s) that its names do not say", missing)
+        found = [*missing, *survey.doubts]
+        raise ModelError(f"model file {file}: {len(missing)} thing(s) that its names do not say", found)
     name = re.sub(r"[^A-Za-z0-9._-]+", "-", file.stem).strip("._-") or "model"
     target = (out or file.parent) / f"{name}.yaml"
     if target.exists():
@@ -141,6 +182,8 @@ def add_model(file: Path, out: Path | None, answers: ModelAnswers) -> Path:
     except ModelError:
         target.unlink(missing_ok=True)  # or the corrected command would be refused
         raise
+    for doubt in survey.doubts:
+        log.warning("%s", doubt)
     return target
 
 
@@ -149,13 +192,15 @@ def description(survey: ModelSurvey, name: str, file: str) -> str:
     family, answers = survey.guess.family, survey.answers
     known = [(g, r) for g, r in zip(survey.groups, survey.guess.roles, strict=True) if r is not None]
     # The front of a glTF is +Z by its standard, which Blender turns to -Y.
-    heading = "-Y" if survey.file.suffix.lower() in (".glb", ".gltf") else "+X"
+    standard = survey.file.suffix.lower() in (".glb", ".gltf") and answers.up in (None, "y")
+    heading = "-Y" if standard else "+X"
     lines = [
         "# Written by `infrablend models add`: check the sheet, and correct what is wrong (docs/how_to/own_model.md).",
         f"name: {json.dumps(name)}",
         f"category: {json.dumps(answers.category, ensure_ascii=False)}",
         f"file: {json.dumps(file, ensure_ascii=False)}",
         f"origin: {'centre' if family == 'drone' else 'feet'}",
+        *([] if answers.up is None else [f'up: "{answers.up.upper()}"  # axis of the file that points up']),
         f'heading: "{heading}"  # direction of its front, once upright',
         f"length_m: {answers.size_m!r}",
     ]

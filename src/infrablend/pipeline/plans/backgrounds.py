@@ -15,7 +15,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.images import Background
+from infrablend.formats.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, Background
 from infrablend.formats.temperatures import CHECK_SCALE, IMPLAUSIBLE, shows_ground
 
 # With a smaller span, the picture does not show how grey levels depend on temperature.
@@ -26,15 +26,15 @@ def require_thermal_levels(background: Background) -> None:
     """Refuse a picture with grey levels that do not follow temperature, which physical matching requires.
 
     Raises:
-        DatasetError: The picture is colour-mapped or has no contrast.
+        DatasetError: The picture is in colour or has no contrast.
     """
     name = background.path.name
-    if any(p.code == "image-colour" for p in background.problems):
-        found = "colours; grey levels computed from them do not follow temperature"
+    if any(p.code == IN_COLOUR for p in background.problems):
+        found = f"{COLOURS}; grey levels computed from them do not follow temperature"
         expected = "a grey picture, as physical matching needs"
-        todo = "export it in white-hot grey, or use appearance.mode: artistic"
+        todo = f"{COLOUR_REMEDY}, or use appearance.mode: artistic for a palette"
         problem = Problem(name, "image-colour-mapped", found, expected, todo)
-        raise DatasetError(f"{background.path}: colour-mapped", [problem])
+        raise DatasetError(f"{background.path}: in colour", [problem])
     low, high = (float(v) for v in np.percentile(background.pixels, [0.5, 99.5]))
     if high - low < MIN_SPAN_LEVELS:
         expected = f"a picture with at least {MIN_SPAN_LEVELS} levels between its 0.5 and 99.5 percentiles"

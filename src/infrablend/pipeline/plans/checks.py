@@ -10,6 +10,7 @@ from pathlib import Path
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Recipe
+from infrablend.core.class_names import differ_in_form
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE
 from infrablend.core.rng import stream
@@ -28,12 +29,16 @@ LENS_REPLACED = "lens-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""
 PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a pitch of the recipe that replaces others in the files."""
+HEIGHT_REPLACED = "height-replaced"
+"""Code of the warning about a height of the recipe that replaces others in the files."""
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
 # Clear of the horizon, where day and night are a matter of opinion.
 _SUN_IS_UP_RAD = math.radians(6)
 # A stated pitch that differs by more from the files' is reported.
 _PITCH_TOLERANCE_DEG = 15.0
+# A stated height that differs by a larger share from the files' is reported.
+_HEIGHT_TOLERANCE = 0.25
 
 
 def require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
@@ -105,7 +110,8 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
         what = "no labels in any image, so objects in the backgrounds stay unlabelled"
         todo = "check --data, or set labels.mode to new if the data has no labels"
         found.append(Problem(root.name, "no-labels", what, "labels to merge with", todo, "warning"))
-    return [*found, *_other_lens(recipe, images), *_other_pitch(recipe, images), *_sun_unused(recipe, images)]
+    found += [*_other_lens(recipe, images), *_other_pitch(recipe, images), *_other_height(recipe, images)]
+    return [*found, *_sun_unused(recipe, images)]
 
 
 def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
@@ -147,6 +153,22 @@ def _other_pitch(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]
     return [Problem("camera.pitch", PITCH_REPLACED, found, "the pitch of each picture", todo, "warning")]
 
 
+def _other_height(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    stated = recipe.camera.stated_height_m
+    if stated is None:
+        return []
+    low, high = stated[0] * (1 - _HEIGHT_TOLERANCE), stated[1] * (1 + _HEIGHT_TOLERANCE)
+    known = [i.capture.altitude_m for i in images]
+    other = [height for height in known if height is not None and not low <= height <= high]
+    if not other:
+        return []
+    span = f"{stated[0]:g}" if stated[0] == stated[1] else f"{stated[0]:g} to {stated[1]:g}"
+    found = f"{span} m for all pictures, but the files of {len(other)} picture(s) state "
+    found += f"{min(other):.0f} to {max(other):.0f} m"
+    todo = "set camera.altitude to metadata, unless another size of the objects is wanted or the files are wrong"
+    return [Problem("camera.altitude", HEIGHT_REPLACED, found, "the height of each picture", todo, "warning")]
+
+
 def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     sky = recipe.environment.sky
     if sky is None or sky.place is None:
@@ -172,6 +194,33 @@ def require_classes(recipe: Recipe, field: str, names: Collection[str], dataset:
         found, expected = f"found {', '.join(unknown)}", f"categories of the dataset ({known})"
         problem = Problem(field, "recipe-value", found, expected)
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
+
+
+def require_distinct_classes(recipe: Recipe, inserted: Sequence[str], dataset: Dataset) -> None:
+    """Check that no class of inserted objects is one of the dataset in another spelling: it would be a second class.
+
+    Args:
+        recipe: Recipe that may allow it.
+        inserted: Class of each entry of the recipe's `objects`.
+        dataset: Dataset with its classes renamed as the recipe asks.
+
+    Raises:
+        RecipeError: The name of a class differs in case or number alone from one of the dataset.
+    """
+    known = [c.name for c in dataset.categories]
+    if recipe.labels.similar_names == "keep":
+        return
+    problems = []
+    for n, name in enumerate(inserted):
+        similar = next((k for k in known if differ_in_form(name, k)), None)
+        if similar is not None and name not in known:
+            joined, renamed = f"objects.{n}.category={similar}", f"labels.rename={{{similar}: {name}}}"
+            found = f"the class {name!r} beside {similar!r} of the dataset: two classes for one kind of object"
+            todo = f"set {joined} to insert into the dataset's class, or {renamed} to rename that; or set "
+            todo += "labels.similar_names=keep for two classes"
+            problems.append(Problem(f"objects.{n}.category", "class-similar", found, "one name for each kind", todo))
+    if problems:
+        raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", problems)
 
 
 def unknown_by_hand(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:

@@ -23,13 +23,14 @@ from infrablend.pipeline.plans.checks import (
     data_warnings,
     dataset_remarks,
     require_classes,
+    require_distinct_classes,
     require_ids,
     require_loosened,
     require_options,
     unknown_by_hand,
     without_effect,
 )
-from infrablend.pipeline.plans.left_out import usable_images
+from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
@@ -63,6 +64,7 @@ def make_plan(
     require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
     renamed = rename_classes(dataset, recipe.labels.rename)
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
+    require_distinct_classes(recipe, classes, renamed)
 
     names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
     images, chosen = selection.backgrounds(renamed.images, seed), None
@@ -76,7 +78,14 @@ def make_plan(
     problems += left_out
     if not usable:
         of_splits = f" of split {', '.join(splits)}" if splits else ""
-        raise DatasetError(f"{dataset.root}: no usable background in {len(images)} image(s){of_splits}", problems)
+        reasons = [*all_in_colour(images), *problems]
+        raise DatasetError(f"{dataset.root}: no usable background in {len(images)} image(s){of_splits}", reasons)
+    if selection.pictures is not None:
+        chosen = selection.share_out(usable, recipe.output.originals, seed)
+        drawn = {image for image, _ in chosen}
+        usable = [image for image in usable if id(image) in drawn]
+        recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
+        names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
     problems += data_warnings(recipe, usable, dataset.root) + unknown_by_hand(recipe, renamed.images)
     require_ids(recipe, usable)
 
@@ -89,7 +98,7 @@ def make_plan(
     ]
     used = replace(renamed, images=tuple(usable))
     categories = _with_new(renamed.categories, classes)
-    key = _key(recipe, seed, used, None if chosen is None else frames)
+    key = _key(recipe, seed, used) | _selected(selection, frames)
     return RunPlan(
         recipe=recipe,
         seed=seed,
@@ -114,16 +123,21 @@ def _with_new(known: Sequence[Category], classes: Iterable[str]) -> tuple[Catego
     return tuple(categories)
 
 
-def _key(recipe: Recipe, seed: int, used: Dataset, chosen: Sequence[PlannedFrame] | None) -> dict[str, Any]:
-    """Return what must match for a run to be resumed; `chosen` has the frames if they were named one by one."""
+def _selected(selection: FrameSelection, frames: Sequence[PlannedFrame]) -> dict[str, Any]:
+    """Return the choice of frames that recipe, seed and backgrounds do not determine, for the key of a run."""
+    if selection.frames is not None:
+        return {"frames": sorted(frame.frame_id for frame in frames)}
+    return {} if selection.pictures is None else {"pictures": selection.pictures}
+
+
+def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
+    """Return what must match for a run to be resumed, with any choice of frames."""
     key: dict[str, Any] = {
         "version": __version__,
         "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY})),
         "seed": seed,
         "backgrounds": fingerprint(used),
     }
-    if chosen is not None:
-        key["frames"] = sorted(frame.frame_id for frame in chosen)
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return key

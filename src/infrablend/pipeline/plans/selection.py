@@ -1,4 +1,4 @@
-"""Chooses the frames of a run: the first backgrounds, a sample of them, or frames by their ids."""
+"""Chooses the frames of a run: first backgrounds, a sample of them, a number of pictures, or frames by their ids."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ class FrameSelection:
         limit: Use only the first N backgrounds in sorted order.
         sample: Use only N backgrounds, spread over the dataset and drawn with --seed.
         frames: Render only these frames: ids such as test/a_c0, or ids of backgrounds.
+        pictures: Write exactly N pictures, spread over the backgrounds; replaces the recipe's `configurations`.
 
     Raises:
         ArgumentError: A value is not one of these, or several are set.
@@ -32,12 +33,13 @@ class FrameSelection:
     limit: int | None = None
     sample: int | None = None
     frames: Sequence[str] | None = None
+    pictures: int | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in ("limit", "sample", "frames") if getattr(self, name) is not None]
+        given = [name for name in ("limit", "sample", "frames", "pictures") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ArgumentError(f"{' and '.join(given)} exclude each other; give one of them")
-        for name in ("limit", "sample"):
+        for name in ("limit", "sample", "pictures"):
             if getattr(self, name) is not None:
                 require_whole(name, getattr(self, name), 1)
         if self.frames is not None:
@@ -50,15 +52,46 @@ class FrameSelection:
         """Return the backgrounds that `limit` or `sample` leaves, in their order."""
         if self.limit is not None:
             return images[: self.limit]
-        if self.sample is None or self.sample >= len(images):
-            return images
-        from infrablend.core.rng import stream
+        return images if self.sample is None else _sample(images, self.sample, seed)
 
-        # One from each of equal parts, so that no sequence is left out by chance. The parts share no picture.
-        shares = stream(seed, "backgrounds", self.sample).random(self.sample)
-        ends = [k * len(images) // self.sample for k in range(self.sample + 1)]
-        parts = zip(ends, ends[1:], shares.tolist(), strict=False)
-        return [images[low + int(share * (high - low))] for low, high, share in parts]
+    def share_out(self, images: Sequence[ImageRecord], originals: bool, seed: int) -> set[tuple[int, int | None]]:
+        """Return the frames of `pictures`, by `id(image)` and configuration (None: the unchanged background).
+
+        As many backgrounds as possible are used, and the numbers of their pictures differ by one at most.
+
+        Args:
+            images: Usable backgrounds.
+            originals: Whether the unchanged backgrounds are among the pictures.
+            seed: Seed of the choice of backgrounds, or of those with one more picture than others.
+
+        Raises:
+            ArgumentError: A background would have more configurations than a recipe may have.
+        """
+        from infrablend.config.recipe import MAX_CONFIGURATIONS
+
+        count = self.pictures or 0
+        used = _sample(images, max(1, count // 2 if originals else count), seed)
+        each, more = divmod(count, len(used))
+        if each + bool(more) - originals > MAX_CONFIGURATIONS:
+            raise ArgumentError(
+                f"pictures: found {count}, expected at most {MAX_CONFIGURATIONS} for each of {len(used)} usable "
+                "background(s). Use a smaller number, or more backgrounds"
+            )
+        with_more = {id(image) for image in _sample(used, more, seed)}
+        of_one: list[int | None] = [0, *([None] if originals else []), *range(1, each + 1)]
+        return {(id(i), k) for i in used for k in of_one[: each + (id(i) in with_more)]}
+
+
+def _sample(images: Sequence[ImageRecord], size: int, seed: int) -> Sequence[ImageRecord]:
+    """Draw a number of images, at most all of them: one from each of equal parts, so that no sequence is left out."""
+    if size >= len(images):
+        return images
+    from infrablend.core.rng import stream
+
+    shares = stream(seed, "backgrounds", size).random(size)
+    ends = [k * len(images) // max(size, 1) for k in range(size + 1)]
+    parts = zip(ends, ends[1:], shares.tolist(), strict=False)  # which share no picture
+    return [images[low + int(share * (high - low))] for low, high, share in parts]
 
 
 ALL_FRAMES = FrameSelection()

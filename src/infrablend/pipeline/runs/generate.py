@@ -17,7 +17,7 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
 from infrablend.formats import detection
-from infrablend.pipeline.plans.checks import LENS_REPLACED, PITCH_REPLACED
+from infrablend.pipeline.plans.checks import HEIGHT_REPLACED, LENS_REPLACED, PITCH_REPLACED
 from infrablend.pipeline.plans.estimate import estimate_run
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import make_plan, with_scale
@@ -71,7 +71,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     """
     plan = prepare_run(request)
     wanted = _wanted(request, plan)
-    shown = (KEPT, LENS_REPLACED, PITCH_REPLACED)
+    shown = (KEPT, LENS_REPLACED, PITCH_REPLACED, HEIGHT_REPLACED)
     others = [p for p in plan.problems if p.severity == "warning" and p.code not in (DROPPED, *shown)]
     shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
     expected, absent = forecast_objects(plan)
@@ -130,6 +130,11 @@ def prepare_run(request: RunRequest) -> RunPlan:
         selection=request.selection,
         recipe_warnings=loaded.warnings,
     )
+    if request.reading.val_share is not None and "val" not in {f.background.split for f in plan.frames}:
+        raise ArgumentError(
+            f"val_share: none of the {len(plan.frames)} chosen pictures is in val. Choose more of them, or spread them "
+            "over the data with --sample or --pictures instead of --limit; and let --split, if given, contain val"
+        )
     return replace(plan, request=_recorded(request, loaded.warnings))
 
 

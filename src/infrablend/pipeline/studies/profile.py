@@ -26,7 +26,7 @@ from infrablend.core.files import read_regular, write_bytes, write_json
 from infrablend.core.output import require_apart, require_no_foreign
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.images import Background, load_background
+from infrablend.formats.images import IN_COLOUR, Background, load_background
 from infrablend.pipeline.datasets.origin import count_loosened, loosened_before
 from infrablend.pipeline.plans.levels import require_one_depth
 from infrablend.pipeline.studies.profile_objects import annotated_pictures, object_figures, read_objects
@@ -199,7 +199,7 @@ def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tu
         except DatasetError as error:
             problems.extend(error.problems)
             continue
-        if any(p.code == "image-colour" for p in picture.problems):
+        if any(p.code == IN_COLOUR for p in picture.problems):
             found, expected = "a colour picture, e.g. with a palette", "grey levels of a thermal camera"
             problems.append(Problem(image.path.name, "profile-colour", found, expected, "export it as white-hot"))
             continue
