@@ -259,6 +259,28 @@ def _coco_plain(folder: Path) -> Path:
     return folder
 
 
+@sample("coco:flir")
+def _coco_flir(folder: Path) -> Path:
+    """FLIR's ADAS dataset v2: a folder per split and camera, with another file of labels beside COCO's."""
+    for k, name in enumerate(("images_thermal_train", "images_thermal_val", "images_rgb_train", "video_thermal_test")):
+        file = f"data/video-a{k}-frame-000000-xT7.jpg"
+        picture(folder / name / file, k)
+        images = [{"id": 0, "file_name": file, "width": 64, "height": 48, "extra_info": {"hours": "night"}}]
+        boxes = [
+            {"id": n, "image_id": 0, "category_id": 1 + 2 * n, "bbox": [5 + 20 * n, 6, 9, 8], "iscrowd": False}
+            for n in range(2 if k != 1 else 0)
+        ]
+        classes = [{"id": n, "name": c} for n, c in enumerate(("person", "bike", "car", "sheep"), 1)]
+        top = {"images": images, "annotations": boxes, "categories": classes}
+        (folder / name / "coco.json").write_text(json.dumps(top))
+        frames = {"datasetName": name, "frames": [{"file": file, "annotations": [{"labels": ["face"]}]}]}
+        (folder / name / "index.json").write_text(json.dumps(frames))
+        (folder / name / "coco_annotation_counts.txt").write_text("| person | 1 |\n")
+    pairs = {"video-a2-frame-000000-xT7.jpg": "video-a0-frame-000000-xT7.jpg"}
+    (folder / "rgb_to_thermal_vid_map.json").write_text(json.dumps(pairs))
+    return folder
+
+
 @sample("cvat")
 def _cvat(folder: Path) -> Path:
     from infrablend.formats import cvat  # which sources of earlier versions do not have
@@ -386,6 +408,27 @@ def _label_studio(folder: Path) -> Path:
     return _written(folder, lambda images, categories: label_studio.write(folder, images, categories))
 
 
+@sample("labelme")
+def _labelme(folder: Path) -> Path:
+    """JSON beside the pictures of two splits, one without shapes; a name as on Windows."""
+    shapes = [
+        {"label": "deer", "shape_type": "rectangle", "points": [[14, 9.5], [4, 20]]},
+        {"label": "boar", "shape_type": "polygon", "points": [[30, 10], [50, 12], [40, 30]], "group_id": 1},
+        {"label": "boar", "shape_type": "circle", "points": [[52, 38], [56, 38]], "flags": {"occluded": True}},
+    ]
+    for k, split in enumerate(("train", "train", "val")):
+        path = picture(folder / split / f"f{k}.png", k)
+        top: dict[str, Any] = {
+            "version": "5.4.1",
+            "flags": {},
+            "shapes": shapes if k != 1 else [],
+            "imagePath": f"..\\{split}\\f{k}.png",
+        }
+        top |= {"imageData": None, "imageHeight": 48, "imageWidth": 64}
+        path.with_suffix(".json").write_text(json.dumps(top, indent=2))
+    return folder
+
+
 @sample("masks")
 def _masks(folder: Path) -> Path:
     return _written(folder, lambda images, names: masks.write(folder, images, names))
@@ -438,6 +481,23 @@ def _shards(folder: Path) -> Path:
         record = {"infrablend": "0", "status": "complete", "key": key, "categories": known, "archive": archive}
         files.marker.write_text(json.dumps(record))
     shutil.rmtree(folder / "from")
+    return folder
+
+
+@sample("visdrone")
+def _visdrone(folder: Path) -> Path:
+    """Two splits; the second picture of train shows nothing, and a line ends with a comma."""
+    lines = (
+        "3,4,12,9,1,4,0,1\n30,8,11,12,1,1,1,0,\n50,30,10,9,0,0,0,0\n",
+        "",
+        "5,6,20,9,1,10,0,2\n40,6,9,9,0,11,0,0\n",
+    )
+    for k, text in enumerate(lines):
+        base = folder / f"VisDrone2019-DET-{('train', 'train', 'val')[k]}"
+        stem = f"000000{k}_02999_d_000000{k}"
+        picture(base / "images" / f"{stem}.jpg", k)
+        (base / "annotations").mkdir(exist_ok=True)
+        (base / "annotations" / f"{stem}.txt").write_text(text)
     return folder
 
 

@@ -11,7 +11,7 @@ from tests.command_line import run
 from tests.samples import SAMPLES
 
 from infrablend import api
-from infrablend.errors import UnknownFormatError
+from infrablend.errors import DatasetError, UnknownFormatError
 
 
 def via(name: str) -> str:
@@ -69,6 +69,17 @@ def test_unknown_label_files_are_named_in_every_format(tmp_path: Path, sample: s
     assert [file for file in wanted if not is_named(root, file)] == []
 
 
+@pytest.mark.parametrize("sample", FORMATS)
+@pytest.mark.parametrize("split", ["train", "val", "test"])
+def test_labels_of_other_splits_are_not_unread(tmp_path: Path, sample: str, split: str) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    try:
+        dataset = api.read_dataset(root, reading=api.Reading(splits=[split]))
+    except DatasetError:
+        return  # no picture in it
+    assert [p.where for p in dataset.problems if p.code == "label-unread"] == []
+
+
 @pytest.mark.parametrize("file", UNKNOWN)
 def test_a_central_file_beside_pictures_is_no_clean_dataset(tmp_path: Path, file: str) -> None:
     root = SAMPLES["folder"](tmp_path / "data") if "folder" in SAMPLES else SAMPLES["yolo:detect"](tmp_path / "data")
@@ -76,6 +87,16 @@ def test_a_central_file_beside_pictures_is_no_clean_dataset(tmp_path: Path, file
     (root / file).write_text(UNKNOWN[file](api.read_dataset(root).images[0].path.name))
     done = run("check", root, "--no-decode")
     assert done.exit_code == 1 and file in done.output and "label-unread" in done.output
+
+
+@pytest.mark.parametrize("sample", ["folder:yolo", "yolo:detect"])
+def test_a_list_among_the_labels_of_yolo_is_named(tmp_path: Path, sample: str) -> None:
+    """Its reader looks at each text file there, for labels without a picture."""
+    root = SAMPLES[sample](tmp_path / "data")
+    label = next(p for p in root.rglob("*.txt") if p.name != "classes.txt" and p.read_text())
+    (label.parent / "boxes.txt").write_text(f"{api.read_dataset(root).images[0].path.name} 1,2,5,5,0\n")
+    (name,) = unread(root)
+    assert name.endswith("/boxes.txt")
 
 
 def test_many_files_of_one_kind_are_one_problem(tmp_path: Path) -> None:

@@ -191,6 +191,7 @@ FORMATS: tuple[Format, ...] = (
     Format("anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON per sequence", written_as="coco"),
     Format("halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels", written_as="coco"),
     Format("drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes", written_as="dota"),
+    Format("visdrone", "VisDrone-DET: people and vehicles in visible light, with regions to ignore", written_as="coco"),
     Format("bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO", written_as="coco"),
     Format("dota", "DOTA text files: four corners in pixels", any_camera=True, writers=(
         Writer(
@@ -224,6 +225,7 @@ FORMATS: tuple[Format, ...] = (
             table="JPEGImages/{name}",
         ),
     )),
+    Format("labelme", "labelme: one JSON of shapes per picture", written_as="coco", any_camera=True),
     Format("folder", "a plain folder of pictures, with or without labels", any_camera=True),
 )  # fmt: skip
 """All formats, in the order in which detection tries them: the most specific first."""

@@ -175,10 +175,15 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
         problems.append(Problem(where, "annotation-unreadable", found, expected, "replace or remove it"))
 
 
-def files_with(root: Path, pattern: str, is_ours: Callable[[bytes], bool], head_bytes: int) -> list[Path]:
-    """Return the files in a folder whose first bytes are those of a format, sorted; no links out of the folder."""
+def files_with(
+    root: Path, pattern: str, is_ours: Callable[[bytes], bool], head_bytes: int, most: int | None = None
+) -> list[Path]:
+    """Return the files in a folder whose first bytes are those of a format, sorted; no links out of the folder.
+
+    Only the first `most` files are looked at.
+    """
     found = []
-    for path in sorted(p for p in root.glob(pattern) if not leaves_folder(p)):
+    for path in (p for p in sorted(root.glob(pattern))[:most] if not leaves_folder(p)):
         with suppress(OSError), open_regular(path) as stream:
             found += [path] if is_ours(as_utf8(stream.read(head_bytes))) else []
     return found

@@ -23,6 +23,7 @@ from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Spl
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError
+from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.box_checks import edges_of_shares, edges_of_xywh, snap_edges
 from infrablend.formats.pictures import is_picture_name, list_pictures
 from infrablend.formats.records import Findings
@@ -143,6 +144,7 @@ def _read_tracks(
     flight = path.name.removesuffix(_TRACKS)
     split, start = _facts(found, path.with_name(flight + _METADATA))
     if split not in wanted:
+        leave_out([path])
         return
     found.counts["flights"] += 1
     frames = _rows(found, path)

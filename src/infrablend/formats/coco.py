@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -35,7 +36,7 @@ from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import only_looked_at, read_json, too_long
+from infrablend.formats.annotation_files import leave_out, only_looked_at, read_json, too_long
 from infrablend.formats.base import (
     Match,
     Numbered,
@@ -48,8 +49,8 @@ from infrablend.formats.base import (
     require_known,
     require_size,
     shorten,
-    split_folders,
     split_of_stem,
+    stated_split,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near, turned_box
 from infrablend.formats.capture import Captures
@@ -79,6 +80,10 @@ _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.compose.inserts`.
 MEASURED = ("changed_grey", "contrast_grey", "scr")
 _ROBOFLOW = "_annotations.coco.json"
+# FLIR's ADAS dataset v2: COCO's file, one with all that annotators drew, and which frames show the same.
+_FLIR, _UNFILTERED, _PAIRS = "coco.json", "index.json", "rgb_to_thermal_vid_map.json"
+_FLIR_NAME = re.compile(r"video-(\w+)-frame-(\d{1,9})-", re.ASCII)
+_VISIBLE = re.compile(r"(?<![a-z])(rgb|visible)(?![a-z])", re.IGNORECASE)
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
 _SCALE = "temperature_scale"
 # What the camera was told about the scene, beside the scale of a picture.
@@ -302,24 +307,30 @@ def is_coco(top: object) -> bool:
 
 
 def find_files(root: Path) -> dict[Path, Split]:
-    """Return the COCO files in a folder, its subfolder `annotations` or `coco`, or folders of splits, with splits.
+    """Return the COCO files in a folder, its subfolder `annotations` or `coco`, or folders that state a split.
 
-    The file's name determines the split (`test.json`, `instances_val2017.json`); files with other names are train.
+    Else the file's name determines the split (`test.json`, `instances_val2017.json`); files with other names are train.
     """
     for folder in (root, root / "annotations", root / "coco"):
         if files := _files_in(folder):
             return {p: _split_of(p) for p in files}
-    return {p: split for split, folder in split_folders(root) for p in _files_in(folder)}
+    inside = sorted(d for d in root.iterdir() if d.is_dir()) if root.is_dir() else []
+    return {p: split for d in inside if (split := stated_split(d.name)) for p in _files_in(d)}
 
 
 def _files_in(folder: Path) -> list[Path]:
     found = sorted(p for p in folder.glob("*.json") if p.is_file() and not p.name.startswith("."))
-    return [p for p in found if p.name != "metadata.json" and _looks_like_coco(p)]
+    others = {"metadata.json", *([_UNFILTERED] if _is_flir(folder / _FLIR) else [])}
+    return [p for p in found if p.name not in others and _looks_like_coco(p)]
+
+
+def _is_flir(file: Path) -> bool:
+    return file.name == _FLIR and file.is_file() and file.with_name(_UNFILTERED).is_file()
 
 
 def _split_of(file: Path) -> Split:
-    """Return the split that a file's name states; Roboflow gives all files one name, in folders named after splits."""
-    return split_of_stem(real_path(file.parent).name if file.name == _ROBOFLOW else file.stem)
+    """Return the split that a file's name states, or that of its folder, where Roboflow and FLIR state it."""
+    return split_of_stem(real_path(file.parent).name if file.name == _ROBOFLOW or _is_flir(file) else file.stem)
 
 
 def _looks_like_coco(path: Path) -> bool:
@@ -403,7 +414,12 @@ def read(
         if fault := too_long(where, "info", top.get("info")):
             found.problems.append(fault)
         folder = _picture_folder(root, path, split, _some_names(top["images"]))
-        records += read_records(found, top, folder, split, where, categories, captures, taken)
+        of_file = read_records(found, top, folder, split, where, categories, captures, taken)
+        if _is_flir(path):
+            leave_out([path.with_name(_UNFILTERED), root / _PAIRS])
+            visible = _VISIBLE.search(real_path(path.parent).name) is not None
+            of_file = [_of_flir(r, visible) for r in of_file]
+        records += of_file
     if not records:
         raise DatasetError(f"{root}: no picture to read", shorten(found.problems))
     if table is not None:
@@ -412,6 +428,14 @@ def read(
     _report_crowds(found, records, categories)
     notes = {"labels": "coco", **named, "pitch": captures.note()}
     return Dataset(root, NAME, tuple(categories), with_ids(records), tuple(found.problems), notes)
+
+
+def _of_flir(record: ImageRecord, visible: bool) -> ImageRecord:
+    """Return a picture of FLIR's dataset with the sequence and the number that its name states, and its light."""
+    named, capture = _FLIR_NAME.search(record.name), record.capture
+    if named is not None:
+        capture = replace(capture, sequence=named[1], frame=int(named[2]))
+    return replace(record, capture=capture, extra={**record.extra, **({"modality": "visible"} if visible else {})})
 
 
 def _report_crowds(found: Findings, records: Iterable[ImageRecord], categories: Iterable[Category]) -> None:
@@ -455,12 +479,12 @@ def read_records(
     scale = info.get(_SCALE) if isinstance(info, dict) else None
     records: list[ImageRecord] = []
     seen_names: set[str] = set()
-    seen_ids: set[int] = set()
+    seen_ids: set[int | str] = set()
     left_out: list[int] = []
     measured = 0
     for i, r in enumerate(top["images"]):
         here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
-        number = to_int(r.get("id")) if isinstance(r, dict) else None
+        number = _key(r.get("id")) if isinstance(r, dict) else None
         if number is None:
             found.add(here, "image-malformed", repr(r)[:80], "an image record with an id")
             continue
@@ -494,27 +518,34 @@ def read_records(
 
 def _category_names(
     found: Findings, rows: Iterable[Any], where: str, categories: list[Category]
-) -> dict[int, str]:  # fmt: skip
-    """Return the name of each category of a file by its number; new categories are appended to those of all files."""
-    names: dict[int, str] = {}
+) -> dict[int | str, str]:  # fmt: skip
+    """Return the name of each category of a file by its id; new categories are appended to those of all files."""
+    names: dict[int | str, str] = {}
     for i, c in enumerate(rows):
-        number = to_int(c.get("id")) if isinstance(c, dict) else None
+        number = _key(c.get("id")) if isinstance(c, dict) else None
         if number is None or not isinstance(c.get("name"), str) or number in names:
             found.add(f"{where}: category {i}", "category-malformed", repr(c)[:80], "a new id and a name")
             continue
         names[number] = c["name"]
         if all(k.name != c["name"] for k in categories):
-            free = number if all(k.id != number for k in categories) else max(k.id for k in categories) + 1
+            taken = {k.id for k in categories}
+            free = number if isinstance(number, int) and number not in taken else max(taken, default=-1) + 1
             ignore = is_ignored_name(c["name"]) or c.get("ignore") == 1
             categories.append(Category(free, c["name"], str(c.get("supercategory") or ""), ignore))
     return names
 
 
-def _by_image(found: Findings, rows: Iterable[Any], where: str) -> dict[int, list[bytes]]:
+def _key(value: object) -> int | str | None:
+    """Return an id: a whole number, or text, which some tools write in its place; None for anything else."""
+    number = to_int(value)
+    return value if number is None and isinstance(value, str) and value else number
+
+
+def _by_image(found: Findings, rows: Iterable[Any], where: str) -> dict[int | str, list[bytes]]:
     """Return the annotations by `image_id`, pickled: as bytes they take a fifth of the memory until they are needed."""
-    of_image: dict[int, list[bytes]] = {}
+    of_image: dict[int | str, list[bytes]] = {}
     for i, a in enumerate(rows):
-        number = to_int(a.get("image_id")) if isinstance(a, dict) else None
+        number = _key(a.get("image_id")) if isinstance(a, dict) else None
         if number is None:
             found.add(f"{where}: annotation {i}", "annotation-malformed", repr(a)[:80], "an annotation record")
             continue
@@ -538,7 +569,7 @@ def _stated_facts(r: Mapping[str, Any], videos: Mapping[int, str]) -> Capture:
 
 
 def _remarks(
-    where: str, left_out: Sequence[int], measured: int, unknown: Mapping[int, Sequence[bytes]]
+    where: str, left_out: Sequence[int], measured: int, unknown: Mapping[int | str, Sequence[bytes]]
 ) -> list[Problem]:
     """Return what is to be said about a file as a whole.
 
@@ -556,7 +587,7 @@ def _remarks(
     if measured:
         found = f"{measured} image(s) without width and height, which were read from the pictures"
         problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))
-    for number, left in sorted(unknown.items()):
+    for number, left in sorted(unknown.items(), key=str):
         text = f"{len(left)} annotation(s) of image_id {number}"
         problems.append(Problem(where, "image-unknown", text, "the id of a picture that can be read"))
     return problems
@@ -578,7 +609,7 @@ def _settings(value: object) -> dict[str, Any]:
 def _read_annotations(
     found: Findings,
     records: Sequence[Mapping[str, Any]],
-    names: Mapping[int, str],
+    names: Mapping[int | str, str],
     size_wh: tuple[int, int] | None,
     where: str,
 ) -> tuple[Instance, ...]:
@@ -590,9 +621,9 @@ def _read_annotations(
         if number is not None and number in seen:
             found.warn(here, "annotation-duplicate", f"a second annotation with id {number}", "each id once")
         seen |= {number} if number is not None else set()
-        category = to_int(a.get("category_id"))
+        category = _key(a.get("category_id"))
         if category is None or category not in names:
-            text, expected = f"category_id {a.get('category_id')!r}", f"one of {sorted(names)}"
+            text, expected = f"category_id {a.get('category_id')!r}", f"one of {sorted(names, key=str)}"
             found.add(here, "category-unknown", text, expected, "add it to categories")
             continue
         bbox = to_floats(a.get("bbox"), 4)
@@ -612,6 +643,8 @@ def _read_annotations(
         box = found.box(edges, size_wh, here)
         if box is None:
             continue
+        if a.get("keypoints"):
+            found.leave_out("keypoints", here)
         extra = {k: a[k] for k in ("source_id",) if k in a} | _read_occlusion(a)
         if a.get("iscrowd") == 1:
             extra["iscrowd"] = 1

@@ -81,7 +81,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     dataset = reader.completed(dataset)
     if reading.val_share is not None:
         dataset = with_val(dataset, reading.val_share, reading.splits)
-    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files)))
+    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits)))
 
 
 def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Iterator[Dataset]:
@@ -208,9 +208,9 @@ def _require_merged(root: Path) -> None:
         raise DatasetError(f"{root}: cannot be read", [Problem(str(root), "shards-unmerged", found, "a dataset", todo)])
 
 
-def _unread(dataset: Dataset, read: Collection[Path]) -> Sequence[Problem]:
+def _unread(dataset: Dataset, read: Collection[Path], splits: Collection[str] | None) -> Sequence[Problem]:
     """Return the labels that were not read; one problem for those of whole datasets inside of a plain folder."""
-    unread = unread_label_files(dataset, read)
+    unread = unread_label_files(dataset, read, splits)
     if dataset.format != folder.NAME:
         return unread
     # Datasets inside have label files and pictures in their folders; `images` and `labels` have one of both.

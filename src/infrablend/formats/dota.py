@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.boxes import box_of_points, corners_of_box
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
@@ -33,6 +33,7 @@ from infrablend.formats.base import (
     named_categories,
     require_known,
     require_size,
+    split_folders,
     unmarked_regions,
 )
 from infrablend.formats.box_checks import OVERHANG_PX, check_box, clockwise_corners, overhang_px
@@ -123,19 +124,13 @@ def find_folders(root: Path) -> list[tuple[Split, Path | None, Path]]:
 
     A split with only pictures, such as DOTA's test, has no label folder.
     """
-    found: list[tuple[Split, Path | None, Path]] = []
-    for split in SPLITS:
-        for labels, pictures in (
-            (_label_folder(root / split), root / split / "images"),
-            (_split_of(_label_folder(root), split), root / "images" / split),
-        ):
-            if pictures.is_dir() or labels is not None:
-                found.append((split, labels, pictures))
-                break
+    common = _label_folder(root)
+    found = [(split, _label_folder(base), base / "images") for split, base in split_folders(root)]
+    found += [(split, _split_of(common, p.name), p) for split, p in split_folders(root / "images")]
+    found = [(split, labels, p) for split, labels, p in found if labels is not None or p.is_dir()]
     if any(labels for _, labels, _ in found):
         return found
-    labels = _label_folder(root)
-    return [("train", labels, root / "images")] if labels else []
+    return [("train", common, root / "images")] if common else []
 
 
 def _label_folder(base: Path) -> Path | None:
@@ -147,8 +142,8 @@ def _label_folder(base: Path) -> Path | None:
     return None
 
 
-def _split_of(folder: Path | None, split: Split) -> Path | None:
-    return folder / split if folder is not None and (folder / split).is_dir() else None
+def _split_of(folder: Path | None, name: str) -> Path | None:
+    return folder / name if folder is not None and (folder / name).is_dir() else None
 
 
 def _label_files(folder: Path) -> list[Path]:

@@ -91,8 +91,13 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             raise _refuse(path, "image-size", found, expected, "correct the annotation or replace the picture")
         # Cameras put a preview behind the picture (MPO): Pillow opens the first frame, which is the picture.
         file_type = "JPEG" if picture.format == "MPO" else str(picture.format)
-        if file_type != "JPEG" and getattr(picture, "n_frames", 1) != 1:
-            raise _refuse(path, "image-frames", f"{picture.n_frames} frames", "one picture", "split the file")
+        try:
+            frames = 1 if file_type == "JPEG" else int(getattr(picture, "n_frames", 1))
+        except Exception as error:  # Pillow reads the directories of all frames of a TIFF file to count them
+            found, expected = "a second frame that cannot be read", "one picture"
+            raise _refuse(path, "image-unreadable", found, expected, "replace or remove it") from error
+        if frames != 1:
+            raise _refuse(path, "image-frames", f"{frames} frames", "one picture", "split the file")
         deep_colour = picture.mode in ("LA", "RGB", "RGBA") and _sixteen_bits(picture)
         try:
             picture.load()

@@ -270,15 +270,21 @@ def _read_task(
     if fault is not None or picture is None:
         found.problems += [fault] if fault else []
         return None
-    given = task.get("annotations")
-    used = [a for a in given if isinstance(a, dict) and not a.get("was_cancelled")] if isinstance(given, list) else []
-    results = used[-1].get("result") if used else []
-    rows = [r for r in results if isinstance(r, dict)] if isinstance(results, list) else []
+    used = [a for a in _objects_of(task.get("annotations")) if not a.get("was_cancelled")]
+    rows = _objects_of(used[-1].get("result")) if used else []
+    for guess in () if used else _objects_of(task.get("predictions")):
+        for _ in _objects_of(guess.get("result")):
+            found.leave_out("predicted by a model", where)
     stated = [(data.get("width"), data.get("height"))]
     stated += [(r.get("original_width"), r.get("original_height")) for r in rows]
     size_wh = next((s for w, h in stated if (s := to_size(w, h))), None)
     instances = tuple(_read_objects(found, rows, where))
     return ImageRecord("", picture, split, size_wh, instances, file_name=name)
+
+
+def _objects_of(value: object) -> list[Mapping[str, Any]]:
+    """Return the JSON objects in a list; none of anything else."""
+    return [v for v in value if isinstance(v, dict)] if isinstance(value, list) else []
 
 
 def _name_of(address: str, split: Split) -> tuple[str, Split]:
@@ -343,6 +349,8 @@ def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instanc
     labels = value.get(row["type"]) if isinstance(value, dict) else None
     if size_wh is None or not isinstance(value, dict) or not isinstance(labels, list) or not labels:
         raise ValueError("no label, or no size of the picture")
+    for _ in labels[1:]:
+        found.leave_out("further labels of a region", where)
     scale = np.array(size_wh, np.float64) / 100
     meta = said if isinstance(said := row.get("meta"), dict) else {}
     mask = corners = None

@@ -37,11 +37,11 @@ from infrablend.formats.base import (
     require_size,
     unmarked_regions,
 )
-from infrablend.formats.box_checks import snap_edges, turned_box
+from infrablend.formats.box_checks import is_near, snap_edges, turned_box
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import is_hidden, list_pictures, walk
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
-from infrablend.formats.values import number_text, to_bool, to_floats, to_size
+from infrablend.formats.values import number_text, to_bool, to_floats, to_number, to_size
 
 NAME = "voc"
 OPTIONS = {
@@ -53,7 +53,10 @@ DATABASE = "InfraBlend VOC"
 """Value of `source/database` in our files, which makes HIT-UAV's reader ignore them."""
 
 # Folders that only separate pictures from annotations; without them, the paths of a picture and its XML are equal.
-_KINDS = {"annotations", "annotation", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "labels"}
+_KINDS = {
+    "annotations", "annotation", "ann", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "json", "jsons",
+    "labels",
+}  # fmt: skip
 _LABELMAP = "labelmap.txt"
 _MOST_TRIED = 1000  # of which at most 20 can be read; damaged files must not hide the others
 
@@ -152,7 +155,7 @@ def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabe
     unlisted: list[str] = []
     skipped: set[str] = set()
     for name in list_xml(root):
-        split = split_of.get(key_of(name)[-1]) if split_of else _folder_split(name)
+        split = split_of.get(key_of(name)[-1]) if split_of else folder_split(name)
         if split is None:
             unlisted.append(name)
             split = "train"
@@ -165,10 +168,10 @@ def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabe
         size_wh = _size(found, top, name, paths[picture], picture)
         instances = _objects(found, top, name, size_wh, from_one)
         records[picture] = ImageRecord(
-            "", paths[picture], split, size_wh, instances, file_name=_file_name(picture)
+            "", paths[picture], split, size_wh, instances, file_name=file_name(picture)
         )  # fmt: skip
     left = {
-        name: split_of.get(key_of(name)[-1], "train") if split_of else _folder_split(name)
+        name: split_of.get(key_of(name)[-1], "train") if split_of else folder_split(name)
         for name in paths
         if name not in records and name not in skipped
     }
@@ -177,7 +180,7 @@ def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabe
     found.counts["unlabelled"] = len(left)
     for name, split in left.items() if unlabelled == "keep" else ():
         unsaid = {"labelled": False}
-        records[name] = ImageRecord("", paths[name], split, None, (), extra=unsaid, file_name=_file_name(name))
+        records[name] = ImageRecord("", paths[name], split, None, (), extra=unsaid, file_name=file_name(name))
     if unlisted:
         text = f"{len(unlisted)} file(s) in no list of ImageSets/Main are read as train: {', '.join(unlisted[:3])}"
         found.warn(root.name, "split-unknown", text, "every stem in one list")
@@ -206,13 +209,13 @@ def _size(found: Findings, top: Any, where: str, path: Path, picture: str) -> tu
     return found.size(path, picture)
 
 
-def _file_name(name: str) -> str:
+def file_name(name: str) -> str:
     """Return the picture's path without folders that only name a kind or a split."""
     parts = PurePosixPath(name).parts
     return "/".join([*(p for p in parts[:-1] if p.lower() not in _KINDS | SPLIT_FOLDERS.keys()), parts[-1]])
 
 
-def _folder_split(name: str) -> Split:
+def folder_split(name: str) -> Split:
     """Return the split that a folder of the path names; train if no folder does."""
     parts = PurePosixPath(name).parts[:-1]
     return next((SPLIT_FOLDERS[p.lower()] for p in parts if p.lower() in SPLIT_FOLDERS), "train")
@@ -317,6 +320,9 @@ def _object(
     else:
         first = 1.0 if from_one else 0.0
         edges = tuple(snap_edges((values[0] - first, values[1] - first, values[2], values[3]), size_wh))
+        if (angle := _rotation_rad(element)) and is_near(edges) and edges[0] < edges[2] and edges[1] < edges[3]:
+            (x0, y0, x1, y1) = edges
+            corners, edges = turned_box(((x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, angle), size_wh)
     box = found.box(edges, size_wh, where)
     if box is None:
         return None
@@ -334,6 +340,12 @@ def _object(
     return Instance(
         name, box, corners, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=extra
     )  # fmt: skip
+
+
+def _rotation_rad(element: Any) -> float:
+    """Return the angle by which CVAT turns a box about its centre; 0 without one."""
+    said = {child_text(a, "name"): child_text(a, "value") for a in element.findall("attributes/attribute")}
+    return math.radians((to_number(said.get("rotation")) or 0.0) % 360)
 
 
 # -- writing ---------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.masks import Mask
 from infrablend.core.yaml_text import read_yaml as plain_yaml
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.annotation_files import files_with, read_text
+from infrablend.formats.annotation_files import files_with, only_looked_at, read_text
 from infrablend.formats.base import (
     Match,
     check_splits,
@@ -57,6 +57,8 @@ WithoutMask = Literal["omit", "obb"]
 _DECIMALS = 10
 # What data.yaml may say about lines of nine numbers. Ultralytics reads polygons for `detect`, too.
 _STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb": "obb"}
+# Larger shares of a picture are pixels.
+_FAR_SHARE = 10
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 # Folders in the longest end of a path that is looked for in a dataset.
@@ -331,8 +333,10 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
             found.problems.append(Problem(here, "label-malformed", said, expected, todo))
             continue
         class_, values = int(numbers[0]), tuple(numbers[1:])
-        if not all(math.isfinite(v) and abs(v) < 1000 for v in values):
-            found.problems.append(Problem(here, "box-not-finite", said, "finite shares of the picture", todo))
+        if not all(abs(v) < _FAR_SHARE for v in values):
+            code = "box-outside" if all(map(math.isfinite, values)) else "box-not-finite"
+            expected, todo = "shares of the picture, from 0 to 1", "divide pixels by its width and height"
+            found.problems.append(Problem(here, code, said, expected, todo))
             continue
         if (class_, values) in seen:
             text = "a repeated line, kept"
@@ -397,6 +401,7 @@ def find_label(path: Path, root: Path) -> Path | None:
 def _real_labels(path: Path, where: str, keypoints: int) -> LabelLines | None:
     """Return the lines of a label file; None for a note, a list, a count, or a file that cannot be read."""
     text, fault = read_text(path, where, "a YOLO label file")
+    only_looked_at(path)
     labels = parse_labels(text, where, keypoints)
     return labels if fault is None and labels.rows and not labels.problems else None
 

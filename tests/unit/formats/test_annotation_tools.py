@@ -256,6 +256,26 @@ def test_labels_beside_a_shape_of_label_studio_are_its_label(tmp_path: Path) -> 
     assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 labels, 1 rectangle")
 
 
+def test_a_region_of_label_studio_has_its_first_label_and_others_are_counted(tmp_path: Path) -> None:
+    value = {"x": 25, "y": 25, "width": 12.5, "height": 25, "rectanglelabels": ["deer", "male", "adult"]}
+    dataset = label_studio_objects(tmp_path, {"id": "q", "type": "rectanglelabels", "value": value})
+    assert [o.category for o in dataset.images[0].instances] == ["deer"]
+    (left_out,) = dataset.problems
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 further labels of a region")
+
+
+def test_predictions_of_label_studio_are_counted_where_nobody_annotated(tmp_path: Path) -> None:
+    picture(tmp_path / "images" / "a.png", 1)
+    guess = {"result": [{"type": "rectanglelabels", "value": {}}, {"type": "rectanglelabels", "value": {}}]}
+    tasks = [{"data": {"image": "a.png"}, "annotations": [], "predictions": [guess]}]
+    text = json.dumps(tasks)
+    (tmp_path / "export.json").write_text(text)
+    (left_out,) = detection.read(tmp_path).problems
+    assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 predicted by a model")
+    (tmp_path / "export.json").write_text(text.replace('"annotations": []', '"annotations": [{"result": []}]'))
+    assert not detection.read(tmp_path).problems
+
+
 def annotate(root: Path, file: str, count: int) -> None:
     """Write annotations of both tools with that many objects in the picture `images/train/a.png`."""
     box = '<box label="Car" xtl="1" ytl="2" xbr="9" ybr="6"/>'

@@ -502,7 +502,8 @@ def annotation(**changes: Any) -> list[dict[str, Any]]:
         ({"bbox": None}, "box-malformed", 1),
         ({"category_id": 4}, "category-unknown", 1),
         ({"image_id": 9}, "image-unknown", 1),
-        ({"image_id": "x"}, "annotation-malformed", 1),
+        ({"image_id": "x"}, "image-unknown", 1),
+        ({"image_id": []}, "annotation-malformed", 1),
         ({"bbox": [90, 1, 20, 3]}, "box-clipped", 2),
         ({"id": 1}, "annotation-duplicate", 2),
         ({"segmentation": {"size": [3, 3], "counts": "01"}}, "mask-malformed", 2),
@@ -620,6 +621,20 @@ def test_coco_with_a_file_in_the_folder_of_each_split(tmp_path: Path, file: str,
         assert [i.split for i in detection.read(tmp_path / "valid").images] == ["val"]
         (tmp_path / "test" / file).write_text("{")
         assert codes(detection.read(tmp_path)) == ["annotation-not-json"]
+
+
+def test_the_folders_of_flir_adas_v2_are_one_dataset(tmp_path: Path) -> None:
+    root = SAMPLES["coco:flir"](tmp_path / "FLIR_ADAS_v2")
+    dataset = detection.read(root)
+    assert not dataset.problems and [c.name for c in dataset.categories] == ["person", "bike", "car", "sheep"]
+    assert [(i.capture.sequence, i.capture.frame) for i in dataset.images[:2]] == [("a0", 0), ("a2", 0)]
+    found = [(i.split, i.extra.get("modality"), len(i.instances)) for i in dataset.images]
+    assert found == [("train", None, 2), ("train", "visible", 2), ("val", None, 0), ("test", None, 2)]
+    for name, split, kind in (("images_thermal_val", "val", None), ("images_rgb_train", "train", "visible")):
+        (alone,) = detection.read(root / name).images
+        assert (alone.split, alone.extra.get("modality")) == (split, kind)
+    (root / "images_thermal_val" / "more.csv").write_text("data/video-a1-frame-000000-xT7.jpg,car,1,2,3,4\n")
+    assert [p.where for p in detection.read(root).problems] == ["images_thermal_val/more.csv"]
 
 
 def test_sizes_that_a_coco_file_lacks_come_from_the_pictures(tmp_path: Path) -> None:

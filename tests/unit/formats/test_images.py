@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zlib
 from pathlib import Path
 
@@ -136,6 +137,15 @@ def test_decompression_bombs_are_refused_unread(tmp_path: Path, side: int) -> No
 def test_our_own_limit_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "MAX_PIXELS", 1000)
     assert refused(save(tmp_path / "a.png", ramp())) == "image-too-large"
+
+
+def test_a_second_frame_that_is_damaged_is_named(tmp_path: Path) -> None:
+    data = bytearray(save(tmp_path / "a.tif", ramp()).read_bytes())
+    (directory,) = struct.unpack_from("<I", data, 4)
+    (entries,) = struct.unpack_from("<H", data, directory)
+    struct.pack_into("<I", data, directory + 2 + 12 * entries, len(data))  # the next frame, without any entry
+    (tmp_path / "a.tif").write_bytes(data + bytes(6))
+    assert refused(tmp_path / "a.tif") == "image-unreadable"
 
 
 def test_animations_and_strange_modes_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,136 @@
+"""VisDrone-DET (Zhu et al. 2018): people and vehicles from a drone, in visible light, one text file per picture.
+
+    VisDrone2019-DET-{train,val,test-dev}/images/<name>.jpg    .../annotations/<name>.txt
+
+A line is `left,top,width,height,score,category,truncation,occlusion`, in pixels. Category 0 is a region to ignore, and
+so is any box of score 0, which does not count in evaluation. The folder may also be that of one split.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.capture import Capture
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.file_names import real_path
+from infrablend.formats.annotation_files import files_with
+from infrablend.formats.base import Match, check_splits, require_options, split_of_stem
+from infrablend.formats.box_checks import edges_of_xywh
+from infrablend.formats.pictures import list_pictures
+from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.values import to_floats
+
+NAME = "visdrone"
+OPTIONS = {"unlabelled": "keep or drop pictures without a text file; keep is the default"}
+CATEGORIES = tuple(
+    Category(k, name, "", name in ("ignored regions", "others"))
+    for k, name in enumerate(
+        ("ignored regions", "pedestrian", "people", "bicycle", "car", "van", "truck", "tricycle", "awning-tricycle",
+         "bus", "motor", "others")
+    )
+)  # fmt: skip
+
+_LINE = re.compile(rb"(-?\d+(\.\d+)?\s*,\s*){7}-?\d+(\.\d+)?\s*,?\s*", re.ASCII)
+# Names of published pictures: the first number is that of the flight, and `d` stands for detection.
+_PUBLISHED = re.compile(r"(\d{7})_\d{5}_d_\d{7}", re.ASCII)
+_LOOKED_AT = 20
+
+
+def _folders(root: Path) -> list[Path]:
+    """Return the folders that contain `images`: the folder itself, or some in it or one level further down."""
+    return [p.parent for depth in ("", "*/", "*/*/") for p in sorted(root.glob(depth + "images"))]
+
+
+def detect(root: Path) -> Match:
+    """Decide whether `root` or folders in it contain `images`, and `annotations` with VisDrone's lines."""
+    for folder in _folders(root):
+        labels = folder / "annotations"
+        if files_with(labels, "*.txt", _is_ours, 1000, most=_LOOKED_AT):
+            return Match(NAME, True, f"VisDrone's lines in {labels.relative_to(root).as_posix()}")
+    return Match(NAME, False, "no folder images with annotations beside it that hold lines of eight numbers")
+
+
+def _is_ours(head: bytes) -> bool:
+    return _LINE.fullmatch(head.removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0]) is not None
+
+
+def read(
+    root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None, unlabelled: str = "keep"
+) -> Dataset:
+    """Read pictures and boxes; the name of a folder says the split, else it is train.
+
+    Published pictures get the sequence in their names, and `modality` `visible` in `extra`.
+
+    Raises:
+        DatasetError: An option has a wrong value, or no picture can be read.
+    """
+    require_options(root, unlabelled=(unlabelled, KEEP_OR_DROP))
+    wanted = check_splits(splits)
+    found = Findings(root)
+    records: list[ImageRecord] = []
+    for folder in _folders(root):
+        split = split_of_stem(folder.relative_to(root).as_posix() if folder != root else real_path(root).name)
+        if split in wanted:
+            records += _read_split(found, split, folder, unlabelled)
+    notes = {"labels": NAME, "rows": found.rows("objects", "read", "ignored", "unlabelled")}
+    return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
+
+
+def _read_split(found: Findings, split: Split, folder: Path, unlabelled: str) -> Iterator[ImageRecord]:
+    labels = {p.stem: p for p in sorted((folder / "annotations").glob("*.txt")) if not p.name.startswith(".")}
+    without = 0
+    for name, path in list_pictures(folder / "images").items():
+        label = labels.pop(path.stem, None)
+        without += label is None
+        if label is None and unlabelled == "drop":
+            continue
+        size_wh = found.size(path, found.place(path))
+        instances = None if size_wh is None else [] if label is None else _read_label(found, label, size_wh)
+        if instances is None:
+            continue
+        published = _PUBLISHED.fullmatch(path.stem)
+        capture = Capture(sequence=published[1] if published else None)
+        extra = ({"modality": "visible"} if published else {}) | ({"labelled": False} if label is None else {})
+        yield ImageRecord("", path, split, size_wh, tuple(instances), capture, extra=extra, file_name=name)
+    found.counts["unlabelled"] += without
+    found.problems += unlabelled_problems(found.place(folder), without, unlabelled)
+    for label in labels.values():
+        found.add(found.place(label), "image-missing", "no picture of that name", "a file in images/", "restore it")
+
+
+def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
+    text = found.text(path, "a label file")
+    if text is None:
+        return None
+    instances = []
+    for n, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        found.counts["objects"] += 1
+        here = f"{found.place(path)}: line {n}"
+        values = to_floats(line.strip().rstrip(",").split(","), 8)
+        if values is None:
+            expected = "left,top,width,height,score,category,truncation,occlusion"
+            found.add(here, "label-malformed", repr(line.strip()[:80]), expected, "correct the line")
+            continue
+        score, number, truncation, occlusion = values[4:]
+        if number not in range(len(CATEGORIES)):
+            found.add(here, "category-unknown", f"category {number:g}", "0 to 11", "correct the line")
+            continue
+        box = found.box(edges_of_xywh(values[:4], size_wh), size_wh, here)
+        if box is None:
+            continue
+        category = CATEGORIES[int(number)]
+        extra: dict[str, Any] = (
+            {"occluded": occlusion > 0, "occlusion": int(occlusion)} if occlusion in (0, 1, 2) else {}
+        )
+        if score == 0 and not category.ignore:
+            extra["category"], category = category.name, CATEGORIES[0]
+        found.counts["ignored"] += category.ignore
+        truncated = bool(truncation) if truncation in (0, 1) else None
+        instances.append(Instance(category.name, box, truncated=truncated, extra=extra))
+    found.counts["read"] += len(instances)
+    return instances

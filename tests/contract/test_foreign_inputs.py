@@ -1,0 +1,312 @@
+"""Labels of other tools, after public bug reports: read rightly, or named with the next step by every command.
+
+docs/how_to/check_a_dataset.md lists the kinds with their sources. Then all of them are damaged, with further inputs of
+other tools where real data are, and the samples of the newest readers.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+from tests.command_line import run
+from tests.samples import SAMPLES, picture
+
+from infrablend import api
+from infrablend.formats.annotation_files import MAX_TEXT_BYTES, WHOLE_JSON
+
+BOX = {"top": 6, "left": 4, "width": 10, "height": 12}
+CATEGORIES = [{"id": 1, "name": "deer"}]
+
+
+def put(root: Path, *pictures: str, **files: object) -> Path:
+    """Write pictures, and files by their names; what is no text becomes JSON."""
+    for k, name in enumerate(pictures):
+        picture(root / name, k)
+    for name, content in files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(content, bytes):
+            path.write_bytes(content)
+        else:
+            path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return root
+
+
+def coco(ids: Any = 1, category: Any = 1, **fields: object) -> dict[str, object]:
+    label = {"id": 1, "image_id": ids, "category_id": category, "bbox": [4, 6, 10, 12], **fields}
+    images = [{"id": ids, "file_name": "f1.jpg", "width": 64, "height": 48}]
+    return {"images": images, "annotations": [label], "categories": [{"id": category, "name": "deer"}]}
+
+
+def voc(name: str, more: str) -> str:
+    size, box = "<width>64</width><height>48</height>", "<xmin>24</xmin><ymin>20</ymin><xmax>44</xmax><ymax>30</ymax>"
+    return (
+        f"<annotation><filename>{name}</filename><size>{size}</size><object><name>deer</name><bndbox>{box}</bndbox>"
+        f"{more}</object></annotation>"
+    )
+
+
+# -- kinds that are named -----------------------------------------------------------------------------------------
+
+
+def open_images(root: Path) -> Path:
+    """Pictures are named without their suffix: github.com/openimages/dataset/issues/80."""
+    head = "ImageID,Source,LabelName,Confidence,XMin,XMax,YMin,YMax,IsOccluded\n"
+    text = head + 9 * "f1,xclick,/m/01g317,1,0.1,0.3,0.2,0.4,0\n"
+    return put(root, "train/f1.jpg", "train/f2.jpg", **{"train-annotations-bbox.csv": text})
+
+
+def supervisely(root: Path) -> Path:
+    """The name of the file, `f1.jpg.json`, says of which picture it is: github.com/voxel51/fiftyone/issues/4443."""
+    points = {"exterior": [[4, 6], [14, 18]], "interior": []}
+    objects = [{"classTitle": "deer", "geometryType": "rectangle", "points": points}]
+    label = {"description": "", "size": {"height": 48, "width": 64}, "objects": objects}
+    return put(root, "ds0/img/f1.jpg", **{"ds0/ann/f1.jpg.json": label, "meta.json": {"classes": [{"title": "deer"}]}})
+
+
+def labelbox(root: Path) -> Path:
+    """A line of JSON per picture: github.com/ultralytics/ultralytics/pull/22786."""
+    labels = [{"annotations": {"objects": [{"name": "deer", "bounding_box": BOX}]}}]
+    row = {"data_row": {"external_id": "f1.jpg"}, "projects": {"p": {"labels": labels}}}
+    return put(root, "f1.jpg", **{"export.ndjson": json.dumps(row) + "\n"})
+
+
+def ground_truth(root: Path) -> Path:
+    """A manifest of AWS: docs.aws.amazon.com/rekognition/latest/customlabels-dg, cd-manifest-files-object-detection."""
+    row = {"source-ref": "s3://bucket/f1.jpg", "boxes": {"annotations": [{"class_id": 0, **BOX}]}}
+    return put(root, "f1.jpg", **{"output.manifest": json.dumps(row) + "\n"})
+
+
+def visdrone_vid(root: Path) -> Path:
+    """A table named like the folder of its frames: github.com/VisDrone/VisDrone-Dataset/issues/22."""
+    frames = [f"sequences/uav0000013_00000_v/000000{k}.jpg" for k in (1, 2)]
+    text = 9 * "1,0,5,6,12,8,1,4,0,0\n"
+    return put(root, *frames, **{"annotations/uav0000013_00000_v.txt": text})
+
+
+def uavdt(root: Path) -> Path:
+    """A table of ground truth per sequence: github.com/VITA-Group/UAV-NDFT/issues/4."""
+    return put(root, "UAV-benchmark-M/M0101/img000001.jpg", **{"GT/M0101_gt_whole.txt": "1,9,5,6,12,8,1,3,1\n"})
+
+
+def uav123(root: Path) -> Path:
+    """Four numbers per frame: github.com/visionml/pytracking/issues/119."""
+    return put(root, "data_seq/UAV123/bike1/000001.jpg", **{"anno/UAV123/bike1.txt": 9 * "5,6,12,8\n"})
+
+
+def upload_prefix(root: Path) -> Path:
+    """Label Studio puts eight digits before the names: github.com/HumanSignal/label-studio/issues/5438."""
+    label = [{"x": 1, "y": 2, "width": 3, "height": 4, "rectanglelabels": ["deer"]}]
+    rows = [{"image": "/data/upload/1/ab12cd34-my f1.jpg", "id": 1, "label": label}]
+    return put(root, "images/my f1.jpg", **{"project-1-min.json": rows})
+
+
+def wider(root: Path) -> Path:
+    """A name, a number, and lines of boxes: github.com/akofman/wider-face-pascal-voc-annotations/pull/2."""
+    text = 9 * "0--Parade/f1.jpg\n1\n4 6 10 12 0 0 0 0 0 0\n"
+    return put(root, "images/0--Parade/f1.jpg", **{"wider_train_bbx.txt": text})
+
+
+def tf_record(root: Path) -> Path:
+    """A part of TensorFlow's records: github.com/zzh8829/yolov3-tf2/issues/401."""
+    record = (
+        2
+        * b"\x91\1\0\0\0\0\0\0abcd\n\x8e\3\n \n\x0eimage/filename\x12\x0e\n\x0c\n\x0af1.jpg\n\x1eimage/object/bbox/xmin"
+    )
+    return put(root, "f1.jpg", **{"train.record-00000-of-00010": record})
+
+
+def detections(root: Path) -> Path:
+    """Results of a detector know pictures by their stems: github.com/ultralytics/ultralytics/issues/21557."""
+    return put(root, "f1.jpg", **{"predictions.json": [{"image_id": "f1", "category_id": 1, "bbox": [4, 6, 10, 12]}]})
+
+
+def fiftyone_detections(root: Path) -> Path:
+    """Stems as keys: docs.voxel51.com/user_guide/export_datasets.html, FiftyOneImageDetectionDataset."""
+    labels = {"f1": [{"label": 0, "bounding_box": [0.1, 0.1, 0.2, 0.2]}]}
+    return put(root, "data/f1.jpg", **{"labels.json": {"classes": ["deer"], "labels": labels}})
+
+
+NAMED: dict[Callable[[Path], Path], str] = {
+    open_images: "train-annotations-bbox.csv",
+    supervisely: "ds0/ann/f1.jpg.json",
+    labelbox: "export.ndjson",
+    ground_truth: "output.manifest",
+    visdrone_vid: "annotations/uav0000013_00000_v.txt",
+    uavdt: "GT/M0101_gt_whole.txt",
+    uav123: "anno/UAV123/bike1.txt",
+    upload_prefix: "project-1-min.json",
+    wider: "wider_train_bbx.txt",
+    tf_record: "train.record-00000-of-00010",
+    detections: "predictions.json",
+    fiftyone_detections: "labels.json",
+}
+
+
+@pytest.mark.parametrize("kind", NAMED, ids=lambda kind: kind.__name__)
+def test_every_command_names_the_file_and_the_next_step(tmp_path: Path, kind: Callable[[Path], Path]) -> None:
+    root = kind(tmp_path / "data")
+    commands = {"check": ("--no-decode",), "inspect": (), "convert": (tmp_path / "out", "--to", "coco")}
+    for command, more in commands.items():
+        done = run(command, root, *more)
+        output = " ".join(done.output.split())
+        assert NAMED[kind] in output and "CVAT or Datumaro" in output, (command, output)
+        assert (done.exit_code == 0) == (command == "inspect")  # inspect gives no verdict
+
+
+@pytest.mark.parametrize("kind", NAMED, ids=lambda kind: kind.__name__)
+def test_such_a_file_is_named_beside_labels_that_are_read(tmp_path: Path, kind: Callable[[Path], Path]) -> None:
+    root = kind(tmp_path / "data")
+    (root / "classes.txt").write_text("deer\n")
+    for path in sorted(root.rglob("*.jpg"))[:1]:
+        path.with_suffix(".txt").write_text("0 0.5 0.5 0.2 0.2\n")
+    report = api.check(root, decode=False)
+    assert report.objects == 1
+    assert [p.where for p in report.errors if p.code == "label-unread"] == [NAMED[kind]]
+
+
+# -- kinds that are read ------------------------------------------------------------------------------------------
+
+
+def ids_of_text(root: Path) -> Path:
+    """Ids are text: github.com/open-mmlab/mmdetection/pull/89."""
+    return put(root, "images/f1.jpg", **{"annotations.json": coco("a1b2", "deer")})
+
+
+def keypoints(root: Path) -> Path:
+    """Only the box of a pose can be read: github.com/ultralytics/JSON2YOLO/issues/34."""
+    return put(root, "images/f1.jpg", **{"annotations/person_keypoints_train.json": coco(keypoints=[5, 7, 2])})
+
+
+def turned_voc(root: Path) -> Path:
+    """CVAT's VOC holds the angle as an attribute: github.com/cvat-ai/cvat/issues/5881."""
+    angle = "<attributes><attribute><name>rotation</name><value>90.0</value></attribute></attributes>"
+    return put(root, "JPEGImages/f1.jpg", **{"Annotations/f1.xml": voc("f1.jpg", angle)})
+
+
+def valid_obb(root: Path) -> Path:
+    """DOTA's lines in Roboflow's folders, `valid` for val: github.com/hukaixuan19970627/yolov5_obb/issues/518."""
+    text = "4 6 14 6 14 18 4 18 deer 0\n"
+    labels = {f"{split}/labelTxt/f{split}.txt": text for split in ("train", "valid")}
+    return put(root, "train/images/ftrain.jpg", "valid/images/fvalid.jpg", **labels)
+
+
+def yolo_pixels(root: Path) -> Path:
+    """Corners in pixels instead of shares: github.com/ultralytics/yolov5/issues/443."""
+    labels = {"labels/f1.txt": "0 0 0 14 0 14 18 0 18\n", "labels/f2.txt": "0 0.5 0.5 0.2 0.2\n"}
+    return put(root, "images/f1.jpg", "images/f2.jpg", **labels, **{"data.yaml": "train: images\nnames: [deer]\n"})
+
+
+READ = (ids_of_text, keypoints, turned_voc, valid_obb, yolo_pixels)
+
+
+def objects(root: Path) -> list[tuple[str, list[float]]]:
+    dataset = api.read_dataset(root)
+    assert [p for p in dataset.problems if p.severity == "error"] == []
+    return [(i.split, o.box_xyxy.tolist()) for i in dataset.images for o in i.instances]
+
+
+def test_coco_with_ids_of_text(tmp_path: Path) -> None:
+    root = ids_of_text(tmp_path / "data")
+    assert objects(root) == [("train", [4, 6, 14, 18])]
+    assert run("convert", root, tmp_path / "out", "--to", "coco").exit_code == 0
+    assert objects(tmp_path / "out") == objects(root)
+    (root / "annotations.json").write_text(json.dumps(coco("a1b2", "deer") | {"categories": CATEGORIES}))
+    (problem,) = api.check(root, decode=False).errors
+    assert problem.code == "category-unknown" and "'deer'" in problem.found
+
+
+def test_keypoints_of_coco_are_counted(tmp_path: Path) -> None:
+    root = keypoints(tmp_path / "data")
+    assert objects(root) == [("train", [4, 6, 14, 18])]
+    (problem,) = [p for p in api.check(root, decode=False).warnings if p.code == "kind-unread"]
+    assert "1 keypoints" in problem.found
+    assert "1 keypoints" in run("convert", root, tmp_path / "out", "--to", "yolo").output
+
+
+def test_turned_boxes_of_cvats_voc(tmp_path: Path) -> None:
+    root = turned_voc(tmp_path / "data")
+    ((_, box),) = objects(root)
+    assert box == pytest.approx([29, 15, 39, 35])
+    (image,) = api.read_dataset(root).images
+    assert image.instances[0].corners_xy is not None
+
+
+def test_oriented_boxes_in_a_folder_called_valid(tmp_path: Path) -> None:
+    assert objects(valid_obb(tmp_path / "data")) == [("train", [4, 6, 14, 18]), ("val", [4, 6, 14, 18])]
+
+
+def test_yolo_labels_in_pixels_are_no_boxes_of_the_whole_picture(tmp_path: Path) -> None:
+    root = yolo_pixels(tmp_path / "data")
+    report = api.check(root, decode=False)
+    assert report.objects == 1 and [p.where for p in report.errors] == ["labels/f1.txt: line 1"]
+    for command, more in (("check", ()), ("convert", (tmp_path / "out", "--to", "coco"))):
+        done = run(command, root, *more)
+        assert done.exit_code == 1 and "Divide pixels by its width and height" in " ".join(done.output.split())
+
+
+# -- bad input ----------------------------------------------------------------------------------------------------
+
+# Files that only name classes, folders or all that annotators drew.
+BESIDE = {"data.yaml", "meta.json", "index.json"}
+# An empty text file of these says that its picture shows nothing, or nothing at all.
+EMPTY_IS_NONE = ("valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider")
+# Too large for memory or, of pictures, in pixels; JSON may have any size, but is read in other ways beyond this one.
+TEN_TIMES = {".json": 2 * WHOLE_JSON, ".jpg": 0, ".tiff": 0}
+BAD = {kind.__name__: kind for kind in (*NAMED, *READ)} | {n: SAMPLES[n] for n in ("visdrone", "labelme", "coco:flir")}
+bad = pytest.mark.parametrize("how", ["truncated", "empty", "ten times too large"])
+
+
+def file_to_damage(root: Path) -> Path:
+    """Return a file with labels, else with a picture."""
+    files = sorted(p for p in root.rglob("*") if p.is_file() and p.name not in BESIDE and p.suffix != ".names")
+    return next((p for p in files if p.suffix.lower() not in (".jpg", ".png", ".tiff", ".ini")), files[0])
+
+
+def damage(path: Path, how: str) -> None:
+    if how == "truncated":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    elif how == "empty":
+        path.write_bytes(b"")
+    elif size := TEN_TIMES.get(path.suffix.lower(), 10 * MAX_TEXT_BYTES):
+        os.truncate(path, size)  # sparse: it costs no disk
+    else:
+        Image.new("1", (20_000, 10_000)).save(path, "PNG")
+
+
+def check_damaged(root: Path, name: str, how: str) -> None:
+    """Damage a file of a dataset, and assert that `check` names it and reads the others."""
+    before = api.check(root, decode=False)
+    damaged = file_to_damage(root)
+    damage(damaged, how)
+    done = run("check", root, *(() if damaged.suffix in (".jpg", ".tiff") else ("--no-decode",)))
+    output = " ".join(done.output.split())
+    assert done.exception is None or isinstance(done.exception, SystemExit), (name, output)
+    if how == "empty" and name.startswith(EMPTY_IS_NONE):
+        assert 0 < api.check(root, decode=False).objects <= before.objects or not before.objects
+        return
+    place = damaged.relative_to(root)
+    assert done.exit_code and (place.name in output or f"{place.parts[0]} (" in output), (name, output)
+
+
+@bad
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_named_and_the_rest_is_read(tmp_path: Path, name: str, how: str) -> None:
+    check_damaged(BAD[name](tmp_path / "data"), name, how)
+
+
+@bad
+@pytest.mark.realdata
+def test_bad_input_of_the_shared_kinds_is_named(tmp_path: Path, real_data: Path, how: str) -> None:
+    folders = sorted((real_data / "foreign").glob("*/data*"))
+    if not folders:
+        pytest.skip("NEEDS REAL DATA: no folder foreign")
+    for n, folder in enumerate(folders):
+        check_damaged(shutil.copytree(folder, tmp_path / str(n)), folder.parent.name, how)
