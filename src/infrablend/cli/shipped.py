@@ -80,7 +80,7 @@ def add_model(
             category=typer.Option(metavar="NAME"),
             size_m=typer.Option(metavar="METRES"),
             parts=typer.Option("--part", metavar="NAME=ROLE"),
-            up=typer.Option(metavar="AXIS"),
+            up=typer.Option(metavar="AXIS", case_sensitive=False),
         ),
     ],
 ) -> None:

@@ -162,10 +162,11 @@ def read_table(path: Path) -> CaptureTable:
     """
     rows = _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path)
     columns = {k for _, row in rows for k in row}
-    telemetry = [name for name, fact in FACTS.items() if fact.field == "telemetry"]
-    if not rows or not columns & set(_KEYS) or not columns & set(telemetry):
+    keys = columns & set(_KEYS)
+    facts = columns & FACTS.keys() - ({"sequence"} if keys == {"sequence"} else set())
+    if not rows or not keys or not facts:
         found = f"columns {', '.join(sorted(columns)) or 'none'}"
-        expected = f"one of {', '.join(_KEYS)} and some of {', '.join(telemetry)}"
+        expected = f"one of {', '.join(_KEYS)} and some of {', '.join(FACTS)}"
         problem = Problem(path.name, "table-columns", found, expected, "rename the columns")
         raise DatasetError(f"{path}: no table of pitch and altitude", [problem])
     problems: list[Problem] = []

@@ -73,9 +73,10 @@ def _by_day(dataset: Dataset, training: Sequence[ImageRecord]) -> tuple[dict[str
     """Return the images of each day or sequence, at least two groups in the order of their names, and warnings."""
     unknown = [i.name for i in training if i.capture.sequence is None and i.capture.captured is None]
     if unknown or not training:
-        found = f"{len(unknown)} of {len(training)} training pictures have neither: {', '.join(unknown[:3])}"
+        found = f"{len(unknown)} of {len(training)} training pictures have neither a sequence nor a date of capture: "
+        found += ", ".join(unknown[:3])
         found = found if training else "no picture in train"
-        expected = "training pictures, each with a sequence or a date of capture"
+        expected = "one of both for each, such as a column sequence in metadata.csv"
         raise _refused(dataset, "group-unknown", found, expected, _by_hand(dataset))
     first_day: dict[str | None, str] = {}
     for capture in (i.capture for i in training):

@@ -181,7 +181,7 @@ def test_wrong_answers_are_named_together(file: Path) -> None:
     assert "--part Nothing=motor: no object or material has this name; expected one of Body, Grey, Motor_1" in text
     assert "--part Thing=warmth: unknown role; expected one of motor, battery" in text
     assert "--size-m -1" in text
-    with pytest.raises(ArgumentError, match="up: found 'w', expected one of x, y, z, -x, -y, -z"):
+    with pytest.raises(ArgumentError, match="up: found 'W', expected one of X, Y, Z, -X, -Y, -Z"):
         ModelAnswers(up="w")  # type: ignore[arg-type]
     with pytest.raises(ModelError, match=r"unknown type; expected one of \.glb"):
         survey_model(file.with_suffix(".stl"), ModelAnswers())

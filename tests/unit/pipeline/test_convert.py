@@ -28,10 +28,14 @@ def data(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("to", written_names())
 def test_every_format_is_written_from_the_command_line(to: str, data: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    said = done("convert", data, out, "--to", to).stdout
+    ended = run("convert", data, out, "--to", to)
+    whole = to != "yolo-seg"  # which has no cars and bicycles any more, as these have no masks
+    said = ended.stdout
+    assert ended.exit_code == (0 if whole else 1), ended.output
+    assert whole or "class Car: all 1 object(s) left out" in ended.stderr
     assert "Person 2" in said and said.endswith(f"{out}\n")
     record = json.loads((out / "convert.json").read_text())
-    assert (record["format"], record["source_format"], record["ok"]) == (to, "coco", True)
+    assert (record["format"], record["source_format"], record["ok"]) == (to, "coco", whole)
     assert {k.rpartition(".")[2] for k in record["losses"]} <= set(LOSSES)
     lost = {words[1]: line for line in said.splitlines() if (words := line.split())[0] == "lost:"}
     for (form, _, kind), n in ((k.rpartition("."), n) for k, n in record["losses"].items()):

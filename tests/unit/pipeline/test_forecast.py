@@ -4,9 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from infrablend import api
-from infrablend.errors import DatasetError
+from infrablend.errors import DatasetError, RecipeError
 from infrablend.pipeline.runs import forecast
 from tests.flat_renderer import render_flat
 from tests.unit.pipeline.test_run import dataset
@@ -80,3 +81,36 @@ def test_unchanged_pictures_alone_expect_nothing(dataset):
     original = next(f for f in api.frames(PAPER, dataset, settings=both).ids if "_c" not in f)
     facts = api.plan(PAPER, dataset, selection=api.FrameSelection(frames=(original,)), settings=both).facts
     assert facts["frames"] and not any(k.startswith("expected_") for k in facts)
+
+
+def test_colour_pictures_are_counted_where_a_recipe_cannot_use_them(dataset):
+    for k, path in enumerate(sorted(dataset.rglob("*.jpg"))):
+        Image.fromarray(np.random.default_rng(k).integers(0, 255, (512, 640, 3)).astype(np.uint8)).save(path)
+    found, _ = expected(METRIC, dataset, *BROAD)
+    assert found["unusable"] == {"image-colour-mapped": found["tried"]} and found["objects"] == {"Person": 0}
+
+
+def test_objects_are_told_by_class(dataset):
+    found, _ = expected(PAPER, dataset, "objects.0.category=uav")
+    assert found["objects"].keys() == found["size_px"].keys() == {"uav"}
+
+
+def test_a_printed_focal_length_without_a_pixel_pitch_is_a_warning(dataset):
+    found, warnings = expected(METRIC, dataset, *BROAD, "camera.focal_length_mm=13")
+    assert found["hfov_deg"]["recipe"]["50 %"] == pytest.approx(108.3, abs=0.1)
+    assert any("108 degrees across" in w and "camera.pixel_pitch_um" in w for w in warnings)
+    right, quiet = expected(METRIC, dataset, *BROAD, "camera.focal_length_mm=13", "camera.pixel_pitch_um=17")
+    assert right["hfov_deg"]["recipe"]["50 %"] == pytest.approx(45.4, abs=0.1)
+    assert not any("degrees across" in w for w in quiet)
+
+
+def test_a_pixel_pitch_for_pictures_of_another_width_is_refused(dataset):
+    """Times the recipe's width it would give another field of view."""
+    lens = ("camera.focal_length_mm=13", "camera.pixel_pitch_um=17", "camera.size_px=[800, 600]")
+    with pytest.raises(RecipeError, match=r"but pictures are 640x512.*camera\.size_px=\[640, 512\]"):
+        expected(METRIC, dataset, *BROAD, *lens)
+
+
+def test_two_spellings_of_a_new_class_are_refused(dataset):
+    with pytest.raises(RecipeError, match="the class 'Drones' beside 'drone' of another entry"):
+        expected(PAPER, dataset, "objects=[{model: drone}, {model: drone, category: Drones}]")

@@ -275,7 +275,11 @@ def test_val_follows_what_the_pictures_state(
         ({"a": ("s", "2024-05-01", 3)}, "val", "3 picture(s) in val already"),
         ({"a": ("s", "2024-05-01", 3)}, "test", "no picture in train"),
         ({"a": ("s", "2024-05-01", 3)}, "train", "all 3 training pictures are of s"),
-        ({"a": ("s", "2024-05-01", 3), "b": ("", "", 2)}, "train", "2 of 5 training pictures have neither: b-0.png"),
+        (
+            {"a": ("s", "2024-05-01", 3), "b": ("", "", 2)},
+            "train",
+            "2 of 5 training pictures have neither a sequence nor a date",
+        ),
     ],
 )
 def test_data_that_cannot_be_divided_are_refused(
@@ -294,7 +298,7 @@ def test_a_run_with_a_val_split_is_resumed_and_judged_as_made(tmp_path: Path) ->
     assert len({i.split for i in api.read_dataset(tmp_path / "run").images}) == 2
     api.exclude(tmp_path / "run", ["val/d-0_c0"])
     assert api.rerender(tmp_path / "run", "val/d-1_c1", tmp_path / "again.png").is_file()
-    with pytest.raises(ArgumentError, match="none of the 4 chosen pictures is in val"):
+    with pytest.raises(ArgumentError, match="none of the 4 frames is in val"):
         api.generate(
             "hit-uav-drone", root, tmp_path / "few", limit=2, settings=settings, reading=reading, execution=flat
         )

@@ -130,6 +130,7 @@ def convert_dataset(
         counts["labels"] = by_class(written.kept(images))
         if written.left_out:
             counts["labels_lost"] = by_class(written.left_out)
+            problems += _lost_classes(dataset, writer.name, counts)
         changes = _changes(writer.name, classes.rename, chosen, problems)
         for name, n in earlier.items():
             up_to = "Up to " if name == AT_MOST else ""
@@ -162,6 +163,14 @@ def convert_dataset(
             }
         )
     return report
+
+
+def _lost_classes(dataset: Dataset, to: str, counts: Mapping[str, Any]) -> list[Problem]:
+    """Return an error for each class, except those to ignore, of which the files hold no object any more."""
+    ignored = {c.name for c in dataset.categories if c.ignore}
+    gone = {c: n for c, n in counts["labels_lost"].items() if not counts["labels"].get(c) and c not in ignored}
+    expected, todo = f"objects that {to} can hold", "write another format, which holds them; see the losses"
+    return [Problem(f"class {c}", "class-lost", f"all {n} object(s) left out", expected, todo) for c, n in gone.items()]
 
 
 def _writer(dataset: Dataset, to: str) -> Writer:

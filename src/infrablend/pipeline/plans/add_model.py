@@ -24,7 +24,7 @@ from infrablend.pipeline.plans.models import import_geometry, ready_model
 log = logging.getLogger(__name__)
 
 
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
+Axis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
 # A side that is longer by a larger share tells how a model lies.
 _CLEARLY = 1.2
 
@@ -37,7 +37,7 @@ class ModelAnswers:
         category: Class of its labels, e.g. drone.
         size_m: Length of its longest side.
         parts: Role of an object or a material of the file, e.g. Mesh1=motor; repeatable.
-        up: Axis that points up in the file [default: y in glTF and OBJ, else z].
+        up: Axis that points up in the file [default: Y in glTF and OBJ, else Z].
     """
 
     category: str | None = None
@@ -47,6 +47,7 @@ class ModelAnswers:
 
     def __post_init__(self) -> None:
         if self.up is not None:
+            object.__setattr__(self, "up", str(self.up).upper())
             require_choice("up", self.up, get_args(Axis))
 
 
@@ -192,7 +193,7 @@ def description(survey: ModelSurvey, name: str, file: str) -> str:
     family, answers = survey.guess.family, survey.answers
     known = [(g, r) for g, r in zip(survey.groups, survey.guess.roles, strict=True) if r is not None]
     # The front of a glTF is +Z by its standard, which Blender turns to -Y.
-    standard = survey.file.suffix.lower() in (".glb", ".gltf") and answers.up in (None, "y")
+    standard = survey.file.suffix.lower() in (".glb", ".gltf") and answers.up in (None, "Y")
     heading = "-Y" if standard else "+X"
     lines = [
         "# Written by `infrablend models add`: check the sheet, and correct what is wrong (docs/how_to/own_model.md).",
@@ -200,7 +201,7 @@ def description(survey: ModelSurvey, name: str, file: str) -> str:
         f"category: {json.dumps(answers.category, ensure_ascii=False)}",
         f"file: {json.dumps(file, ensure_ascii=False)}",
         f"origin: {'centre' if family == 'drone' else 'feet'}",
-        *([] if answers.up is None else [f'up: "{answers.up.upper()}"  # axis of the file that points up']),
+        *([] if answers.up is None else [f'up: "{answers.up}"  # axis of the file that points up']),
         f'heading: "{heading}"  # direction of its front, once upright',
         f"length_m: {answers.size_m!r}",
     ]

@@ -31,6 +31,8 @@ PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a pitch of the recipe that replaces others in the files."""
 HEIGHT_REPLACED = "height-replaced"
 """Code of the warning about a height of the recipe that replaces others in the files."""
+# Lenses of thermal cameras for drones are narrower, and their sensors smaller than film.
+_WIDE_DEG, _FILM_MM = 75.0, 36.0
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
 # Clear of the horizon, where day and night are a matter of opinion.
@@ -110,8 +112,43 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
         what = "no labels in any image, so objects in the backgrounds stay unlabelled"
         todo = "check --data, or set labels.mode to new if the data has no labels"
         found.append(Problem(root.name, "no-labels", what, "labels to merge with", todo, "warning"))
-    found += [*_other_lens(recipe, images), *_other_pitch(recipe, images), *_other_height(recipe, images)]
+    found += [
+        *_wide_lens(recipe, images),
+        *_other_lens(recipe, images),
+        *_other_pitch(recipe, images),
+        *_other_height(recipe, images),
+    ]
     return [*found, *_sun_unused(recipe, images)]
+
+
+def require_pitch_of_pixels(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
+    """Check that a pixel pitch is that of these pictures: times another width, it gives another field of view.
+
+    Raises:
+        RecipeError: Pictures are of another width than the recipe's.
+    """
+    c = recipe.camera
+    widths = sorted({i.size_wh for i in images if i.size_wh is not None and i.size_wh[0] != c.size_px[0]})
+    if c.pixel_pitch_um is None or not widths or not c.is_real:
+        return
+    w, h = widths[0]
+    found = f"{c.pixel_pitch_um:g} um for pictures {c.size_px[0]} px wide (camera.size_px), but pictures are {w}x{h}"
+    todo = f"set camera.size_px=[{w}, {h}] if each of their pixels is one of the detector; if the camera enlarges its "
+    todo += "pictures, set camera.sensor_width_mm, the pitch times the detector's columns, instead"
+    problem = Problem("camera.pixel_pitch_um", "pitch-other-size", found, "pictures of that width", todo)
+    raise RecipeError(f"recipe {recipe.name}: a pixel pitch that does not fit the pictures", [problem])
+
+
+def _wide_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning about the lens of a small camera taken for that of a film camera."""
+    c = recipe.camera
+    across = 2 * math.degrees(math.atan(c.sensor_width_mm / 2 / c.focal_length_mm))
+    used = any(not c.needs_lens or i.capture.hfov_deg is None for i in images)
+    if not c.is_real or not used or across < _WIDE_DEG or c.sensor_width_mm != _FILM_MM:
+        return []
+    found = f"{c.focal_length_mm:g} mm on a sensor {_FILM_MM:g} mm wide: {across:.0f} degrees across"
+    todo = "set camera.pixel_pitch_um, too, if this focal length is printed on the lens; or set camera.model instead"
+    return [Problem("camera.focal_length_mm", "lens-wide", found, "a lens of thermal cameras", todo, "warning")]
 
 
 def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
@@ -218,6 +255,12 @@ def require_distinct_classes(recipe: Recipe, inserted: Sequence[str], dataset: D
             found = f"the class {name!r} beside {similar!r} of the dataset: two classes for one kind of object"
             todo = f"set {joined} to insert into the dataset's class, or {renamed} to rename that; or set "
             todo += "labels.similar_names=keep for two classes"
+            problems.append(Problem(f"objects.{n}.category", "class-similar", found, "one name for each kind", todo))
+    for n, name in enumerate(inserted):
+        similar = next((k for k in inserted[:n] if differ_in_form(name, k)), None)
+        if similar is not None and not {name, similar} & {*known}:
+            found = f"the class {name!r} beside {similar!r} of another entry"
+            todo = f"set objects.{n}.category={similar}, or labels.similar_names=keep for two classes"
             problems.append(Problem(f"objects.{n}.category", "class-similar", found, "one name for each kind", todo))
     if problems:
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", problems)

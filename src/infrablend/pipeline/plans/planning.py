@@ -27,6 +27,7 @@ from infrablend.pipeline.plans.checks import (
     require_ids,
     require_loosened,
     require_options,
+    require_pitch_of_pixels,
     unknown_by_hand,
     without_effect,
 )
@@ -88,6 +89,7 @@ def make_plan(
         names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
     problems += data_warnings(recipe, usable, dataset.root) + unknown_by_hand(recipe, renamed.images)
     require_ids(recipe, usable)
+    require_pitch_of_pixels(recipe, usable)
 
     as_read = {id(new): old for old, new in zip(dataset.images, renamed.images, strict=True)}
     frames = [

@@ -33,16 +33,16 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, Any], list[Problem]]:
 
     Returns:
         `tried`, the number of frames; `unusable`, those whose background cannot be used, by reason; `objects`, those
-        expected in all frames, by model, before any is left out because nobody could see it; `left_out` of the tried
-        frames, by reason; and 5, 50 and 95 % of the boxes' longer sides (`size_px`, by model) and of the cameras'
+        of the tried frames times all frames per tried frame, by class, before any is left out because nobody could see
+        it; `left_out` of the tried frames, by reason; and 5, 50 and 95 % of the boxes' longer sides (`size_px`, by
+        class) and of the cameras'
         pitch, height (distance from the objects, with the paper's placement) and field of view, by where they came
         from: the picture's `metadata`, `recipe`, `horizon`, or `labels` that correct a height.
     """
     changed = [f for f in plan.frames if f.configuration is not None]
     if not changed:
         return {}, []
-    wanted = objects_per_frame(plan)
-    enough = np.clip(_OBJECTS / max(sum(wanted.values()), 1.0), *_FRAMES)
+    enough = np.clip(_OBJECTS / max(sum(objects_per_frame(plan).values()), 1.0), *_FRAMES)
     some = [changed[int(k)] for k in np.linspace(0, len(changed) - 1, min(len(changed), round(float(enough))))]
     # Its renderer is never asked, so that no Blender is started.
     settings = settings_for(plan, dataset_levels(plan) if plan.needs_levels else None, Execution(renderer="flat"))
@@ -53,13 +53,15 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, Any], list[Problem]]:
         try:
             placed.append((frame, composer.place(frame)))
         except DatasetError as error:
-            unusable.update(dict.fromkeys(p.code for p in error.problems) or ["unusable"])
+            unusable.update({p.code for p in error.problems} or ["unusable"])
     records = [record for _, record in placed]
     counts, draws = count_objects(plan.recipe, records), draw_statistics(records)
+    classes = [o.category or plan.models[o.model].category for o in plan.recipe.objects]
+    times = len(changed) / len(some)
     found = {
         "tried": len(some),
         "unusable": dict(unusable),
-        "objects": _expected(plan, wanted, counts.get("objects_by_kind", {}), len(changed)),
+        "objects": _objects(classes, counts.get("objects_by_kind", {}), times),
         "left_out": counts.get("objects_left_out", {}),
         "size_px": _sizes(records),
         **_cameras(plan, placed),
@@ -68,26 +70,20 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, Any], list[Problem]]:
     return {k: v for k, v in found.items() if v}, nothing or (absent_warnings(draws) if draws else [])
 
 
-def _expected(
-    plan: RunPlan, wanted: Mapping[str, float], by_kind: Mapping[str, Mapping[str, int]], frames: int
-) -> dict[str, int]:
-    """Return the objects of each model that find a place: of those wanted, the share that did in the tried frames."""
-    asked, placed = Counter[str](), Counter[str]()
+def _objects(classes: Sequence[str], by_kind: Mapping[str, Mapping[str, int]], times: float) -> dict[str, int]:
+    placed = Counter(dict.fromkeys(classes, 0))
     for where, n in by_kind.items():
-        model = plan.recipe.objects[int(where.rpartition(".")[2])].model
-        asked[model] += n["asked"]
-        placed[model] += n["inserted"]
-    return {m: round(frames * each * (placed[m] / asked[m] if asked[m] else 1)) for m, each in wanted.items()}
+        placed[classes[int(where.rpartition(".")[2])]] += n["inserted"]
+    return {name: round(n * times) for name, n in placed.items()}
 
 
 def _sizes(records: Sequence[FrameRecord]) -> dict[str, dict[str, float]]:
     sizes = defaultdict[str, list[float]](list)
     for r in records:
         for label in r.inserted:
-            assert r.scene is not None
             x0, y0, x1, y1 = label.box_xyxy
-            sizes[r.scene.objects[label.extra["object"]].model].append(max(x1 - x0, y1 - y0))
-    return {model: _spread(values) for model, values in sizes.items()}
+            sizes[label.category].append(max(x1 - x0, y1 - y0))
+    return {name: _spread(values) for name, values in sizes.items()}
 
 
 def _cameras(plan: RunPlan, placed: Iterable[tuple[PlannedFrame, FrameRecord]]) -> dict[str, Mapping[str, Any]]:

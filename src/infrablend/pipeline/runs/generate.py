@@ -19,6 +19,7 @@ from infrablend.errors import ArgumentError, OutputError, Problem, format_proble
 from infrablend.formats import detection
 from infrablend.pipeline.plans.checks import HEIGHT_REPLACED, LENS_REPLACED, PITCH_REPLACED
 from infrablend.pipeline.plans.estimate import estimate_run
+from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import make_plan, with_scale
 from infrablend.pipeline.plans.request import RunRequest
@@ -131,9 +132,13 @@ def prepare_run(request: RunRequest) -> RunPlan:
         recipe_warnings=loaded.warnings,
     )
     if request.reading.val_share is not None and "val" not in {f.background.split for f in plan.frames}:
+        left_out = [p for p in plan.problems if p.code in LEFT_OUT]
         raise ArgumentError(
-            f"val_share: none of the {len(plan.frames)} chosen pictures is in val. Choose more of them, or spread them "
-            "over the data with --sample or --pictures instead of --limit; and let --split, if given, contain val"
+            f"val_share: none of the {len(plan.frames)} frames is in val"
+            + (f", as {len(left_out)} picture(s) cannot be used. Mend these" if left_out else "")
+            + ". Choose more pictures, or spread them over the data with --sample instead of --limit; and let --split, "
+            "if given, contain val",
+            left_out,
         )
     return replace(plan, request=_recorded(request, loaded.warnings))
 

@@ -124,10 +124,8 @@ class RunState:
     def counts(self, plan: RunPlan, labels: LabelSummary) -> dict[str, Any]:
         """Return the counts for the run record, with those of the label files."""
         codes = Counter(p.code for p in plan.problems if p.severity == "error")
-        # A picture that is left out is not among those that a selection chooses from: that of a number of pictures
-        # chooses from all that the run can use, others from all that were read.
-        selection = plan.request.get("selection", {})
-        others = set(plan.problems if "pictures" in selection else plan.dataset.problems if selection else ())
+        # A picture that the reader left out is not among those that a selection chooses from.
+        others = set(plan.dataset.problems) if plan.request.get("selection") else set()
         # Also distinguished by `found`, because one annotation file may lack several images.
         left_out = {
             (p.where, p.found)

@@ -89,10 +89,10 @@ _LOOKS_DOWN = (
 )
 
 _TOO_SMALL = (
-    "the largest of those that are too small would have {px:.3g} px, less than placement.size_px: check the lens. A "
-    "focal length printed on a lens needs camera.pixel_pitch_um beside it, or camera.model instead of it; alone it is "
-    "that of a sensor camera.sensor_width_mm (36) wide, and the view far too wide. Otherwise check the camera's height "
-    "and placement.size_px"
+    "the largest of those that are too small would have {px:.3g} px, less than placement.size_px: check that, and the "
+    "camera's height and field of view, which --plan shows. A focal length printed on a lens needs "
+    "camera.pixel_pitch_um beside it, or camera.model instead of it; alone it is that of a sensor "
+    "camera.sensor_width_mm (36) wide"
 )
 
 
@@ -122,6 +122,16 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
             todo = _TOO_SMALL.format(px=draws["too_small_px"])
         problems.append(Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning"))
     return problems
+
+
+def horizon_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """Return a warning if a recipe that looks for the horizon found none in at least half of its frames."""
+    found = Counter(r.scene.draws["pitch_from"] for r in records if r.scene and "pitch_from" in r.scene.draws)
+    if not found["recipe"] or 2 * found["recipe"] < found.total():
+        return []
+    text = f"no horizon in {found['recipe']} of {found.total()} frames: taken to show the sky alone, or to look level"
+    todo = "look at a few (infrablend preview); for cameras that look down, set camera.pitch to their own pitch"
+    return [Problem("camera.pitch", "horizon-absent", text, "pictures with a horizon, or of the sky", todo, "warning")]
 
 
 def air_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
