@@ -14,14 +14,17 @@ import pytest
 from PIL import Image
 
 from infrablend.core.rng import stream
+from infrablend.core.surface_kinds import SURFACES
 from infrablend.core.tasks import Task
 from infrablend.errors import OutputError
 from infrablend.formats import hit_uav
 from infrablend.world.buildings import Building
 from infrablend.world.dataset import FrameSource, WorldRequest, write_world
+from infrablend.world.fixtures import Tree
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import FrameFacts
 from infrablend.world.ground import ground_kelvin
+from infrablend.world.ground_cover import Road
 from infrablend.world.people import Person
 from infrablend.world.sampling import sample_world
 from tests.coarse_world import coarse_worlds
@@ -81,6 +84,30 @@ def test_pixels_and_boxes_agree_and_walls_hide(bare):
     rows, columns = np.nonzero(warm)
     pixels = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
     assert np.abs(seen.box_xyxy - pixels).max() <= 1.0
+
+
+def test_the_pass_of_surfaces_shows_what_stands_where(bare):
+    from infrablend.engine.world import WorldRenderer
+
+    tree = Tree("crown", 0, -6.0, 4.0, 0.0, 7.0, 3.0, 280.0, 0.0)
+    lane = Road(0.0, -5.0, 0.0, 0.0, 3.0, 0.0, 2, "asphalt", False)
+    wall = Building(5.0, 3.0, 0.0, 6.0, 4.0, 4.0, "flat", 270.0, 275.0, 275.0, 0.0, 0.0, 1)
+    scene = replace(bare, people=(someone(0.0, 0.0),), trees=(tree,), roads=(lane,), buildings=(wall,))
+    with closing(WorldRenderer()) as renderer:
+        kelvin, kinds = renderer.render_surfaces(scene)
+        same, labels = renderer.render(scene)
+    assert np.array_equal(kelvin, same) and kinds.shape == kelvin.shape
+    assert {SURFACES[k] for k in np.unique(kinds)} == {"grass", "object", "tree", "road", "structure"}
+    (person,) = labels
+    rows, columns = np.nonzero(kinds == SURFACES.index("object"))
+    pixels = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])
+    assert np.abs(person.box_xyxy - pixels).max() <= 1.5
+
+    def kind_at(x: float, y: float, z: float = 0.0) -> str:
+        (xy,), _ = scene.camera.project(np.array([[x, y, z]]))
+        return SURFACES[kinds[int(xy[1]), int(xy[0])]]
+
+    assert kind_at(0.0, -5.0) == "road" and kind_at(0.0, 4.5) == "grass" and kind_at(5.0, 3.0, 4.0) == "structure"
 
 
 def test_dataset_reads_back_and_repeats(tmp_path):

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from infrablend.pipeline.capture.count_scale import CountScale
     from infrablend.pipeline.capture.report import FramesReport
     from infrablend.pipeline.capture.temperatures import TemperaturesReport
+    from infrablend.pipeline.studies.places import PlacesReport
     from infrablend.pipeline.studies.profile import ProfileReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
@@ -173,6 +174,19 @@ def profile(
     return profile_dataset(
         dataset, Path(out), count=count, name=name, against=against, rendered=inserts, on_progress=on_progress
     )
+
+
+def map_places(
+    data: str | Path, out: str | Path, *, reading: Reading = READ_ALL, overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> PlacesReport:  # fmt: skip
+    """Write where objects can stand and drive in each picture (`<split>/<id>.stand.png`, `.drive.png`), and a sheet.
+
+    The shipped model has learnt surfaces from the virtual world alone; annotated objects are taken from the labels.
+    """
+    from infrablend.pipeline.studies import places
+
+    return places.map_places(read_dataset(data, reading), Path(out), overwrite=overwrite, on_progress=on_progress)
 
 
 def make_world(

@@ -44,9 +44,9 @@ class WorldScenes:
         Args:
             job: `camera` and `oversample`, see `Stage.set_camera`; `samples`; `ground` and `reach_m`, see `_ground`;
                 `things`, surfaces with the `index` in the pass of object numbers, 0 for none; `prototypes`, surfaces by
-                name, sent once; `copies` of prototypes by `name`, each with its `matrix` (4, 4), `kelvin` to add and
-                `sun`, the share that reaches it; `air_k`, `sky_drop_k`, and `sun`, the direction towards it. A surface
-                has `vertices_m` in the world, `triangles`, and (T,) arrays by the names in `ATTRIBUTES`.
+                name, sent once; `copies` of prototypes by `name`, each with its `index`, its `matrix` (4, 4), `kelvin`
+                to add and `sun`, the share that reaches it; `air_k`, `sky_drop_k`, and `sun`, the direction towards it.
+                A surface has `vertices_m` in the world, `triangles`, and (T,) arrays by the names in `ATTRIBUTES`.
         """
         self._scene.cycles.samples = job["samples"]
         try:
@@ -59,6 +59,7 @@ class WorldScenes:
                 thing = self._object(self._prototypes[copy["name"]])
                 thing.matrix_world = mathutils.Matrix(copy["matrix"].tolist())
                 thing.color = (copy["kelvin"], copy["sun"], 0.0, 0.0)
+                thing.pass_index = copy["index"]
             self._set_lights(job)
             self._stage.set_camera(job["camera"], job["oversample"])
             self._stage.render("virtual world")

@@ -205,6 +205,21 @@ def _object_lines(objects: Mapping[str, Any]) -> list[str]:
     return lines
 
 
+def map_places(
+    session: JsonSession,
+    *,
+    data: DatasetArgument,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the maps and the sheet.")],
+    reading: ReadingOfSplits,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier maps in DIR.")] = False,
+) -> None:
+    """Write maps of where objects can stand and drive in each picture, and a sheet of the surfaces."""
+    with shown_progress(session, "mapping") as on_progress:
+        report = api.map_places(data, out, reading=reading, overwrite=overwrite, on_progress=on_progress)
+    facts_ = {"maps": str(report.maps), "surfaces": ", ".join(f"{k} {v:.2f}" for k, v in report.surfaces.items())}
+    show_report(session, report, out / "places.json", report.to_json(), lambda: f"{table(facts_)}\n{out}")
+
+
 def world(
     session: Session,
     *,

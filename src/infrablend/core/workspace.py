@@ -50,6 +50,7 @@ SPLIT_FILE = "split.json"
 WORLD_FILE = "world.json"
 FRAMES_FILE = "frames.json"
 TEMPERATURES_FILE = "temperatures.json"
+PLACES_FILE = "places.json"
 
 NOTE = ".workspace.json"
 """Note in a workspace: what it is for, and the command that finishes it."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from infrablend.core.camera import CameraSpec
 from infrablend.core.machine import take_core
 from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.core.surface_kinds import SURFACES
 from infrablend.core.tasks import Task
 from infrablend.engine.process import BlenderProcess
 from infrablend.engine.programs import find_blender
@@ -22,7 +23,7 @@ from infrablend.engine.renderer import camera_message, channel
 from infrablend.world.buildings import building
 from infrablend.world.fixtures import TREE_KINDS, furniture, tree_matrix, tree_prototype
 from infrablend.world.frame_files import FinishedFrame, make_frame
-from infrablend.world.ground import ground_kelvin
+from infrablend.world.ground import ground_kelvin, ground_surfaces
 from infrablend.world.labels import Label, VisibleSamples, label_object
 from infrablend.world.people import cycle, person
 from infrablend.world.plan import WorldPlan
@@ -33,6 +34,8 @@ OVERSAMPLE = 2
 SAMPLES = 3
 ATTRIBUTES = ("kelvin", "mirror", "solar_k", "grain_k")  # as in `blender.world`
 _WHAT = "virtual world"
+# First number in the pass of object numbers of things without a class; Blender's largest is 32767.
+_OTHERS = 20_000
 
 _Labelled = tuple[str, FloatArray, IntArray]
 
@@ -56,6 +59,25 @@ class WorldRenderer:
 
     def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
         """Return the (h, w) float32 temperatures of a frame in kelvin, and a label for every thing with a class."""
+        kelvin, ids, labelled = self._render(plan)
+        return kelvin, [_label(plan.camera, k + 1, *thing, ids) for k, thing in enumerate(labelled)]
+
+    def render_surfaces(self, plan: WorldPlan) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return the (h, w) temperatures of a frame in kelvin, and the kind of surface at each pixel, uint8.
+
+        Kinds are numbers in `SURFACES`; of the four samples of a pixel, the most frequent one counts.
+        """
+        kelvin, ids, _ = self._render(plan)
+        of_thing = np.full(_OTHERS + len(SURFACES), SURFACES.index("object"), np.uint8)
+        of_thing[_OTHERS:] = np.arange(len(SURFACES))
+        kinds = np.where(ids == 0, ground_surfaces(plan, OVERSAMPLE), of_thing[ids])
+        h, w = kelvin.shape
+        samples = kinds.reshape(h, OVERSAMPLE, w, OVERSAMPLE)
+        counts = np.stack([(samples == k).sum(axis=(1, 3)) for k in range(len(SURFACES))])
+        return kelvin, np.asarray(counts.argmax(axis=0), np.uint8)
+
+    def _render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], NDArray[np.int32], list[_Labelled]]:
+        """Return temperatures, the number of the thing at each sample (see `_things`), and the labelled things."""
         labelled, things = _things(plan)
         prototypes, copies = self._trees(plan)
         camera = plan.camera
@@ -79,7 +101,7 @@ class WorldRenderer:
         kelvin = channel(channels, _WHAT, ".combined.r")
         w, h = camera.size_wh
         frame = kelvin.reshape(h, OVERSAMPLE, w, OVERSAMPLE).mean(axis=(1, 3), dtype=np.float32)
-        return np.asarray(frame, np.float32), [_label(camera, k + 1, *thing, ids) for k, thing in enumerate(labelled)]
+        return np.asarray(frame, np.float32), ids, labelled
 
     def _trees(self, plan: WorldPlan) -> tuple[dict[str, Any], list[dict[str, Any]]]:
         """Return the prototypes that Blender does not have yet, and the trees, which are copies of prototypes."""
@@ -91,12 +113,17 @@ class WorldRenderer:
             if name not in self._sent and name not in prototypes:
                 surface = tree_prototype(t.kind, number)
                 prototypes[name] = _message(surface, surface.vertices_m)
-            copies.append({"name": name, "matrix": tree_matrix(t), "kelvin": t.kelvin, "sun": t.solar_k})
+            index = _OTHERS + SURFACES.index("shrub" if t.kind == "shrub" else "tree")
+            matrix = tree_matrix(t)
+            copies.append({"name": name, "matrix": matrix, "kelvin": t.kelvin, "sun": t.solar_k, "index": index})
         return prototypes, copies
 
 
 def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, Any]]]:
-    """Return class, world vertices and triangles of the labelled things, in id order from 1; and all as messages."""
+    """Return class, world vertices and triangles of the labelled things, in id order from 1; and all as messages.
+
+    The number of each of the others is `_OTHERS` and that of its kind of surface.
+    """
     classed: list[tuple[Surface, Any]] = [(vehicle(v), v) for v in plan.vehicles]
     classed += [(person(p), p) for p in plan.people]
     classed += [(cycle(c), c) for c in plan.cycles]
@@ -110,7 +137,7 @@ def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, Any]]]:
         messages.append({**_message(surface, vertices), "index": len(labelled)})
     for surface, other in others:
         vertices = placed(surface, other.x_m, other.y_m, other.heading_rad)
-        messages.append({**_message(surface, vertices), "index": 0})
+        messages.append({**_message(surface, vertices), "index": _OTHERS + SURFACES.index("structure")})
     return labelled, messages
 
 

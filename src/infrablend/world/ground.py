@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.surface_kinds import SURFACES, SurfaceKind
 from infrablend.world.buildings import Building
 from infrablend.world.fixtures import Tree
-from infrablend.world.ground_cover import Patch, Road
+from infrablend.world.ground_cover import GROUND_KINDS, Patch, Road
 from infrablend.world.people import Person
 from infrablend.world.plan import WorldPlan
 from infrablend.world.setting import ground_points
@@ -103,6 +105,26 @@ def ground_kelvin(plan: WorldPlan, oversample: int = 2) -> Field:
     if plan.sun is not None:
         kelvin -= plan.shade_k * shade(plan, oversample)
     return kelvin
+
+
+def ground_surfaces(plan: WorldPlan, oversample: int = 2) -> NDArray[np.uint8]:
+    """Return the (h * oversample, w * oversample) kind of surface of the ground, a number in `SURFACES`."""
+    x, y = ground_grid(plan, oversample)
+    kinds = np.full(x.shape, SURFACES.index(GROUND_KINDS[plan.base]), np.float32)
+
+    def only(kind: SurfaceKind) -> Lay:
+        return lambda *part: np.full_like(kinds[part] if part else kinds, SURFACES.index(kind))
+
+    for patch in plan.patches:
+        if patch.material is not None:
+            hard = replace(patch, soft_m=1e-3, amount_k=0.0)
+            _draw(plan, kinds, x, y, hard, oversample, lambda name, *part: only(GROUND_KINDS[name])(*part))
+    for road in reversed(plan.roads):
+        side = np.abs(np.asarray(road.along(x, y)[1], np.float32))
+        if road.pavement_m > 0.1:
+            kinds[side < road.half_width_m + road.pavement_m] = SURFACES.index("path")
+        kinds[side < road.half_width_m] = SURFACES.index(road.kind)
+    return np.asarray(np.rint(kinds), np.uint8)
 
 
 def _blend(kelvin: Field, value: Field | float, mask: Field) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.mesh import FloatArray
+from infrablend.core.surface_kinds import SurfaceKind
 from infrablend.world.setting import Draws, Weather
 
 
@@ -22,6 +23,22 @@ class GroundMaterial:
     stain_k: float
     grain_k: float
     grain_m: float
+
+
+# Half width of the narrowest road for cars.
+_ROAD_M = 2.4
+
+GROUND_KINDS: dict[str, SurfaceKind] = {
+    "asphalt": "road",
+    "concrete": "path",
+    "paving": "path",
+    "court": "path",
+    "grass": "grass",
+    "soil": "soil",
+    "bed": "soil",
+    "water": "water",
+}
+"""Kind of surface of each material; a road's carriageway is a `road`, and a `track` if it is of soil."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +98,12 @@ def draw_materials(draws: Draws, weather: Weather) -> tuple[GroundMaterial, ...]
     )
 
 
+def draw_water(draws: Draws, weather: Weather) -> GroundMaterial:
+    """Draw the temperature of water: slow to cool by night and to warm by day, and even."""
+    kelvin = weather.air_k + (draws.uniform(-2, 7) if weather.night else draws.uniform(-6, 3))
+    return GroundMaterial("water", kelvin, 0.2, 0.06, 1.5)
+
+
 @dataclass(frozen=True)
 class Road:
     """Road along a circular arc through (x, y) with a given heading there; curvature 0 is a straight line."""
@@ -94,6 +117,13 @@ class Road:
     lanes: int
     surface: str
     markings: bool
+
+    @property
+    def kind(self) -> SurfaceKind:
+        """Kind of surface of its carriageway."""
+        if self.surface == "soil":
+            return "track"
+        return "road" if self.half_width_m >= _ROAD_M else "path"
 
     def along(self, x_m: NDArray[np.floating[Any]], y_m: NDArray[np.floating[Any]]) -> tuple[FloatArray, FloatArray]:
         """Return the arc length of ground points and their offset to the left of the centre line, in metres."""

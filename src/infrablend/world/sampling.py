@@ -8,10 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from infrablend.core.capture import TimeOfDay
-from infrablend.world.ground_cover import Patch, draw_materials
+from infrablend.world.countryside import forest, river, suburb
+from infrablend.world.ground_cover import Patch, draw_materials, draw_water
 from infrablend.world.places import airfield, court, dirt_road, park, parking, street
 from infrablend.world.plan import PlaceKind, WorldPlan
-from infrablend.world.setting import SIZE_WH, Draws, draw_weather, world_camera
+from infrablend.world.setting import FOCAL_PX, SIZE_WH, Draws, draw_weather, world_camera
 from infrablend.world.site import Site
 
 # Each fills a site and returns the name of the material that covers the rest of the ground.
@@ -22,6 +23,9 @@ PLACES: dict[PlaceKind, Callable[[Site], str]] = {
     "park": park,
     "runway": airfield,
     "dirtroad": dirt_road,
+    "forest": forest,
+    "river": river,
+    "suburb": suburb,
 }
 # Places drawn at random; the others have to be asked for by name.
 TOWN: tuple[PlaceKind, ...] = ("street", "parking", "court", "park")
@@ -35,18 +39,19 @@ def sample_world(
     time_of_day: TimeOfDay,
     kind: PlaceKind | None = None,
     size_wh: tuple[int, int] = SIZE_WH,
+    focal_px: float = FOCAL_PX,
 ) -> WorldPlan:
     """Draw the plan of a scene.
 
     Pitches are depression angles in [10, 90], so that neither horizon nor sky shows; 90 looks straight down. Without a
-    kind, one is drawn from `TOWN`.
+    kind, one is drawn from `TOWN`. `focal_px` is the focal length in pixels of a picture 640 wide.
     """
     if kind is None:
         kind = TOWN[int(rng.choice(len(TOWN), p=TOWN_SHARES))]
     draws = Draws(rng)
     weather = draw_weather(draws, time_of_day)
-    materials = draw_materials(draws, weather)
-    site = Site(draws, world_camera(pitch_deg, altitude_m, size_wh), weather)
+    materials = draw_materials(draws, weather) + ((draw_water(draws, weather),) if kind == "river" else ())
+    site = Site(draws, world_camera(pitch_deg, altitude_m, size_wh, focal_px), weather)
     base = PLACES[kind](site)
     wear(site)
     u, night = draws.uniform, weather.night

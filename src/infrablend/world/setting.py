@@ -90,17 +90,20 @@ def draw_weather(draws: Draws, time_of_day: TimeOfDay) -> Weather:
     return Weather(night, air_k, clear_sky, sun, u(0.6, 1.1))
 
 
-def world_camera(pitch_deg: float, altitude_m: float, size_wh: tuple[int, int] = SIZE_WH) -> CameraSpec:
-    """Return HIT-UAV's camera at `altitude_m` above ground, looking down at `pitch_deg` (90 is straight down).
+def world_camera(
+    pitch_deg: float, altitude_m: float, size_wh: tuple[int, int] = SIZE_WH, focal_px: float = FOCAL_PX
+) -> CameraSpec:
+    """Return a camera at `altitude_m` above ground, looking down at `pitch_deg` (90 is straight down).
 
-    `size_wh` changes the number of pixels, but not the horizontal field of view.
+    `focal_px` is the focal length in pixels of a picture 640 wide, that of HIT-UAV by default. `size_wh` changes the
+    number of pixels, but not the horizontal field of view.
     """
     pitch = math.radians(pitch_deg)
     return CameraSpec(
         distance_m=altitude_m / math.sin(pitch),
         pitch_rad=pitch,
         roll_rad=0.0,
-        focal_length_mm=FOCAL_PX / SIZE_WH[0] * SENSOR_WIDTH_MM,
+        focal_length_mm=focal_px / SIZE_WH[0] * SENSOR_WIDTH_MM,
         sensor_width_mm=SENSOR_WIDTH_MM,
         size_wh=size_wh,
     )

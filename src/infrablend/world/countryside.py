@@ -1,0 +1,118 @@
+"""More kinds of places, for training: woods, a river, and houses in gardens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from infrablend.world.fixtures import TreeKind
+from infrablend.world.ground_cover import Patch, Road
+from infrablend.world.roadside import add_road, cold_mark, hedge_row, kerb_parking, traffic, tree_row, walkers
+from infrablend.world.site import Site
+from infrablend.world.vehicles import CARS
+
+
+def forest(site: Site) -> str:
+    """Fill a site with a wood, perhaps dense, with a clearing and a track or a road through it."""
+    draws = site.draws
+    u = draws.uniform
+    kinds: Sequence[TreeKind] = ("crown",) if draws.chance(0.6) else ("crown", "bare", "shrub", "crown")
+    if draws.chance(0.6):
+        road = add_road(site, u(1.3, 2.2), 0.0, curved=True, through=0.3)
+        site.roads[-1] = replace(road, markings=False, surface="soil", lanes=1)
+    elif draws.chance(0.5):
+        road = add_road(site, u(2.6, 4.0), 0.0, curved=True, through=0.3)
+    gap = u(0.5, 3.5)
+    clearing = (u(site.x0, site.x1), u(site.y0, site.y1), u(0.0, 0.6) * min(site.x1 - site.x0, site.y1 - site.y0))
+    size, spread = u(0.8, 2.0), u(0.02, 0.12)
+    for _ in range(int(spread / size * (2 * site.reach) ** 2)):
+        x, y = u(-site.reach, site.reach), u(-site.reach, site.reach)
+        if math.hypot(x - clearing[0], y - clearing[1]) > clearing[2] and site.clear_of_roads(x, y, gap):
+            site.add_tree(draws.one_of(kinds), x, y, size * u(0.7, 1.3))
+    _strollers(site, draws.integer(0, 5))
+    return "grass" if draws.chance(0.7) else "soil"
+
+
+def river(site: Site) -> str:
+    """Fill a site with a river between banks, perhaps with a bridge or a road along it, or a pond in a meadow."""
+    draws = site.draws
+    u = draws.uniform
+    heading, width = u(-math.pi / 2, math.pi / 2), u(0.1, 0.9) * (site.x1 - site.x0)
+    x, y = u(-0.4, 0.4) * (site.x1 - site.x0), u(-0.4, 0.4) * (site.y1 - site.y0)
+    if draws.chance(0.3):
+        site.patches.append(Patch("ellipse", x, y, heading, width, u(0.5, 1.0) * width, "water", 0.0, u(0.1, 1.0)))
+        middle = Road(x, y, heading, 0.0, width / 2, 0.0, 1, "soil", False)
+    else:
+        curve = u(-1, 1) / (1.5 * site.reach)
+        middle = Road(x, y, heading, curve, width / 2, 0.0, 1, "soil", False)
+        s = -2 * site.reach
+        while s < 2 * site.reach:  # in pieces that follow its bends
+            px, py, h = middle.at(s, 0.0)
+            site.patches.append(Patch("rect", px, py, h, 9.0, width + u(-1.5, 1.5), "water", 0.0, u(0.1, 0.8)))
+            s += 4.0
+    if draws.chance(0.35):
+        road = add_road(site, u(2.6, 5.0), u(0, 2), curved=False, through=0.2)
+        traffic(site, road, (u(14, 22), u(30, 60)))
+    elif draws.chance(0.5):
+        px, py, h = middle.at(0.0, width / 2 + u(3, 9))
+        site.roads.append(Road(px, py, h, middle.curvature_per_m, u(0.9, 2.0), 0.0, 1, "soil", False))
+    for side in (-1, 1):
+        if draws.chance(0.6):
+            kinds: Sequence[TreeKind] = ("shrub", "crown") if draws.chance(0.5) else ("crown", "bare", "shrub")
+            tree_row(site, middle, side * (width / 2 + u(0.5, 4)), u(2.0, 8), kinds, u(0.8, 1.5))
+    density, kept = u(0.0, 0.03), width / 2 + 1.0
+    for _ in range(int(density * (2 * site.reach) ** 2)):
+        px, py = u(-site.reach, site.reach), u(-site.reach, site.reach)
+        if middle.offset_m(px, py) > kept and site.clear_of_roads(px, py, 2.0):
+            site.add_tree(draws.one_of(("crown", "bare", "shrub")), px, py, u(0.7, 1.5))
+    return "grass"
+
+
+def suburb(site: Site) -> str:
+    """Fill a site with houses in gardens along a street: hedges, drives, terraces, trees."""
+    draws = site.draws
+    u = draws.uniform
+    road = add_road(site, u(2.6, 4.2), u(0.0, 2.2), curved=True, through=0.3)
+    edge = road.half_width_m + road.pavement_m
+    for side in (-1, 1):
+        s = -site.reach + u(0, 15)
+        hedge = draws.chance(0.5)
+        while s < site.reach:
+            length, depth, setback = u(8, 14), u(7, 11), u(3, 8)
+            x, y, h = road.at(s + length / 2, side * (edge + setback + depth / 2))
+            if draws.chance(0.85):
+                site.add_building(x, y, h, length, depth, u(3, 7))
+            if draws.chance(0.7):  # a drive beside the house, with a car in it or its mark
+                x, y, h = road.at(s + length + 2.2, side * (edge + 4.0))
+                paved = "paving" if draws.chance(0.6) else "asphalt"
+                site.patches.append(Patch("rect", x, y, h + math.pi / 2, 8.4, u(2.6, 3.6), paved, u(-1, 1), 0.06))
+                if draws.chance(0.6):
+                    site.add_vehicle(draws.one_of(CARS), x, y, h + math.pi / 2 + u(-0.06, 0.06))
+                elif draws.chance(0.3):
+                    cold_mark(site, x, y, h + math.pi / 2)
+            if draws.chance(0.6):  # a terrace behind it
+                x, y, h = road.at(s + length / 2, side * (edge + setback + depth + 2.5))
+                site.patches.append(Patch("rect", x, y, h, u(4, 8), u(2.5, 5), "paving", u(-1, 1), 0.06))
+            s += length + u(5, 12)
+        if hedge:
+            tree_row(site, road, side * (edge + 0.9), 1.0, ("shrub",), u(0.7, 1.1))
+        behind = replace(road, half_width_m=edge + 26, pavement_m=0.0)
+        if draws.chance(0.5):
+            hedge_row(site, behind, side * u(24, 34) if road.curvature_per_m == 0 else side * 30.0, u(1.0, 2.0))
+        if draws.chance(0.5):
+            kerb_parking(site, road, side, u(0.1, 0.6))
+    for _ in range(int(u(0.002, 0.02) * (2 * site.reach) ** 2)):
+        x, y = u(-site.reach, site.reach), u(-site.reach, site.reach)
+        if site.clear_of_roads(x, y, road.pavement_m + 1.0) and site.room(x, y, 1.5):
+            site.add_tree(draws.one_of(("crown", "crown", "bare", "shrub")), x, y, u(0.6, 1.3))
+    traffic(site, road, (u(20, 40), u(60, 120)))
+    walkers(site, road, draws.integer(1, 8))
+    return "grass"
+
+
+def _strollers(site: Site, count: int) -> None:
+    draws = site.draws
+    for _ in range(count):
+        x, y = draws.uniform(site.x0, site.x1), draws.uniform(site.y0, site.y1)
+        site.add_person(x, y, draws.uniform(0, 2 * math.pi))
