@@ -138,7 +138,8 @@ class Video:
     def _open(self) -> tuple[Any, Any]:
         path = self.path
         if path.is_dir():
-            todo = f"give its videos, such as {path}/*.MP4"
+            suffix = next((p.suffix for p in sorted(path.iterdir()) if p.suffix.lower() in SUFFIXES), ".MP4")
+            todo = f"give its videos, such as {path}/*{suffix}"
             raise _refuse(path, "video-missing", "a folder", "video files", todo)
         if not path.is_file():
             raise _refuse(path, "video-missing", "no such file", "a video file", "check the path")

@@ -492,14 +492,15 @@ def test_without_a_test_split_the_only_other_one_is_evaluated_and_named(tmp_path
     (warning,) = [p for p in report.problems if p.code == "split-only"]
     assert "no split test: evaluated on val, the only split" in str(warning) and warning.severity == "warning"
     assert "split-only" not in {p.code for p in run(saved, tmp_path / "named", dataset, split="val").problems}
-    # Asked for, or lost to errors of the reader, or with a choice of others, it is missed.
+    both = replace(dataset, images=(*dataset.images, replace(dataset.images[0], split="train")))
+    (warning,) = [p for p in run(saved, tmp_path / "both", both).problems if p.code == "split-only"]
+    assert "evaluated on val, the only other split" in str(warning)
+    # Asked for, or lost to errors of the reader, it is missed.
     with pytest.raises(DatasetError, match=r"split test: no images \(val 20\)"):
         run(saved, tmp_path / "asked", dataset, split="test")
     broken = replace(dataset, problems=(Problem("test/a.txt", "label-line", "no number"),))
-    both = replace(dataset, images=(*dataset.images, replace(dataset.images[0], split="train")))
-    for other in (broken, both):
-        with pytest.raises(DatasetError, match="split test: no images"):
-            run(saved, tmp_path / "other", other)
+    with pytest.raises(DatasetError, match="split test: no images"):
+        run(saved, tmp_path / "other", broken)
 
 
 def test_other_sizes_and_too_many_detections(tmp_path: Path) -> None:

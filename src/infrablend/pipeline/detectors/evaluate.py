@@ -189,12 +189,13 @@ def _prepare(
 
 
 def _default_split(dataset: Dataset, problems: list[Problem]) -> str:
-    """Return the split test, or the only one with images, with a warning, in a dataset that has no test split."""
-    there = [s for s in SPLITS if any(i.split == s for i in dataset.images)]
+    """Return the split test; in a dataset without one val, or the only one with images, with a warning."""
+    filled = [s for s in SPLITS if any(i.split == s for i in dataset.images)]
+    there = ["val"] if filled == ["train", "val"] else filled
     broken = set(rejected_in(dataset, "test")).difference(*(rejected_in(dataset, s) for s in there))
     if len(there) != 1 or there == ["test"] or broken:  # what could not be read of a split is no reason for another one
         return "test"
-    found = f"no split test: evaluated on {there[0]}, the only split"
+    found = f"no split test: evaluated on {there[0]}, the only {'other ' if len(filled) > 1 else ''}split"
     todo = "name it with --split; figures on pictures that the detector was trained on, or chosen by, are too good"
     problems.append(Problem(dataset.root.name, "split-only", found, "pictures of split test", todo, "warning"))
     return there[0]

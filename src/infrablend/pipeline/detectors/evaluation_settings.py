@@ -19,7 +19,7 @@ class EvaluationSettings:
     """Settings of an evaluation.
 
     Attributes:
-        split: train, val or test [default: test, or the only split with images].
+        split: train, val or test [default: test; without it val, or the only split].
         task: Geometry to compare [default: that of the detector].
         image_size: Longer side of the pictures that the network sees; 0: native size [default: as in training].
         classes: Classes to evaluate [default: all of the dataset].
