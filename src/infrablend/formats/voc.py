@@ -296,8 +296,8 @@ def _elements(found: Findings, top: Any, where: str) -> Iterator[Any]:
             yield element
         elif element.tag not in _OF_PICTURE:
             shapes = sum(e.tag in _SHAPES for e in element.iter())
-            for _ in range(shapes or element.tag.lower() == "object"):
-                found.leave_out(f"<{element.tag}>", where)
+            if shapes or element.tag.lower() == "object":
+                found.leave_out(f"<{element.tag}>", where, shapes or 1)
 
 
 def _objects(

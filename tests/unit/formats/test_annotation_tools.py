@@ -194,6 +194,23 @@ def test_a_class_of_crowds_alone_as_cvat_exports_masks_is_a_warning(tmp_path: Pa
     assert (crowds.code, crowds.severity) == ("crowds-only", "warning") and "all 2 label(s) of 'deer'" in crowds.found
 
 
+def test_objects_in_unknown_fields_of_coco_are_counted(tmp_path: Path) -> None:
+    box = {"bbox": [10, 10, 40, 20]}
+    root = cvats_coco(
+        tmp_path, box | {"parts": [box, box], "head": box, "tags": [{"name": "x"}], "segments_info": [box]}
+    )
+    file = root / "annotations" / "instances_default.json"
+    top = json.loads(file.read_text())
+    top["images"][0] |= {"annotations": {"7": box, "8": box}, "extra_info": {"sun": {"up": True}}}
+    top |= {"tracks": [{"boxes": [[1, 2, 3, 4]]}] * 3, "scenes": [{"name": "night"}], "regions": []}
+    file.write_text(json.dumps(top))
+    dataset = detection.read(root)
+    (problem,) = dataset.problems
+    counted = "1 in annotations.head, 2 in annotations.parts, 2 in images.annotations, 3 in tracks"
+    assert problem.code == "kind-unread" and problem.found.endswith(f": {counted}")
+    assert len(dataset.images[0].instances) == 1
+
+
 def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
     """Read a task of a picture of 64 x 48 px with these results."""
     picture(root / "images" / "a.png", 1)
