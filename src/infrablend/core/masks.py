@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,6 +88,11 @@ class Mask:
             raise ValueError("no polygon")
         rle = _coco.merge(_coco.frPyObjects(polygons, h, w))
         return cls(rle["counts"].decode("ascii"), size_hw)
+
+    @classmethod
+    def union(cls, masks: Sequence[Mask]) -> Mask:
+        """Return the pixels of any of some masks of one size."""
+        return cls(_coco.merge([m.to_coco() for m in masks])["counts"].decode("ascii"), masks[0].size_hw)
 
     @property
     def area_px(self) -> int:

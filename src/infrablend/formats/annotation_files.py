@@ -180,12 +180,17 @@ def files_with(
 ) -> list[Path]:
     """Return the files in a folder whose first bytes are those of a format, sorted; no links out of the folder.
 
-    Only the first `most` files are looked at.
+    Only the first `most` files with any text are looked at.
     """
     found = []
-    for path in (p for p in sorted(root.glob(pattern))[:most] if not leaves_folder(p)):
+    looked_at = 0
+    for path in (p for p in sorted(root.glob(pattern)) if not leaves_folder(p)):
+        if looked_at == most:
+            break
         with suppress(OSError), open_regular(path) as stream:
-            found += [path] if is_ours(as_utf8(stream.read(head_bytes))) else []
+            head = as_utf8(stream.read(head_bytes))
+            looked_at += bool(head.strip())
+            found += [path] if is_ours(head) else []
     return found
 
 

@@ -6,7 +6,7 @@ import math
 import pickle
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
@@ -95,6 +95,15 @@ _KEYS = {"captured": "date_captured", "frame": "frame_id"}
 _OCCLUSION_BOXES = {"amodal_box": "bbox_amodal", "visible_box": "bbox_visible"}
 # Exact and visible boxes of inserted objects, where others were written, with the number of their values.
 _OTHER_BOXES = {TIGHT_BOX: 4, TIGHT_OBB: 8, SEEN_BOX: 4, SEEN_OBB: 8}
+# Fields that are read, or hold no objects; where one of `_PLACES` is, there is an object.
+_TOP = {"info", "licenses", "images", "annotations", "categories", "videos"}
+_OF_IMAGE = {"id", "file_name", "width", "height", "license", "coco_url", "flickr_url", "date_captured", "video_id"}
+_OF_ANNOTATION = {
+    "id", "image_id", "category_id", "bbox", "area", "iscrowd", "segmentation", "segmentation_from", "segments_info",
+    "keypoints", "num_keypoints", "attributes", "obb", "inserted", "visibility", "truncated", "difficult", "occluded",
+    "track_id", "source_id", *MEASURED, *_OTHER_BOXES, *_OCCLUSION_BOXES.values(),
+}  # fmt: skip
+_PLACES = {"bbox", "bboxes", "box", "boxes", "obb", "points", "polygon", "polygons", "rle", "segmentation"}
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -472,6 +481,7 @@ def read_records(
         taken: Pictures of earlier files, by split, which are left out; those of this file are added.
     """
     earlier = frozenset(taken or ())
+    _leave_out_objects(found, top, _TOP, "", where)
     names = _category_names(found, top["categories"], where, categories)
     of_image = _by_image(found, top["annotations"], where)
     videos = _video_names(top.get("videos"))
@@ -488,6 +498,7 @@ def read_records(
         if number is None:
             found.add(here, "image-malformed", repr(r)[:80], "an image record with an id")
             continue
+        _leave_out_objects(found, r, _OF_IMAGE, "images.", here)
         annotations = of_image.pop(number, [])
         name, file, fault = folder.find_named(r.get("file_name"), here, "a file in the picture folder")
         if fault is None and (name in seen_names or number in seen_ids):
@@ -514,6 +525,19 @@ def read_records(
         records.append(ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
     found.problems += _remarks(where, left_out, measured, of_image)
     return records
+
+
+def _leave_out_objects(
+    found: Findings, record: Mapping[str, Any], read: Set[str], prefix: str, where: str
+) -> None:  # fmt: skip
+    """Count the objects in fields of a record that are not read; only the first item of a list is looked at."""
+    for name in record.keys() - read:
+        value = record[name]
+        if isinstance(value, dict) and _PLACES.isdisjoint(value):  # by their ids, perhaps
+            value = list(value.values())
+        first = next(iter(value), None) if is_list(value) else value
+        if isinstance(first, dict) and not _PLACES.isdisjoint(first):
+            found.leave_out(f"in {prefix}{name}", where, len(value) if is_list(value) else 1)
 
 
 def _category_names(
@@ -618,6 +642,7 @@ def _read_annotations(
     for a in records:
         number = to_int(a.get("id"))
         here = f"{where}: annotation {a.get('id')}"
+        _leave_out_objects(found, a, _OF_ANNOTATION, "annotations.", here)
         if number is not None and number in seen:
             found.warn(here, "annotation-duplicate", f"a second annotation with id {number}", "each id once")
         seen |= {number} if number is not None else set()

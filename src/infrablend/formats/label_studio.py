@@ -10,8 +10,9 @@ with four channels. Label Studio's local storage serves the pictures: an address
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -60,6 +61,8 @@ _SERVED = "/data/local-files/?d="
 _KINDS = ("rectanglelabels", "brushlabels", "polygonlabels", "ellipselabels")
 _RUN_BITS = (3, 4, 8, 16)
 _FLAGS = ("inserted", "truncated", "difficult", "occluded")
+# What Label Studio puts before the names of pictures that are uploaded.
+_PREFIX = re.compile(r"[0-9a-f]{8}-(?=.)")
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
@@ -109,7 +112,7 @@ def _task(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) ->
         common = {"to_name": "image", "image_rotation": 0, "original_width": w, "original_height": h, "meta": _meta(i)}
         value = {**_rectangle(i, w, h, losses), "rectanglelabels": [i.category]}
         results.append({**common, "id": f"o{n}", "from_name": BOXES, "type": "rectanglelabels", "value": value})
-        if i.mask is not None:
+        if i.mask is not None and i.mask.area_px:
             brush = {"format": "rle", "rle": encode_brush(i.mask.to_array()), "brushlabels": [i.category]}
             results.append({**common, "id": f"o{n}m", "from_name": BRUSH, "type": "brushlabels", "value": brush})
     data = {"image": f"{_SERVED}{quote(f'images/{image.split}/{image.name}')}", "width": w, "height": h}
@@ -258,28 +261,43 @@ def _read_task(
     if not isinstance(task, dict) or not isinstance(data, dict) or not isinstance(address, str):
         found.add(where, "annotation-malformed", repr(task)[:80], "a task with data.image")
         return None
-    name, split = _name_of(address, split)
-    fault = check_name(name, where)
-    picture = None
-    for place in (*(p for s, p in places if s == split), "") if fault is None else ():
-        _, picture, fault = folder.find(place + name, where)
-        if picture is not None or fault is not None:
+    for name, its_split in _names_of(address, split):
+        fault = check_name(name, where)
+        picture = None
+        for place in (*(p for s, p in places if s == its_split), "") if fault is None else ():
+            _, picture, fault = folder.find(place + name, where)
+            if picture is not None:
+                break
+        if picture is not None:
             break
     if fault is None and picture is None:
         fault = Problem(where, "image-missing", f"no picture {name!r}", "a file in images/", "put the pictures there")
     if fault is not None or picture is None:
         found.problems += [fault] if fault else []
         return None
-    used = [a for a in _objects_of(task.get("annotations")) if not a.get("was_cancelled")]
-    rows = _objects_of(used[-1].get("result")) if used else []
-    for guess in () if used else _objects_of(task.get("predictions")):
-        for _ in _objects_of(guess.get("result")):
-            found.leave_out("predicted by a model", where)
+    rows = _rows(found, task, where)
     stated = [(data.get("width"), data.get("height"))]
     stated += [(r.get("original_width"), r.get("original_height")) for r in rows]
     size_wh = next((s for w, h in stated if (s := to_size(w, h))), None)
     instances = tuple(_read_objects(found, rows, where))
-    return ImageRecord("", picture, split, size_wh, instances, file_name=name)
+    return ImageRecord("", picture, its_split, size_wh, instances, file_name=name)
+
+
+def _rows(found: Findings, task: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
+    """Return the results of the last annotation of a task that has any and was not cancelled; count the others."""
+    given = _objects_of(task.get("annotations"))
+    used = [a for a in given if not a.get("was_cancelled")]
+    chosen: Mapping[str, Any] = next((a for a in reversed(used) if _objects_of(a.get("result"))), {})
+    others = {
+        "in a cancelled annotation": [a for a in given if a.get("was_cancelled")],
+        "in an earlier annotation": [a for a in used if a is not chosen],
+        "predicted by a model": [] if used else _objects_of(task.get("predictions")),
+        **{f"in {k}": _objects_of(task.get(k)) for k in ("drafts", "completions")},
+    }
+    for kind, left in others.items():
+        if count := sum(len(_objects_of(a.get("result"))) for a in left):
+            found.leave_out(kind, where, count)
+    return _objects_of(chosen.get("result"))
 
 
 def _objects_of(value: object) -> list[Mapping[str, Any]]:
@@ -287,17 +305,25 @@ def _objects_of(value: object) -> list[Mapping[str, Any]]:
     return [v for v in value if isinstance(v, dict)] if isinstance(value, list) else []
 
 
-def _name_of(address: str, split: Split) -> tuple[str, Split]:
-    """Return a picture's name in its split, and the split, of an address or path that ends in images/<split>/<name>."""
-    parts = urlsplit(address)
-    path = parse_qs(parts.query).get("d", [unquote(parts.path)])[0]
+def _names_of(address: str, split: Split) -> Iterator[tuple[str, Split]]:
+    """Yield the names that a picture may have in its split, and the split, of an address or path.
+
+    It ends in images/<split>/<name>, and the name may have a folder `images`, too; else only its last part is the name.
+    """
+    try:
+        parts = urlsplit(address)
+        path = parse_qs(parts.query).get("d", [unquote(parts.path)])[0]
+    except ValueError:
+        path = address
     folders = path.replace("\\", "/").split("/")
-    if "images" in folders[:-1]:
-        folders = folders[len(folders) - folders[::-1].index("images") :]
-        if len(folders) > 1 and (stated := SPLIT_FOLDERS.get(folders[0].lower())):
-            return "/".join(folders[1:]), stated
-        return "/".join(folders), split
-    return folders[-1], split
+    starts = [n for n, folder in enumerate(folders[:-1], 1) if folder == "images"]
+    for start in starts[:3] + starts[3:][-1:]:
+        stated = SPLIT_FOLDERS.get(folders[start].lower()) if start + 1 < len(folders) else None
+        yield "/".join(folders[start + bool(stated) :]), stated or split
+    if not starts:
+        yield folders[-1], split
+        if "upload" in folders[:-1] and _PREFIX.match(folders[-1]):
+            yield _PREFIX.sub("", folders[-1], count=1), split
 
 
 def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str) -> Iterable[Instance]:

@@ -12,7 +12,7 @@ import base64
 import io
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -163,7 +163,7 @@ def _record(
     size_wh = to_size(top.get("imageWidth"), top.get("imageHeight")) or found.size(path, name)
     if size_wh is None:
         return None
-    objects: dict[object, Instance] = {}
+    parts: dict[object, list[Instance]] = {}
     for n, shape in enumerate(top["shapes"]):
         here = f"{where}: shape {n}"
         try:
@@ -175,8 +175,9 @@ def _record(
             continue
         group = shape.get("group_id")
         key = (group, instance.category) if isinstance(group, int) and instance.mask is not None else (None, n)
-        objects[key] = _joined(objects[key], instance) if key in objects else instance
-    return ImageRecord("", path, split, size_wh, tuple(objects.values()), file_name=voc.file_name(name))
+        parts.setdefault(key, []).append(instance)
+    objects = tuple(_joined(p) for p in parts.values())
+    return ImageRecord("", path, split, size_wh, objects, file_name=voc.file_name(name))
 
 
 def _instance(found: Findings, shape: object, size_wh: tuple[int, int], where: str) -> Instance | None:
@@ -259,9 +260,10 @@ def _painted(code: object, points: NDArray[np.float64], size_wh: tuple[int, int]
     return painted
 
 
-def _joined(first: Instance, second: Instance) -> Instance:
-    """Return two parts of an object as one; both have outlines."""
-    low = np.minimum(first.box_xyxy[:2], second.box_xyxy[:2])
-    high = np.maximum(first.box_xyxy[2:], second.box_xyxy[2:])
-    parts = [i.mask.to_array() for i in (first, second) if i.mask is not None]
-    return replace(first, box_xyxy=np.concatenate([low, high]), mask=Mask.from_array(np.logical_or.reduce(parts)))
+def _joined(parts: Sequence[Instance]) -> Instance:
+    """Return the parts of an object as one; several parts all have outlines."""
+    if len(parts) == 1:
+        return parts[0]
+    boxes = np.array([p.box_xyxy for p in parts])
+    box = np.concatenate([boxes[:, :2].min(axis=0), boxes[:, 2:].max(axis=0)])
+    return replace(parts[0], box_xyxy=box, mask=Mask.union([p.mask for p in parts if p.mask is not None]))

@@ -41,9 +41,9 @@ class Findings:
         """Record a warning: the item is kept."""
         self.problems.append(Problem(where, code, found, expected, todo, "warning"))
 
-    def leave_out(self, kind: str, where: str) -> None:
-        """Count something that the reader does not understand; `report_left_out` reports all of it at once."""
-        self.left_out[kind[:40]] += 1
+    def leave_out(self, kind: str, where: str, count: int = 1) -> None:
+        """Count things that the reader does not understand; `report_left_out` reports all of them at once."""
+        self.left_out[kind[:40]] += count
         self.left_out_at = self.left_out_at or where
 
     def report_left_out(self) -> None:

@@ -57,6 +57,11 @@ def _is_ours(head: bytes) -> bool:
     return _LINE.fullmatch(head.removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0]) is not None
 
 
+def _may_be_ours(head: bytes) -> bool:
+    """Return whether a file is empty or has one of VisDrone's lines, which texts for people have not."""
+    return not head.strip() or any(_LINE.fullmatch(line) for line in head.splitlines())
+
+
 def read(
     root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None, unlabelled: str = "keep"
 ) -> Dataset:
@@ -97,7 +102,8 @@ def _read_split(found: Findings, split: Split, folder: Path, unlabelled: str) ->
         yield ImageRecord("", path, split, size_wh, tuple(instances), capture, extra=extra, file_name=name)
     found.counts["unlabelled"] += without
     found.problems += unlabelled_problems(found.place(folder), without, unlabelled)
-    for label in labels.values():
+    left = files_with(folder / "annotations", "*.txt", _may_be_ours, 1000) if labels else []
+    for label in (p for p in left if labels.get(p.stem) == p):
         found.add(found.place(label), "image-missing", "no picture of that name", "a file in images/", "restore it")
 
 

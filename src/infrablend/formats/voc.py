@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -58,6 +58,9 @@ _KINDS = {
     "labels",
 }  # fmt: skip
 _LABELMAP = "labelmap.txt"
+# Below the root of a file, what tells of the picture, and what only an object has.
+_OF_PICTURE = {"folder", "filename", "path", "source", "owner", "size", "segmented"}
+_SHAPES = {"bndbox", "robndbox", "polygon"}
 _MOST_TRIED = 1000  # of which at most 20 can be read; damaged files must not hide the others
 
 
@@ -88,6 +91,7 @@ def detect(root: Path) -> Match:
     reason, readable = f"no picture for {names[0]} or the next XML files", 0
     for name in names:
         top, problem = read_xml(root / name, name)
+        _strip_namespaces(top)
         readable += problem is None
         if readable > 20:
             break
@@ -96,6 +100,13 @@ def detect(root: Path) -> Match:
         elif key_of(name) in pictures or _named(name, top) in pictures:
             return Match(NAME, True, f"VOC files such as {name}")
     return Match(NAME, False, reason)
+
+
+def _strip_namespaces(top: Any) -> None:
+    """Remove the namespaces from the names of a file's elements, if the root or elements below it have any."""
+    if top is not None and any(e.tag.startswith("{") for e in (top, *top)):
+        for element in top.iter():
+            element.tag = element.tag.rpartition("}")[2]
 
 
 def _named(name: str, top: Any) -> Key:
@@ -192,6 +203,7 @@ def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabe
 
 def _read_annotation(found: Findings, name: str) -> Any:
     top = found.xml(found.root / name)
+    _strip_namespaces(top)
     if top is None or top.tag == "annotation":
         return top
     said = f"root element <{top.tag}>"
@@ -277,11 +289,22 @@ def _labelmap(found: Findings) -> list[str]:
     return list(dict.fromkeys(s for s in lines if s and s != "background"))
 
 
+def _elements(found: Findings, top: Any, where: str) -> Iterator[Any]:
+    """Yield the objects below the root or in an element `objects` there; count objects under other names."""
+    for element in (e for child in top for e in (child if child.tag == "objects" else (child,))):
+        if element.tag == "object":
+            yield element
+        elif element.tag not in _OF_PICTURE:
+            shapes = sum(e.tag in _SHAPES for e in element.iter())
+            if shapes or element.tag.lower() == "object":
+                found.leave_out(f"<{element.tag}>", where, shapes or 1)
+
+
 def _objects(
     found: Findings, top: Any, where: str, size_wh: tuple[int, int] | None, from_one: bool
 ) -> tuple[Instance, ...]:
     instances = []
-    for k, element in enumerate(top.findall("object")):
+    for k, element in enumerate(_elements(found, top, where)):
         found.counts["objects"] += 1
         found.counts["parts"] += len(element.findall("part"))
         here = f"{where}: object {k}"
@@ -300,15 +323,19 @@ def _object(
     found: Findings, element: Any, where: str, name: str, size_wh: tuple[int, int] | None, from_one: bool
 ) -> Instance | None:
     """Return an object with its box, any oriented box, and flags; None, with a problem, if the box is invalid."""
-    turned = element.find("robndbox")
+    turned, boxes = element.find("robndbox"), element.findall("bndbox")
     keys = ("cx", "cy", "w", "h", "angle") if turned is not None else ("xmin", "ymin", "xmax", "ymax")
-    base = turned if turned is not None else element.find("bndbox")
+    base = turned if turned is not None else next(iter(boxes), None)
     said = None if base is None else [child_text(base, k) for k in keys]
     values = to_floats(said, len(keys))
     if values is None:
         text = "no bndbox" if said is None else f"box {said}"[:120]
         found.add(where, "box-malformed", text, ", ".join(keys), "correct the annotation")
         return None
+    for _ in boxes[1:]:
+        found.leave_out("further bndbox of an object", where)
+    for _ in element.findall("polygon"):
+        found.leave_out("polygon beside a box", where)
     corners = None
     if turned is not None:
         if not all(math.isfinite(v) and abs(v) < 1e9 for v in values) or values[2] <= 0 or values[3] <= 0:

@@ -71,3 +71,8 @@ def test_polygons_that_reach_far(far: float) -> None:
     for rings in ([[0, 0, 1]], [[]], [7], []):
         with pytest.raises(ValueError, match="polygon"):
             Mask.from_rings(rings, (4, 4))
+
+
+def test_the_union_has_the_pixels_of_all() -> None:
+    arrays = [np.random.default_rng(k).random((9, 7)) < 0.2 for k in range(4)]
+    assert Mask.union([Mask.from_array(a) for a in arrays]) == Mask.from_array(np.logical_or.reduce(arrays))

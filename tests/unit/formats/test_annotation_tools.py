@@ -194,6 +194,23 @@ def test_a_class_of_crowds_alone_as_cvat_exports_masks_is_a_warning(tmp_path: Pa
     assert (crowds.code, crowds.severity) == ("crowds-only", "warning") and "all 2 label(s) of 'deer'" in crowds.found
 
 
+def test_objects_in_unknown_fields_of_coco_are_counted(tmp_path: Path) -> None:
+    box = {"bbox": [10, 10, 40, 20]}
+    root = cvats_coco(
+        tmp_path, box | {"parts": [box, box], "head": box, "tags": [{"name": "x"}], "segments_info": [box]}
+    )
+    file = root / "annotations" / "instances_default.json"
+    top = json.loads(file.read_text())
+    top["images"][0] |= {"annotations": {"7": box, "8": box}, "extra_info": {"sun": {"up": True}}}
+    top |= {"tracks": [{"boxes": [[1, 2, 3, 4]]}] * 3, "scenes": [{"name": "night"}], "regions": []}
+    file.write_text(json.dumps(top))
+    dataset = detection.read(root)
+    (problem,) = dataset.problems
+    counted = "1 in annotations.head, 2 in annotations.parts, 2 in images.annotations, 3 in tracks"
+    assert problem.code == "kind-unread" and problem.found.endswith(f": {counted}")
+    assert len(dataset.images[0].instances) == 1
+
+
 def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
     """Read a task of a picture of 64 x 48 px with these results."""
     picture(root / "images" / "a.png", 1)
@@ -212,6 +229,43 @@ def test_pictures_of_label_studio_lie_in_folders_of_splits_whatever_their_case(t
     (tmp_path / "val.json").write_text(json.dumps([task]))
     (image,) = detection.read(tmp_path).images
     assert (image.split, image.name) == ("val", "a.png")
+
+
+@pytest.mark.parametrize(
+    ("address", "file", "name"),
+    [
+        ("/data/local-files/?d=images/train/images/g_7.png", "train/images/g_7.png", "images/g_7.png"),
+        ("/home/images/p/images/train/a.png", "train/a.png", "a.png"),
+        ("../images/p/images/train/a.png", "train/a.png", "a.png"),
+        ("images/../p/images/a.png", "a.png", "a.png"),
+        ("s3://[bucket/images/a.png", "a.png", "a.png"),
+        ("/data/upload/1/abcd1234-a.png", "a.png", "a.png"),
+        ("/data/upload/1/abcd1234-a.png", "abcd1234-a.png", "abcd1234-a.png"),
+    ],
+)
+def test_pictures_of_label_studio_are_found(tmp_path: Path, address: str, file: str, name: str) -> None:
+    picture(tmp_path / "images" / file, 1)
+    (tmp_path / "train.json").write_text(json.dumps([{"data": {"image": address}, "annotations": [{"result": []}]}]))
+    d = detection.read(tmp_path)
+    assert not d.problems and [i.name for i in d.images] == [name]
+
+
+def test_the_last_annotation_of_label_studio_with_results_counts(tmp_path: Path) -> None:
+    picture(tmp_path / "images" / "a.png", 1)
+
+    def annotation(label: str, **fields: Any) -> dict[str, Any]:
+        value = {"x": 10, "y": 20, "width": 30, "height": 20, "rectanglelabels": [label]}
+        size = {"original_width": 64, "original_height": 48}
+        return {"result": [{"type": "rectanglelabels", "value": value, **size}], **fields}
+
+    given = [annotation("fox"), annotation("deer"), {"result": []}, annotation("cat", was_cancelled=True)]
+    more = {"drafts": [annotation("boar")], "completions": [annotation("hare")] * 2}
+    (tmp_path / "a.json").write_text(json.dumps([{"data": {"image": "a.png"}, "annotations": given, **more}]))
+    d = detection.read(tmp_path)
+    assert [o.category for o in d.images[0].instances] == ["deer"]
+    (problem,) = d.problems
+    counted = "1 in a cancelled annotation, 1 in an earlier annotation, 2 in completions, 1 in drafts"
+    assert problem.code == "kind-unread" and problem.found.endswith(f": {counted}")
 
 
 def test_ellipses_of_label_studio_are_read_and_other_results_counted_by_kind(tmp_path: Path) -> None:

@@ -78,3 +78,14 @@ def test_converted_to_coco_it_keeps_regions_to_ignore(tmp_path: Path) -> None:
     assert [(o.category, again.category(o.category).ignore) for o in again.images[0].instances] == [
         ("ignored regions", True), ("car", False),
     ]  # fmt: skip
+
+
+def test_empty_files_come_first_and_a_text_for_people_lies_beside_them(tmp_path: Path) -> None:
+    for k in range(25):
+        label = tmp_path / "annotations" / f"{k:02}.txt"
+        label.parent.mkdir(exist_ok=True)
+        label.write_text("\n" * (k % 2))
+        picture(tmp_path / "images" / f"{k:02}.jpg", 0)
+    (tmp_path / "annotations" / "README.txt").write_text("Boxes are left, top, width and height.\n")
+    d = dataset(tmp_path, "3,4,9,8,1,4,0,0\n", "z")
+    assert d.format == "visdrone" and not d.problems and len(d.images) == 26

@@ -224,3 +224,34 @@ def test_any_numbers_give_boxes_inside_the_frame(
         x0, y0, x1, y1 = o.box_xyxy
         assert 0 <= x0 < x1 <= 100 and 0 <= y0 < y1 <= 80
     assert len(d.images[0].instances) + len(codes(d)) == 1
+
+
+ONE = f"<name>fox</name>{box(1, 2, 3, 4)}"
+
+
+@pytest.mark.parametrize(
+    "inside", [f'<object xmlns="http://x">{ONE}</object>', f"<objects><object>{ONE}</object></objects>"]
+)
+def test_objects_in_a_namespace_or_a_list_are_read(tmp_path: Path, inside: str) -> None:
+    picture(tmp_path / "a.png")
+    (tmp_path / "a.xml").write_text(f"<annotation>{SIZE}{inside}</annotation>")
+    d = detection.read(tmp_path)
+    assert d.format == "voc" and not d.problems and boxes(d) == {"a": [[1, 2, 3, 4]]}
+
+
+@pytest.mark.parametrize(
+    ("inside", "read", "kinds"),
+    [
+        (f"<Object>{ONE}</Object><Object><name>fox</name></Object>", 0, "2 <Object>"),
+        (f"<item>{ONE}</item><items><item>{ONE}</item><item>{ONE}</item></items>", 0, "1 <item>, 2 <items>"),
+        (f"<object>{ONE}{box(5, 5, 9, 9)}</object>", 1, "1 further bndbox of an object"),
+        (f"<object>{ONE}<polygon><x1>1</x1><y1>2</y1></polygon></object>", 1, "1 polygon beside a box"),
+    ],
+)
+def test_other_objects_are_counted_by_kind(tmp_path: Path, inside: str, read: int, kinds: str) -> None:
+    picture(tmp_path / "a.png")
+    (tmp_path / "a.xml").write_text(f"<annotation>{SIZE}<weather><name>fog</name></weather>{inside}</annotation>")
+    d = detection.read(tmp_path)
+    (problem,) = d.problems
+    assert problem.code == "kind-unread" and problem.found.endswith(f": {kinds}")
+    assert len(d.images[0].instances) == read

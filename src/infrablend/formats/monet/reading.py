@@ -72,6 +72,7 @@ def read(
     files = find_files(root, chosen.annotations)
     notes: dict[str, Any] = {"labels": "coco", "annotations": [], "pictures": {}}
     frames, extra = _read_files(dataset, files, notes)
+    dataset.report_left_out()
     if not notes["annotations"]:
         raise _nothing_found(root, files, chosen.annotations, problems)
     notes["excluded"] = _leave_out(dataset, frames, chosen.exclude, "exclude")
