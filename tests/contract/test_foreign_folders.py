@@ -117,6 +117,35 @@ def test_a_folder_called_masks_may_hold_pictures(tmp_path: Path) -> None:
     assert [i.name for i in api.read_dataset(tmp_path / "data").images] == ["masks/f1.jpg", "people/f2.jpg"]
 
 
+def coco_of(*names: str) -> str:
+    images = [{"id": k, "file_name": name, "width": 64, "height": 48} for k, name in enumerate(names, 1)]
+    return json.dumps(COCO | {"images": images})
+
+
+NO_MASKS: dict[str, dict[str, str]] = {
+    "coco": {"images/a.jpg": "", "images/a_mask.jpg": "", "coco.json": coco_of("a.jpg", "a_mask.jpg")},
+    "coco-folders": {"labels/a.jpg": "", "raw/a.jpg": "", "coco.json": coco_of("labels/a.jpg", "raw/a.jpg")},
+    "voc": {f"{name}{end}": VOC.format(name=name, category="deer") * (end == ".xml")
+            for name in ("a", "a_mask") for end in (".jpg", ".xml")},
+    "yolo": {f"{kind}/train/{name}": "0 0.5 0.5 0.1 0.1\n" * (kind == "labels") for kind, name in (
+        ("images", "a.jpg"), ("images", "a-mask.jpg"), ("labels", "a.txt"), ("labels", "a-mask.txt"))}
+    | {"data.yaml": "train: images/train\nnames: [deer]\n"},
+    "yolo-list": {"images/a.jpg": "", "images/a_mask.jpg": "", "labels/a.txt": "0 0.5 0.5 0.1 0.1\n",
+                  "train.txt": "images/a.jpg\nimages/a_mask.jpg\n", "data.yaml": "train: train.txt\nnames: [deer]\n"},
+    "folder": {"a.jpg": "", "a.txt": "0 0.5 0.5 0.1 0.1\n", "a_mask.jpg": "", "a_mask.txt": "0 0.5 0.5 0.1 0.1\n"},
+    "imagefolder": {"a.jpg": "", "a_mask.jpg": "", "metadata.jsonl": "".join(
+        json.dumps({"file_name": f"{name}.jpg", "objects": {"bbox": [[8, 6, 16, 12]], "categories": ["deer"]}}) + "\n"
+        for name in ("a", "a_mask"))},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", NO_MASKS)
+def test_a_picture_with_labels_or_in_a_list_is_no_mask(tmp_path: Path, kind: str) -> None:
+    report = api.check(put(tmp_path / "data", NO_MASKS[kind]), decode=False)
+    assert report.images == 2 and report.objects >= 1
+    assert [p for p in (*report.errors, *report.warnings) if p.code in ("label-unread", "image-missing")] == []
+
+
 # -- two kinds of labels -------------------------------------------------------------------------------------------
 
 

@@ -73,7 +73,9 @@ def unread_label_files(
     left = [name for name in files if _is_candidate(name, splits) and dataset.root / name not in read]
     left = [name for name in left if name not in reported and PurePosixPath(name).name not in reported]
     masks = masks_of([name for name in files if is_picture_name(name)])
-    masks = {name: stem for name, stem in masks.items() if dataset.root / name not in read}
+    if masks:  # but for pictures that have labels of their own, or are named by an annotation
+        taken = {i.path for i in dataset.images}.union(read)
+        masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
     if not left and not masks:
         return []
     names = _Pictures.of(dataset)
