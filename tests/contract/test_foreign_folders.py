@@ -117,6 +117,125 @@ def test_a_folder_called_masks_may_hold_pictures(tmp_path: Path) -> None:
     assert [i.name for i in api.read_dataset(tmp_path / "data").images] == ["masks/f1.jpg", "people/f2.jpg"]
 
 
+def coco_of(*names: str) -> str:
+    images = [{"id": k, "file_name": name, "width": 64, "height": 48} for k, name in enumerate(names, 1)]
+    return json.dumps(COCO | {"images": images})
+
+
+NO_MASKS: dict[str, dict[str, str]] = {
+    "coco": {"images/a.jpg": "", "images/a_mask.jpg": "", "coco.json": coco_of("a.jpg", "a_mask.jpg")},
+    "coco-folders": {"labels/a.jpg": "", "raw/a.jpg": "", "coco.json": coco_of("labels/a.jpg", "raw/a.jpg")},
+    "voc": {f"{name}{end}": VOC.format(name=name, category="deer") * (end == ".xml")
+            for name in ("a", "a_mask") for end in (".jpg", ".xml")},
+    "yolo": {f"{kind}/train/{name}": "0 0.5 0.5 0.1 0.1\n" * (kind == "labels") for kind, name in (
+        ("images", "a.jpg"), ("images", "a-mask.jpg"), ("labels", "a.txt"), ("labels", "a-mask.txt"))}
+    | {"data.yaml": "train: images/train\nnames: [deer]\n"},
+    "yolo-list": {"images/a.jpg": "", "images/a_mask.jpg": "", "labels/a.txt": "0 0.5 0.5 0.1 0.1\n",
+                  "train.txt": "images/a.jpg\nimages/a_mask.jpg\n", "data.yaml": "train: train.txt\nnames: [deer]\n"},
+    "folder": {"a.jpg": "", "a.txt": "0 0.5 0.5 0.1 0.1\n", "a_mask.jpg": "", "a_mask.txt": "0 0.5 0.5 0.1 0.1\n"},
+    "imagefolder": {"a.jpg": "", "a_mask.jpg": "", "metadata.jsonl": "".join(
+        json.dumps({"file_name": f"{name}.jpg", "objects": {"bbox": [[8, 6, 16, 12]], "categories": ["deer"]}}) + "\n"
+        for name in ("a", "a_mask"))},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", NO_MASKS)
+def test_a_picture_with_labels_or_in_a_list_is_no_mask(tmp_path: Path, kind: str) -> None:
+    report = api.check(put(tmp_path / "data", NO_MASKS[kind]), decode=False)
+    assert report.images == 2 and report.objects >= 1
+    assert [p for p in (*report.errors, *report.warnings) if p.code in ("label-unread", "image-missing")] == []
+
+
+# -- files that name pictures --------------------------------------------------------------------------------------
+
+YOLO = {
+    "images/train/DJI_1.jpg": "", "labels/train/DJI_1.txt": "0 0.5 0.5 0.1 0.1\n",
+    "data.yaml": "train: images/train\nnames: [deer]\n",
+}  # fmt: skip
+WITHOUT_LABELS = {
+    "geo.txt": "EPSG:4326\nDJI_1.jpg -91.99 46.8 198.6 10 -90 0\n",
+    "gcp_list.txt": "+proj=utm +zone=10\n544256.7 5320919.9 5 3044 2622 DJI_1.jpg\n",
+    "images.txt": "# Image list\n1 0.8 0.1 0.2 0.3 1.0 2.0 3.0 1 DJI_1.jpg\n1.0 2.0 -1 3.0 4.0 -1\n",
+    "transforms.json": json.dumps(
+        {"w": 64, "frames": [{"file": "a/DJI_1.jpg", "transform_matrix": [[1, 0, 0, 0]] * 4}]}
+    ),
+    "external_camera_parameters.txt": "imageName X Y Z Omega Phi Kappa\nDJI_1.jpg 1.0 2.0 3.0 4.0 5.0 6.0\n",
+    "telemetry.csv": "frame,lat,lon,alt,yaw,pitch\nDJI_1,45.1,15.2,100,3,4\n",
+    "exif.json": json.dumps([{"SourceFile": "DJI_1.jpg", "GPSAltitude": 1}]),
+    "timestamps.txt": "DJI_1.jpg 1700000000.123\n",
+    "md5sums.txt": "d41d8cd98f00b204e9800998ecf8427e  DJI_1.jpg\n",
+    "splits.csv": "image,split\nDJI_1.jpg,train\n",
+    "train.csv": "DJI_1.jpg\n",
+    "train_list.txt": "images/train/DJI_1.jpg labels/train/DJI_1.txt\n",
+    "manifest.jsonl": json.dumps({"name": "DJI_1", "width": 64, "height": 48}) + "\n",
+    "notes.txt": "DJI_1.jpg is blurred\n",
+    "00_README.txt": "See DJI_1.jpg for an example\n",
+    "captions.json": json.dumps({"images": [{"file_name": "DJI_1.jpg"}], "annotations": [{"caption": "a deer"}]}),
+}
+WITH_LABELS = {
+    "license_plates.csv": "f,x,y,w,h\nDJI_1.jpg,1,2,3,4\n",
+    "boxes.csv": "file,x,y,width,height\nDJI_1,1,2,3,4\n",
+    "classes.csv": "file,label\nDJI_1.jpg,deer\n",
+    "yolov3.txt": "data/DJI_1.jpg 1,2,3,4,0 5,6,7,8,1\n",
+    "last.txt": "1 2 3 4 deer DJI_1.jpg\n",
+    "small.csv": "DJI_1,.5,.5,.1,.1\n",
+    "keys.json": '{"DJI_1.jpg": [[1, 2, 3, 4]]}',
+    "more/polygons.json": '[{"file": "DJI_\\u0031.jpg", "polygon": []}]',
+}
+
+
+@pytest.mark.parametrize("name", [*WITHOUT_LABELS, *WITH_LABELS])
+def test_a_file_that_names_pictures_is_an_error_if_it_shows_labels(tmp_path: Path, name: str) -> None:
+    root = put(tmp_path / "data", {**YOLO, name: (WITHOUT_LABELS | WITH_LABELS)[name]})
+    (problem,) = [p for p in api.read_dataset(root).problems if p.code == "label-unread"]
+    assert (problem.where, problem.severity) == (name, "error" if name in WITH_LABELS else "warning")
+    if name in WITHOUT_LABELS:
+        assert "names pictures, and is not read" in problem.found and "if it holds labels, convert it" in problem.todo
+    assert run("check", root, "--no-decode").exit_code == (name in WITH_LABELS)
+
+
+@pytest.mark.parametrize("table", ["image_id,class,x,y,w,h\n000001,deer,5,5,9,9\n", "frame,id,x,y,w,h\n1,7,5,5,9,9\n"])
+def test_numbers_name_pictures_in_a_table_of_boxes(tmp_path: Path, table: str) -> None:
+    root = put(
+        tmp_path / "data", {"000001.jpg": "", "t.csv": table, "keys.json": '{"000001": [{"bbox": [1, 2, 3, 4]}]}'}
+    )
+    assert [p.where for p in api.check(root, decode=False).errors] == ["keys.json", "t.csv"]
+    (root / "t.csv").write_text("epoch,time,box_loss,a,b\n1,5,5,9,9\n")
+    assert [p.where for p in api.check(root, decode=False).errors] == ["keys.json"]
+
+
+@pytest.mark.parametrize("folder", ["annotation_files/train", "labels_seg/train", "more"])
+def test_a_file_of_a_picture_without_labels_is_named_wherever_it_is(tmp_path: Path, folder: str) -> None:
+    files = {**YOLO, "images/train/DJI_2.jpg": "", f"{folder}/DJI_2.txt": "0 0.5 0.5 0.1 0.1\n"}
+    assert [p.where for p in api.check(put(tmp_path / "d", files), decode=False).errors] == [f"{folder}/DJI_2.txt"]
+    (tmp_path / "d" / folder / "DJI_2.txt").write_text("a note\n")
+    assert api.check(tmp_path / "d", decode=False).errors == ()
+
+
+def test_an_empty_table_beside_labels_is_a_warning(tmp_path: Path) -> None:
+    (problem,) = api.read_dataset(put(tmp_path / "a", {**YOLO, "t.csv": ""})).problems
+    assert (problem.where, problem.severity) == ("t.csv", "warning")
+    (problem,) = api.read_dataset(put(tmp_path / "b", {"f.jpg": "", "t.csv": ""})).problems
+    assert (problem.where, problem.severity) == ("t.csv", "error")
+
+
+def test_companions_of_coco_are_no_error(tmp_path: Path) -> None:
+    files = {
+        f"annotations/{kind}_train2017.json": json.dumps(COCO) for kind in ("instances", "person_keypoints", "stuff")
+    }
+    root = put(tmp_path / "data", {"train2017/f1.jpg": "", "train2017/f2.jpg": "", **files})
+    report = api.check(root, decode=False)
+    assert (report.objects, report.errors) == (2, ()) and "image-duplicate" in {p.code for p in report.warnings}
+
+
+def test_a_file_is_named_though_another_of_its_name_is(tmp_path: Path) -> None:
+    missing = coco_of("f1.jpg", "gone.jpg")
+    root = put(
+        tmp_path / "data", {"f1.jpg": "", "train.json": missing, "via/train.json": '{"f1.jpg": {"regions": []}}'}
+    )
+    assert {p.where for p in api.check(root, decode=False).errors} >= {"via/train.json"}
+
+
 # -- two kinds of labels -------------------------------------------------------------------------------------------
 
 

@@ -133,3 +133,7 @@ def test_a_long_line_is_searched_in_time_in_proportion_to_its_length(tmp_path: P
     assert unread(root) == []
     (root / "notes.txt").write_text("a" * 900_000 + f" {name} 1 2 5 5 car")
     assert unread(root) == ["notes.txt"]
+    (root / "notes.txt").write_text("a .jpg " * 140_000)
+    assert unread(root) == []
+    (root / "notes.txt").write_text("a_" * 450_000 + '"' + 450_000 * "1")
+    assert unread(root) == []

@@ -35,7 +35,7 @@ from infrablend.core.json_records import is_list
 from infrablend.core.json_stream import Streamed, json_chunks
 from infrablend.core.masks import Mask
 from infrablend.core.temperature import Radiometry
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import DatasetError, Problem, Severity
 from infrablend.formats.annotation_files import leave_out, only_looked_at, read_json, too_long
 from infrablend.formats.base import (
     Match,
@@ -523,7 +523,11 @@ def read_records(
         capture = captures.of(name, here, stated)
         extra = {"source_id": r["source_id"]} if "source_id" in r else {}
         records.append(ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
-    found.problems += _remarks(where, left_out, measured, of_image)
+    # COCO itself has the pictures of a split in several files, of which the one of the objects is read.
+    own = found.root / where
+    beside = own.with_name(f"instances_{own.stem.rpartition('_')[2]}.json")
+    known = beside != own and beside.is_file()
+    found.problems += _remarks(where, left_out, measured, of_image, "warning" if known else "error")
     return records
 
 
@@ -593,7 +597,11 @@ def _stated_facts(r: Mapping[str, Any], videos: Mapping[int, str]) -> Capture:
 
 
 def _remarks(
-    where: str, left_out: Sequence[int], measured: int, unknown: Mapping[int | str, Sequence[bytes]]
+    where: str,
+    left_out: Sequence[int],
+    measured: int,
+    unknown: Mapping[int | str, Sequence[bytes]],
+    repeated: Severity,
 ) -> list[Problem]:
     """Return what is to be said about a file as a whole.
 
@@ -602,12 +610,14 @@ def _remarks(
         left_out: Number of annotations of each picture that another file contains, too.
         measured: Number of pictures whose size was read from them.
         unknown: Annotations of pictures that the file does not list.
+        repeated: Severity of pictures that are left out.
     """
     problems = []
     if left_out:
         found = f"{len(left_out)} picture(s) that another annotation file contains too; left out here"
         found += f" with {sum(left_out)} annotation(s)"
-        problems.append(Problem(where, "image-duplicate", found, "each picture once", "remove or join the files"))
+        expected, todo = "each picture once", "remove or join the files"
+        problems.append(Problem(where, "image-duplicate", found, expected, todo, repeated))
     if measured:
         found = f"{measured} image(s) without width and height, which were read from the pictures"
         problems.append(Problem(where, "image-size-unknown", found, "width and height in px", severity="warning"))

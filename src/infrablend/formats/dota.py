@@ -200,7 +200,7 @@ def _read_split(found: Findings, split: Split, labels: Path | None, pictures: Pa
     records: list[ImageRecord] = []
     unlabelled = 0
     taken: dict[str, str] = {}
-    for name, path in list_pictures(pictures).items():
+    for name, path in list_pictures(pictures, is_labelled=lambda p: p.stem in files).items():
         key = found.place(path)
         if path.is_symlink() and (fault := check_link(path, pictures, key)):
             found.problems.append(fault)

@@ -54,7 +54,7 @@ def _split_folders(found: Findings) -> list[tuple[Split, Path]]:
     root = found.root
     for base in (root, root / "images"):
         named = split_folders(base)
-        inside = {p for _, d in named for p in list_pictures(d, _SKIP).values()}
+        inside = {p for _, d in named for p in list_pictures(d, _SKIP, lambda p: find_label(p, root)).values()}
         if inside:
             outside = [n for n, p in list_pictures(root, _SKIP).items() if p not in inside]
             if outside:
@@ -119,7 +119,7 @@ def read(
         FoundPicture(name, path, split, None if labels == "none" else find_label(path, root))
         for split, folder in _split_folders(found)
         if split in wanted
-        for name, path in list_pictures(folder, _SKIP).items()
+        for name, path in list_pictures(folder, _SKIP, lambda p: find_label(p, root)).items()
     ]
     labelled = [p for p in pictures if p.label is not None]
     if labels == "yolo" and pictures and not labelled:

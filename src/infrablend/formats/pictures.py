@@ -7,8 +7,8 @@ import os
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 from PIL import Image
@@ -28,6 +28,8 @@ _MASK_FOLDER = re.compile(
     r"(?:^|/)(?:segmentation(?:class|object)\w*|(?:\w+[_-])?masks?|ann_dir|annotations?|labels?)(?:/|$)", re.IGNORECASE
 )
 _MASK_END = re.compile(r"[_-]masks?$")
+# What holds the labels of the one picture that has the stem of the file.
+_OWN_LABELS = (".txt", ".xml", ".json")
 
 
 def is_hidden(name: str) -> bool:
@@ -52,15 +54,38 @@ def walk(folder: Path, skip: Sequence[str] = ()) -> Iterator[tuple[str, list[str
         yield base, names
 
 
-def list_pictures(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
+def list_pictures(
+    folder: Path, skip: Sequence[str] = (), is_labelled: Callable[[Path], object] | None = None
+) -> dict[str, Path]:
     """Return the pictures below `folder` by relative POSIX path, sorted; empty if the folder does not exist.
 
-    The folder itself may be a link; linked folders further down are not entered. `skip` names folders left out. Masks
-    of other pictures, see `masks_of`, are left out, too.
+    The folder itself may be a link; linked folders further down are not entered. Masks of other pictures, see
+    `masks_of`, are left out.
+
+    Args:
+        folder: The folder.
+        skip: Names of folders left out.
+        is_labelled: Whether a picture has a label file of its own, so that it is no mask; None looks below `folder`.
     """
     found = _pictures_below(folder, skip)
-    masks = masks_of(found)
+    masks = _unlabelled_masks(folder, found, is_labelled)
     return {name: path for name, path in found.items() if name not in masks} if masks else found
+
+
+def _unlabelled_masks(
+    folder: Path, found: Mapping[str, Path], is_labelled: Callable[[Path], object] | None = None
+) -> set[str]:
+    """Return the masks among the pictures below a folder, without those that have label files of their own stems.
+
+    In a folder of masks, a picture has the stem of another one, whose label file that would be.
+    """
+    masks = masks_of(found)
+    named = {n for n, of in masks.items() if PurePosixPath(n).stem != of}
+    if named and is_labelled is None:
+        files = (PurePosixPath(n) for _, names in walk(folder) for n in names)
+        stems = {f.stem for f in files if f.suffix.lower() in _OWN_LABELS}
+        return masks.keys() - {n for n in named if PurePosixPath(n).stem in stems}
+    return masks.keys() - {n for n in named if is_labelled is not None and is_labelled(found[n])}
 
 
 def masks_of(names: Collection[str]) -> dict[str, str]:
@@ -135,21 +160,24 @@ class PictureFolder:
         by_name: Pictures by their path in the folder.
         by_stem: These paths by path without suffix.
         start: Folder of the annotation file, in which names with `..` begin.
+        masks: What looks like masks, see `masks_of`, by path in the folder; pictures where an annotation names them.
     """
 
     folder: Path
     by_name: dict[str, Path]
     by_stem: dict[str, str]
     start: Path | None = None
+    masks: Mapping[str, Path] = field(default_factory=dict)
 
     @classmethod
     def scan(cls, folder: Path) -> PictureFolder:
         """List `folder`; a missing folder is empty."""
-        by_name = list_pictures(folder)
+        found = _pictures_below(folder)
+        masks = {name: found.pop(name) for name in sorted(_unlabelled_masks(folder, found))}
         by_stem: dict[str, str] = {}
-        for name in by_name:
+        for name in (*found, *masks):
             by_stem.setdefault(name.rpartition(".")[0], name)
-        return cls(folder, by_name, by_stem)
+        return cls(folder, found, by_stem, masks=masks)
 
     @classmethod
     def with_most(cls, places: Iterable[Path], names: Sequence[str], start: Path | None = None) -> PictureFolder:
@@ -168,7 +196,7 @@ class PictureFolder:
         """
         if name not in self.by_name and not is_picture_name(name):
             name = self.by_stem.get(name, name)
-        path = self.by_name.get(name)
+        path = self.by_name.get(name) or self.masks.get(name)
         if path is None:
             return name, None, None
         linked = path.is_symlink() or "/" in name

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -32,6 +32,17 @@ _RECORDS = {WORLD_FILE, CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE
 _FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|changelog)", re.IGNORECASE)
 # Folders that separate pictures from labels.
 _KIND = re.compile(r"(?<=/)(?:images?|imgs?|jpegimages|labels?|annotations?|xmls?)/", re.IGNORECASE)
+# Titles of columns, keys of JSON and tags of XML that tell of boxes, outlines or classes.
+_LABEL_WORD = (
+    r"(?:\w{1,40}[_ .-])?(?:\w{0,40}labels?|class(?:es)?|category|species|objects?|detections?|\w{0,3}box(?:es)?"
+    r"|bounding_?box(?:es)?|polygons?|segmentations?|wkt|rle|encoded_?pixels|shapes|regions|x_?(?:min|max|[012]))"
+    r"(?:[_ ]?(?:ids?|names?|title))?|\w{0,40}shape_attributes"
+)
+_TITLE = re.compile(rf"{_LABEL_WORD}|w", re.IGNORECASE)
+_KEY = re.compile(rf'"(?:{_LABEL_WORD})"\s*:', re.IGNORECASE)
+_TAG = re.compile(rf"<(?:{_LABEL_WORD})[\s/>]", re.IGNORECASE)
+# What the first line of a table of places on the ground says of them.
+_COORDINATES = re.compile(r"EPSG:|\+proj|WGS", re.IGNORECASE)
 # The end of a picture's name, and what separates names. Names are looked for backwards from their ends: forwards, a
 # line of a megabyte without a separator would be searched from each of its characters.
 _PICTURE_END = re.compile(r"\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
@@ -44,12 +55,21 @@ _TELLING = re.compile(r"(?=.*\d).*[^\d.+-]", re.DOTALL)
 _CELL = re.compile(r"[,;\s|\"'\[\]()]+")
 _TEXT = re.compile(r'(:\s*)?"([^"\\/]{1,255})"(?=(\s*:)?)')
 # A line of a table of boxes: left, top, width and height at least, perhaps after the frame and the track.
-_NUMBER = r"-?\d++(?:\.\d++)?"
+_NUMBER = r"-?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?"
+_IS_NUMBER = re.compile(_NUMBER).fullmatch
+_BOX = 4
 _NUMBERS = re.compile(rf"(?:{_NUMBER}[,; \t]++){{3,}}{_NUMBER}")
+# In JSON, four numbers as the value of a key, perhaps in lists, and characters that are written as numbers.
+_BOX_OF = re.compile(rf'"([^"\\]{{1,255}})"\s*:\s*\[[\s\[]*+{_NUMBER}(?:\s*,\s*{_NUMBER}){{3}}')
+_ESCAPED = re.compile(r"\\u([0-9a-fA-F]{4})")
 _TRUTH = re.compile(r"(?:^|[\W_])(?:gt|det|ground_?truth)(?:[\W_]|$)")
 _HEAD_BYTES = 1_000_000
 # Files of one folder that are named one by one; more are one problem.
 _MOST_NAMED = 3
+_EMPTY = "an empty file"
+_UNKNOWN = "labels in no known layout, which are not read"
+_NAMING = "a file that names pictures, and is not read"
+_IF_LABELS = "if it holds labels, convert it, for example with CVAT or Datumaro, to a format of docs/formats"
 _TODO = "convert it, for example with CVAT or Datumaro, to a format of docs/formats; or move it out of the folder"
 
 
@@ -61,7 +81,7 @@ def unread_label_files(
     These are damaged XML and JSON files, text files with a suffix such as `.TXT`, files that name pictures of the
     dataset or hold a table of boxes, files named after a picture with its suffix, files named like a picture, and
     masks. Lists of pictures and texts for people are none. A file of one picture, or its mask, is only worth a warning
-    if the picture has labels from elsewhere.
+    if the picture has labels from elsewhere; so is a file that names pictures, but shows neither boxes nor classes.
 
     Args:
         dataset: The dataset.
@@ -71,43 +91,52 @@ def unread_label_files(
     files = list(_files_below(dataset.root))
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     left = [name for name in files if _is_candidate(name, splits) and dataset.root / name not in read]
-    left = [name for name in left if name not in reported and PurePosixPath(name).name not in reported]
+    bare = reported.difference(files)  # readers state some places without their folders
+    left = [name for name in left if name not in reported and PurePosixPath(name).name not in bare]
     masks = masks_of([name for name in files if is_picture_name(name)])
-    masks = {name: stem for name, stem in masks.items() if dataset.root / name not in read}
+    if masks:  # but for pictures that have labels of their own, or are named by an annotation
+        taken = {i.path for i in dataset.images}.union(read)
+        masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
     if not left and not masks:
         return []
     names = _Pictures.of(dataset)
     plain = dataset.format == folder.NAME
-    labelled = {fold_name(i.path.stem): bool(i.instances) for i in dataset.images}
+    labelled: dict[str, bool] = {}
+    for image in dataset.images:
+        stem = fold_name(image.path.stem)
+        labelled[stem] = bool(image.instances) or labelled.get(stem, False)
     # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
     places = set() if plain else {_place(os.fspath(i.path)) for i in dataset.images}
     ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
-    problems, alike = [], defaultdict[tuple[str, str, str, Severity], list[str]](list)
+    problems, alike = [], defaultdict[tuple[str, str, str, str, Severity], list[str]](list)
     for name in left:
         path = dataset.root / name
         stem = fold_name(path.stem)
         if fault := _fault(path, name):
             todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
-            problems.append(Problem(name, "label-unread", fault, _EXPECTED, todo))
+            level: Severity = "warning" if fault == _EMPTY and any(labelled.values()) else "error"
+            problems.append(Problem(name, "label-unread", fault, _EXPECTED, todo, level))
         elif path.suffix != path.suffix.lower() == ".txt" and stem in labelled:
             found = f"labels with the suffix {path.suffix}, which are not read"
             problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
-        elif ours or name in _RECORDS or _FOR_PEOPLE.match(path.name):
+        elif ours or name in _RECORDS or (path.suffix.lower() == ".txt" and _FOR_PEOPLE.match(path.name)):
             continue
         elif labelled.get(stem) and (plain or _place(os.fspath(path)) in places):
             found = "labels of a picture that has other labels, which are not read"
-            alike[path.parent.as_posix(), path.suffix, found, "warning"].append(name)
-        elif (plain and (stem in labelled or _is_annotation(path, name))) or _tells_of(path, names):
-            found = "labels in no known layout, which are not read"
-            alike[path.parent.as_posix(), path.suffix, found, "error"].append(name)
+            alike[path.parent.as_posix(), path.suffix, found, _TODO, "warning"].append(name)
+        elif plain and (stem in labelled or _is_annotation(path, name)):
+            alike[path.parent.as_posix(), path.suffix, _UNKNOWN, _TODO, "error"].append(name)
+        elif says := _tells_of(path, names, alone=labelled.get(stem) is False):
+            found, todo = (_UNKNOWN, _TODO) if says == "error" else (_NAMING, _IF_LABELS)
+            alike[path.parent.as_posix(), path.suffix, found, todo, says].append(name)
     for name, of in {} if ours else masks.items():
         if fold_name(of) in labelled:
             severity: Severity = "warning" if labelled[fold_name(of)] else "error"
-            alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", severity].append(name)
-    for (_, _, found, severity), same in alike.items():
+            alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", _TODO, severity].append(name)
+    for (_, _, found, todo, severity), same in alike.items():
         if len(same) > _MOST_NAMED:
             found, same = f"{len(same)} files with {found}", same[:1]
-        problems += [Problem(name, "label-unread", found, _EXPECTED, _TODO, severity) for name in same]
+        problems += [Problem(name, "label-unread", found, _EXPECTED, todo, severity) for name in same]
     return problems
 
 
@@ -171,7 +200,7 @@ def _fault(path: Path, name: str) -> str:
         except DatasetError as error:
             return error.problems[0].found
     silent = path.suffix.lower() in (".txt", ".label") and not _TRUTH.search(fold_name(path.stem))
-    return "an empty file" if not silent and path.is_file() and not path.stat().st_size else ""
+    return _EMPTY if not silent and path.is_file() and not path.stat().st_size else ""
 
 
 def _is_annotation(path: Path, name: str) -> bool:
@@ -191,62 +220,126 @@ class _Pictures:
     Attributes:
         names: Names of the files, folded.
         stems: Those without suffix, unless they look like numbers.
+        numbers: Those that are numbers, without zeros before them.
         folders: Names of the folders that they are in, folded.
+        words: Number of words of the longest name.
     """
 
     names: frozenset[str]
     stems: frozenset[str]
+    numbers: frozenset[str]
     folders: frozenset[str]
+    words: int
 
     @classmethod
     def of(cls, dataset: Dataset) -> _Pictures:
         paths = [i.path for i in dataset.images]
         names, stems = frozenset(fold_name(p.name) for p in paths), frozenset(p.stem for p in paths)
         folders = frozenset(fold_name(p.parent.name) for p in paths)
-        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), folders)
+        numbers = frozenset(s.lstrip("0") for s in stems if s.isdecimal())
+        words = max((n.count(" ") + 1 for n in names), default=1)
+        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), numbers, folders, words)
 
-    def are_named_in(self, text: str, suffix: str) -> bool:
-        """Return whether a text names a picture without its suffix: in JSON, or beside the numbers of a box."""
-        if suffix in _JSON_SUFFIXES:
-            return any(said in self.stems for value, said, key in _TEXT.findall(text) if value or key)
-        if suffix not in (".csv", ".tsv", ".txt") or self.stems.isdisjoint(_CELL.split(text)):
-            return False
-        rows = (cells for line in text.splitlines() if not self.stems.isdisjoint(cells := _CELL.split(line)))
-        return any(sum(re.fullmatch(_NUMBER, c) is not None for c in cells) >= 4 for cells in rows)
+    def named_in(self, line: str) -> str | None:
+        """Return the first name of a picture in a line; a name may contain blanks, or follow one."""
+        for end in (m.end() for m in _PICTURE_END.finditer(line)):
+            words = _SEPARATOR.split(line[max(0, end - _LONGEST_NAME) : end])[-1].split(" ")[-self.words :]
+            for name in (" ".join(words[k:]) for k in range(len(words))):
+                for said in (name, _UPLOADED.sub("", name, count=1)):
+                    if fold_name(said) in self.names:
+                        return said
+        return None
+
+    def are_keys_of_boxes(self, text: str) -> bool:
+        """Return whether four numbers follow the name of a picture in JSON."""
+        said = (m[1] for m in _BOX_OF.finditer(text))
+        return any(n in self.stems or self.named_in(n) for n in said)
 
 
-def _tells_of(path: Path, pictures: _Pictures) -> bool:
-    """Return whether a file says something of the pictures, or is a table of boxes."""
-    stem = fold_name(path.stem)
+def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | None:
+    """Return how grave it is that a file is not read: an error if it shows labels, else a warning if it names pictures.
+
+    Args:
+        path: The file.
+        pictures: The pictures of the dataset.
+        alone: Whether the file has the stem of a picture without labels.
+    """
+    stem, suffix = fold_name(path.stem), _suffix(path.name)
     if stem in pictures.names:  # f.jpg.json
-        return True
+        return "error"
     with suppress(OSError), open_regular(path) as stream:
         text = as_utf8(stream.read(_HEAD_BYTES)).decode("utf-8", "replace")
         lines = [line for line in map(str.strip, text.splitlines()) if line]
         if not lines:
-            return stem in pictures.folders
-        numbers = map(_NUMBERS.match, lines)
-        if (stem in pictures.folders and _NUMBERS.match(lines[0])) or (_TRUTH.search(stem) and any(numbers)):
-            return True
-        if pictures.are_named_in(text, _suffix(path.name)):
-            return True
-        listed = False
-        for line in lines:
-            named = next((n for n in _picture_names(line) if fold_name(n) in pictures.names), None)
-            # A list of pictures has a path on each line, and nothing else.
-            alone = path.suffix.lower() == ".txt" and re.split(r"[\\/]", line)[-1] == named
-            if named is not None and not alone:
-                return True
-            listed |= alone
-        return listed and any(numbers)
-    return False
+            return "error" if stem in pictures.folders else None
+        if (stem in pictures.folders and _NUMBERS.match(lines[0])) or (
+            _TRUTH.search(stem) and any(map(_NUMBERS.match, lines))
+        ):
+            return "error"
+        if suffix == ".xml" or suffix in _JSON_SUFFIXES:
+            return _said_in_records(text, lines, pictures, suffix, alone=alone)
+        if suffix in (".csv", ".tsv", ".txt"):
+            return _said_in_table(lines, pictures, suffix, alone=alone)
+        return "error" if any(map(pictures.named_in, lines)) else None
+    return None
 
 
-def _picture_names(line: str) -> Iterator[str]:
-    """Yield what may be names of pictures in a line; a name may contain blanks, or follow one."""
-    for end in (m.end() for m in _PICTURE_END.finditer(line)):
-        words = _SEPARATOR.split(line[max(0, end - _LONGEST_NAME) : end])[-1].split(" ")
-        for name in (" ".join(words[k:]) for k in range(len(words))):
-            yield name
-            if uploaded := _UPLOADED.match(name):
-                yield name[uploaded.end() :]
+def _said_in_records(
+    text: str, lines: Sequence[str], pictures: _Pictures, suffix: str, *, alone: bool
+) -> Severity | None:
+    """Return what `_tells_of` does for JSON or XML, whose keys or tags speak of labels or do not."""
+    is_json = suffix != ".xml"
+    if is_json and "\\u" in text:
+        text = _ESCAPED.sub(lambda m: chr(int(m[1], 16)), text)
+        lines = text.splitlines()
+    labels = bool((_KEY if is_json else _TAG).search(text)) or (is_json and pictures.are_keys_of_boxes(text))
+    if alone and labels:
+        return "error"
+    said = {name for value, name, key in _TEXT.findall(text) if value or key} if is_json else set()
+    if not pictures.stems.isdisjoint(said) or any(map(pictures.named_in, lines)):
+        return "error" if labels else "warning"
+    numbers = {name.lstrip("0") for name in said if name.isdecimal()}
+    return "error" if labels and not pictures.numbers.isdisjoint(numbers) else None
+
+
+def _said_in_table(lines: Sequence[str], pictures: _Pictures, suffix: str, *, alone: bool) -> Severity | None:
+    """Return what `_tells_of` does for lines of cells: titles, or numbers after a name or beside a class, show labels.
+
+    A list of pictures has a path on each line, and nothing else.
+    """
+    if alone and any(_count_numbers(_CELL.split(line)) >= _BOX for line in lines):
+        return "error"
+    titles = _titles(lines[0])
+    labels = any(map(_TITLE.fullmatch, titles)) or {"x", "y", "width"} <= {t.lower() for t in titles}
+    fits = len(lines) > 1 and len(titles) == len(_titles(lines[-1])) and not any(_IS_NUMBER(t) for t in titles)
+    other = not labels and (fits or _COORDINATES.search(lines[0])) and not pictures.named_in(lines[0])
+    says: Severity | None = None
+    listed = False
+    for line in lines:
+        cells = _CELL.split(line)
+        name = pictures.named_in(line)
+        if name is not None and suffix == ".txt" and re.split(r"[\\/]", line)[-1] == name:
+            listed = True
+            continue
+        stem = next((c for c in cells if c in pictures.stems), None)
+        boxed = _count_numbers(cells) >= _BOX
+        numbered = labels and boxed and next(filter(None, cells)).lstrip("0") in pictures.numbers
+        if name is None and not numbered and (stem is None or not (labels or boxed)):
+            continue
+        if labels:
+            return "error"
+        after = line.rpartition(name or stem or " ")[2]
+        if boxed and not other and (_count_numbers(_CELL.split(after)) >= _BOX or any(map(str.isalpha, cells))):
+            return "error"
+        says = "warning"
+    return "error" if listed and any(map(_NUMBERS.match, lines)) else says
+
+
+def _titles(line: str) -> list[str]:
+    """Return the cells of a line, which commas, semicolons, tabs or bars separate, else blanks."""
+    line = line.strip("# ")
+    return [t.strip(" \"'") for t in re.split(r"[,;\t|]" if re.search(r"[,;\t|]", line) else r"\s+", line)]
+
+
+def _count_numbers(cells: Iterable[str]) -> int:
+    return sum(_IS_NUMBER(c) is not None for c in cells)

@@ -87,7 +87,7 @@ def read(
 def _read_split(found: Findings, split: Split, folder: Path, unlabelled: str) -> Iterator[ImageRecord]:
     labels = {p.stem: p for p in sorted((folder / "annotations").glob("*.txt")) if not p.name.startswith(".")}
     without = 0
-    for name, path in list_pictures(folder / "images").items():
+    for name, path in list_pictures(folder / "images", is_labelled=lambda p: p.stem in labels).items():
         label = labels.pop(path.stem, None)
         without += label is None
         if label is None and unlabelled == "drop":

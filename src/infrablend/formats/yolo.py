@@ -786,7 +786,11 @@ def read(
         expected = f"{len(names)}, the number of names; otherwise Ultralytics stops"
         found.warn(path.name, "names", f"nc: {said!r}"[:120], expected, "correct it")
     listed = _listed_pictures(found, lists)
-    in_folders = [(split, n, f) for split, folder in folders for n, f in list_pictures(folder, ("labels",)).items()]
+    in_folders = [
+        (split, n, f)
+        for split, folder in folders
+        for n, f in list_pictures(folder, ("labels",), lambda p: find_label(p, root)).items()
+    ]
     if twice := sum(f in listed for _, _, f in in_folders):
         text = f"{twice} picture(s) both in a folder of one split and in a list; the list is used"
         found.warn(path.name, "split-twice", text, "each picture in one split")
