@@ -235,7 +235,7 @@ def test_pictures_of_label_studio_lie_in_folders_of_splits_whatever_their_case(t
     ("address", "file", "name"),
     [
         ("/data/local-files/?d=images/train/images/g_7.png", "train/images/g_7.png", "images/g_7.png"),
-        ("/home/images/p/images/train/a.png", "train/a.png", "a.png"),
+        ("/mnt/images/p/images/train/a.png", "train/a.png", "a.png"),
         ("../images/p/images/train/a.png", "train/a.png", "a.png"),
         ("images/../p/images/a.png", "a.png", "a.png"),
         ("s3://[bucket/images/a.png", "a.png", "a.png"),
