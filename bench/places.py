@@ -22,20 +22,10 @@ import numpy as np
 
 from infrablend.core.surface_kinds import SURFACES
 from infrablend.places.surfaces import DRIVE, STAND, find_surfaces, model_version
+from infrablend.realism.classify import auc, bootstrap
 
 OFF_LIMITS = {"tree", "shrub", "roof", "wall", "water", "vehicle", "object"}
-SURE, DRAWS = 2, 1000
-
-
-def area(yes: np.ndarray, no: np.ndarray) -> float:
-    """Return the area under the ROC curve of two samples of scores; ties count half."""
-    if not len(yes) or not len(no):
-        return float("nan")
-    both = np.concatenate([yes, no])
-    values, place = np.unique(both, return_inverse=True)
-    counts = np.bincount(place, minlength=len(values))
-    ranks = (np.cumsum(counts) - (counts - 1) / 2)[place]
-    return float((ranks[: len(yes)].sum() - len(yes) * (len(yes) + 1) / 2) / (len(yes) * len(no)))
+SURE = 2
 
 
 def main() -> int:
@@ -69,16 +59,13 @@ def main() -> int:
         "stand": (scores["stand"], ground, off), "drive": (scores["drive"], roads, off),
         "road_grass": (scores["drive"], roads, grass),
     }  # fmt: skip
-    rng, found_areas = np.random.default_rng(0), {}
+    found_areas = {}
     for name, (score, yes, no) in sides.items():
-        drawn = []
-        for _ in range(DRAWS):
-            times = np.bincount(rng.integers(0, frames.max() + 1, frames.max() + 1), minlength=frames.max() + 1)
-            again = np.repeat(np.arange(len(rows)), times[frames])
-            drawn.append(area(score[again][yes[again]], score[again][no[again]]))
-        low, high = np.nanpercentile(drawn, [2.5, 97.5])
+        judged = yes | no
+        y, scores_, of_frame = yes[judged].astype(np.int64), score[judged], frames[judged]
+        low, high = bootstrap(y, scores_, of_frame)
         found_areas[name] = {
-            "auc": round(area(score[yes], score[no]), 3), "ci": [round(low, 3), round(high, 3)],
+            "auc": round(auc(y, scores_), 3), "ci": [round(low, 3), round(high, 3)],
             "yes": int(yes.sum()), "no": int(no.sum()),
         }  # fmt: skip
     seen = sorted({r[1]["surface"] for r in rows})

@@ -47,8 +47,10 @@ from infrablend.errors import ModelError, Problem
 
 # Files with Y up, which Blender turns, and which do not record that reliably: many tools write glTF with Z up.
 Y_UP = (".glb", ".gltf", ".obj")
+Axis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
+"""Axis of a file."""
 # Axis that points up -> columns and signs of the vertices once Z points up: turns, not mirror images.
-_TURNS: Mapping[str, tuple[list[int], tuple[float, float, float]]] = {
+_TURNS: Mapping[Axis, tuple[list[int], tuple[float, float, float]]] = {
     "X": ([2, 1, 0], (-1.0, 1.0, 1.0)), "-X": ([2, 1, 0], (1.0, 1.0, -1.0)),
     "Y": ([0, 2, 1], (1.0, -1.0, 1.0)), "-Y": ([0, 2, 1], (1.0, 1.0, -1.0)),
     "Z": ([0, 1, 2], (1.0, 1.0, 1.0)), "-Z": ([0, 1, 2], (1.0, -1.0, -1.0)),
@@ -114,7 +116,7 @@ class UserModel(Strict):
     description: str = ""
     origin: Literal["feet", "centre", "file"] = "file"
     heading: Literal["+X", "-X", "+Y", "-Y"] = "+X"
-    up: Annotated[Literal["X", "Y", "Z", "-X", "-Y", "-Z"] | None, BeforeValidator(_axis)] = None
+    up: Annotated[Axis | None, BeforeValidator(_axis)] = None
     length_m: float | None = Field(None, gt=0, le=1e5)
     scale: float = Field(1.0, gt=0, le=1e6)
     parts: dict[str, UserPart] = Field(default_factory=dict)
@@ -368,7 +370,7 @@ def in_file(vertices: FloatArray, file: Path) -> FloatArray:
     return vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0) if file.suffix.lower() in Y_UP else vertices
 
 
-def upright(vertices: FloatArray, up: str) -> FloatArray:
+def upright(vertices: FloatArray, up: Axis) -> FloatArray:
     """Return (n, 3) vertices turned so that an axis, such as `Y` or `-X`, points along Z."""
     order, signs = _TURNS[up]
     return vertices[:, order] * signs

@@ -7,6 +7,7 @@ is the only place that knows other conventions.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -138,3 +139,8 @@ def is_plausible_roll(roll_deg: float, pitch_deg: float | None) -> bool:
     A larger roll at a flatter pitch leaves open whether the picture is upside down: some cameras turn it upright.
     """
     return abs(roll_deg) <= _MOST_ROLL_DEG or (pitch_deg is not None and pitch_deg >= _FROM_ABOVE_DEG)
+
+
+def fov_of_width(width: float, focal_length: float) -> float:
+    """Return the field of view, degrees, across a width in the unit of the focal length."""
+    return math.degrees(2 * math.atan(width / 2 / focal_length))

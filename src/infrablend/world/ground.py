@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.surface_kinds import SURFACES, SurfaceKind
+from infrablend.core.surface_kinds import SURFACES
 from infrablend.world.buildings import Building
 from infrablend.world.fixtures import Tree
 from infrablend.world.ground_cover import GROUND_KINDS, Patch, Road
@@ -112,13 +112,13 @@ def ground_surfaces(plan: WorldPlan, oversample: int = 2) -> NDArray[np.uint8]:
     x, y = ground_grid(plan, oversample)
     kinds = np.full(x.shape, SURFACES.index(GROUND_KINDS[plan.base]), np.float32)
 
-    def only(kind: SurfaceKind) -> Lay:
-        return lambda *part: np.full_like(kinds[part] if part else kinds, SURFACES.index(kind))
+    def lay(name: str, *part: slice) -> Field:
+        return np.full_like(kinds[part], SURFACES.index(GROUND_KINDS[name]))
 
     for patch in plan.patches:
         if patch.material is not None:
             hard = replace(patch, soft_m=1e-3, amount_k=0.0)
-            _draw(plan, kinds, x, y, hard, oversample, lambda name, *part: only(GROUND_KINDS[name])(*part))
+            _draw(plan, kinds, x, y, hard, oversample, lay)
     for road in reversed(plan.roads):
         side = np.abs(np.asarray(road.along(x, y)[1], np.float32))
         if road.pavement_m > 0.1:

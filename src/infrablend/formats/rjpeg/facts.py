@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
-from infrablend.core.camera import is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
+from infrablend.core.camera import fov_of_width, is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.rjpeg.dji import raw_segments
 from infrablend.formats.rjpeg.exif import Exif, read_exif
@@ -303,11 +303,6 @@ def fov_of_35mm(focal_length_35mm: float, size_wh: tuple[int, int]) -> float:
     """Return the horizontal field of view, degrees, of a 35 mm equivalent focal length in mm."""
     width_mm = _DIAGONAL_35MM * size_wh[0] / math.hypot(*size_wh)
     return fov_of_width(width_mm, focal_length_35mm)
-
-
-def fov_of_width(width: float, focal_length: float) -> float:
-    """Return the field of view, degrees, across a width in the unit of the focal length."""
-    return math.degrees(2 * math.atan(width / 2 / focal_length))
 
 
 def zoomed(hfov_deg: float, zoom: float) -> float:

@@ -9,12 +9,12 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from infrablend.assets.part_roles import ROLES, Guess, guess_roles, patterns
-from infrablend.assets.user_model import SUFFIXES, GroupFacts, geometry_file, read_geometry, up_of
+from infrablend.assets.user_model import SUFFIXES, Axis, GroupFacts, geometry_file, read_geometry, up_of
 from infrablend.core.arguments import require_choice
 from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
@@ -23,8 +23,6 @@ from infrablend.pipeline.plans.models import import_geometry, ready_model
 
 log = logging.getLogger(__name__)
 
-
-Axis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
 # A side that is longer by a larger share tells how a model lies.
 _CLEARLY = 1.2
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Recipe
+from infrablend.core.camera import fov_of_width
 from infrablend.core.class_names import differ_in_form
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE
@@ -142,7 +143,7 @@ def require_pitch_of_pixels(recipe: Recipe, images: Sequence[ImageRecord]) -> No
 def _wide_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning about the lens of a small camera taken for that of a film camera."""
     c = recipe.camera
-    across = 2 * math.degrees(math.atan(c.sensor_width_mm / 2 / c.focal_length_mm))
+    across = fov_of_width(c.sensor_width_mm, c.focal_length_mm)
     used = any(not c.needs_lens or i.capture.hfov_deg is None for i in images)
     if not c.is_real or not used or across < _WIDE_DEG or c.sensor_width_mm != _FILM_MM:
         return []
@@ -155,7 +156,7 @@ def _other_lens(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     c = recipe.camera
     if not c.is_real or c.needs_lens:
         return []
-    stated = 2 * math.degrees(math.atan(c.sensor_width_mm / 2 / c.focal_length_mm))
+    stated = fov_of_width(c.sensor_width_mm, c.focal_length_mm)
     other = [
         i.capture.hfov_deg
         for i in images
@@ -242,7 +243,8 @@ def require_distinct_classes(recipe: Recipe, inserted: Sequence[str], dataset: D
         dataset: Dataset with its classes renamed as the recipe asks.
 
     Raises:
-        RecipeError: The name of a class differs in case or number alone from one of the dataset.
+        RecipeError: The name of a class differs in case or number alone from one of the dataset, or from another
+            inserted one that the dataset does not have.
     """
     known = [c.name for c in dataset.categories]
     if recipe.labels.similar_names == "keep":

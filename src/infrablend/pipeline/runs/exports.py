@@ -106,7 +106,7 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     finished = replace(finished, counts={**finished.counts, **written_counts, **looseness.counted(loosened)})
     problems += nothing_inserted(plan.recipe, finished.counts, finished.draws)
     problems += absent_warnings(finished.draws) + limit_warnings(records) + air_warnings(records)
-    problems += horizon_warnings(records) + hiding_warnings(finished.counts)
+    problems += horizon_warnings(finished.counts) + hiding_warnings(finished.counts)
     if images:
         problems += write_card(
             folder.root, run_card(plan, finished.counts, losses, images, tuple(dict.fromkeys(problems)))

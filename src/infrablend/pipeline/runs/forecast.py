@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.core.camera import fov_of_width
 from infrablend.core.frame_record import FrameRecord
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.compose.frame import FrameComposer
@@ -102,8 +103,7 @@ def _cameras(plan: RunPlan, placed: Iterable[tuple[PlannedFrame, FrameRecord]]) 
             origin = "labels" if scene.view.anchors else "metadata" if of.needs_height else "recipe"
             values["height_m", origin] = scene.view.camera_height_m
         origin = "metadata" if of.needs_lens and capture.hfov_deg is not None else "recipe"
-        across = 2 * math.atan(camera.sensor_width_mm / 2 / camera.focal_length_mm)
-        values["hfov_deg", origin] = math.degrees(across)
+        values["hfov_deg", origin] = fov_of_width(camera.sensor_width_mm, camera.focal_length_mm)
         for (what, origin), value in values.items():
             found[what].setdefault(origin, []).append(value)
     return {what: {origin: _spread(v) for origin, v in by.items()} for what, by in found.items()}

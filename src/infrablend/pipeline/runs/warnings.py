@@ -124,16 +124,6 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
     return problems
 
 
-def horizon_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
-    """Return a warning if a recipe that looks for the horizon found none in at least half of its frames."""
-    found = Counter(r.scene.draws["pitch_from"] for r in records if r.scene and "pitch_from" in r.scene.draws)
-    if not found["recipe"] or 2 * found["recipe"] < found.total():
-        return []
-    text = f"no horizon in {found['recipe']} of {found.total()} frames: taken to show the sky alone, or to look level"
-    todo = "look at a few (infrablend preview); for cameras that look down, set camera.pitch to their own pitch"
-    return [Problem("camera.pitch", "horizon-absent", text, "pictures with a horizon, or of the sky", todo, "warning")]
-
-
 def air_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
     """Return a warning if radiometric frames have a drawn temperature of the air."""
     drawn = sum(r.facts.get("matching", {}).get("air") == "drawn" for r in records)
@@ -220,6 +210,16 @@ def hiding_warnings(counts: Mapping[str, Any]) -> list[Problem]:
     found = f"{n['wanted'] - n['hidden']} of {n['wanted']} objects that were to be partly hidden are in front"
     todo = "widen occlusion.visible, or use backgrounds with branches, masts or fences"
     return [Problem("occlusion", "nothing-in-front", found, "structures that can hide them", todo, "warning")]
+
+
+def horizon_warnings(counts: Mapping[str, Any]) -> list[Problem]:
+    """Return a warning if a recipe that looks for the horizon found none in at least half of its frames."""
+    found = Counter(counts.get("pitch_from", {}))
+    if not found["recipe"] or 2 * found["recipe"] < found.total():
+        return []
+    text = f"no horizon in {found['recipe']} of {found.total()} frames: taken to show the sky alone, or to look level"
+    todo = "look at a few (infrablend preview); for cameras that look down, set camera.pitch to their own pitch"
+    return [Problem("camera.pitch", "horizon-absent", text, "pictures with a horizon, or of the sky", todo, "warning")]
 
 
 def _height_at_limit(record: FrameRecord) -> bool | None:

@@ -23,6 +23,7 @@ from infrablend.formats.images import load_background, png_bytes
 from infrablend.places.surfaces import DRIVE, STAND, Grey, SurfaceMap, find_surfaces, model_version
 from infrablend.report.place_sheet import place_cell, write_place_sheet
 from infrablend.report.preview import spread
+from infrablend.sampling.placement import boxes_of
 
 _ON_SHEET = 24
 # Cameras that look down further than this show no sky.
@@ -81,7 +82,8 @@ def map_places(
             except DatasetError as error:
                 problems += error.problems
                 continue
-            found = find_surfaces(background.pixels, _boxes(image, ignored), _sky(image, background.pixels))
+            boxes = boxes_of([i for i in image.instances if i.category not in ignored])
+            found = find_surfaces(background.pixels, boxes, _sky(image, background.pixels))
             for name, kinds in (("stand", STAND), ("drive", DRIVE)):
                 grey = np.rint(255 * found.share(kinds)).astype(np.uint8)
                 write_bytes(space.folder / image.split / f"{image.id}.{name}.png", png_bytes(grey))
@@ -101,11 +103,6 @@ def map_places(
         report = PlacesReport(out, done, surfaces, model_version(), tuple(problems))
         space.finish({"model": report.model, "maps": done, "surfaces": surfaces})
     return report
-
-
-def _boxes(image: ImageRecord, ignored: set[str]) -> NDArray[np.float64]:
-    boxes = [i.box_xyxy for i in image.instances if i.category not in ignored]
-    return np.array(boxes, np.float64).reshape(-1, 4)
 
 
 def _sky(image: ImageRecord, pixels: Grey) -> NDArray[np.bool_] | None:
