@@ -10,6 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
+from infrablend.errors import DatasetError
+from infrablend.formats import detection
 from tests.flights import plain_jpeg
 
 TABLE = "file,pitch_deg,altitude_m\na.jpg,45.5,1200.5\n"
@@ -53,3 +55,21 @@ def test_separators_and_commas(table: str, tmp_path: Path) -> None:
 )
 def test_tables_that_contradict_themselves_are_named(table: str, code: int, words: str, tmp_path: Path) -> None:
     assert words in str(inspected(tmp_path, table, code)["problems"])
+
+
+@pytest.mark.parametrize(
+    ("table", "sequence"),
+    [("file,sequence\na.jpg,north\n", "north"), ("file,captured\na.jpg,2024-05-01T06:30:00\n", None)],
+)
+def test_a_table_may_hold_sequences_or_dates_alone(table: str, sequence: str | None, tmp_path: Path) -> None:
+    inspected(tmp_path, table)
+    (image,) = detection.read(tmp_path).images
+    assert image.capture.sequence == sequence and (image.capture.captured is None) == (sequence is not None)
+
+
+@pytest.mark.parametrize("table", ["sequence\nnorth\n", "file\na.jpg\n", "sequence,weather\nnorth,rain\n"])
+def test_a_table_without_any_fact_is_refused(table: str, tmp_path: Path) -> None:
+    plain_jpeg(tmp_path / "a.jpg")
+    (tmp_path / "metadata.csv").write_text(table)
+    with pytest.raises(DatasetError, match="expected one of file, file_name, stem, sequence and some of pitch_deg"):
+        detection.read(tmp_path)

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from infrablend import api
+from infrablend.pipeline.runs.warnings import horizon_warnings
 from tests.command_line import done, run, said
 from tests.flat_renderer import render_flat
 from tests.unit.pipeline.test_run import dataset
@@ -92,3 +93,13 @@ def test_a_printed_focal_length_on_36_mm_is_named_as_the_cause(dataset, tmp_path
     assert "no_place" in text and "camera.model" in text and "camera.pixel_pitch_um" in text
     assert " px, less than placement.size_px" in text
     people("right", "camera.model=dji-xt2-25", code=0)
+
+
+@pytest.mark.parametrize(
+    ("origins", "warned"),
+    [({}, False), ({"horizon": 3, "recipe": 2}, False), ({"horizon": 2, "recipe": 2}, True), ({"recipe": 7}, True)],
+)
+def test_pictures_without_a_horizon_are_a_warning_if_they_are_many(origins, warned):
+    """Drones in front of a sky that nobody found may be in front of the ground."""
+    found = [str(p) for p in horizon_warnings({"pitch_from": origins})]
+    assert bool(found) == warned and all("set camera.pitch to their own pitch" in text for text in found)
