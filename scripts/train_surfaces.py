@@ -19,12 +19,17 @@ import math
 import os
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from infrablend.world.fixtures import Tree
 
 ROOT = Path(__file__).resolve().parents[1]
 MODEL = ROOT / "src/infrablend/places/surfaces.onnx.xz"
@@ -32,14 +37,16 @@ SIZE_WH = (320, 256)
 SEED = 42
 # Kinds of places, and how often each is drawn.
 PLACES = {
-    "street": 0.2, "parking": 0.15, "court": 0.08, "park": 0.14, "runway": 0.04, "dirtroad": 0.08, "forest": 0.1,
-    "river": 0.07, "suburb": 0.14,
+    "street": 0.24, "parking": 0.12, "court": 0.06, "park": 0.16, "runway": 0.03, "dirtroad": 0.06, "forest": 0.13,
+    "river": 0.06, "suburb": 0.14,
 }  # fmt: skip
 # Range of focal lengths in pixels of a picture 640 wide, of heights and of widths of the ground seen, metres.
 FOCAL_PX, HEIGHT_M, WIDTH_M = (450.0, 2300.0), (18.0, 140.0), (18.0, 130.0)
-NIGHT, STRAIGHT_DOWN, LEAST_PITCH_DEG, MOST_TREES = 0.55, 0.2, 28.0, 1500
+NIGHT, STRAIGHT_DOWN, LEAST_PITCH_DEG, LEAST_TOP_DEG, MOST_TREES = 0.55, 0.2, 22.0, 14.0, 1500
 # Ten kinds of surface; the rare ones count more.
-WEIGHTS = (1.0, 1.0, 1.5, 1.0, 1.2, 2.0, 1.0, 1.0, 1.2, 2.0)
+WEIGHTS = (1.0, 1.0, 1.5, 1.0, 1.2, 1.5, 1.3, 1.0, 1.2, 1.0)
+# Grass, soil, shrubs, trees and structures, and how often they get other temperatures.
+VARIED, PLANTS, OTHER_LOOKS = (3, 4, 5, 6, 7), (3, 4, 5, 6), 0.7
 CHANNELS = (16, 24, 32, 48, 48, 48)
 
 Scene = tuple[NDArray[np.float16], NDArray[np.uint8]]
@@ -66,9 +73,14 @@ def render(folder: Path, count: int) -> None:
         while True:
             focal, height = (math.exp(rng.uniform(*np.log(limits))) for limits in (FOCAL_PX, HEIGHT_M))
             pitch = 90.0 if rng.random() < STRAIGHT_DOWN else rng.uniform(LEAST_PITCH_DEG, 90)
-            if WIDTH_M[0] < height / math.sin(math.radians(pitch)) * 640 / focal < WIDTH_M[1]:
+            top_deg = pitch - math.degrees(math.atan(256 / focal))
+            if (
+                WIDTH_M[0] < height / math.sin(math.radians(pitch)) * 640 / focal < WIDTH_M[1]
+                and top_deg > LEAST_TOP_DEG
+            ):
                 break
         plan = sample_world(rng, pitch, height, "night" if rng.random() < NIGHT else "day", kind, SIZE_WH, focal)
+        plan = replace(plan, trees=_varied(rng, plan.trees))
         if len(plan.trees) > MOST_TREES:
             continue
         kelvin, kinds = renderer.render_surfaces(plan)
@@ -76,6 +88,22 @@ def render(folder: Path, count: int) -> None:
         np.savez_compressed(part, k=(kelvin - np.median(kelvin)).astype(np.float16), s=kinds)
         part.replace(path)
     renderer.close()
+
+
+def _varied(rng: np.random.Generator, trees: Sequence[Tree]) -> tuple[Tree, ...]:
+    """Return the trees of a scene, larger or smaller, a share of them as conifers or without leaves."""
+    conifers, bare = rng.permutation([rng.uniform() if rng.random() < 0.5 else 0.0, 0.4 * rng.random()])
+    tall, slender, grown = rng.uniform(0.8, 1.7), rng.uniform(0.4, 0.8), math.exp(rng.uniform(-0.2, 0.7))
+    varied = []
+    for tree in trees:
+        tree = replace(tree, height_m=tree.height_m * grown, radius_m=tree.radius_m * grown)
+        draw = rng.random()
+        if tree.kind == "crown" and draw < conifers:
+            tree = replace(tree, kind="conifer", height_m=tree.height_m * tall, radius_m=tree.radius_m * slender)
+        elif tree.kind == "crown" and draw > 1 - bare:
+            tree = replace(tree, kind="bare")
+        varied.append(tree)
+    return tuple(varied)
 
 
 # ---- Cameras
@@ -109,8 +137,36 @@ class Cameras:
         matrix[:, 2] += [u(-room, room) * w, u(-room, room) * h]
         turned = cv2.warpAffine(kelvin.astype(np.float32), matrix, (w, h), borderMode=cv2.BORDER_REFLECT)
         moved = cv2.warpAffine(kinds, matrix, (w, h), flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_REFLECT)
+        if self._rng.random() < OTHER_LOOKS:
+            turned = self._other_looks(turned, moved)
         grey = self._look(turned).astype(np.float32)
         return (grey - grey.mean()) / max(float(grey.std()), 4.0), np.asarray(moved, np.uint8)
+
+    def _other_looks(self, kelvin: NDArray[np.float32], kinds: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Return temperatures with plants, soil and walls smoother or rougher, and more or less alike.
+
+        Trees and lawns differ by a kelvin or by nothing at all, with the season, the hour and the lens.
+        """
+        rng, u = self._rng, self._rng.uniform
+        plants = np.isin(kinds, PLANTS)
+        middle, alike = float(kelvin[plants].mean()) if plants.any() else 0.0, u(0, 1)
+        share = cv2.GaussianBlur(1 - np.isin(kinds, VARIED).astype(np.float32), (0, 0), 0.8)
+        changed = share * kelvin
+        for kind in VARIED:
+            mask = (kinds == kind).astype(np.float32)
+            if not mask.any():
+                continue
+            near = cv2.GaussianBlur(mask, (0, 0), 5.0) + 1e-3
+            level = float(kelvin[mask > 0].mean())
+            smooth = (cv2.GaussianBlur(mask * kelvin, (0, 0), 5.0) + 1e-3 * level) / near
+            if kind in PLANTS:
+                slow, fast = math.exp(u(-1.6, 0.3)), math.exp(u(-1.6, 0.5))
+                to = alike * middle + (1 - alike) * level + rng.normal(0, 0.5)
+            else:
+                slow, fast = math.exp(u(-1.0, 0.3)), math.exp(u(-1.0, 1.0))
+                to = level + rng.normal(0, 1.5)
+            changed += cv2.GaussianBlur(mask, (0, 0), 0.8) * (to + slow * (smooth - level) + fast * (kelvin - smooth))
+        return np.asarray(changed, np.float32)
 
     def _look(self, kelvin: NDArray[np.float32]) -> NDArray[np.uint8]:
         """Return the 8-bit picture that some camera makes of temperatures."""
@@ -186,8 +242,8 @@ def make_network() -> Any:
     return Surfaces()
 
 
-def train(folder: Path, steps: int, batch: int, threads: int) -> None:
-    """Train for a number of steps in all, from the last checkpoint in the folder on."""
+def train(folder: Path, steps: int, batch: int, threads: int, begin: Path | None) -> None:
+    """Train for a number of steps in all, from the last checkpoint in the folder on, or at first from `begin`."""
     import torch
     from torch.nn import functional
 
@@ -195,6 +251,8 @@ def train(folder: Path, steps: int, batch: int, threads: int) -> None:
     torch.set_num_threads(threads)
     cv2.setNumThreads(1)
     net = make_network()
+    if begin is not None:
+        net.load_state_dict(torch.load(begin, weights_only=False)["net"])
     optimizer = torch.optim.AdamW(net.parameters(), 2e-3, weight_decay=1e-4)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, 3e-3, total_steps=steps, pct_start=0.1)
     checkpoint, start = folder / "checkpoint.pt", 0
@@ -203,10 +261,12 @@ def train(folder: Path, steps: int, batch: int, threads: int) -> None:
         for part, name in ((net, "net"), (optimizer, "opt"), (schedule, "sched")):
             part.load_state_dict(kept[name])
         start = kept["step"]
-    cameras, files = Cameras([SEED, start]), sorted((folder / "scenes").glob("*.npz"))
+    cameras, files = Cameras([SEED, start]), []
     weights, begun = torch.tensor(WEIGHTS), time.monotonic()
     net.train()
     for step in range(start, steps):
+        if step % 200 == 0 or not files:  # `render` may still be at work
+            files = sorted(f for f in (folder / "scenes").glob("*.npz") if ".part" not in f.name)
         x, y = (torch.from_numpy(a) for a in cameras.batch(files, batch))
         loss = functional.cross_entropy(net(x), y, weight=weights, label_smoothing=0.05)
         optimizer.zero_grad()
@@ -256,11 +316,12 @@ def main() -> int:
     parser.add_argument("--steps", type=int, default=2400)
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--begin", type=Path, help="checkpoint of another training, whose weights to start with")
     given = parser.parse_args()
     if given.step == "render":
         render(given.folder, given.count)
     elif given.step == "train":
-        train(given.folder, given.steps, given.batch, given.threads)
+        train(given.folder, given.steps, given.batch, given.threads, given.begin)
     else:
         export(given.folder)
     return 0

@@ -9,6 +9,7 @@ from infrablend.api.datasets import (
     fetch as fetch,
     inspect as inspect,
     make_world as make_world,
+    learn_places as learn_places,
     map_places as map_places,
     profile as profile,
     read_dataset as read_dataset,

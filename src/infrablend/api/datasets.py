@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from infrablend.pipeline.capture.count_scale import CountScale
     from infrablend.pipeline.capture.report import FramesReport
     from infrablend.pipeline.capture.temperatures import TemperaturesReport
-    from infrablend.pipeline.studies.places import PlacesReport
+    from infrablend.pipeline.studies.places import LearnedReport, PlacesReport
     from infrablend.pipeline.studies.profile import ProfileReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
@@ -187,6 +187,18 @@ def map_places(
     from infrablend.pipeline.studies import places
 
     return places.map_places(read_dataset(data, reading), Path(out), overwrite=overwrite, on_progress=on_progress)
+
+
+def learn_places(
+    data: str | Path, *, count: int = 200, reading: Reading = READ_ALL, on_progress: OnProgress | None = None
+) -> LearnedReport:
+    """Find on which kinds of ground a dataset's labelled objects are, in `count` pictures with labels.
+
+    Recipes that insert objects of these classes use the same by themselves, see `placement.where.learned`.
+    """
+    from infrablend.pipeline.studies import places
+
+    return places.learn_places(read_dataset(data, reading), count, on_progress=on_progress)
 
 
 def make_world(

@@ -473,6 +473,7 @@ MODEL = ObjectModel(
     description="A wild boar, yearling to tusker: standing, walking, rooting or lying.",
     origin="on the ground between the feet; for a lying boar, below the middle of its trunk",
     stands=True,
+    surfaces={"grass": 1.0, "soil": 1.0, "track": 0.3},
     parts=PARTS,
     sample=sample,
     build=build,

@@ -800,6 +800,7 @@ MODEL = ObjectModel(
     description="A deer from roe to red deer in size: standing, walking, grazing or lying, with or without antlers.",
     origin="on the ground between the feet; for a lying deer, below the middle of its trunk",
     stands=True,
+    surfaces={"grass": 1.0, "soil": 1.0, "track": 0.3},
     parts=PARTS,
     sample=sample,
     build=build,

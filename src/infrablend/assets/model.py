@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.mesh import Mesh
+from infrablend.core.surface_kinds import GROUND, Affinity
 
 Params = Mapping[str, Any]
 # Parameter of objects with a thermal shadow; see `ObjectModel.casts_shadow`.
@@ -138,6 +139,7 @@ class ObjectModel:
         casts_shadow: Function that returns whether an individual stands still for long enough to throw a thermal shadow
             on the ground. `build` and `parts_for` then take `shadow_xy` in addition (`SHADOW_PARAM`): the shift of the
             shadow per metre of height, in the object's frame. None for models that always move.
+        surfaces: Ground that a model stands on, by kind.
     """
 
     name: str
@@ -151,6 +153,7 @@ class ObjectModel:
     options: Mapping[str, str] = field(default_factory=dict)
     parts_for: Callable[[Params], Mapping[str, PartRange]] | None = None
     casts_shadow: Callable[[Params], bool] | None = None
+    surfaces: Affinity = field(default_factory=lambda: GROUND)
 
     def roles(self, params: Params) -> Mapping[str, PartRange]:
         """Return the thermal role of every part of the individual with these parameters."""

@@ -933,6 +933,7 @@ MODEL = ObjectModel(
     description="An adult in winter or light clothes, standing, walking or sitting, with bare face and hands.",
     origin="on the ground between the feet; for a sitting person, below the hips",
     stands=True,
+    surfaces={"path": 1.0, "track": 1.0, "road": 0.5, "grass": 0.7, "soil": 0.7},
     parts=PARTS,
     sample=sample,
     build=build,

@@ -64,7 +64,10 @@ _GROUPS: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
         },
     ),
     "recipes": ("Shipped recipes.", {"list": shipped.list_recipes, "show": shipped.show_recipe}),
-    "places": ("Places in pictures, where objects can stand.", {"map": cameras.map_places}),
+    "places": (
+        "Places in pictures, where objects can stand.",
+        {"map": cameras.map_places, "learn": cameras.learn_places},
+    ),
     "blender": (
         "Blender, which few recipes need.",
         {"install": shipped.install_blender, "requirements": shipped.blender_requirements},

@@ -23,11 +23,13 @@ from infrablend.cli.options import (
 )
 from infrablend.cli.output import grid, print_result, show_report, show_result, shown_progress, table
 from infrablend.cli.session import Session
+from infrablend.core.surface_kinds import SURFACES
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
     from infrablend.pipeline.capture.report import Clip
     from infrablend.pipeline.capture.temperatures import TemperaturesReport
+    from infrablend.pipeline.studies.places import LearnedReport
     from infrablend.pipeline.studies.profile import ProfileReport
 
 
@@ -218,6 +220,36 @@ def map_places(
         report = api.map_places(data, out, reading=reading, overwrite=overwrite, on_progress=on_progress)
     facts_ = {"maps": str(report.maps), "surfaces": ", ".join(f"{k} {v:.2f}" for k, v in report.surfaces.items())}
     show_report(session, report, out / "places.json", report.to_json(), lambda: f"{table(facts_)}\n{out}")
+
+
+def learn_places(
+    session: JsonSession,
+    *,
+    data: DatasetArgument,
+    count: Annotated[int, typer.Option(min=1, help="Number of pictures to read, spread over those with labels.")] = 200,
+    reading: ReadingOfSplits,
+) -> None:
+    """Show on which kinds of ground the labelled objects are; recipes of metric placement use it by themselves."""
+    with shown_progress(session, "learning") as on_progress:
+        report = api.learn_places(data, count=count, reading=reading, on_progress=on_progress)
+    show_report(session, report, session.log_path or Path(), report.to_json(), lambda: _learned_table(report))
+
+
+def _learned_table(report: LearnedReport) -> str:
+    kinds = [k for k in SURFACES if any(g.around[k] >= 0.01 for t in report.ground.values() for g in t.values())]
+    rows = [
+        (
+            name,
+            time,
+            g.objects,
+            *(f"{g.around[k]:.2f}" + (f" ({g.factors[k]:g}x)" if k in g.factors else "") for k in kinds),
+        )
+        for name, by_time in report.ground.items()
+        for time, g in by_time.items()
+    ]
+    return f"{report.pictures} pictures; around objects, and times as often as anywhere\n" + grid(
+        ("class", "time", "objects", *kinds), rows
+    )
 
 
 def world(

@@ -120,6 +120,7 @@ def _further(found: Inspection) -> dict[str, str]:
     if found.decoded:
         rows["pictures"] = _listed(found.decoded["pictures"])
         rows["grey levels"] = ", ".join(f"{k} {v:g}" for k, v in found.decoded["grey_levels"].items())
+        rows["surfaces"] = ", ".join(f"{k} {v:.2f}" for k, v in found.decoded["surfaces"].items() if v >= 0.005)
     return rows
 
 

@@ -208,7 +208,7 @@ def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tup
 
 
 def _make_paths_whole(data: Mapping[str, Any], folder: Path) -> None:
-    """Replace paths of models and of a sensor profile, which are relative to a folder, by whole paths.
+    """Replace paths of models, of a sensor profile and of masks, which are relative to a folder, by whole paths.
 
     The record of a run has the whole path, so that the run can be used from any folder.
     """
@@ -218,6 +218,10 @@ def _make_paths_whole(data: Mapping[str, Any], folder: Path) -> None:
         named = item.get(field) if isinstance(item, dict) else None
         if isinstance(named, str) and named.lower().endswith(tuple(suffixes)):
             item[field] = whole_path(folder, named)
+    placement = data.get("placement")
+    where = placement.get("where") if isinstance(placement, dict) else None
+    if isinstance(where, dict) and isinstance(where.get("masks"), str):
+        where["masks"] = whole_path(folder, where["masks"])
 
 
 def whole_path(folder: Path, named: str) -> str:

@@ -25,6 +25,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.format_table import WrittenName
 from infrablend.core.scene import LOW_EMISSIVITY
 from infrablend.core.strict_model import Strict, in_order, range_of
+from infrablend.core.surface_kinds import SurfaceKind
 from infrablend.core.temperature import TemperatureScale, Unit
 
 
@@ -392,10 +393,11 @@ class Align(Strict):
     share: float = Field(0.85, ge=0, le=1)
     """Share of the objects that stand along the direction of their picture; either end may be in front. The other
     objects have any heading in `yaw_deg`."""
-    along: Literal["lines", "view"] = "lines"
-    """Direction of a picture. `lines`: along the lines on its ground (edges of roads, kerbs, walls) or at right angles
-    to them, and any direction where no lines are clear. `view`: about along the line of sight, because pilots fly along
-    rows of parked cars."""
+    along: Literal["road", "lines", "view"] = "lines"
+    """Direction. `road`: along the edges of the road or path that the object stands on, each at its own place. The
+    others are one direction per picture. `lines`: along the lines on its ground (edges of roads, kerbs, walls) or at
+    right angles to them, and any direction where no lines are clear. `view`: about along the line of sight, because
+    pilots fly along rows of parked cars."""
     spread_deg: float = Field(4.0, ge=0, le=45)
     """Standard deviation of the headings from the direction of the picture, degrees."""
     turn_deg: float = Field(15.0, ge=0, le=90)
@@ -563,6 +565,22 @@ class GroundByTime(Strict):
     """Pictures taken by night."""
 
 
+class Where(Strict):
+    """Surfaces that objects stand on, as the shipped model finds them in each background (`infrablend places map`)."""
+
+    surfaces: dict[SurfaceKind, Annotated[float, Field(ge=0, le=1)]] = Field(default_factory=dict)
+    """Affinity to kinds of surface, instead of the models' own: `{road: 1, grass: 0.1}` puts ten times as many objects
+    on an area of road as on one of grass, and none elsewhere. Kinds are `road`, `path`, `track`, `grass`, `soil`,
+    `shrub`, `tree`, `structure`, `water` and `object`."""
+    masks: str | None = None
+    """Folder with a picture `<split>/<id>.png` or `<id>.png` per background: objects stand only where it is bright, 255
+    or at least 128. Backgrounds without one are not restricted, and counted. A path in a recipe file is relative to
+    that file."""
+    learned: bool = True
+    """Where a class of the recipe has labels in the dataset, stand on the kinds of ground that its labelled objects are
+    on, as often as they are."""
+
+
 class MetricPlacement(Placement):
     """Placement in the view of the real camera, at its real height above the ground."""
 
@@ -577,6 +595,9 @@ class MetricPlacement(Placement):
     max_relief_grey: float = Field(12.0, ge=0)
     """Models that stand: largest standard deviation of the background under the feet, 8-bit grey levels. Trees, roof
     edges and kerbs have more than level ground. 0 turns the check off."""
+    where: Where | Literal["anywhere"] = Where()
+    """Models that stand: surfaces that suit them: cars on roads, deer on grass. `anywhere` is any place on the plane of
+    the ground that the other rules accept."""
     ground: GroundByTime | None = None
     """Models that stand: ground around real objects. Each object draws level and clutter from these distributions, and
     looks for such a place; after three quarters of its draws it takes any place whose level is possible. Without it,
@@ -1231,3 +1252,10 @@ PaperRecipe = PaperArtisticRecipe | PaperPhysicalRecipe
 MetricRecipe = MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe
 PhysicalRecipe = PaperPhysicalRecipe | MetricPhysicalRecipe | RadiometricRecipe
 Recipe = PaperArtisticRecipe | PaperPhysicalRecipe | MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe
+
+
+def ground_rules(recipe: Recipe) -> Where | None:
+    """Return the surfaces that objects of a recipe stand on; None for anywhere."""
+    placement = recipe.placement
+    where = placement.where if isinstance(placement, MetricPlacement) else None
+    return where if isinstance(where, Where) else None

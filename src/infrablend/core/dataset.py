@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -135,6 +135,11 @@ class Instance:
             and close(self.corners_xy, other.corners_xy)
             and all(getattr(self, k) == getattr(other, k) for k in same)
         )
+
+
+def boxes_of(labels: Sequence[Instance]) -> NDArray[np.float64]:
+    """Return the (n, 4) boxes of labels."""
+    return np.array([i.box_xyxy for i in labels], np.float64).reshape(-1, 4)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import boxes_mask
 from infrablend.core.margin import find_margin
 from infrablend.core.mesh import FloatArray
-from infrablend.core.surface_kinds import SURFACES, SurfaceKind
+from infrablend.core.surface_kinds import GROUND, SURFACES, Affinity, SurfaceKind
 
 Grey = NDArray[np.uint8] | NDArray[np.uint16]
 Share = NDArray[np.float32]
@@ -30,8 +30,13 @@ _LONGER_PX, _STEP_PX = 320, 64
 # Contrast below which a picture is even: it is not spread further, levels as a share of the whole range.
 _LEAST_SPREAD = 4 / 255
 # How far one can stand and drive on each kind.
-STAND: dict[SurfaceKind, float] = {"road": 1.0, "path": 1.0, "track": 1.0, "grass": 1.0, "soil": 1.0}
-DRIVE: dict[SurfaceKind, float] = {"road": 1.0, "path": 0.3, "track": 0.3}
+STAND: Affinity = GROUND
+DRIVE: Affinity = {"road": 1.0, "path": 0.3, "track": 0.3}
+# Power of the probabilities in `suitability`: where two kinds are about as likely, as at the edge of a road, the
+# likelier one decides.
+_SHARPER = 3.0
+# Cells where surfaces with any affinity are less likely than this are out of the question.
+_LIKELY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,17 +51,35 @@ class SurfaceMap:
     shares: NDArray[np.uint8]
     size_wh: tuple[int, int]
 
-    def share(self, kinds: dict[SurfaceKind, float]) -> Share:
+    def share(self, kinds: Affinity) -> Share:
         """Return the (h, w) probability, in [0, 1], of some kinds of surface with their weights, at full size."""
         weights = np.array([kinds.get(kind, 0.0) for kind in SURFACES], np.float32)
         small = np.tensordot(weights, self.shares.astype(np.float32), axes=1) / 255
         return np.asarray(np.clip(cv2.resize(small, self.size_wh, interpolation=cv2.INTER_LINEAR), 0, 1), np.float32)
+
+    def suitability(self, affinity: Affinity) -> Share:
+        """Return the (h', w') affinity, in [0, 1], to what lies at each cell; 0 where it is likely to have none."""
+        weights = np.array([affinity.get(kind, 0.0) for kind in SURFACES], np.float32)
+        suits = np.tensordot(weights, self.sharp(), axes=1)
+        suits[self.shares[weights > 0].sum(axis=0, dtype=np.int64) < _LIKELY * 255] = 0
+        return np.asarray(suits, np.float32)
+
+    def sharp(self) -> Share:
+        """Return the (len(SURFACES), h', w') probabilities, in [0, 1], with those of the likelier kinds enlarged."""
+        sharp = (self.shares.astype(np.float32) / 255) ** _SHARPER
+        return np.asarray(sharp / np.maximum(sharp.sum(axis=0), 1e-6), np.float32)
 
     def set(self, cells: NDArray[np.bool_], kind: SurfaceKind) -> None:
         """State, in place, that cells are of a kind."""
         number = SURFACES.index(kind)
         for k, share in enumerate(self.shares):
             share[cells] = 255 if k == number else 0
+
+    def shares_of_kinds(self) -> dict[SurfaceKind, float]:
+        """Return the share of the picture of each kind of surface that is the most probable one somewhere."""
+        kinds = self.shares.argmax(axis=0)
+        found = {kind: float((kinds == k).mean()) for k, kind in enumerate(SURFACES)}
+        return {kind: share for kind, share in found.items() if share}
 
     def kinds(self) -> NDArray[np.uint8]:
         """Return the (h, w) most probable kind at each pixel, a number in `SURFACES`."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, boxes_of
 from infrablend.core.files import write_bytes
 from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
@@ -20,6 +20,7 @@ from infrablend.formats.groups import Leakage, leakage
 from infrablend.formats.images import load_background
 from infrablend.formats.pictures import read_size
 from infrablend.formats.temperatures import describe_scales
+from infrablend.places.surfaces import find_surfaces
 from infrablend.report.figures import plot_text, png_bytes
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
@@ -50,7 +51,8 @@ class Inspection:
         tracks: Number of objects per track, over all sequences.
         picture_sizes: Number of images per size, as annotated, else from the file's header.
         temperatures: Number of images per temperature scale; empty if no image has one and none is stated.
-        decoded: Number of images per bit depth and mode, and grey levels; empty without decoding.
+        decoded: Number of images per bit depth and mode, grey levels, and the mean share of each kind of surface; empty
+            without decoding.
         leakage: Neighbouring images in different splits.
         remarks: Known facts about this published dataset that its files do not contain.
         problems: Errors and warnings.
@@ -231,6 +233,7 @@ def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem
     """Return figures on the pixels; one picture is in memory at a time."""
     kinds: Counter[str] = Counter()
     levels: list[tuple[int, int]] = []
+    surfaces: Counter[str] = Counter()
     sums, pixels = 0.0, 0
     problems: list[Problem] = []
     for image in images:
@@ -245,11 +248,13 @@ def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem
         levels.append((int(picture.pixels.min()), int(picture.pixels.max())))
         sums += float(picture.pixels.sum(dtype=np.float64))
         pixels += picture.pixels.size
+        surfaces.update(find_surfaces(picture.pixels, boxes_of(image.instances)).shares_of_kinds())
     found: dict[str, float] = {}
     if levels:
         lows, highs = zip(*levels, strict=True)
         found = {"lowest": min(lows), "mean": round(sums / pixels, 2), "highest": max(highs)}
-    return {"pictures": dict(sorted(kinds.items())), "grey_levels": found}, problems
+    mean = {kind: round(share / len(levels), 3) for kind, share in surfaces.most_common()}
+    return {"pictures": dict(sorted(kinds.items())), "grey_levels": found, "surfaces": mean}, problems
 
 
 # -- charts ----------------------------------------------------------------------------------------------------

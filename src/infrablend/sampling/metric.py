@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import cast
 
 import cv2
@@ -19,8 +20,16 @@ from numpy.typing import NDArray
 from infrablend.config.recipe import MetricObject, MetricRecipe, RealGround
 from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.camera import CameraSpec, object_to_world
-from infrablend.core.dataset import ImageRecord
-from infrablend.core.ground_plane import at_height, find_ground_lines, ground_point, ground_z_m, pixel_ray
+from infrablend.core.dataset import ImageRecord, boxes_of
+from infrablend.core.ground_plane import (
+    GroundEdges,
+    at_height,
+    find_ground_edges,
+    find_ground_lines,
+    ground_point,
+    ground_z_m,
+    pixel_ray,
+)
 from infrablend.core.margin import on_margin
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import SceneSpec, View
@@ -32,7 +41,6 @@ from infrablend.sampling.placement import (
     Pose,
     attempts_after,
     box_px,
-    boxes_of,
     collides,
     examine,
     is_covered,
@@ -41,6 +49,7 @@ from infrablend.sampling.placement import (
 from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.real_ground import draw_aim, ground_around
 from infrablend.sampling.site import Hiding, Site
+from infrablend.sampling.suitable_ground import SuitableGround, plants_of, suitable_ground
 
 # A flying object is at most at this share of the way to the ground.
 _BEFORE_GROUND = 0.9
@@ -55,10 +64,15 @@ _FEET = 0.12
 # places that are examined closely for that.
 _HIDDEN = 0.75
 _HIDING_PLACES = 8
+# How far away trees and shrubs may stand that are to hide an object, px.
+_NEAR_PX = 10.0
 # Share of the attempts, from the first, that place a grouped object beside another; the rest place it anywhere.
 _IN_COMPANY = 0.5
 # Clarity of the lines on the ground below which they give no direction.
 _LEAST_CLARITY = 0.08
+# With `along: road`: how far edges count, and how far the road is followed to tell its direction from that across it,
+# metres. One of them is taken if the road reaches so many times farther there.
+_EDGES_M, _FOLLOWED_M, _LONGER = 9.0, 25.0, 1.25
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
 
@@ -134,14 +148,14 @@ class MetricPlacer(Placer):
             return {}
         turn, across, off_view = float(rng.random()), bool(rng.random() < 0.5), float(rng.standard_normal())
         along_lines = math.pi * turn
-        if any(align.along == "lines" for align in aligned.values()):
+        if any(align.along != "view" for align in aligned.values()):
             boxes = [*boxes_of(site.labels), *site.text_boxes]
             lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
             if lines is not None and lines.clarity >= _LEAST_CLARITY:
                 along_lines = lines.yaw_rad + (math.pi / 2 if across else 0.0)
         # The camera looks along +Y.
         return {
-            kind: along_lines if align.along == "lines" else math.pi / 2 + math.radians(align.turn_deg) * off_view
+            kind: along_lines if align.along != "view" else math.pi / 2 + math.radians(align.turn_deg) * off_view
             for kind, align in aligned.items()
         }
 
@@ -172,10 +186,18 @@ class _Search:
         even = recipe.placement.max_relief_grey > 0
         self._relief = relief_of(site.pixels) / site.grey_unit if even else None
         self._real = _real_ground(recipe, site)
+        self._suitable: dict[tuple[int, bool], SuitableGround | None] = {}  # by identity of the kind
+        self._edges: GroundEdges | None = None
+        self._seeks_edges = True
         self._missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
 
     def place(self, item: PlacementRequest) -> Pose | None:
         """Draw poses until one is fit, and return it; None if none is. Rejections are counted by reason."""
+        suitable = self._suitable_ground(item)
+        if suitable is not None and not suitable.exists:
+            self._tally.absent["no_ground"] += 1
+            return None
+        among_plants = self._suitable_ground(item, among_plants=True)
         in_a_row = self._missed.get(id(item.kind), 0)
         attempts = attempts_after(in_a_row, self._rules.attempts)
         mates, aim = self._mates(item), self._ground_aim(item)
@@ -185,7 +207,8 @@ class _Search:
             if attempt >= _HIDDEN * attempts or examined == _HIDING_PLACES:
                 hiding = None
             beside = mates if attempt < _IN_COMPANY * attempts else []
-            pose = self._draw_beside(item, beside) if beside else self._draw(item)
+            ground = suitable if hiding is None else among_plants
+            pose = self._draw_beside(item, beside) if beside else self._draw(item, ground)
             if isinstance(pose, str):
                 self._tally.rejected[pose] += 1
             elif hiding is not None and not self._has_structure(hiding, item, pose):
@@ -204,6 +227,13 @@ class _Search:
         self._tally.absent["no_place"] += 1
         self._missed[id(item.kind)] = in_a_row + 1
         return None
+
+    def _suitable_ground(self, item: PlacementRequest, *, among_plants: bool = False) -> SuitableGround | None:
+        """Return the ground that suits objects of this kind, or also that under trees and shrubs; None for any."""
+        kind = id(item.kind), among_plants
+        if kind not in self._suitable:
+            self._suitable[kind] = suitable_ground(self._rules, self._site, item, among_plants=among_plants)
+        return self._suitable[kind]
 
     def _mates(self, item: PlacementRequest) -> list[Pose]:
         """Return the poses of the objects beside one of which the object is to stand; empty for anywhere."""
@@ -266,16 +296,30 @@ class _Search:
 
     def _has_structure(self, hiding: Hiding, item: PlacementRequest, pose: Pose) -> bool:
         (xy,), (depth_m,) = self._camera.project(np.array([pose[:3]]))
+        if item.model.stands and not self._near_plants(xy):  # walls, lamps and gratings are no branches
+            return False
         return bool(depth_m > 0) and hiding.has_structure(float(xy[0]), float(xy[1]), item.model.stands)
 
-    def _draw(self, item: PlacementRequest) -> Pose | str:
+    @cached_property
+    def _plants(self) -> SuitableGround | None:
+        return plants_of(self._rules, self._site)
+
+    def _near_plants(self, xy: FloatArray) -> bool:
+        """Return whether there are trees or shrubs around a position in the picture, as far as surfaces are known."""
+        if self._plants is None:
+            return True
+        around = np.array([xy + (i * _NEAR_PX, j * _NEAR_PX) for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        return bool((self._plants.at(around) >= 0.5).any())
+
+    def _draw(self, item: PlacementRequest, suitable: SuitableGround | None) -> Pose | str:
         """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
         kind, camera, rng = _kind(item), self._camera, self._rng
         w, h = camera.size_wh
-        u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
+        if suitable is None:
+            u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
+        else:
+            u, v = suitable.draw(rng)
         yaw = math.radians(rng.uniform(*kind.yaw_deg))
-        if item.model.stands:
-            yaw = self._aligned(yaw, item)
         above = float(rng.uniform(*kind.z_m))
         away = float(rng.uniform(*kind.range_m))
         below = ground_point(camera, u, v, self._view.ground_z_m)
@@ -284,37 +328,63 @@ class _Search:
                 return "no_ground"
             if above < 0:
                 return "below_ground"
-            return float(below[0]), float(below[1]), self._view.ground_z_m + above, yaw
+            yaw = self._aligned(yaw, item, (float(below[0]), float(below[1])))
+            pose = float(below[0]), float(below[1]), self._view.ground_z_m + above, yaw
+            return pose if suitable is None or suitable.carries(camera, item, pose) else "unfit_ground"
         if below is not None and away > _BEFORE_GROUND * float(np.linalg.norm(below - camera.position_m)):
             return "beyond_ground"
         place = camera.position_m + away * pixel_ray(camera, u, v)
         return float(place[0]), float(place[1]), float(place[2]), yaw
 
-    def _draw_beside(self, item: PlacementRequest, mates: Sequence[Pose]) -> Pose:
-        """Draw a pose beside one of the objects already placed, on the same ground.
+    def _draw_beside(self, item: PlacementRequest, mates: Sequence[Pose]) -> Pose | str:
+        """Draw a pose beside one of the objects already placed, on the same ground, or return why it is rejected.
 
         Objects in a row have the heading of their neighbour, whether or not that follows the picture's.
         """
         kind, rng = _kind(item), self._rng
         group = kind.group
         assert group is not None
-        x, y, z, mate_yaw = mates[int(rng.integers(len(mates)))]
+        mate = mates[int(rng.integers(len(mates)))]
+        x, y, z, mate_yaw = mate
         away, turn, heading = float(rng.uniform(*group.apart_m)), float(rng.random()), float(rng.random())
         if group.in_row:
             yaw = mate_yaw + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + (math.pi if rng.random() < 0.5 else 0.0)
             towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
         else:
             low, high = (math.radians(d) for d in kind.yaw_deg)
-            yaw, towards = self._aligned(low + (high - low) * heading, item), 2 * math.pi * turn
-        return x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
+            yaw, towards = self._aligned(low + (high - low) * heading, item, (x, y)), 2 * math.pi * turn
+        pose, suitable = (
+            (x + away * math.cos(towards), y + away * math.sin(towards), z, yaw),
+            self._suitable_ground(item),
+        )
+        return pose if suitable is None or suitable.carries(self._camera, item, pose, mate) else "unfit_ground"
 
-    def _aligned(self, yaw: float, item: PlacementRequest) -> float:
-        """Return a heading along the one of the picture, or the given one for objects that do not follow it."""
+    def _aligned(self, yaw: float, item: PlacementRequest, place_xy: tuple[float, float]) -> float:
+        """Return a heading along the picture's or the road's, or the given one for objects that do not follow it."""
         align, common, rng = _kind(item).align, self._headings.get(id(item.kind)), self._rng
         if align is None or common is None:
             return yaw
         follows, back, off = rng.random() < align.share, rng.random() < 0.5, float(rng.standard_normal())
+        if align.along == "road" and follows:
+            common = self._along_road(common, item, place_xy)
         return common + (math.pi if back else 0.0) + math.radians(align.spread_deg) * off if follows else yaw
+
+    def _along_road(self, common: float, item: PlacementRequest, place_xy: tuple[float, float]) -> float:
+        """Return the direction of the road at a place, or that of the picture where no edges are clear."""
+        site, z = self._site, self._view.ground_z_m
+        if self._seeks_edges:
+            boxes = [*boxes_of(site.labels), *site.text_boxes]
+            self._edges, self._seeks_edges = find_ground_edges(site.pixels, self._camera, z, boxes, site.margin), False
+        lines = None if self._edges is None else self._edges.lines(place_xy, _EDGES_M)
+        along = common if lines is None or lines.clarity < _LEAST_CLARITY else lines.yaw_rad
+        suitable = self._suitable_ground(item)
+        if suitable is None:
+            return along
+        reach = [suitable.reach_m(self._camera, (*place_xy, z), along + turn, _FOLLOWED_M) for turn in (0, math.pi / 2)]
+        if max(reach) > _LONGER * min(reach):
+            return along if reach[0] > reach[1] else along + math.pi / 2
+        # A place as wide as long: in one of both directions, the same in the whole picture.
+        return along + math.pi / 2 * round((common - along) / (math.pi / 2))
 
 
 def _real_ground(recipe: MetricRecipe, site: Site) -> RealGround | None:

@@ -11,13 +11,13 @@ import numpy as np
 
 from infrablend.config.recipe import PaperObject, PaperRecipe
 from infrablend.core.camera import CameraSpec
+from infrablend.core.dataset import boxes_of
 from infrablend.core.margin import on_margin
 from infrablend.sampling.placement import (
     DrawStatistics,
     PlacementRequest,
     Pose,
     attempts_after,
-    boxes_of,
     examine,
     is_covered,
 )

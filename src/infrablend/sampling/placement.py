@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,6 @@ from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Object, Placement
 from infrablend.core.boxes import box_of_points, clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
-from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.raster import NEAR_M, inside_fraction, project_triangles
 
@@ -157,11 +156,6 @@ def box_px(camera: CameraSpec, world_m: FloatArray, item: PlacementRequest) -> F
     xy = project_triangles(camera, world_m, triangles).xy
     points = clip_triangles_to_rect(xy, np.array([0, 0, *camera.size_wh], np.float64))
     return np.concatenate([points.min(axis=0), points.max(axis=0)]) if len(points) else None
-
-
-def boxes_of(labels: Sequence[Instance]) -> FloatArray:
-    """Return the (n, 4) boxes of labels."""
-    return np.array([i.box_xyxy for i in labels], np.float64).reshape(-1, 4)
 
 
 def is_covered(box_xyxy: FloatArray | None, others: FloatArray, share: float = MAX_OVERLAP) -> bool:

@@ -10,11 +10,11 @@ import numpy as np
 
 from infrablend.assets.model import SHADOW_PARAM
 from infrablend.core.camera import CameraSpec
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Instance, boxes_of
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import Sun
 from infrablend.sampling.metric import feet_box
-from infrablend.sampling.placement import PlacementRequest, Pose, boxes_of, is_covered
+from infrablend.sampling.placement import PlacementRequest, Pose, is_covered
 from infrablend.sampling.site import Site
 
 # Ground by day that is this much darker than the picture's median lies in the shade, 8-bit levels: people there have

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec
 from infrablend.core.capture import UNKNOWN, Capture, TimeOfDay
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Instance, boxes_of
 from infrablend.core.margin import find_margin
 from infrablend.core.mesh import FloatArray
 from infrablend.core.skyline import Skyline, find_skyline, noise_of
+from infrablend.places.labelled_ground import LabelledGround
+from infrablend.places.surfaces import SurfaceMap, find_surfaces
 from infrablend.sampling.calibration import FROM_TABLE, HeightPrior
 from infrablend.sampling.placement import PlacementRequest
 
@@ -71,6 +73,8 @@ class Site:
         hiding: What can hide objects in part; None for nothing.
         height_prior: What is known about `altitude_m`.
         time_of_day: Time of day, or None if unknown.
+        labelled_ground: On which kinds of ground the dataset's labelled objects are; see `places.labelled_ground`.
+        allowed: (h, w) mask of where objects may stand; None for anywhere.
     """
 
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
@@ -83,6 +87,13 @@ class Site:
     hiding: Hiding | None = None
     height_prior: HeightPrior = FROM_TABLE
     time_of_day: TimeOfDay | None = None
+    labelled_ground: LabelledGround = field(default_factory=dict)
+    allowed: NDArray[np.bool_] | None = None
+
+    @cached_property
+    def surfaces(self) -> SurfaceMap:
+        """What lies where; annotated objects are objects."""
+        return find_surfaces(self.pixels, boxes_of([i for i in self.labels if i.category not in self.ignored]))
 
     @cached_property
     def median_level(self) -> float:

@@ -12,6 +12,9 @@ from infrablend.world.roadside import add_road, cold_mark, hedge_row, kerb_parki
 from infrablend.world.site import Site
 from infrablend.world.vehicles import CARS
 
+# Attempts to plant a tree in a wood; more take minutes, and show from so high up that single trees do not count.
+_MOST_TREES = 1500
+
 
 def forest(site: Site) -> str:
     """Fill a site with a wood, perhaps dense, with a clearing and a track or a road through it."""
@@ -26,7 +29,7 @@ def forest(site: Site) -> str:
     gap = u(0.5, 3.5)
     clearing = (u(site.x0, site.x1), u(site.y0, site.y1), u(0.0, 0.6) * min(site.x1 - site.x0, site.y1 - site.y0))
     size, spread = u(0.8, 2.0), u(0.02, 0.12)
-    for _ in range(int(spread / size * (2 * site.reach) ** 2)):
+    for _ in range(min(int(spread / size * (2 * site.reach) ** 2), _MOST_TREES)):
         x, y = u(-site.reach, site.reach), u(-site.reach, site.reach)
         if math.hypot(x - clearing[0], y - clearing[1]) > clearing[2] and site.clear_of_roads(x, y, gap):
             site.add_tree(draws.one_of(kinds), x, y, size * u(0.7, 1.3))

@@ -14,9 +14,9 @@ from infrablend.core.mesh import FloatArray
 from infrablend.world.setting import Draws, Weather
 from infrablend.world.surfaces import CLOTH, GLASS, LEAF, METAL, PAINT, Surface, SurfaceBuilder
 
-TreeKind = Literal["crown", "bare", "shrub"]
-# Number of prototypes of each kind.
-TREE_KINDS = {"crown": 6, "bare": 4, "shrub": 3}
+TreeKind = Literal["bare", "crown", "shrub", "conifer"]
+# Number of prototypes of each kind; a kind's place here is part of its prototypes' seeds.
+TREE_KINDS = {"bare": 4, "crown": 6, "shrub": 3, "conifer": 5}
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,10 @@ class Tree:
 def draw_tree_size(draws: Draws, kind: TreeKind, scale: float) -> tuple[float, float]:
     """Return the height and the radius of a new tree in metres."""
     u = draws.uniform
-    height = {"crown": u(4.5, 8.5), "bare": u(5.0, 8.5), "shrub": u(0.9, 1.9)}[kind] * scale
-    radius = height * {"crown": u(0.32, 0.46), "bare": u(0.3, 0.4), "shrub": u(0.5, 0.75)}[kind]
-    return height, radius
+    alike = "crown" if kind == "conifer" else kind
+    height = {"crown": u(4.5, 8.5), "bare": u(5.0, 8.5), "shrub": u(0.9, 1.9)}[alike] * scale
+    radius = height * {"crown": u(0.32, 0.46), "bare": u(0.3, 0.4), "shrub": u(0.5, 0.75)}[alike]
+    return (1.3 * height, 0.6 * radius) if kind == "conifer" else (height, radius)
 
 
 def draw_tree(draws: Draws, weather: Weather, kind: TreeKind, x: float, y: float, size_m: tuple[float, float]) -> Tree:
@@ -55,11 +56,13 @@ def draw_tree(draws: Draws, weather: Weather, kind: TreeKind, x: float, y: float
 def tree_prototype(kind: str, index: int) -> Surface:
     """Return prototype `index` of a kind of tree, 1 m high, of radius 1 m; temperatures are relative to the tree's."""
     # Prototypes are part of the program, like a model file: the same in every world.
-    rng = np.random.Generator(np.random.PCG64([7, sorted(TREE_KINDS).index(kind), index]))
+    rng = np.random.Generator(np.random.PCG64([7, list(TREE_KINDS).index(kind), index]))
     if kind == "crown":
         return _crown(rng, 560, 0.30, 0.72)
     if kind == "shrub":
         return _crown(rng, 170, 0.05, 0.5)
+    if kind == "conifer":
+        return _conifer(rng)
     return _bare(rng)
 
 
@@ -93,6 +96,25 @@ def _crown(rng: np.random.Generator, clumps: int, low: float, centre: float) -> 
         # Parts that face the sky are colder; the inside keeps the trunk's warmth.
         warm = 0.75 * (1 - r) - 0.4 * d[2] + float(rng.normal(0, 0.7))
         p.add(Solid(v, ball.triangles), warm, LEAF, 1.0, 1.1)
+    return p.surface()
+
+
+def _conifer(rng: np.random.Generator) -> Surface:
+    """Return a spruce or a cypress: whorls of branches that hang, shorter towards the top."""
+    p = SurfaceBuilder()
+    p.add(shapes.capsule((0, 0, 0), (0, 0, 0.95), 0.05, 0.01, n=6), 1.2, LEAF, 0.3, 0.3)
+    ball, droop, low = _icosahedron(), float(rng.uniform(0.1, 0.45)), float(rng.uniform(0.03, 0.15))
+    for z in np.arange(low, 0.98, 0.045):
+        reach = (1 - (z - low) / (1 - low)) ** float(rng.uniform(0.7, 1.0))
+        for angle in rng.uniform(0, 2 * math.pi) + np.arange(0, 2 * math.pi, 0.5 + 0.4 * (1 - reach)):
+            length = reach * float(rng.uniform(0.75, 1.0)) + 0.05
+            thick = 0.14 * length + 0.02
+            v = ball.vertices * (1 + 0.3 * rng.uniform(-1, 1, (len(ball.vertices), 1)))
+            v = v * (length / 2, thick, 0.02 + 0.2 * thick) + (length / 2, 0, 0)
+            v[:, 2] -= 0.25 * droop * v[:, 0]
+            v = v @ shapes.turn_z(float(angle + rng.normal(0, 0.1))).T + (0, 0, z)
+            v[:, 2] = np.clip(v[:, 2], 0.0, 1.0)
+            p.add(Solid(v, ball.triangles), float(rng.normal(0, 0.5)) - 0.3, LEAF, 1.0, 0.9)
     return p.surface()
 
 

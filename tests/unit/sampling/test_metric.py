@@ -12,13 +12,14 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import FlightHeight, StatedHeights
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Instance, boxes_of
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
 from infrablend.sampling.metric import is_even, relief_of
-from infrablend.sampling.placement import PlacementRequest, box_px, boxes_of, collides, volume_of
+from infrablend.sampling.placement import PlacementRequest, box_px, collides, volume_of
 from infrablend.sampling.scene import RecipeSampler, rebuild_scene
 from infrablend.sampling.site import FrameKey, Site
+from tests.recipes import ANYWHERE, load_anywhere
 
 WH = (640, 512)
 
@@ -157,7 +158,7 @@ def test_crowds_do_not_correct_the_height():
 
 
 def test_height_stated_by_the_recipe_is_not_corrected():
-    recipe = load_recipe("hit-uav-drone-physical", ["camera.altitude={fixed_m: 50}"])
+    recipe = load_anywhere("hit-uav-drone-physical", ["camera.altitude={fixed_m: 50}"])
     assert draw(recipe).view.camera_height_m == 50
 
 
@@ -170,7 +171,7 @@ def test_people_have_several_class_names():
 
 
 def test_standing_objects_are_on_the_ground_at_true_size():
-    recipe = load_recipe("hit-uav-person", ["placement.size_px=[1, 500]"])
+    recipe = load_anywhere("hit-uav-person", ["placement.size_px=[1, 500]"])
     for number in range(8):
         spec = draw(recipe, number=number)
         assert spec.view.camera_height_m == pytest.approx(80 * NOMINAL_FACTOR)
@@ -187,17 +188,17 @@ def test_standing_objects_are_on_the_ground_at_true_size():
 
 
 def test_flying_objects_keep_their_range_in_front_of_the_ground():
-    recipe = load_recipe("hit-uav-drone-physical")
+    recipe = load_anywhere("hit-uav-drone-physical")
     for number in range(8):
         spec = draw(recipe, number=number)
         (drone,) = spec.objects
         assert 15 <= np.linalg.norm(np.array(drone.position_m) - spec.camera.position_m) <= 60
-    near = draw(load_recipe("hit-uav-drone-physical", ["camera.altitude={fixed_m: 10}", "camera.calibrate=false"]))
+    near = draw(load_anywhere("hit-uav-drone-physical", ["camera.altitude={fixed_m: 10}", "camera.calibrate=false"]))
     assert near.draws["rejected"].get("beyond_ground", 0) + near.draws["absent"].get("no_place", 0) > 0
 
 
 def test_objects_keep_clear_of_labels_and_ignore_regions():
-    recipe = load_recipe("hit-uav-person", ["objects.0.count=6", "camera.calibrate=false"])
+    recipe = load_anywhere("hit-uav-person", ["objects.0.count=6", "camera.calibrate=false"])
     everywhere = [np.array([0.0, 0, 640, 250]), np.array([0.0, 250, 300, 512])]
     for category, reason in (("Car", "on_annotated"), ("DontCare", "on_ignored")):
         spec = draw(recipe, labels=[Instance(category, b) for b in everywhere])
@@ -205,7 +206,7 @@ def test_objects_keep_clear_of_labels_and_ignore_regions():
         for o in spec.objects:
             xy, _ = spec.camera.project(np.array([o.position_m]))
             assert xy[0, 0] > 290 and xy[0, 1] > 240
-    sunk = draw(load_recipe("hit-uav-person", ["objects.0.z_m=[-5, -1]"]))
+    sunk = draw(load_anywhere("hit-uav-person", ["objects.0.z_m=[-5, -1]"]))
     assert set(sunk.draws["rejected"]) == {"below_ground"}
     covered = draw(recipe, labels=[Instance("DontCare", np.array([0.0, 0, 640, 512]))])
     assert not covered.objects
@@ -222,7 +223,7 @@ def test_large_objects_cover_no_small_annotated_ones():
     """People of 1 % of a car's box vanished under it: what is shared counts against the smaller of both boxes."""
     rng = np.random.default_rng(5)
     people = [Instance("Person", np.array([x, y, x + 4, y + 4])) for x, y in rng.uniform(10, 500, (300, 2))]
-    recipe = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
+    recipe = load_anywhere("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
     drawn = [draw(recipe, labels=people, number=n) for n in range(8)]
     boxes = [labelled_box(s.camera, o) for s in drawn for o in s.objects]
     assert len(boxes) >= 8
@@ -230,14 +231,15 @@ def test_large_objects_cover_no_small_annotated_ones():
     assert not any(collides(b, boxes_of(people)) for b in boxes)
     # With the rule off, cars do cover them.
     free = [
-        draw(load_recipe("hit-uav-car", ["placement.clear_of_labels=false"]), labels=people, number=n) for n in range(8)
+        draw(load_anywhere("hit-uav-car", ["placement.clear_of_labels=false"]), labels=people, number=n)
+        for n in range(8)
     ]
     assert any(collides(labelled_box(s.camera, o), boxes_of(people)) for s in free for o in s.objects)
 
 
 def test_the_search_for_places_is_bounded_in_a_picture_that_is_full():
     """Sixty objects without a place took 12,000 draws: 100 CPU seconds in a picture of 64 x 48 px."""
-    recipe = load_recipe("hit-uav-person", ["objects.0.count=60", "camera.calibrate=false"])
+    recipe = load_anywhere("hit-uav-person", ["objects.0.count=60", "camera.calibrate=false"])
     full = draw(recipe, labels=[Instance("Car", np.array([0.0, 0, 640, 512]))])
     assert full.draws["absent"] == {"no_place": 60}
     assert full.draws["attempts"] == 200 + 100 + 50 + 25 + 12 + 55 * 10
@@ -250,7 +252,7 @@ def test_people_do_not_overlap_trees():
     rng = np.random.default_rng(0)
     rough = FLAT.copy()
     rough[:, :320] = rng.integers(40, 220, (512, 320))
-    recipe = load_recipe("hit-uav-person", ["camera.calibrate=false"])
+    recipe = load_anywhere("hit-uav-person", ["camera.calibrate=false"])
     drawn = [draw(recipe, rough, number=n) for n in range(12)]
     assert sum(s.draws["rejected"].get("uneven_ground", 0) for s in drawn) >= 4
     for s in drawn:
@@ -258,19 +260,19 @@ def test_people_do_not_overlap_trees():
         assert xy[0, 0] > 318
     assert is_even(relief_of(FLAT), np.array([10.0, 10, 20, 20]), 1.0)
     # A drone may be over anything.
-    flying = [draw(load_recipe("hit-uav-drone-physical"), rough, number=n) for n in range(4)]
+    flying = [draw(load_anywhere("hit-uav-drone-physical"), rough, number=n) for n in range(4)]
     assert not any(s.draws["rejected"].get("uneven_ground") for s in flying)
 
 
 def test_frame_without_ground_is_reported():
-    spec = draw(load_recipe("hit-uav-person"), pitch=-20.0)
+    spec = draw(load_anywhere("hit-uav-person"), pitch=-20.0)
     assert not spec.objects
     assert set(spec.draws["rejected"]) == {"no_ground"}
     assert spec.draws["absent"] == {"no_place": 1}
 
 
 def test_the_same_frame_twice_and_through_json():
-    recipe = load_recipe("hit-uav-drone-physical", ["camera.roll_deg=[-5, 5]"])
+    recipe = load_anywhere("hit-uav-drone-physical", ["camera.roll_deg=[-5, 5]"])
     a, b = draw(recipe), draw(recipe)
     assert a == b
     assert type(a).from_json(a.to_json()) == a
@@ -284,9 +286,9 @@ def nearest_m(spec):
 
 
 def test_people_keep_company_as_often_and_as_close_as_the_recipe_says():
-    alone = load_recipe("hit-uav-person", ["objects.0.count=10"])
+    alone = load_anywhere("hit-uav-person", ["objects.0.count=10"])
     settings = ["objects.0.count=10", "objects.0.group={share: 0.6, apart_m: [1, 2], max_overlap: 1}"]
-    grouped = load_recipe("hit-uav-person", settings)
+    grouped = load_anywhere("hit-uav-person", settings)
     near = {
         name: np.concatenate([nearest_m(draw(r, number=n)) for n in range(12)])
         for name, r in (("alone", alone), ("grouped", grouped))
@@ -294,12 +296,12 @@ def test_people_keep_company_as_often_and_as_close_as_the_recipe_says():
     assert (near["alone"] < 2).mean() < 0.15
     # The nine after the first: 60 % beside another, whose neighbours they then are; some of these are alone else.
     assert 0.6 < (near["grouped"] <= 2 + 1e-9).mean() < 0.95
-    assert load_recipe("hit-uav-people").objects[0].group is not None
+    assert load_anywhere("hit-uav-people").objects[0].group is not None
 
 
 def test_cars_stand_in_rows():
     settings = ["objects.0.count=5", "objects.0.group={share: 1, apart_m: [2.5, 3], in_row: true, max_overlap: 0.6}"]
-    spec = draw(load_recipe("hit-uav-car", settings))
+    spec = draw(load_anywhere("hit-uav-car", settings))
     assert len(spec.objects) == 5
     first = spec.objects[0]
     for o in spec.objects[1:]:
@@ -326,7 +328,7 @@ def volumes(spec):
 def test_no_car_stands_inside_another():
     """Boxes in the picture do not show it: neighbours in a row may hide each other by half."""
     group = "objects.0.group={share: 1, apart_m: [2.2, 2.6], in_row: true, max_overlap: 1}"
-    recipe = load_recipe("hit-uav-car", ["objects.0.count=12", "placement.max_relief_grey=0", group])
+    recipe = load_anywhere("hit-uav-car", ["objects.0.count=12", "placement.max_relief_grey=0", group])
     specs = [draw(recipe, pitch=30.0, number=n) for n in range(6)]
     assert sum(s.draws["rejected"].get("in_another", 0) for s in specs) > 0
     assert sum(len(s.objects) for s in specs) > 30
@@ -336,7 +338,7 @@ def test_no_car_stands_inside_another():
 
 def test_a_moved_car_keeps_out_of_those_that_stay():
     group = "objects.0.group={share: 1, apart_m: [2.2, 2.6], in_row: true, max_overlap: 1}"
-    recipe = load_recipe("hit-uav-car", ["objects.0.count=8", "placement.max_relief_grey=0", group])
+    recipe = load_anywhere("hit-uav-car", ["objects.0.count=8", "placement.max_relief_grey=0", group])
     sampler, rejected = sampler_of(recipe), 0
     # Ground for few cars, all else is covered: moved cars must stand close to the others.
     ignored = [Instance("DontCare", np.array(b, np.float64)) for b in ([0, 0, 640, 150], [0, 350, 640, 512])]
@@ -361,7 +363,7 @@ def test_a_moved_car_keeps_out_of_those_that_stay():
     ],
 )
 def test_volumes_are_turned_with_their_objects(x, y, z, yaw_deg, inside):
-    spec = draw(load_recipe("hit-uav-car", ["objects.0.count=1"]))
+    spec = draw(load_anywhere("hit-uav-car", ["objects.0.count=1"]))
     car = request(replace(spec.objects[0], scale=1.0))
     a = volume_of(car, (10.0, 5.0, 0.0, math.pi / 2 + math.radians(yaw_deg)))
     b = volume_of(car, (10.0 + x, 5.0 + y, z, math.pi / 2 + math.radians(yaw_deg)))
@@ -385,7 +387,7 @@ def off_deg(spec, yaw_deg, period_deg):
 @pytest.mark.parametrize("yaw", [0, 30])
 def test_aligned_cars_stand_along_the_lines_of_the_picture(yaw):
     settings = ["objects.0.count=6", "placement.max_relief_grey=0", "objects.0.align={share: 1, spread_deg: 3}"]
-    drawn = [draw(load_recipe("hit-uav-car", settings), lined(yaw), pitch=90.0, number=n) for n in range(8)]
+    drawn = [draw(load_anywhere("hit-uav-car", settings), lined(yaw), pitch=90.0, number=n) for n in range(8)]
     off = np.concatenate([off_deg(s, yaw, 90) for s in drawn])
     assert len(off) > 30 and off.max() < 14 and 1.5 < math.sqrt((off**2).mean()) < 4.5
     # One picture has one of the two directions, the other pictures have either; both ends may be in front.
@@ -397,14 +399,14 @@ def test_aligned_cars_stand_along_the_lines_of_the_picture(yaw):
 
 def test_some_cars_do_not_follow_the_lines():
     settings = ["objects.0.count=6", "placement.max_relief_grey=0", "objects.0.align={share: 0.5, spread_deg: 1}"]
-    drawn = [draw(load_recipe("hit-uav-car", settings), lined(0), pitch=90.0, number=n) for n in range(12)]
+    drawn = [draw(load_anywhere("hit-uav-car", settings), lined(0), pitch=90.0, number=n) for n in range(12)]
     off = np.concatenate([off_deg(s, 0, 90) for s in drawn])
     assert 0.4 < (off < 4).mean() < 0.75
 
 
 def test_cars_of_a_picture_without_lines_share_a_direction():
     settings = ["objects.0.count=5", "objects.0.align={share: 1, spread_deg: 2}"]
-    drawn = [draw(load_recipe("hit-uav-car", settings), number=n) for n in range(6)]
+    drawn = [draw(load_anywhere("hit-uav-car", settings), number=n) for n in range(6)]
     for s in drawn:
         assert off_deg(s, math.degrees(s.objects[0].yaw_rad), 180).max() < 14
     firsts = np.array([math.degrees(s.objects[0].yaw_rad) % 90 for s in drawn])
@@ -417,7 +419,7 @@ def test_neighbours_are_aligned_as_well():
     for in_row in ("true", "false"):
         group = f"objects.0.group={{share: 1, apart_m: [3, 6], in_row: {in_row}, max_overlap: 0.6}}"
         drawn = [
-            draw(load_recipe("hit-uav-car", [*settings, group]), lined(30), pitch=90.0, number=n) for n in range(6)
+            draw(load_anywhere("hit-uav-car", [*settings, group]), lined(30), pitch=90.0, number=n) for n in range(6)
         ]
         off = np.concatenate([off_deg(s, 30, 90) for s in drawn])
         # Headings in a row differ by up to 4 degrees from one neighbour to the next.
@@ -426,8 +428,8 @@ def test_neighbours_are_aligned_as_well():
 
 def test_cars_stand_along_the_view_by_day_only():
     align = "objects.0.align={share: 1, along: view, turn_deg: 20, spread_deg: 2, time_of_day: day}"
-    plain = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
-    aligned = load_recipe("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0", align])
+    plain = load_anywhere("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0"])
+    aligned = load_anywhere("hit-uav-car", ["objects.0.count=6", "placement.max_relief_grey=0", align])
     day, sampler = Site(FLAT, (), frozenset(), 80.0, time_of_day="day"), sampler_of(aligned)
     by_day = [sampler.sample(key(n, time_of_day="day"), day).spec for n in range(24)]
     # One direction per picture, about that of +Y, in which the camera looks; either end may be in front.
@@ -443,14 +445,14 @@ def test_cars_stand_along_the_view_by_day_only():
 
 
 def test_flying_objects_have_headings_of_their_own():
-    plain = load_recipe("hit-uav-drone-physical", ["objects.0.count=2"])
-    aligned = load_recipe("hit-uav-drone-physical", ["objects.0.count=2", "objects.0.align={share: 1}"])
+    plain = load_anywhere("hit-uav-drone-physical", ["objects.0.count=2"])
+    aligned = load_anywhere("hit-uav-drone-physical", ["objects.0.count=2", "objects.0.align={share: 1}"])
     assert draw(plain, lined(0)).objects == draw(aligned, lined(0)).objects
 
 
 def test_a_moved_car_stands_along_the_others():
     settings = ["objects.0.count=4", "placement.max_relief_grey=0", "objects.0.align={share: 1, spread_deg: 2}"]
-    sampler, site = sampler_of(load_recipe("hit-uav-car", settings)), Site(lined(20), (), frozenset(), 80.0)
+    sampler, site = sampler_of(load_anywhere("hit-uav-car", settings)), Site(lined(20), (), frozenset(), 80.0)
     for n in range(4):
         scene = sampler.sample(key(n, 90.0), site)
         moved = sampler.move(scene, range(4), site, 1).spec
@@ -461,8 +463,8 @@ def test_a_moved_car_stands_along_the_others():
 
 def test_draws_without_companions_are_unchanged():
     """A recipe that names no group gets the scenes it always got."""
-    plain = load_recipe("hit-uav-person", ["objects.0.count=3"])
-    never = load_recipe("hit-uav-person", ["objects.0.count=3", "objects.0.group={share: 0}"])
+    plain = load_anywhere("hit-uav-person", ["objects.0.count=3"])
+    never = load_anywhere("hit-uav-person", ["objects.0.count=3", "objects.0.group={share: 0}"])
     assert [o.position_m for o in draw(plain).objects] != []
     assert len(draw(never).objects) == 3
 
@@ -472,7 +474,7 @@ def test_nothing_is_placed_where_the_camera_saw_nothing(name, monkeypatch):
     ground = np.random.default_rng(0).integers(115, 125, (512, 640)).astype(np.uint8)
     black = np.zeros(ground.shape, np.bool_)
     black[:, :320] = True
-    recipe = load_recipe(name, ["objects.0.count=3"])
+    recipe = load_recipe(name, ["objects.0.count=3", *[ANYWHERE] * (name == "hit-uav-person")])
     drawn = [draw(recipe, np.where(black, 0, ground).astype(np.uint8), number=n) for n in range(6)]
     assert sum(s.draws["rejected"].get("on_margin", 0) for s in drawn) >= 3
     models = {o.model: load_model(o.model) for o in recipe.objects}

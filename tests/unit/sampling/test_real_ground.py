@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from infrablend.assets.catalogue import load_model
-from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import RealGround
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
@@ -12,6 +11,7 @@ from infrablend.errors import RecipeError
 from infrablend.sampling.real_ground import draw_aim, ground_around
 from infrablend.sampling.scene import sample_scene
 from infrablend.sampling.site import FrameKey, Site
+from tests.recipes import load_anywhere
 
 WH = (640, 512)
 CLUTTERED = "{level_grey: [-5, -1, 0, 1, 5], clutter_grey: [8, 9, 10, 11, 12]}"
@@ -29,7 +29,9 @@ def lawn_and_car_park():
 def places(ground, pixels, count=8, time_of_day="day", black_hot=False):
     """Return the horizontal places of people and the reasons for which draws were rejected."""
     overrides = ["placement.max_relief_grey=0"]
-    recipe = load_recipe("hit-uav-person", overrides + [f"placement.ground={{{time_of_day}: {ground}}}"] * bool(ground))
+    recipe = load_anywhere(
+        "hit-uav-person", overrides + [f"placement.ground={{{time_of_day}: {ground}}}"] * bool(ground)
+    )
     models = {"person": load_model("person")}
     x, rejected = [], {}
     for k in range(count):
@@ -100,7 +102,7 @@ def test_aims_have_the_distribution_of_the_real_objects():
 def test_quantiles_in_the_wrong_order_are_refused():
     ground = "placement.ground={day: {level_grey: [5, 0, 1, 2, 3], clutter_grey: [1, 2, 3, 4]}}"
     with pytest.raises(RecipeError) as caught:
-        load_recipe("hit-uav-person", [ground])
+        load_anywhere("hit-uav-person", [ground])
     text = str(caught.value)
     assert "placement.ground.day.level_grey" in text and "rising order" in text
     assert "placement.ground.day.clutter_grey" in text and "five quantiles" in text

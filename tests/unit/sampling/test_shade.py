@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from infrablend.assets.catalogue import load_model
-from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Sun
 from infrablend.sampling.scene import RecipeSampler, rebuild_scene, sample_scene
 from infrablend.sampling.shade import shadow_shift
 from infrablend.sampling.site import FrameKey, Site
+from tests.recipes import load_anywhere
 from tests.samples import with_facts
 
 DAY = FrameKey("f", "train", 0, (640, 512), Capture(pitch_deg=60.0, time_of_day="day", sequence="flight"))
@@ -22,7 +22,7 @@ EVEN = np.full((512, 640), 120, np.uint8)
 
 def sampled(model, pixels=EVEN, *overrides, labels=(), key=DAY, **site):
     models = {model: load_model(model)}
-    recipe = load_recipe({"person": "hit-uav-person", "car": "hit-uav-car"}[model], list(overrides))
+    recipe = load_anywhere({"person": "hit-uav-person", "car": "hit-uav-car"}[model], list(overrides))
     where = Site(pixels, labels, altitude_m=60.0, **site)
     return sample_scene(key, recipe, models, 1, where), recipe, models, where
 

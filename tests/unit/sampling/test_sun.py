@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from infrablend.assets.catalogue import load_model
-from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.scene import SceneSpec
 from infrablend.sampling.scene import sample_scene
 from infrablend.sampling.site import FrameKey, Site
+from tests.recipes import load_anywhere
 from tests.samples import with_facts
 
 KUNMING = "environment.place={latitude_deg: 25.0, longitude_deg: 102.7}"
@@ -28,7 +28,7 @@ DAY = FrameKey(
 
 
 def sampled(key, *overrides, seed=3, recipe="hit-uav-person"):
-    return sample_scene(key, load_recipe(recipe, list(overrides)), PERSON, seed, SITE)
+    return sample_scene(key, load_anywhere(recipe, list(overrides)), PERSON, seed, SITE)
 
 
 def sun(key, *overrides, seed=3):

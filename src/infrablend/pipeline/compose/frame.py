@@ -11,7 +11,11 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from infrablend.annotation.labels import LabelReport, annotate
 from infrablend.annotation.merge import MergeSettings, merge
@@ -20,6 +24,7 @@ from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, me
 from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
+from infrablend.config.recipe import ground_rules
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.placed import PlacedScene
@@ -28,6 +33,7 @@ from infrablend.core.rng import integer_seed
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import MissingDependencyError
 from infrablend.formats.images import Background, encode_image, output_suffix
+from infrablend.formats.place_masks import find_mask, read_mask
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import (
     FirstContrasts,
@@ -202,8 +208,18 @@ class FrameComposer:
             hiding=cover,
             height_prior=self._sampler.placer.height_prior(source),
             time_of_day=source.capture.time_of_day,
+            labelled_ground=self._settings.labelled_ground,
+            allowed=self._allowed(frame, background),
         )
         return Canvas(frame, background, frame.key(background.size_wh), site, cover)
+
+    def _allowed(self, frame: PlannedFrame, background: Background) -> NDArray[np.bool_] | None:
+        """Return the pixels where the caller's mask lets objects stand; None without one."""
+        where = ground_rules(self._recipe)
+        if where is None or where.masks is None:
+            return None
+        path = find_mask(Path(where.masks), frame.background)
+        return None if path is None else read_mask(path, background.size_wh)
 
     def _grey_unit(self, background: Background) -> float:
         """Return the picture's levels per 8-bit level: by its own range if it has 16 bits and the run measured none."""

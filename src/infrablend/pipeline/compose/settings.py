@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, Extensions
+from infrablend.pipeline.plans.labelled_ground import labelled_ground
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
+from infrablend.places.labelled_ground import LabelledGround
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,7 @@ class FrameSettings:
         extensions: The caller's own sampler, backgrounds and look.
         run: Identity of the run, for the records of its frames.
         models: Digests of the recipe's own models: changed models are loaded again.
+        labelled_ground: On which kinds of ground the dataset's labelled objects are.
     """
 
     out: Path | None
@@ -39,6 +42,7 @@ class FrameSettings:
     extensions: Extensions = NO_EXTENSIONS
     run: str = ""
     models: Mapping[str, Any] = field(default_factory=dict)
+    labelled_ground: LabelledGround = field(default_factory=dict)
 
 
 def settings_for(
@@ -60,4 +64,5 @@ def settings_for(
         extensions=extensions,
         run=plan.run,
         models=plan.key.get("models", {}),
+        labelled_ground=labelled_ground(plan, extensions.load),
     )

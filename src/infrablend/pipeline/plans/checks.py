@@ -9,7 +9,7 @@ from pathlib import Path
 
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import Recipe
+from infrablend.config.recipe import Recipe, ground_rules
 from infrablend.core.camera import fov_of_width
 from infrablend.core.class_names import differ_in_form
 from infrablend.core.dataset import Dataset, ImageRecord
@@ -19,6 +19,7 @@ from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.formats.detection import DATASET_INSIDE
 from infrablend.formats.flight import FLIGHT_MISSING
+from infrablend.formats.place_masks import find_mask
 from infrablend.formats.temperatures import IMPLAUSIBLE, implausible_scales
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.formats.writing import unwritable
@@ -118,8 +119,30 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
         *_other_lens(recipe, images),
         *_other_pitch(recipe, images),
         *_other_height(recipe, images),
+        *_without_mask(recipe, images),
     ]
     return [*found, *_sun_unused(recipe, images)]
+
+
+def _without_mask(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning if some pictures have no mask of where objects may stand.
+
+    Raises:
+        RecipeError: No picture has one.
+    """
+    where = ground_rules(recipe)
+    if where is None or where.masks is None:
+        return []
+    folder, field = Path(where.masks), "placement.where.masks"
+    missing = [i for i in images if find_mask(folder, i) is None]
+    expected = f"{missing[0].split}/{missing[0].id}.png or {missing[0].id}.png in {folder}" if missing else ""
+    if missing and len(missing) == len(images):
+        found = "no mask of any picture" if folder.is_dir() else "no such folder"
+        raise RecipeError(f"recipe {recipe.name}: {field}", [Problem(field, "masks-missing", found, expected)])
+    if not missing:
+        return []
+    found = f"no mask for {len(missing)} of {len(images)} pictures, where objects stand on any ground that suits them"
+    return [Problem(field, "masks-missing", found, expected, "draw them, all 255 for no restriction", "warning")]
 
 
 def require_pitch_of_pixels(recipe: Recipe, images: Sequence[ImageRecord]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from infrablend import __version__
 from infrablend.annotation.classes import ignored_turned_objects, rename_classes
 from infrablend.assets.user_model import description_digest, is_description
-from infrablend.config.recipe import NOT_IN_KEY, Recipe
+from infrablend.config.recipe import NOT_IN_KEY, Recipe, ground_rules
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.files import sha256_of_json
@@ -35,6 +35,7 @@ from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
+from infrablend.places.surfaces import model_version
 from infrablend.sampling.scene import require_parts
 
 LEVELS_SAMPLE = 64
@@ -140,6 +141,8 @@ def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
         "seed": seed,
         "backgrounds": fingerprint(used),
     }
+    if ground_rules(recipe) is not None:
+        key["places"] = model_version()
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return key

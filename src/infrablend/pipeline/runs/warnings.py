@@ -51,6 +51,15 @@ _REASONS: Mapping[str, _Reason] = {
         "a pitch in the metadata, a picture that shows where sky and ground meet, or a stated range",
         "set camera.pitch.else_deg for such pictures, or camera.pitch={fixed_deg: ...}",
     ),
+    "no_ground": _Reason(
+        "no-ground",
+        "placement.where",
+        "the picture shows no ground that suits them",
+        "pictures with such ground (`infrablend places map` shows what is found)",
+        "nothing, if these pictures may stay without such objects; or set placement.where.surfaces or masks, or "
+        "placement.where=anywhere",
+        0.05,
+    ),
     "noise": _Reason(
         "noise-only",
         "placement.max_noise_grey",

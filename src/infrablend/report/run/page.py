@@ -42,6 +42,7 @@ REASONS: Mapping[str, str] = {
     "too_hidden": "too much hidden by the background",
     "untrusted": "gain of the background not trusted",
     "no_horizon": "no horizon known, found or stated",
+    "no_ground": "no ground in the picture that suits them",
     "noise": "the picture is little but noise",
 }
 

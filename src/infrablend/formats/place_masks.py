@@ -1,0 +1,36 @@
+"""Reads masks of where objects may stand: a grey picture of the size of each background, bright where they may."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.dataset import ImageRecord
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.images import load_background
+
+_BRIGHT = 128
+
+
+def find_mask(folder: Path, image: ImageRecord) -> Path | None:
+    """Return the mask of a background, `<split>/<id>.png` or `<id>.png`; None if there is none."""
+    places = (folder / image.split / f"{image.id}.png", folder / f"{image.id}.png")
+    return next((path for path in places if path.is_file()), None)
+
+
+def read_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
+    """Return the (h, w) pixels where objects may stand.
+
+    Raises:
+        DatasetError: The mask cannot be read, has another size, colours or 16 bits.
+    """
+    mask = load_background(path, size_wh)
+    if mask.problems or mask.bit_depth != 8:
+        found = mask.problems[0].found if mask.problems else "16 bits"
+        problem = Problem(
+            str(path), "mask-levels", found, "8-bit grey levels, 255 where objects may stand", "convert it"
+        )
+        raise DatasetError(f"mask {path}: found {found}; expected 8-bit grey levels", [problem])
+    return np.asarray(mask.pixels >= _BRIGHT)
