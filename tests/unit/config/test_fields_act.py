@@ -74,10 +74,10 @@ def test_the_ends_of_the_grey_scale_are_the_percentiles_of_the_background(tmp_pa
 
 def test_objects_may_cover_labels_if_the_recipe_says_so():
     annotated = [Instance("Car", np.array([0.0, 0, 640, 512]))]
-    kept = draw("hit-uav-person", {"objects.0.count": 3, "camera.calibrate": False}, labels=annotated)
+    three = {"objects.0.count": 3, "camera.calibrate": False, "placement.where": "anywhere"}
+    kept = draw("hit-uav-person", three, labels=annotated)
     assert not kept.objects and kept.draws["rejected"]["on_annotated"] > 0
-    free = {"objects.0.count": 3, "camera.calibrate": False, "placement.clear_of_labels": False}
-    over = draw("hit-uav-person", free, labels=annotated)
+    over = draw("hit-uav-person", {**three, "placement.clear_of_labels": False}, labels=annotated)
     assert len(over.objects) == 3 and "on_annotated" not in over.draws["rejected"]
 
 

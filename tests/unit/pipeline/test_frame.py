@@ -17,6 +17,7 @@ from infrablend.pipeline.compose.looks import local_settings
 from infrablend.pipeline.plans.request import RunRequest
 from infrablend.pipeline.runs.generate import prepare_run
 from tests.command_line import done
+from tests.recipes import ANYWHERE
 from tests.run_files import records
 
 RECORDS = ("1_80_60_0_00001", "1_80_60_0_00002", "1_80_60_0_00003")
@@ -318,7 +319,9 @@ def test_the_controls_show_the_same_scenes_with_the_same_labels(tmp_path, recipe
     looks["artistic"] = ["appearance.mode=artistic"]
     for name, settings in looks.items():
         # The contrast of the finished picture depends on the look, so a limit would leave out different objects.
-        generate(data, tmp_path / name, recipe, ["objects.0.count=3", "placement.min_contrast=off", *settings])
+        generate(
+            data, tmp_path / name, recipe, [ANYWHERE, "objects.0.count=3", "placement.min_contrast=off", *settings]
+        )
     found = {name: records(tmp_path / name) for name in looks}
     for name in ("no-sensor", "flat", "artistic"):
         for a, b in zip(found["whole"], found[name], strict=True):

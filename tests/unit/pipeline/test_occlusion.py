@@ -16,6 +16,7 @@ from infrablend.compositing.occlusion import Occluder, Scenery
 from infrablend.config.recipe import Occlusion
 from infrablend.core.frame_record import FrameRecord
 from infrablend.pipeline.compose.occlusion import Cover
+from tests.recipes import ANYWHERE
 from tests.run_files import records
 
 SHARE = "occlusion={share: 1, visible: [0.4, 0.75]}"
@@ -45,7 +46,7 @@ def folder(root: Path, *pictures: np.ndarray) -> Path:
 
 
 def generate(data: Path, out: Path, *settings: str, limit: int | None = None) -> Any:
-    given = ["output.image=png", "objects=[{model: deer, count: 3}]", "placement.min_contrast=off", *settings]
+    given = [ANYWHERE, "output.image=png", "objects=[{model: deer, count: 3}]", "placement.min_contrast=off", *settings]
     how = api.Execution(renderer="flat", in_process=True)
     return api.generate("monet-deer-physical", data, out, settings=given, limit=limit, execution=how)
 

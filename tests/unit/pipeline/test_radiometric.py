@@ -64,6 +64,7 @@ def settings(temperature_c: float, emissivity: float = 0.9, **more: Any) -> dict
         "camera.calibrate": False,
         "environment.air_temperature_c": AIR_C,
         "placement.min_inside": 1.0,
+        "placement.where": "anywhere",
         "placement.size_px": None,
         "sensor": {"profile": "off"},
         **more,

@@ -123,7 +123,10 @@ def test_16_bit_colour_is_not_cut_to_8_bits_in_silence(channels: int, kind: int,
 
 def test_objects_in_16_bits_are_not_compared_with_real_ones_in_8(tmp_path: Path, write_tiny_hit_uav: Any) -> None:
     source = data(tmp_path / "in", centikelvin(0))
-    fields = {"matching.mode": "radiometric", "data.unit": "centikelvin", "camera.calibrate": False}
+    fields = {
+        "matching.mode": "radiometric", "data.unit": "centikelvin", "camera.calibrate": False,
+        "placement.where": "anywhere",
+    }  # fmt: skip
     execution = api.Execution(renderer="flat", in_process=True)
     api.generate("hit-uav-car", source, tmp_path / "out", settings=fields, execution=execution)
     real = write_tiny_hit_uav(tmp_path / "real", ("normal_json",))
