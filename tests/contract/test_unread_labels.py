@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.command_line import run
-from tests.samples import SAMPLES
+from tests.samples import SAMPLES, picture
 
 from infrablend import api
 from infrablend.errors import DatasetError, UnknownFormatError
@@ -137,3 +138,51 @@ def test_a_long_line_is_searched_in_time_in_proportion_to_its_length(tmp_path: P
     assert unread(root) == []
     (root / "notes.txt").write_text("a_" * 450_000 + '"' + 450_000 * "1")
     assert unread(root) == []
+
+
+# -- pictures ------------------------------------------------------------------------------------------------------
+
+WITHOUT_STRANGERS = {"folder"}
+"""Formats that read every picture below the folder."""
+
+
+def unlisted(root: Path, **reading: Any) -> list[str]:
+    problems = api.read_dataset(root, reading=api.Reading(**reading)).problems
+    found = [p for p in problems if p.code == "image-unlisted"]
+    assert {p.severity for p in found} <= {"warning"} and all(p.todo and p.expected for p in found)
+    return [p.where for p in found]
+
+
+def test_samples_have_no_unread_pictures(tmp_path: Path) -> None:
+    for sample in FORMATS:
+        root = SAMPLES[sample](tmp_path / sample.replace(":", "-"))
+        assert (sample, unlisted(root)) == (sample, [])
+
+
+READS_ALL = {"birdsai:frames", "labelme", "voc", "wisard", "visdrone", "monet", "dut-anti-uav", "wit-uas"}
+
+
+@pytest.mark.parametrize("sample", [s for s in FORMATS if s.partition(":")[0] != "folder"])
+def test_pictures_of_a_part_that_is_not_read_are_named_in_every_format(tmp_path: Path, sample: str) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    before = len(api.read_dataset(root).images)
+    for k in range(12):
+        picture(root / "more" / "images" / f"x{k}.jpg", 30 + k)
+    taken = len(api.read_dataset(root).images) - before
+    assert taken == 12 or unlisted(root) == ["more/images"], taken
+
+
+@pytest.mark.parametrize("sample", [s for s in FORMATS if s.partition(":")[0] != "folder"])
+@pytest.mark.parametrize("place", ["rgb/{}", "visible/{}", "masks/{}", "depth/{}", "all/{}", "docs/x{}", "previews/x{}"])
+def test_other_forms_of_the_same_pictures_and_pictures_for_people_are_not_named(
+    tmp_path: Path, sample: str, place: str
+) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    images = api.read_dataset(root).images
+    for k, image in enumerate(images):
+        picture(root / place.format(image.path.name), 30 + k)
+    picture(root / "readme.png", 50)
+    try:
+        assert unlisted(root) == []
+    except DatasetError:
+        assert sample.startswith(("masks", "wisard"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,13 +26,13 @@ from infrablend.formats.flight import add_flight_data
 from infrablend.formats.pictures import check_link
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
-from infrablend.formats.unread import hidden_pictures, label_candidates, unread_label_files
+from infrablend.formats.unread import hidden_pictures, label_candidates, unread_files
+from infrablend.formats.unread_pictures import video_problem
 
 DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
 PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
-_FEW_VIDEOS = 3  # named one by one
 # Read from runs that have it, whatever else they have.
 _FIRST_OF_RUN = "coco"
 
@@ -81,7 +80,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     dataset = reader.completed(dataset)
     if reading.val_share is not None:
         dataset = with_val(dataset, reading.val_share, reading.splits)
-    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits)))
+    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits, reader.options)))
 
 
 def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Iterator[Dataset]:
@@ -127,7 +126,9 @@ class _Reader:
         if format is None:
             found = detect(root)
             if found.format is None and (films := sorted(p for p in root.rglob("*") if _is_video(p))):
-                raise UnknownFormatError(f"{root}: no format fits", [_video_problem(root, films)])
+                raise UnknownFormatError(
+                    f"{root}: no format fits", [video_problem(root, films, f"{len(films)} video(s) and no picture")]
+                )
             if found.format is None:
                 problems = [Problem(m.format, "not-this-format", m.reason) for m in found.matches]
                 raise UnknownFormatError(f"{root}: no format fits", problems)
@@ -169,20 +170,9 @@ def _is_video(path: Path) -> bool:
     return path.suffix.lower() in video.SUFFIXES and path.is_file()
 
 
-def _video_problem(root: Path, videos: Sequence[Path]) -> Problem:
-    """Return what to do with videos in place of pictures: the command that extracts their frames."""
-    named = [shlex.quote(str(p)) for p in videos]
-    if len(named) > _FEW_VIDEOS:
-        named = sorted({f"{shlex.quote(str(p.parent))}/*{p.suffix}" for p in videos})
-    frames = shlex.quote(f"{root.resolve().stem}_frames")
-    found = "a video" if videos == [root] else f"{len(videos)} video(s) and no picture"
-    todo = f"extract frames with infrablend frames {' '.join(named)} --out {frames}, then use {frames}"
-    return Problem(shown(root), "video-not-pictures", found, "the folder of a dataset of pictures", todo)
-
-
 def _missing(root: Path) -> DatasetError:
     if _is_video(root):
-        return DatasetError("no dataset to read", [_video_problem(root, [root])])
+        return DatasetError("no dataset to read", [video_problem(root, [root], "a video")])
     found, todo = "no such folder", "check the path"
     if address_of(root) is not None:
         todo = "copy it here first, with `infrablend merge` if it is a run"
@@ -208,9 +198,11 @@ def _require_merged(root: Path) -> None:
         raise DatasetError(f"{root}: cannot be read", [Problem(str(root), "shards-unmerged", found, "a dataset", todo)])
 
 
-def _unread(dataset: Dataset, read: Collection[Path], splits: Collection[str] | None) -> Sequence[Problem]:
-    """Return the labels that were not read; one problem for those of whole datasets inside of a plain folder."""
-    unread = unread_label_files(dataset, read, splits)
+def _unread(
+    dataset: Dataset, read: Collection[Path], splits: Collection[str] | None, options: Collection[str]
+) -> Sequence[Problem]:
+    """Return what was not read; one problem for the labels of whole datasets inside of a plain folder."""
+    unread = unread_files(dataset, read, splits, options)
     if dataset.format != folder.NAME:
         return unread
     # Datasets inside have label files and pictures in their folders; `images` and `labels` have one of both.

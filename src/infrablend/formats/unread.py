@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -21,6 +21,7 @@ from infrablend.formats import folder
 from infrablend.formats.annotation_files import as_utf8, read_json, read_xml
 from infrablend.formats.base import stated_split
 from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, is_picture_name, masks_of, walk
+from infrablend.formats.unread_pictures import folders_like_classes, unread_pictures, unread_videos
 
 _JSON_SUFFIXES = {".json", ".jsonl", ".ndjson", ".geojson", ".manifest", ".odgt"}
 _SUFFIXES = {".xml", ".txt", ".csv", ".tsv", ".label", ".tfrecord", ".record", ".pkl", *_JSON_SUFFIXES}
@@ -73,8 +74,42 @@ _IF_LABELS = "if it holds labels, convert it, for example with CVAT or Datumaro,
 _TODO = "convert it, for example with CVAT or Datumaro, to a format of docs/formats; or move it out of the folder"
 
 
-def unread_label_files(
-    dataset: Dataset, read: Collection[Path] = (), splits: Collection[str] | None = None
+def unread_files(
+    dataset: Dataset,
+    read: Collection[Path] = (),
+    splits: Collection[str] | None = None,
+    options: Collection[str] = (),
+) -> list[Problem]:
+    """Return the problems of what is below the dataset's folder and was not taken by its reader.
+
+    Args:
+        dataset: The dataset.
+        read: Files from which the reader took something (see `annotation_files.noting_files_read`).
+        splits: Splits that were asked for; None for all.
+        options: Names of the reader's options that were given.
+    """
+    files = list(_files_below(dataset.root))
+    if (dataset.root / RUN_FILE).is_file():  # a run, with the labels of all its formats
+        return _unread_labels(dataset, files, {}, read, splits)
+    masks = masks_of([name for name in files if is_picture_name(name)])
+    if masks:  # but for pictures that have labels of their own, or are named by an annotation
+        taken = {i.path for i in dataset.images}.union(read)
+        masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
+    others = [name for name in files if name not in masks and dataset.root / name not in read]
+    return [
+        *_unread_labels(dataset, files, masks, read, splits),
+        *unread_pictures(dataset, others, splits, options),
+        *unread_videos(dataset, others),
+        *(folders_like_classes(dataset) if dataset.format == folder.NAME else ()),
+    ]
+
+
+def _unread_labels(
+    dataset: Dataset,
+    files: Sequence[str],
+    masks: Mapping[str, str],
+    read: Collection[Path],
+    splits: Collection[str] | None,
 ) -> list[Problem]:
     """Return the problems of label files below the dataset's folder that its reader did not take.
 
@@ -82,21 +117,11 @@ def unread_label_files(
     dataset or hold a table of boxes, files named after a picture with its suffix, files named like a picture, and
     masks. Lists of pictures and texts for people are none. A file of one picture, or its mask, is only worth a warning
     if the picture has labels from elsewhere; so is a file that names pictures, but shows neither boxes nor classes.
-
-    Args:
-        dataset: The dataset.
-        read: Files from which the reader took something (see `annotation_files.noting_files_read`).
-        splits: Splits that were asked for; None for all.
     """
-    files = list(_files_below(dataset.root))
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     left = [name for name in files if _is_candidate(name, splits) and dataset.root / name not in read]
     bare = reported.difference(files)  # readers state some places without their folders
     left = [name for name in left if name not in reported and PurePosixPath(name).name not in bare]
-    masks = masks_of([name for name in files if is_picture_name(name)])
-    if masks:  # but for pictures that have labels of their own, or are named by an annotation
-        taken = {i.path for i in dataset.images}.union(read)
-        masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
     if not left and not masks:
         return []
     names = _Pictures.of(dataset)
@@ -129,7 +154,7 @@ def unread_label_files(
         elif says := _tells_of(path, names, alone=labelled.get(stem) is False):
             found, todo = (_UNKNOWN, _TODO) if says == "error" else (_NAMING, _IF_LABELS)
             alike[path.parent.as_posix(), path.suffix, found, todo, says].append(name)
-    for name, of in {} if ours else masks.items():
+    for name, of in masks.items():
         if fold_name(of) in labelled:
             severity: Severity = "warning" if labelled[fold_name(of)] else "error"
             alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", _TODO, severity].append(name)

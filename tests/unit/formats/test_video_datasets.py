@@ -96,7 +96,7 @@ def test_pictures_and_labels_of_other_lengths(tmp_path: Path) -> None:
     root = SAMPLES["anti-uav"](tmp_path)
     picture(root / "train" / "20190920_111757_1_0" / "000003.jpg", 9)
     d = detection.read(root)
-    assert len(d.images) == 4 and codes(d) == ["annotation-length"]
+    assert len(d.images) == 4 and codes(d) == ["annotation-length", "image-unlisted"]
     assert d.notes["rows"]["unlabelled"] == 1
     assert [i.split for i in d.images] == ["train", "train", "test", "test"]
 
