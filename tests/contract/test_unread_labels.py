@@ -44,6 +44,18 @@ HARMLESS: dict[str, Callable[[str], str]] = {
 FORMATS = sorted(name for name in SAMPLES if name != "shards")
 
 
+def put(root: Path, files: dict[str, str]) -> Path:
+    """Write text files and, for empty texts of picture names, pictures."""
+    for k, (name, text) in enumerate(files.items()):
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if text or path.suffix != ".jpg":
+            path.write_text(text)
+        else:
+            picture(path, k)
+    return root
+
+
 def unread(root: Path) -> list[str]:
     return [p.where for p in api.check(root, decode=False).errors if p.code == "label-unread"]
 
@@ -142,9 +154,6 @@ def test_a_long_line_is_searched_in_time_in_proportion_to_its_length(tmp_path: P
 
 # -- pictures ------------------------------------------------------------------------------------------------------
 
-WITHOUT_STRANGERS = {"folder"}
-"""Formats that read every picture below the folder."""
-
 
 def unlisted(root: Path, **reading: Any) -> list[str]:
     problems = api.read_dataset(root, reading=api.Reading(**reading)).problems
@@ -159,9 +168,6 @@ def test_samples_have_no_unread_pictures(tmp_path: Path) -> None:
         assert (sample, unlisted(root)) == (sample, [])
 
 
-READS_ALL = {"birdsai:frames", "labelme", "voc", "wisard", "visdrone", "monet", "dut-anti-uav", "wit-uas"}
-
-
 @pytest.mark.parametrize("sample", [s for s in FORMATS if s.partition(":")[0] != "folder"])
 def test_pictures_of_a_part_that_is_not_read_are_named_in_every_format(tmp_path: Path, sample: str) -> None:
     root = SAMPLES[sample](tmp_path / "data")
@@ -173,7 +179,9 @@ def test_pictures_of_a_part_that_is_not_read_are_named_in_every_format(tmp_path:
 
 
 @pytest.mark.parametrize("sample", [s for s in FORMATS if s.partition(":")[0] != "folder"])
-@pytest.mark.parametrize("place", ["rgb/{}", "visible/{}", "masks/{}", "depth/{}", "all/{}", "docs/x{}", "previews/x{}"])
+@pytest.mark.parametrize(
+    "place", ["rgb/{}", "visible/{}", "masks/{}", "depth/{}", "all/{}", "docs/x{}", "previews/x{}"]
+)
 def test_other_forms_of_the_same_pictures_and_pictures_for_people_are_not_named(
     tmp_path: Path, sample: str, place: str
 ) -> None:
@@ -186,3 +194,82 @@ def test_other_forms_of_the_same_pictures_and_pictures_for_people_are_not_named(
         assert unlisted(root) == []
     except DatasetError:
         assert sample.startswith(("masks", "wisard"))
+
+
+def coco_of(*names: str) -> str:
+    images = [{"id": k, "file_name": name, "width": 64, "height": 48} for k, name in enumerate(names)]
+    box = {"id": 1, "image_id": 0, "category_id": 1, "bbox": [8, 6, 16, 12]}
+    return json.dumps({"images": images, "annotations": [box], "categories": [{"id": 1, "name": "deer"}]})
+
+
+ROW, YAML = "0 0.5 0.5 0.2 0.2\n", "train: images/train\nval: images/val\nnames: [deer]\n"
+YOLO = {"data.yaml": YAML, "labels/train/1.txt": ROW, "images/train/1.jpg": "", "images/val/1.jpg": ""}
+CVAT = (
+    "<annotations><version>1.1</version><image id='0' name='a.jpg' width='64' height='48'>"
+    "<box label='deer' xtl='8' ytl='6' xbr='24' ybr='18'/></image></annotations>"
+)
+NESTED = {f"second/{name}": text for name, text in YOLO.items() if name != "images/val/1.jpg"} | {
+    "second/images/train/7.jpg": ""
+}
+PARTS: dict[str, tuple[dict[str, str], list[str]]] = {
+    "coco": ({"images/a.jpg": "", "images/b.jpg": "", "images/c.jpg": "", "coco.json": coco_of("a.jpg")}, ["images"]),
+    "coco-second-file": (
+        {"train.json": coco_of("a.jpg"), "images/a.jpg": "", "b/c/d/e/val.json": coco_of("x.jpg"), "b/c/x.jpg": ""},
+        ["b/c"],
+    ),
+    "yolo-test": ({**YOLO, "images/test/1.jpg": "", "labels/test/1.txt": ROW}, ["images/test"]),
+    "yolo-nested": (YOLO | NESTED, ["second/images/train"]),
+    "cvat-nested": ({"annotations.xml": CVAT, "images/a.jpg": "", **NESTED}, ["second/images/train"]),
+    "cvat": ({"annotations.xml": CVAT, "images/a.jpg": "", "images/b.jpg": ""}, ["images"]),
+    "twins": (
+        {"coco.json": coco_of("ir/DJI_1_T.jpg"), "ir/DJI_1_T.jpg": "", "zoom/DJI_1_Z.jpg": "", "ir/1.jpg": ""},
+        ["ir"],
+    ),
+    "many": (YOLO | {f"part{k}/x{k}.jpg": "" for k in range(9)}, ["data"]),
+}
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_pictures_without_a_record_are_one_warning_per_folder(tmp_path: Path, kind: str) -> None:
+    files, places = PARTS[kind]
+    root = put(tmp_path / "data", files)
+    assert unlisted(root) == places
+    for words in (["check", root], ["inspect", root], ["convert", root, tmp_path / "out", "--to", "coco"]):
+        assert "in no record of the dataset" in run(*words).output, words
+    assert unlisted(root, splits=["val"] if "yolo" in kind else ["train"]) in ([], places)
+
+
+def test_pictures_that_options_leave_out_are_not_named(tmp_path: Path) -> None:
+    root = SAMPLES["voc"](tmp_path / "data")
+    picture(next(root.rglob("*.jpg")).with_name("x.jpg"), 9)
+    assert unlisted(root, options={"unlabelled": "drop"}) == unlisted(root) == []
+
+
+# -- videos and classes --------------------------------------------------------------------------------------------
+
+
+def test_a_video_beside_pictures_is_named_with_the_command_that_reads_it(tmp_path: Path) -> None:
+    root = put(tmp_path / "data", YOLO | {"clip.mp4": "no video"})
+    (problem,) = [p for p in api.read_dataset(root).problems if p.code == "video-not-pictures"]
+    assert problem.severity == "warning"
+    assert f"infrablend frames {root / 'clip.mp4'} --out data_frames" in problem.todo
+    put(root, {"clip_000001.jpg": "", "images/train/clip_000001.jpg": ""})  # its frames are there
+    assert "video-not-pictures" not in [p.code for p in api.read_dataset(root).problems]
+
+
+@pytest.mark.parametrize(
+    ("names", "named"),
+    [
+        (["train/deer/a.jpg", "train/boar/b.jpg", "val/deer/c.jpg"], True),
+        (["images/train/deer/a.jpg", "images/train/boar/b.jpg"], True),
+        (["train/flight1/a.jpg", "train/flight2/b.jpg"], False),
+        (["train/images/a.jpg", "val/images/b.jpg"], False),
+        (["train/rgb/a.jpg", "train/thermal/b.jpg"], False),
+        (["deer/a.jpg", "boar/b.jpg"], False),
+        (["train/a.jpg", "train/deer/a.jpg", "train/boar/b.jpg"], False),
+    ],
+)
+def test_folders_of_classes_are_no_labels(tmp_path: Path, names: list[str], named: bool) -> None:
+    problems = api.read_dataset(put(tmp_path / "data", dict.fromkeys(names, ""))).problems
+    assert [p.severity for p in problems if "boar, deer" in p.found] == ["warning"] * named
+    assert len(problems) == named

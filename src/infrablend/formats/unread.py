@@ -21,7 +21,7 @@ from infrablend.formats import folder
 from infrablend.formats.annotation_files import as_utf8, read_json, read_xml
 from infrablend.formats.base import stated_split
 from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, is_picture_name, masks_of, walk
-from infrablend.formats.unread_pictures import folders_like_classes, unread_pictures, unread_videos
+from infrablend.formats.unread_pictures import folders_like_classes, path_below, unread_pictures, unread_videos
 
 _JSON_SUFFIXES = {".json", ".jsonl", ".ndjson", ".geojson", ".manifest", ".odgt"}
 _SUFFIXES = {".xml", ".txt", ".csv", ".tsv", ".label", ".tfrecord", ".record", ".pkl", *_JSON_SUFFIXES}
@@ -95,7 +95,8 @@ def unread_files(
     if masks:  # but for pictures that have labels of their own, or are named by an annotation
         taken = {i.path for i in dataset.images}.union(read)
         masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
-    others = [name for name in files if name not in masks and dataset.root / name not in read]
+    below, known = path_below(dataset.root), {os.fspath(path) for path in read}
+    others = [name for name in files if name not in masks and below + name not in known]
     return [
         *_unread_labels(dataset, files, masks, read, splits),
         *unread_pictures(dataset, others, splits, options),

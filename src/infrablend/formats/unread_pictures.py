@@ -64,7 +64,7 @@ def unread_pictures(
     dropped = any(p.code == "label-missing" and p.found.endswith(LEFT_OUT) for p in dataset.problems)
     if dropped or _SAMPLING & set(options):
         return []
-    below = f"{dataset.root}{os.sep}" if dataset.root != Path() else ""
+    below = path_below(dataset.root)
     known = [os.fspath(i.path).removeprefix(below) for i in dataset.images]
     read = set(known)
     left = defaultdict[str, list[str]](list)
@@ -81,8 +81,8 @@ def unread_pictures(
         own = [n for n in names if not forms.has(n)]
         if splits is not None and stated_split(place) not in splits:
             continue
-        # A few pictures of visible light may lack their thermal ones: of a folder of twins, all are known.
-        if not taken and (2 * len(own) <= len(names) or _CHOOSING & set(options) or forms.is_aside(place)):
+        # A tenth of the pictures of visible light may lack their thermal ones.
+        if not taken and (10 * len(own) <= len(names) or _CHOOSING & set(options) or forms.is_aside(place)):
             continue
         if not place and not taken and len(names) <= _FEW and dataset.format != folder.NAME:
             continue
@@ -97,6 +97,11 @@ def unread_pictures(
         problems = [("", f"{count} picture(s) in {len(unlisted)} folders {_UNLISTED}, such as {first}")]
     expected = "labels or lists of all pictures"
     return [Problem(w or dataset.root.name, "image-unlisted", f, expected, _LIST_THEM, "warning") for w, f in problems]
+
+
+def path_below(root: Path) -> str:
+    """Return what comes before relative names in the paths of the files below a folder."""
+    return "" if root == Path() else f"{root}{os.sep}"
 
 
 class _Forms:
