@@ -31,6 +31,7 @@ UNKNOWN: dict[str, Callable[[str], str]] = {
     "labels.tsv": lambda name: f"images\\\\{name}\tcar\t1\t2\t5\t5\n",
     "boxes.xml": lambda name: f"<dataset><image file='{name}'><box top='1' left='2'/></image></dataset>",
     "retinanet.txt": lambda name: f"/mnt/data/{name},1,2,5,5,car\n",
+    "train.yaml": lambda name: f"- boxes:\n  - {{label: Green, x_max: 5, x_min: 1}}\n  path: ./rgb/{name}\n",
     "gt/gt.txt": lambda name: "1,1,794.27,247.59,71.245,174.88,-1,-1,-1,-1\n",
 }
 HARMLESS: dict[str, Callable[[str], str]] = {
@@ -39,6 +40,8 @@ HARMLESS: dict[str, Callable[[str], str]] = {
     "all.txt": lambda name: f"./images/train/{name}\n",
     "names_of_classes.txt": lambda name: "car\nperson\n",
     "settings.json": lambda name: '{"threshold": 0.5}',
+    "hyp.yaml": lambda name: "lr0: 0.01\nbox: 7.5\nclasses: [1]\n",
+    "recipe.yaml": lambda name: f"objects:\n- model: deer\ncamera: {{}}\nframes: {{{name}: [{{at: 1}}]}}\n",
 }
 # Packed shards are read in parts; nothing else lies in their folder.
 FORMATS = sorted(name for name in SAMPLES if name != "shards")
@@ -150,6 +153,38 @@ def test_a_long_line_is_searched_in_time_in_proportion_to_its_length(tmp_path: P
     assert unread(root) == []
     (root / "notes.txt").write_text("a_" * 450_000 + '"' + 450_000 * "1")
     assert unread(root) == []
+
+
+@pytest.mark.parametrize("sample", FORMATS)
+@pytest.mark.parametrize("name", ["labels.zip", "more/annotations.tar.gz", "a.mat", "data/train.parquet", "table.xlsx"])
+def test_files_that_are_no_text_are_named_by_their_suffix(tmp_path: Path, sample: str, name: str) -> None:
+    root = put(SAMPLES[sample](tmp_path / "data"), {name: "PK"})
+    dataset = api.read_dataset(root)
+    (problem,) = [p for p in dataset.problems if p.where == name]
+    lost = ("label" in name or "annot" in name) and not any(i.instances for i in dataset.images)
+    assert (problem.code, problem.severity) == ("label-unread", "error" if lost else "warning")
+    assert ("unpack it" in problem.todo) == name.endswith(("zip", "gz"))
+
+
+@pytest.mark.parametrize("name", ["a,b.jpg", "k=1;v:2.jpg", "x | y.jpg", "a, b c=d.jpg"])
+@pytest.mark.parametrize(
+    "text",
+    ["{} 1,2,5,5,0", "data/{},1,2,5,5,deer", '"{}",deer,1,2,5,5', "1 2 5 5 deer {}", '[{{"f": "{}", "label": 1}}]'],
+)
+def test_names_may_contain_what_separates_cells(tmp_path: Path, name: str, text: str) -> None:
+    file = "t.json" if text.startswith("[") else "t.txt"
+    root = put(tmp_path / "data", {name: "", "z.jpg": "", file: text.format(name) + "\n"})
+    assert unread(root) == [file]
+
+
+@pytest.mark.parametrize("size", [999_990, 1_000_000, 3_500_000])
+@pytest.mark.parametrize(("file", "line"), [("t.csv", "{},1,2,5,5,deer"), ("t.json", '{{"f": "{}", "label": 1}}')])
+def test_a_name_after_the_first_megabyte_is_found(tmp_path: Path, size: int, file: str, line: str) -> None:
+    row = '{"f": "other.jpg"},' if file == "t.json" else "other.jpg,1,2,5,5,deer"
+    rows = "\n".join([row] * (size // (len(row) + 1)))
+    text = f"{rows}\n{line.format('f1.jpg')}\n"
+    root = put(tmp_path / "data", {"f1.jpg": "", file: f"[{text}]" if file == "t.json" else text})
+    assert unread(root) == [file]
 
 
 # -- pictures ------------------------------------------------------------------------------------------------------
