@@ -8,8 +8,8 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
 
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import fold_name
@@ -65,6 +65,7 @@ _SEPARATOR = re.compile(r"[\\/\"'<>\x00-\x1f\ufffd]")
 # What also separates names, unless it is in one.
 _BREAK = re.compile(r"[ |,;:=]")
 _LONGEST_NAME = 255
+_PIECE = re.compile(r"""[\\/"'<>|,;:= ()\[\]{}#?&-]|[\x00-\x1f\ufffd]""")
 # What Label Studio puts before the names of uploaded pictures.
 _UPLOADED = re.compile(r"[0-9a-f]{8}-(?=.)")
 # Names without a suffix in tables and in JSON; plain numbers and dates are none.
@@ -81,6 +82,7 @@ _BOX_OF = re.compile(rf'"([^"\\]{{1,255}})"\s*:\s*\[[\s\[]*+{_NUMBER}(?:\s*,\s*{
 _ESCAPED = re.compile(r"\\u([0-9a-fA-F]{4})")
 _TRUTH = re.compile(r"(?:^|[\W_])(?:gt|det|ground_?truth)(?:[\W_]|$)")
 _HEAD_BYTES = 1_000_000
+_LONGEST_LINE = 10_000
 # Files of one folder that are named one by one; more are one problem.
 _MOST_NAMED = 3
 _EMPTY = "an empty file"
@@ -275,6 +277,7 @@ class _Pictures:
         numbers: Those that are numbers, without zeros before them.
         folders: Names of the folders that they are in, folded.
         words: Number of words of the longest name, see `_BREAK`.
+        ends: The last pieces of the names, see `_PIECE`.
     """
 
     names: frozenset[str]
@@ -282,6 +285,7 @@ class _Pictures:
     numbers: frozenset[str]
     folders: frozenset[str]
     words: int
+    ends: frozenset[str]
 
     @classmethod
     def of(cls, dataset: Dataset) -> _Pictures:
@@ -290,7 +294,12 @@ class _Pictures:
         folders = frozenset(fold_name(p.parent.name) for p in paths)
         numbers = frozenset(s.lstrip("0") for s in stems if s.isdecimal())
         words = 1 + max((len(_BREAK.findall(n)) for n in names), default=0)
-        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), numbers, folders, words)
+        ends = frozenset(_PIECE.split(n)[-1] for n in names)
+        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), numbers, folders, words, ends)
+
+    def may_be_in(self, text: str) -> bool:
+        """Return whether a name of a picture may be in a text, as fast as a text of many megabytes needs it."""
+        return not self.ends.isdisjoint(_PIECE.split(fold_name(text)))
 
     def named_in(self, line: str) -> str | None:
         """Return the first name of a picture in a line; a name may contain blanks and commas, or follow one."""
@@ -321,9 +330,9 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
     if stem in pictures.names:  # f.jpg.json
         return "error"
     with suppress(OSError), open_regular(path) as stream:
-        head = stream.read(_HEAD_BYTES)
+        head = _block(stream)
         text = as_utf8(head).decode("utf-8", "replace")
-        if not pictures.named_in(text):
+        if not pictures.may_be_in(text):
             text = f"{text}\n{_block_with_name(stream, head, pictures)}"
         lines = [line for line in map(str.strip, text.splitlines()) if line]
         if not lines:
@@ -340,11 +349,16 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
     return None
 
 
-def _block_with_name(stream: BinaryIO, before: bytes, pictures: _Pictures) -> str:
+def _block(stream: BufferedReader) -> bytes:
+    """Return the next part of a file, up to the end of a line unless that is far."""
+    return stream.read(_HEAD_BYTES) + stream.readline(_LONGEST_LINE)
+
+
+def _block_with_name(stream: BufferedReader, before: bytes, pictures: _Pictures) -> str:
     """Return the next part of a file of text in UTF-8 in which a picture is named, within `MAX_TEXT_BYTES`; or none."""
-    while stream.tell() < MAX_TEXT_BYTES and (block := stream.read(_HEAD_BYTES)):
+    while stream.tell() < MAX_TEXT_BYTES and (block := _block(stream)):
         text = (before[-_LONGEST_NAME:] + block).decode("utf-8", "replace")
-        if pictures.named_in(text):
+        if pictures.may_be_in(text) and pictures.named_in(text):
             return text
         before = block
     return ""
