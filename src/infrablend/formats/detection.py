@@ -23,10 +23,10 @@ from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.divide import with_val
 from infrablend.formats.flight import add_flight_data
-from infrablend.formats.pictures import check_link
+from infrablend.formats.pictures import check_link, is_picture_name
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
-from infrablend.formats.unread import hidden_pictures, label_candidates, unread_files
+from infrablend.formats.unread import files_below, hidden_pictures, label_candidates, unread_files
 from infrablend.formats.unread_pictures import video_problem
 
 DATASET_INSIDE = "dataset-inside"
@@ -69,7 +69,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         reading: Format, splits and reader options; by default the format is detected and every split is read.
 
     Raises:
-        UnknownFormatError: No format fits; `problems` gives the reason for each of them.
+        UnknownFormatError: No format fits, as there is no picture to read; `detect` gives the reason of each format.
         DatasetError: The folder cannot be read, or its format does not have one of the options. Or it is a run that
             has no labels in the wanted format. Or no val split can be made.
     """
@@ -124,15 +124,9 @@ class _Reader:
         _require_merged(root)
         root, format = _labels_of_run(root, reading.format)
         if format is None:
-            found = detect(root)
-            if found.format is None and (films := sorted(p for p in root.rglob("*") if _is_video(p))):
-                raise UnknownFormatError(
-                    f"{root}: no format fits", [video_problem(root, films, f"{len(films)} video(s) and no picture")]
-                )
-            if found.format is None:
-                problems = [Problem(m.format, "not-this-format", m.reason) for m in found.matches]
-                raise UnknownFormatError(f"{root}: no format fits", problems)
-            format = found.format
+            format = detect(root).format
+            if format is None:
+                raise UnknownFormatError(f"{root}: no format fits", [_nothing_to_read(root)])
         chosen = find_format(format)
         given: dict[str, Any] = dict(reading.options)
         stated = {name: str(given.pop(name)) for name in temperatures.OPTIONS if name in given}
@@ -168,6 +162,17 @@ class _Reader:
 
 def _is_video(path: Path) -> bool:
     return path.suffix.lower() in video.SUFFIXES and path.is_file()
+
+
+def _nothing_to_read(root: Path) -> Problem:
+    """Return what is in a folder that has no picture to read, and so no format."""
+    if films := sorted(p for p in root.rglob("*") if _is_video(p)):
+        return video_problem(root, films, f"{len(films)} video(s) and no picture")
+    files = [name for name in files_below(root) if not is_picture_name(name)]
+    named = f", but {len(files)} other file(s), such as {', '.join(files[:3])}" if files else " and no other file"
+    found = f"no picture (JPEG, PNG, BMP, TIFF) to read{named}"
+    todo = "check the path; unpack archives; put labels and pictures into one folder"
+    return Problem(shown(root), "not-this-format", found, "a dataset in a format of docs/formats, or pictures", todo)
 
 
 def _missing(root: Path) -> DatasetError:

@@ -109,7 +109,7 @@ def unread_files(
         splits: Splits that were asked for; None for all.
         options: Names of the reader's options that were given.
     """
-    files = list(_files_below(dataset.root))
+    files = list(files_below(dataset.root))
     if (dataset.root / RUN_FILE).is_file():  # a run, with the labels of all its formats
         return _unread_labels(dataset, files, {}, read, splits)
     masks = masks_of([name for name in files if is_picture_name(name)])
@@ -216,7 +216,7 @@ def hidden_pictures(root: Path) -> list[Problem]:
 
 def label_candidates(root: Path) -> Iterator[str]:
     """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
-    return filter(_is_candidate, _files_below(root))
+    return filter(_is_candidate, files_below(root))
 
 
 def _is_candidate(name: str, splits: Collection[str] | None = None) -> bool:
@@ -229,7 +229,8 @@ def _suffix(name: str) -> str:
     return name[name.rfind(".") :].lower().partition("-")[0]
 
 
-def _files_below(root: Path) -> Iterator[str]:
+def files_below(root: Path) -> Iterator[str]:
+    """Yield the files below a folder by relative POSIX path, sorted within each folder, without hidden ones."""
     for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
         yield from (prefix + n for n in sorted(names) if not is_hidden(n))
