@@ -257,7 +257,13 @@ PARTS: dict[str, tuple[dict[str, str], list[str]]] = {
     "cvat-nested": ({"annotations.xml": CVAT, "images/a.jpg": "", **NESTED}, ["second/images/train"]),
     "cvat": ({"annotations.xml": CVAT, "images/a.jpg": "", "images/b.jpg": ""}, ["images"]),
     "twins": (
-        {"coco.json": coco_of("ir/DJI_1_T.jpg"), "ir/DJI_1_T.jpg": "", "zoom/DJI_1_Z.jpg": "", "ir/1.jpg": ""},
+        {
+            "coco.json": coco_of("ir/DJI_1_T.jpg"),
+            "ir/DJI_1_T.jpg": "",
+            "zoom/DJI_1_Z.jpg": "",
+            "ir/1.jpg": "",
+            "ir/DJI_20260101120001_2_W.jpg": "",
+        },
         ["ir"],
     ),
     "many": (YOLO | {f"part{k}/x{k}.jpg": "" for k in range(9)}, ["data"]),
@@ -272,6 +278,13 @@ def test_pictures_without_a_record_are_one_warning_per_folder(tmp_path: Path, ki
     for words in (["check", root], ["inspect", root], ["convert", root, tmp_path / "out", "--to", "coco"]):
         assert "in no record of the dataset" in run(*words).output, words
     assert unlisted(root, splits=["val"] if "yolo" in kind else ["train"]) in ([], places)
+
+
+def test_generate_names_pictures_without_a_record(tmp_path: Path) -> None:
+    root = put(tmp_path / "data", PARTS["coco"][0])
+    pitch = ("--set", "camera.pitch={fixed_deg: 60}")
+    done = run("generate", "hit-uav-drone", "--data", root, "--out", tmp_path / "run", *pitch)
+    assert "2 picture(s) in no record of the dataset" in done.output
 
 
 def test_pictures_that_options_leave_out_are_not_named(tmp_path: Path) -> None:
@@ -299,6 +312,7 @@ def test_a_video_beside_pictures_is_named_with_the_command_that_reads_it(tmp_pat
         (["images/train/deer/a.jpg", "images/train/boar/b.jpg"], True),
         (["train/flight1/a.jpg", "train/flight2/b.jpg"], False),
         (["train/images/a.jpg", "val/images/b.jpg"], False),
+        (["train/day/a.jpg", "train/night/b.jpg"], False),
         (["train/rgb/a.jpg", "train/thermal/b.jpg"], False),
         (["deer/a.jpg", "boar/b.jpg"], False),
         (["train/a.jpg", "train/deer/a.jpg", "train/boar/b.jpg"], False),

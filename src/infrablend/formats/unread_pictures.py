@@ -30,6 +30,8 @@ _NO_DATA = frozenset({
     "plot", "plots", "chart", "charts", "screenshot", "screenshots", "calib", "calibration", "related", "runs",
     "results", "inspect", "readme",
 })  # fmt: skip
+# Words of folders that sort pictures, but not by what they show.
+_CONDITIONS = _FORMS | {"day", "night", "images"}
 # DJI ends the names of pictures taken at once by the camera: thermal, visible, wide, zoom; others add `_R`.
 _LENS = re.compile(r"(?<=[_-])[trsvwz]$")
 _WORD = re.compile(r"[^\W\d_]+")
@@ -125,6 +127,9 @@ class _Forms:
         """Return whether a picture has the name of one that was read, but for words such as `rgb`."""
         stem = _stem(name)
         splits = self._splits.get(stem) or self._by_form.get(_form(stem))
+        lens = _LENS.search(stem.casefold())
+        if splits is None and lens and self._lenses:
+            return lens[0] not in self._lenses  # of another camera, perhaps a second later
         return splits is not None and stated_split(name.rpartition("/")[0]) in {None, *splits}
 
     @cached_property
@@ -133,6 +138,10 @@ class _Forms:
         for stem, splits in self._splits.items():
             found[_form(stem)] |= splits
         return found
+
+    @cached_property
+    def _lenses(self) -> set[str]:
+        return {m[0] for stem in self._splits if (m := _LENS.search(stem.casefold()))}
 
     def is_aside(self, place: str) -> bool:
         """Return whether a word of a folder says that it is not for reading, and is in no folder that was read."""
@@ -186,7 +195,12 @@ def folders_like_classes(dataset: Dataset) -> list[Problem]:
     below = defaultdict[str, set[str]](set)
     for image in dataset.images:
         split, kind, _ = ("", "", *image.path.relative_to(dataset.root).parts)[-3:]
-        if split.lower() not in SPLIT_FOLDERS or image.instances or _FORMS & _words(kind) or re.search(r"\d", kind):
+        if (
+            split.lower() not in SPLIT_FOLDERS
+            or image.instances
+            or _CONDITIONS & _words(kind)
+            or re.search(r"\d", kind)
+        ):
             return []
         below[split].add(kind)
     split, kinds = max(below.items(), key=lambda item: len(item[1]), default=("", set()))
