@@ -253,6 +253,10 @@ PARTS: dict[str, tuple[dict[str, str], list[str]]] = {
         ["b/c"],
     ),
     "yolo-test": ({**YOLO, "images/test/1.jpg": "", "labels/test/1.txt": ROW}, ["images/test"]),
+    "same-names": (
+        {**YOLO, **{f"second/{n}": t for n, t in YOLO.items()}, **{f"rgb/{n}": t for n, t in YOLO.items()}},
+        ["second/images/train", "second/images/val"],
+    ),
     "yolo-nested": (YOLO | NESTED, ["second/images/train"]),
     "cvat-nested": ({"annotations.xml": CVAT, "images/a.jpg": "", **NESTED}, ["second/images/train"]),
     "cvat": ({"annotations.xml": CVAT, "images/a.jpg": "", "images/b.jpg": ""}, ["images"]),
@@ -287,10 +291,24 @@ def test_generate_names_pictures_without_a_record(tmp_path: Path) -> None:
     assert "2 picture(s) in no record of the dataset" in done.output
 
 
-def test_pictures_that_options_leave_out_are_not_named(tmp_path: Path) -> None:
-    root = SAMPLES["voc"](tmp_path / "data")
-    picture(next(root.rglob("*.jpg")).with_name("x.jpg"), 9)
-    assert unlisted(root, options={"unlabelled": "drop"}) == unlisted(root) == []
+@pytest.mark.parametrize(
+    ("sample", "options"),
+    [
+        ("voc", {"unlabelled": "drop"}),
+        *(("drone-vehicle", {"modality": m}) for m in ("ir", "rgb", "both")),
+        ("wit-uas", {"camera": "flir"}),
+        ("wisard", {"modality": "all"}),
+        ("anti-uav", {"every": "2"}),
+        ("bambi:tracks", {"frames": "all"}),
+        ("hit-uav:json", {"form": "normal_json"}),
+        ("hit-uav:xml", {"form": "rotate_xml"}),
+    ],
+)
+def test_pictures_that_options_leave_out_are_not_named(tmp_path: Path, sample: str, options: dict[str, str]) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    if "unlabelled" in options:
+        picture(next(root.rglob("*.jpg")).with_name("x.jpg"), 9)
+    assert unlisted(root, options=options) == unlisted(root) == []
 
 
 # -- videos and classes --------------------------------------------------------------------------------------------

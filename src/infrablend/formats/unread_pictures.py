@@ -30,6 +30,7 @@ _NO_DATA = frozenset({
     "plot", "plots", "chart", "charts", "screenshot", "screenshots", "calib", "calibration", "related", "runs",
     "results", "inspect", "readme",
 })  # fmt: skip
+_OWN_LABELS = (".txt", ".xml", ".json")
 # Words of folders that sort pictures, but not by what they show.
 _CONDITIONS = _FORMS | {"day", "night", "images"}
 # DJI ends the names of pictures taken at once by the camera: thermal, visible, wide, zoom; others add `_R`.
@@ -50,7 +51,7 @@ _LIST_THEM = (
 
 
 def unread_pictures(
-    dataset: Dataset, files: Iterable[str], splits: Collection[str] | None, options: Collection[str]
+    dataset: Dataset, files: Sequence[str], splits: Collection[str] | None, options: Collection[str]
 ) -> list[Problem]:
     """Return a warning per folder with pictures that are in no record of the dataset.
 
@@ -77,10 +78,13 @@ def unread_pictures(
         return []
     forms = _Forms(dataset, known)
     named = {fold_name(PurePosixPath(p.where.partition(":")[0]).stem) for p in dataset.problems}
+    # With label files of their own in a folder from which nothing was read, equal names are those of another dataset.
+    labelled = {(n.partition("/")[0], _stem(n)) for n in files if n.lower().endswith(_OWN_LABELS)}
+    labelled = {(top, stem) for top, stem in labelled if top not in forms.tops}
     unlisted = {}
     for place, names in left.items():
-        taken = place in forms.places
-        own = [n for n in names if not forms.has(n)]
+        taken, top = place in forms.places, place.partition("/")[0]
+        own = [n for n in names if not forms.has(n) or (top, _stem(n)) in labelled]
         if splits is not None and stated_split(place) not in splits:
             continue
         # A tenth of the pictures of visible light may lack their thermal ones.
@@ -113,11 +117,13 @@ class _Forms:
 
     Attributes:
         places: Folders of the pictures, by relative path.
+        tops: The folders right below the dataset's that these are in.
     """
 
     def __init__(self, dataset: Dataset, names: Sequence[str]) -> None:
         stated = {place: stated_split(place) for place in {n.rpartition("/")[0] for n in names}}
         self.places = stated.keys()
+        self.tops = {place.partition("/")[0] for place in stated}
         self._splits = defaultdict[str, set[str | None]](set)
         for name, image in zip(names, dataset.images, strict=True):
             self._splits[_stem(name)] |= {image.split, stated[name.rpartition("/")[0]]}
