@@ -102,7 +102,10 @@ def unread_pictures(
         count, first = sum(map(len, unlisted.values())), next(iter(unlisted.values()))[0]
         problems = [("", f"{count} picture(s) in {len(unlisted)} folders {_UNLISTED}, such as {first}")]
     expected = "labels or lists of all pictures"
-    return [Problem(w or dataset.root.name, "image-unlisted", f, expected, _LIST_THEM, "warning") for w, f in problems]
+    return [
+        Problem(w or dataset.root.name or ".", "image-unlisted", f, expected, _LIST_THEM, "warning")
+        for w, f in problems
+    ]
 
 
 def path_below(root: Path) -> str:
@@ -200,7 +203,7 @@ def folders_like_classes(dataset: Dataset) -> list[Problem]:
     """
     below = defaultdict[str, set[str]](set)
     for image in dataset.images:
-        split, kind, _ = ("", "", *image.path.relative_to(dataset.root).parts)[-3:]
+        split, kind, _ = ("", "", *Path(os.fspath(image.path).removeprefix(path_below(dataset.root))).parts)[-3:]
         if (
             split.lower() not in SPLIT_FOLDERS
             or image.instances
