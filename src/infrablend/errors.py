@@ -116,7 +116,7 @@ class DatasetError(InfraBlendError, ValueError):
 
 
 class UnknownFormatError(DatasetError):
-    """No reader recognises the folder; `problems` gives the reason per format."""
+    """No reader recognises the folder; `problems` says what is in it."""
 
 
 class ModelError(InfraBlendError, ValueError):

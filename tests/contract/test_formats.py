@@ -259,9 +259,13 @@ def test_coco_loads_in_pycocotools(tmp_path: Path, capsys: pytest.CaptureFixture
     capsys.readouterr()
 
 
-def test_unknown_format_lists_reasons(tmp_path: Path) -> None:
+def test_a_folder_without_pictures_is_said_in_few_lines(tmp_path: Path) -> None:
+    with pytest.raises(detection.UnknownFormatError, match=r"no picture .* and no other file"):
+        detection.read(tmp_path)
     (tmp_path / "notes.txt").write_text("hello")
     with pytest.raises(detection.UnknownFormatError) as caught:
         detection.read(tmp_path)
-    assert [p.where for p in caught.value.problems] == [f.name for f in FORMATS]
-    assert "no data.yaml" in str(caught.value)
+    (problem,) = caught.value.problems
+    assert "1 other file(s), such as notes.txt" in problem.found and "docs/formats" in problem.expected
+    assert [*detection.detect(tmp_path).reasons] == [f.name for f in FORMATS]
+    assert "no data.yaml" in detection.detect(tmp_path).reasons["yolo"]

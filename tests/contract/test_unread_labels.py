@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.command_line import run
-from tests.samples import SAMPLES
+from tests.samples import SAMPLES, picture
 
 from infrablend import api
 from infrablend.errors import DatasetError, UnknownFormatError
@@ -30,6 +31,7 @@ UNKNOWN: dict[str, Callable[[str], str]] = {
     "labels.tsv": lambda name: f"images\\\\{name}\tcar\t1\t2\t5\t5\n",
     "boxes.xml": lambda name: f"<dataset><image file='{name}'><box top='1' left='2'/></image></dataset>",
     "retinanet.txt": lambda name: f"/mnt/data/{name},1,2,5,5,car\n",
+    "train.yaml": lambda name: f"- boxes:\n  - {{label: Green, x_max: 5, x_min: 1}}\n  path: ./rgb/{name}\n",
     "gt/gt.txt": lambda name: "1,1,794.27,247.59,71.245,174.88,-1,-1,-1,-1\n",
 }
 HARMLESS: dict[str, Callable[[str], str]] = {
@@ -38,9 +40,23 @@ HARMLESS: dict[str, Callable[[str], str]] = {
     "all.txt": lambda name: f"./images/train/{name}\n",
     "names_of_classes.txt": lambda name: "car\nperson\n",
     "settings.json": lambda name: '{"threshold": 0.5}',
+    "hyp.yaml": lambda name: "lr0: 0.01\nbox: 7.5\nclasses: [1]\n",
+    "recipe.yaml": lambda name: f"objects:\n- model: deer\ncamera: {{}}\nframes: {{{name}: [{{at: 1}}]}}\n",
 }
 # Packed shards are read in parts; nothing else lies in their folder.
 FORMATS = sorted(name for name in SAMPLES if name != "shards")
+
+
+def put(root: Path, files: dict[str, str]) -> Path:
+    """Write text files and, for empty texts of picture names, pictures."""
+    for k, (name, text) in enumerate(files.items()):
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if text or path.suffix != ".jpg":
+            path.write_text(text)
+        else:
+            picture(path, k)
+    return root
 
 
 def unread(root: Path) -> list[str]:
@@ -137,3 +153,190 @@ def test_a_long_line_is_searched_in_time_in_proportion_to_its_length(tmp_path: P
     assert unread(root) == []
     (root / "notes.txt").write_text("a_" * 450_000 + '"' + 450_000 * "1")
     assert unread(root) == []
+
+
+@pytest.mark.parametrize("sample", FORMATS)
+@pytest.mark.parametrize("name", ["labels.zip", "more/annotations.tar.gz", "a.mat", "data/train.parquet", "table.xlsx"])
+def test_files_that_are_no_text_are_named_by_their_suffix(tmp_path: Path, sample: str, name: str) -> None:
+    root = put(SAMPLES[sample](tmp_path / "data"), {name: "PK"})
+    dataset = api.read_dataset(root)
+    (problem,) = [p for p in dataset.problems if p.where == name]
+    lost = ("label" in name or "annot" in name) and not any(i.instances for i in dataset.images)
+    assert (problem.code, problem.severity) == ("label-unread", "error" if lost else "warning")
+    assert ("unpack it" in problem.todo) == name.endswith(("zip", "gz"))
+
+
+@pytest.mark.parametrize("name", ["a,b.jpg", "k=1;v:2.jpg", "x | y.jpg", "a, b c=d.jpg"])
+@pytest.mark.parametrize(
+    "text",
+    ["{} 1,2,5,5,0", "data/{},1,2,5,5,deer", '"{}",deer,1,2,5,5', "1 2 5 5 deer {}", '[{{"f": "{}", "label": 1}}]'],
+)
+def test_names_may_contain_what_separates_cells(tmp_path: Path, name: str, text: str) -> None:
+    file = "t.json" if text.startswith("[") else "t.txt"
+    root = put(tmp_path / "data", {name: "", "z.jpg": "", file: text.format(name) + "\n"})
+    assert unread(root) == [file]
+
+
+@pytest.mark.parametrize("size", [999_990, 1_000_000, 3_500_000])
+@pytest.mark.parametrize(("file", "line"), [("t.csv", "{},1,2,5,5,deer"), ("t.json", '{{"f": "{}", "label": 1}}')])
+def test_a_name_after_the_first_megabyte_is_found(tmp_path: Path, size: int, file: str, line: str) -> None:
+    row = '{"f": "other.jpg"},' if file == "t.json" else "other.jpg,1,2,5,5,deer"
+    rows = "\n".join([row] * (size // (len(row) + 1)))
+    text = f"{rows}\n{line.format('f1.jpg')}\n"
+    root = put(tmp_path / "data", {"f1.jpg": "", file: f"[{text}]" if file == "t.json" else text})
+    assert unread(root) == [file]
+
+
+# -- pictures ------------------------------------------------------------------------------------------------------
+
+
+def unlisted(root: Path, **reading: Any) -> list[str]:
+    problems = api.read_dataset(root, reading=api.Reading(**reading)).problems
+    found = [p for p in problems if p.code == "image-unlisted"]
+    assert {p.severity for p in found} <= {"warning"} and all(p.todo and p.expected for p in found)
+    return [p.where for p in found]
+
+
+def test_samples_have_no_unread_pictures(tmp_path: Path) -> None:
+    for sample in FORMATS:
+        root = SAMPLES[sample](tmp_path / sample.replace(":", "-"))
+        assert (sample, unlisted(root)) == (sample, [])
+
+
+@pytest.mark.parametrize("sample", [s for s in FORMATS if s.partition(":")[0] != "folder"])
+def test_pictures_of_a_part_that_is_not_read_are_named_in_every_format(tmp_path: Path, sample: str) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    before = len(api.read_dataset(root).images)
+    for k in range(12):
+        picture(root / "more" / "images" / f"x{k}.jpg", 30 + k)
+    taken = len(api.read_dataset(root).images) - before
+    assert taken == 12 or unlisted(root) == ["more/images"], taken
+
+
+@pytest.mark.parametrize("sample", [s for s in FORMATS if s.partition(":")[0] != "folder"])
+@pytest.mark.parametrize(
+    "place", ["rgb/{}", "visible/{}", "masks/{}", "depth/{}", "all/{}", "docs/x{}", "previews/x{}"]
+)
+def test_other_forms_of_the_same_pictures_and_pictures_for_people_are_not_named(
+    tmp_path: Path, sample: str, place: str
+) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    images = api.read_dataset(root).images
+    for k, image in enumerate(images):
+        picture(root / place.format(image.path.name), 30 + k)
+    picture(root / "readme.png", 50)
+    try:
+        assert unlisted(root) == []
+    except DatasetError:
+        assert sample.startswith(("masks", "wisard"))
+
+
+def coco_of(*names: str) -> str:
+    images = [{"id": k, "file_name": name, "width": 64, "height": 48} for k, name in enumerate(names)]
+    box = {"id": 1, "image_id": 0, "category_id": 1, "bbox": [8, 6, 16, 12]}
+    return json.dumps({"images": images, "annotations": [box], "categories": [{"id": 1, "name": "deer"}]})
+
+
+ROW, YAML = "0 0.5 0.5 0.2 0.2\n", "train: images/train\nval: images/val\nnames: [deer]\n"
+YOLO = {"data.yaml": YAML, "labels/train/1.txt": ROW, "images/train/1.jpg": "", "images/val/1.jpg": ""}
+CVAT = (
+    "<annotations><version>1.1</version><image id='0' name='a.jpg' width='64' height='48'>"
+    "<box label='deer' xtl='8' ytl='6' xbr='24' ybr='18'/></image></annotations>"
+)
+NESTED = {f"second/{name}": text for name, text in YOLO.items() if name != "images/val/1.jpg"} | {
+    "second/images/train/7.jpg": ""
+}
+PARTS: dict[str, tuple[dict[str, str], list[str]]] = {
+    "coco": ({"images/a.jpg": "", "images/b.jpg": "", "images/c.jpg": "", "coco.json": coco_of("a.jpg")}, ["images"]),
+    "coco-second-file": (
+        {"train.json": coco_of("a.jpg"), "images/a.jpg": "", "b/c/d/e/val.json": coco_of("x.jpg"), "b/c/x.jpg": ""},
+        ["b/c"],
+    ),
+    "yolo-test": ({**YOLO, "images/test/1.jpg": "", "labels/test/1.txt": ROW}, ["images/test"]),
+    "same-names": (
+        {**YOLO, **{f"second/{n}": t for n, t in YOLO.items()}, **{f"rgb/{n}": t for n, t in YOLO.items()}},
+        ["second/images/train", "second/images/val"],
+    ),
+    "yolo-nested": (YOLO | NESTED, ["second/images/train"]),
+    "cvat-nested": ({"annotations.xml": CVAT, "images/a.jpg": "", **NESTED}, ["second/images/train"]),
+    "cvat": ({"annotations.xml": CVAT, "images/a.jpg": "", "images/b.jpg": ""}, ["images"]),
+    "twins": (
+        {
+            "coco.json": coco_of("ir/DJI_1_T.jpg"),
+            "ir/DJI_1_T.jpg": "",
+            "zoom/DJI_1_Z.jpg": "",
+            "ir/1.jpg": "",
+            "ir/DJI_20260101120001_2_W.jpg": "",
+        },
+        ["ir"],
+    ),
+    "many": (YOLO | {f"part{k}/x{k}.jpg": "" for k in range(9)}, ["data"]),
+}
+
+
+@pytest.mark.parametrize("kind", PARTS)
+def test_pictures_without_a_record_are_one_warning_per_folder(tmp_path: Path, kind: str) -> None:
+    files, places = PARTS[kind]
+    root = put(tmp_path / "data", files)
+    assert unlisted(root) == places
+    for words in (["check", root], ["inspect", root], ["convert", root, tmp_path / "out", "--to", "coco"]):
+        assert "in no record of the dataset" in run(*words).output, words
+    assert set(unlisted(root, splits=["val"] if "yolo" in kind else ["train"])) <= set(places)
+
+
+def test_generate_names_pictures_without_a_record(tmp_path: Path) -> None:
+    root = put(tmp_path / "data", PARTS["coco"][0])
+    pitch = ("--set", "camera.pitch={fixed_deg: 60}")
+    done = run("generate", "hit-uav-drone", "--data", root, "--out", tmp_path / "run", *pitch)
+    assert "2 picture(s) in no record of the dataset" in done.output
+
+
+@pytest.mark.parametrize(
+    ("sample", "options"),
+    [
+        ("voc", {"unlabelled": "drop"}),
+        *(("drone-vehicle", {"modality": m}) for m in ("ir", "rgb", "both")),
+        ("wit-uas", {"camera": "flir"}),
+        ("wisard", {"modality": "all"}),
+        ("anti-uav", {"every": "2"}),
+        ("bambi:tracks", {"frames": "all"}),
+        ("hit-uav:json", {"form": "normal_json"}),
+        ("hit-uav:xml", {"form": "rotate_xml"}),
+    ],
+)
+def test_pictures_that_options_leave_out_are_not_named(tmp_path: Path, sample: str, options: dict[str, str]) -> None:
+    root = SAMPLES[sample](tmp_path / "data")
+    if "unlabelled" in options:
+        picture(next(root.rglob("*.jpg")).with_name("x.jpg"), 9)
+    assert unlisted(root, options=options) == unlisted(root) == []
+
+
+# -- videos and classes --------------------------------------------------------------------------------------------
+
+
+def test_a_video_beside_pictures_is_named_with_the_command_that_reads_it(tmp_path: Path) -> None:
+    root = put(tmp_path / "data", YOLO | {"clip.mp4": "no video"})
+    (problem,) = [p for p in api.read_dataset(root).problems if p.code == "video-not-pictures"]
+    assert problem.severity == "warning"
+    assert f"infrablend frames {root / 'clip.mp4'} --out data_frames" in problem.todo
+    put(root, {"clip_000001.jpg": "", "images/train/clip_000001.jpg": ""})  # its frames are there
+    assert "video-not-pictures" not in [p.code for p in api.read_dataset(root).problems]
+
+
+@pytest.mark.parametrize(
+    ("names", "named"),
+    [
+        (["train/deer/a.jpg", "train/boar/b.jpg", "val/deer/c.jpg"], True),
+        (["images/train/deer/a.jpg", "images/train/boar/b.jpg"], True),
+        (["train/flight1/a.jpg", "train/flight2/b.jpg"], False),
+        (["train/images/a.jpg", "val/images/b.jpg"], False),
+        (["train/day/a.jpg", "train/night/b.jpg"], False),
+        (["train/rgb/a.jpg", "train/thermal/b.jpg"], False),
+        (["deer/a.jpg", "boar/b.jpg"], False),
+        (["train/a.jpg", "train/deer/a.jpg", "train/boar/b.jpg"], False),
+    ],
+)
+def test_folders_of_classes_are_no_labels(tmp_path: Path, names: list[str], named: bool) -> None:
+    problems = api.read_dataset(put(tmp_path / "data", dict.fromkeys(names, ""))).problems
+    assert [p.severity for p in problems if "boar, deer" in p.found] == ["warning"] * named
+    assert len(problems) == named

@@ -59,7 +59,7 @@ def read_dataset(data: str | Path, reading: Reading = READ_ALL) -> Dataset:
     ('hit-uav', 2)
 
     Raises:
-        UnknownFormatError: No format fits; `problems` gives the reason for each of them.
+        UnknownFormatError: No format fits, as there is no picture to read.
         DatasetError: The folder cannot be read.
     """
     return detection.read(Path(data), reading)

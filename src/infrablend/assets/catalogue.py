@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -49,7 +50,8 @@ def load_model(name: str) -> ObjectModel:
         return load_user_model(Path(name))
     if Path(name).suffix.lower() in SUFFIXES:
         raise ModelError(
-            f"model {name!r}: is a 3D file; expected a .yaml beside it that gives each part its temperature "
+            f"model {name!r}: is a 3D file; expected a .yaml beside it that gives each part its temperature. Write it "
+            f"with infrablend models add {shlex.quote(name)} --category NAME --size-m METRES, then give the .yaml "
             "(docs/how_to/own_model.md)"
         )
     raise ModelError(

@@ -21,6 +21,7 @@ from infrablend.cli.options import (
     split_at_commas,
 )
 from infrablend.cli.output import facts, grid, loss_lines, show_report, show_result, shown_progress, table
+from infrablend.errors import format_problems
 
 if TYPE_CHECKING:
     from infrablend.report.checking import CheckReport
@@ -133,10 +134,10 @@ def _listed(counts: Any) -> str:
 def _problem_list(found: Inspection) -> str:
     if not found.problems:
         return "no problems found in the labels; `infrablend check` also checks the pictures"
-    lines = [f"{len(found.problems)} problem(s)", *(f"  - {p.severity}: {p}" for p in found.problems[:SHOWN])]
-    if len(found.problems) > SHOWN:
-        lines.append(f"  ... and {len(found.problems) - SHOWN} more; --json lists all")
-    return "\n".join(lines)
+    kinds = [(k, [p for p in found.problems if p.severity == k]) for k in ("error", "warning")]
+    alike = [f"  - {severity}: {line}" for severity, same in kinds for line in format_problems(same)]
+    more = [f"  ... and {len(alike) - SHOWN} more; --json lists all"] if len(alike) > SHOWN else []
+    return "\n".join([f"{len(found.problems)} problem(s)", *alike[:SHOWN], *more])
 
 
 def check(
@@ -163,9 +164,10 @@ def _check_lines(report: CheckReport) -> list[str]:
         for code in dict.fromkeys(p.code for p in problems):
             same = [p for p in problems if p.code == code]
             lines.append(f"  {code}: {len(same)}")
-            lines += [f"    {p}" for p in same[:SHOWN_EACH]]
-            if len(same) > SHOWN_EACH:
-                lines.append(f"    ... and {len(same) - SHOWN_EACH} more; --json lists all")
+            alike = format_problems(same)
+            lines += [f"    {line}" for line in alike[:SHOWN_EACH]]
+            if len(alike) > SHOWN_EACH:
+                lines.append(f"    ... and {len(alike) - SHOWN_EACH} more; --json lists all")
     how = "pictures decoded" if report.decoded else "pictures not decoded"
     what = f"{report.format or 'unreadable'}, {report.images} images, {report.objects} objects, {how}"
     totals = f"{len(report.errors)} error(s), {len(report.warnings)} warning(s)"

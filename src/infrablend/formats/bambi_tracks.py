@@ -231,8 +231,10 @@ def _pictures(found: Flights, folder: Path, flight: str, numbers: Sequence[int])
                 continue
             for p in sorted((base / name).iterdir()):
                 match = _PICTURE.fullmatch(p.stem)
-                if match and match[1] == flight and is_picture_name(p.name) and int(match[2]) in wanted:
-                    pictures.setdefault(int(match[2]), p)
+                if match and match[1] == flight and is_picture_name(p.name):
+                    leave_out([p])  # many frames of a flight have no labels
+                    if int(match[2]) in wanted:
+                        pictures.setdefault(int(match[2]), p)
     video, missing = folder / f"{flight}{_VIDEO}", [n for n in numbers if n not in pictures]
     if missing and video.is_file() and not leaves_folder(video):
         try:

@@ -258,6 +258,11 @@ def number_ids(images: Sequence[ImageRecord], ids: Literal["source", "new"], fir
     return Numbered(images, range(first, first + len(images)), new_ids, every)
 
 
+def names_of(records: Iterable[ImageRecord]) -> list[str]:
+    """Return the names of the categories of some records, sorted."""
+    return sorted({i.category for r in records for i in r.instances})
+
+
 def named_categories(names: Iterable[str]) -> tuple[Category, ...]:
     """Return categories with these names, numbered from 0; a name may mean a region to ignore."""
     return tuple(Category(n, name, "", is_ignored_name(name)) for n, name in enumerate(names))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,16 +23,16 @@ from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.divide import with_val
 from infrablend.formats.flight import add_flight_data
-from infrablend.formats.pictures import check_link
+from infrablend.formats.pictures import check_link, is_picture_name
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
-from infrablend.formats.unread import hidden_pictures, label_candidates, unread_label_files
+from infrablend.formats.unread import files_below, hidden_pictures, label_candidates, unread_files
+from infrablend.formats.unread_pictures import video_problem
 
 DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
 PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
-_FEW_VIDEOS = 3  # named one by one
 # Read from runs that have it, whatever else they have.
 _FIRST_OF_RUN = "coco"
 
@@ -70,7 +69,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
         reading: Format, splits and reader options; by default the format is detected and every split is read.
 
     Raises:
-        UnknownFormatError: No format fits; `problems` gives the reason for each of them.
+        UnknownFormatError: No format fits, as there is no picture to read; `detect` gives the reason of each format.
         DatasetError: The folder cannot be read, or its format does not have one of the options. Or it is a run that
             has no labels in the wanted format. Or no val split can be made.
     """
@@ -81,7 +80,7 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     dataset = reader.completed(dataset)
     if reading.val_share is not None:
         dataset = with_val(dataset, reading.val_share, reading.splits)
-    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits)))
+    return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits, reader.options)))
 
 
 def read_parts(root: Path, pictures: Path, reading: Reading = READ_ALL) -> Iterator[Dataset]:
@@ -125,13 +124,9 @@ class _Reader:
         _require_merged(root)
         root, format = _labels_of_run(root, reading.format)
         if format is None:
-            found = detect(root)
-            if found.format is None and (films := sorted(p for p in root.rglob("*") if _is_video(p))):
-                raise UnknownFormatError(f"{root}: no format fits", [_video_problem(root, films)])
-            if found.format is None:
-                problems = [Problem(m.format, "not-this-format", m.reason) for m in found.matches]
-                raise UnknownFormatError(f"{root}: no format fits", problems)
-            format = found.format
+            format = detect(root).format
+            if format is None:
+                raise UnknownFormatError(f"{root}: no format fits", [_nothing_to_read(root)])
         chosen = find_format(format)
         given: dict[str, Any] = dict(reading.options)
         stated = {name: str(given.pop(name)) for name in temperatures.OPTIONS if name in given}
@@ -169,20 +164,20 @@ def _is_video(path: Path) -> bool:
     return path.suffix.lower() in video.SUFFIXES and path.is_file()
 
 
-def _video_problem(root: Path, videos: Sequence[Path]) -> Problem:
-    """Return what to do with videos in place of pictures: the command that extracts their frames."""
-    named = [shlex.quote(str(p)) for p in videos]
-    if len(named) > _FEW_VIDEOS:
-        named = sorted({f"{shlex.quote(str(p.parent))}/*{p.suffix}" for p in videos})
-    frames = shlex.quote(f"{root.resolve().stem}_frames")
-    found = "a video" if videos == [root] else f"{len(videos)} video(s) and no picture"
-    todo = f"extract frames with infrablend frames {' '.join(named)} --out {frames}, then use {frames}"
-    return Problem(shown(root), "video-not-pictures", found, "the folder of a dataset of pictures", todo)
+def _nothing_to_read(root: Path) -> Problem:
+    """Return what is in a folder that has no picture to read, and so no format."""
+    if films := sorted(p for p in root.rglob("*") if _is_video(p)):
+        return video_problem(root, films, f"{len(films)} video(s) and no picture")
+    files = [name for name in files_below(root) if not is_picture_name(name)]
+    named = f", but {len(files)} other file(s), such as {', '.join(files[:3])}" if files else " and no other file"
+    found = f"no picture (JPEG, PNG, BMP, TIFF) to read{named}"
+    todo = "check the path; unpack archives; put labels and pictures into one folder"
+    return Problem(shown(root), "not-this-format", found, "a dataset in a format of docs/formats, or pictures", todo)
 
 
 def _missing(root: Path) -> DatasetError:
     if _is_video(root):
-        return DatasetError("no dataset to read", [_video_problem(root, [root])])
+        return DatasetError("no dataset to read", [video_problem(root, [root], "a video")])
     found, todo = "no such folder", "check the path"
     if address_of(root) is not None:
         todo = "copy it here first, with `infrablend merge` if it is a run"
@@ -208,9 +203,11 @@ def _require_merged(root: Path) -> None:
         raise DatasetError(f"{root}: cannot be read", [Problem(str(root), "shards-unmerged", found, "a dataset", todo)])
 
 
-def _unread(dataset: Dataset, read: Collection[Path], splits: Collection[str] | None) -> Sequence[Problem]:
-    """Return the labels that were not read; one problem for those of whole datasets inside of a plain folder."""
-    unread = unread_label_files(dataset, read, splits)
+def _unread(
+    dataset: Dataset, read: Collection[Path], splits: Collection[str] | None, options: Collection[str]
+) -> Sequence[Problem]:
+    """Return what was not read; one problem for the labels of whole datasets inside of a plain folder."""
+    unread = unread_files(dataset, read, splits, options)
     if dataset.format != folder.NAME:
         return unread
     # Datasets inside have label files and pictures in their folders; `images` and `labels` have one of both.

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from infrablend.core.dataset import Category, Dataset
 from infrablend.formats import voc
-from infrablend.formats.base import Match, check_splits, require_options
+from infrablend.formats.base import Match, check_splits, names_of, require_options
 from infrablend.formats.records import KEEP_OR_DROP, Findings
 
 NAME = "dut-anti-uav"
@@ -50,7 +50,7 @@ def read(
     wanted = check_splits(splits)
     found = Findings(root)
     records = voc.read_folder(found, wanted, origin == "1", unlabelled)
-    others = [n for n in voc.names_of(records) if n != "UAV"]
+    others = [n for n in names_of(records) if n != "UAV"]
     if others:
         text = f"{', '.join(others)}, taken as new categories"
         found.warn(root.name, "category-unknown", text, "only UAV")

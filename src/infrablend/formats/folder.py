@@ -56,10 +56,6 @@ def _split_folders(found: Findings) -> list[tuple[Split, Path]]:
         named = split_folders(base)
         inside = {p for _, d in named for p in list_pictures(d, _SKIP, lambda p: find_label(p, root)).values()}
         if inside:
-            outside = [n for n, p in list_pictures(root, _SKIP).items() if p not in inside]
-            if outside:
-                text = f"{len(outside)} picture(s) outside the split folders, left out: {', '.join(outside[:3])}"
-                found.warn(root.name, "image-unlisted", text, "all pictures in train, val or test")
             return named
     return [("train", root)]
 

@@ -19,6 +19,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
+from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.anti_uav import step_of
 from infrablend.formats.base import Match, check_splits
 from infrablend.formats.matlab import object_workspace
@@ -108,6 +109,7 @@ def _read_labels(path: Path, where: str, decoder: Any) -> tuple[list[Any], Probl
             most = f"at most {_MAX_LABEL_BYTES / 1e6:.0f} MB"
             return [], Problem(where, "annotation-too-large", f"{path.stat().st_size / 1e6:.0f} MB", most, todo)
         boxes = list(decoder.extract_bboxes(object_workspace(read_regular(path))))
+        leave_out([path])
     except Exception as error:  # the decoder's parser raises what it likes on damaged files
         found = f"cannot be decoded ({type(error).__name__}: {error})"[:120].replace(str(path), path.name)
         return [], Problem(where, "annotation-unreadable", found, expected, todo)

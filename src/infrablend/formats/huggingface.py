@@ -328,9 +328,6 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
             elif record is not None:
                 seen.add(record.name)
                 records += [record] if split in wanted else []
-        if unlisted := sorted(set(folder.by_name) - seen):
-            text = f"{len(unlisted)} picture(s) without a line, left out: {', '.join(unlisted[:3])}"
-            state.warn(where, "image-unlisted", text, "a line per picture")
     for path, split in _without_file(root).items() if records and None not in files.values() else ():
         folder = PictureFolder.scan(path)
         if split not in wanted or not folder.by_name:

@@ -29,11 +29,19 @@ from infrablend.core.files import open_regular
 from infrablend.core.json_records import is_list
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError
-from infrablend.formats import voc
 from infrablend.formats.annotation_files import only_looked_at, read_json
-from infrablend.formats.base import Match, check_splits, is_ignored_name, require_options
+from infrablend.formats.base import Match, check_splits, is_ignored_name, names_of, require_options
 from infrablend.formats.box_checks import clockwise_corners, is_near, snap_edges
-from infrablend.formats.pictures import is_decodable, is_hidden, list_pictures, walk
+from infrablend.formats.pictures import (
+    PictureKey,
+    folder_split,
+    is_decodable,
+    is_hidden,
+    list_pictures,
+    picture_key,
+    plain_name,
+    walk,
+)
 from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.values import to_bool, to_floats, to_size
@@ -99,14 +107,14 @@ def read(
     wanted = check_splits(splits)
     found = Findings(root)
     pictures = list_pictures(root)
-    by_key: dict[voc.Key, str] = {}
+    by_key: dict[PictureKey, str] = {}
     for n in pictures:
-        by_key.setdefault(voc.key_of(n), n)
+        by_key.setdefault(picture_key(n), n)
     records: dict[str, ImageRecord] = {}
     skipped: set[str] = set()
     for path in _files(root):
         where = found.place(path)
-        own = by_key.get(voc.key_of(where))
+        own = by_key.get(picture_key(where))
         try:
             top = read_json(path)
         except DatasetError as error:
@@ -117,7 +125,7 @@ def read(
             only_looked_at(path)
             continue
         name = _picture(found, top, where, own, pictures)
-        split = voc.folder_split(name or "")
+        split = folder_split(name or "")
         if name is None or split not in wanted:
             continue
         record = _record(found, top, where, name, pictures[name], split)
@@ -128,15 +136,15 @@ def read(
                 found.add(where, "image-duplicate", text, "each picture once", "remove the one that is out of date")
             continue
         records[name] = record
-    left = {n: split for n in pictures if n not in skipped and (split := voc.folder_split(n)) in wanted}
+    left = {n: split for n in pictures if n not in skipped and (split := folder_split(n)) in wanted}
     left = {n: split for n, split in left.items() if n not in records}
     found.problems += unlabelled_problems(root.name, len(left), unlabelled, "no JSON file")
     for n, split in left.items() if unlabelled == "keep" else ():
         records[n] = ImageRecord(
-            "", pictures[n], split, None, (), extra={"labelled": False}, file_name=voc.file_name(n)
+            "", pictures[n], split, None, (), extra={"labelled": False}, file_name=plain_name(n)
         )  # fmt: skip
     categories = [
-        Category(k, n, "", n == IGNORED or is_ignored_name(n)) for k, n in enumerate(voc.names_of(records.values()))
+        Category(k, n, "", n == IGNORED or is_ignored_name(n)) for k, n in enumerate(names_of(records.values()))
     ]
     notes = {"labels": NAME, "rows": {"unlabelled": len(left)}}
     return found.dataset(NAME, records.values(), categories, notes, metadata=metadata, splits=wanted)
@@ -177,7 +185,7 @@ def _record(
         key = (group, instance.category) if isinstance(group, int) and instance.mask is not None else (None, n)
         parts.setdefault(key, []).append(instance)
     objects = tuple(_joined(p) for p in parts.values())
-    return ImageRecord("", path, split, size_wh, objects, file_name=voc.file_name(name))
+    return ImageRecord("", path, split, size_wh, objects, file_name=plain_name(name))
 
 
 def _instance(found: Findings, shape: object, size_wh: tuple[int, int], where: str) -> Instance | None:

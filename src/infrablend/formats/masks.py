@@ -166,12 +166,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
         listing = PictureFolder.scan(root / "images" / split)
         tables = [p for p in sorted(base.rglob("*.json")) if not p.name.startswith(".")] if base.is_dir() else []
         leave_out(sorted(base.rglob("*.png")))  # read with their tables
-        read = [r for p in tables if (r := _read_table(found, p, split, listing, names)) is not None]
-        records += read
-        unlisted = sorted(set(listing.by_name) - {r.name for r in read})
-        if unlisted:
-            text = f"{len(unlisted)} picture(s) of {split} without a table, left out: {', '.join(unlisted[:3])}"
-            found.warn(root.name, "image-unlisted", text, "a table per picture")
+        records += [r for p in tables if (r := _read_table(found, p, split, listing, names)) is not None]
     if not records:
         found.add(str(root), "annotation-missing", "no table", "masks/<split>/<name>.json")
         raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(found.problems))

@@ -13,11 +13,12 @@ from pathlib import Path, PurePosixPath
 
 from PIL import Image
 
-from infrablend.core.dataset import ImageRecord
+from infrablend.core.dataset import ImageRecord, Split
 from infrablend.core.file_names import is_inside, leaves
 from infrablend.core.files import or_lfs_pointer
 from infrablend.core.run_folder import kept_aside
 from infrablend.errors import Problem
+from infrablend.formats.base import SPLIT_FOLDERS
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
@@ -28,6 +29,11 @@ _MASK_FOLDER = re.compile(
     r"(?:^|/)(?:segmentation(?:class|object)\w*|(?:\w+[_-])?masks?|ann_dir|annotations?|labels?)(?:/|$)", re.IGNORECASE
 )
 _MASK_END = re.compile(r"[_-]masks?$")
+# Folders that only separate pictures from annotations; without them, the paths of a picture and its XML are equal.
+_KINDS = {
+    "annotations", "annotation", "ann", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "json", "jsons",
+    "labels",
+}  # fmt: skip
 # What holds the labels of the one picture that has the stem of the file.
 _OWN_LABELS = (".txt", ".xml", ".json")
 
@@ -112,6 +118,27 @@ def _pictures_below(folder: Path, skip: Sequence[str] = ()) -> dict[str, Path]:
         prefix = "" if here == folder else here.relative_to(folder).as_posix() + "/"
         found.update({prefix + n: here / n for n in names if is_picture_name(n)})
     return dict(sorted(found.items()))
+
+
+PictureKey = tuple[str, ...]
+
+
+def picture_key(name: str) -> PictureKey:
+    """Return the part of a path that a picture shares with its annotation: no folder of kinds, and no suffix."""
+    path = PurePosixPath(name)
+    return (*(p for p in path.parts[:-1] if p.lower() not in _KINDS), path.stem)
+
+
+def plain_name(name: str) -> str:
+    """Return the picture's path without folders that only name a kind or a split."""
+    parts = PurePosixPath(name).parts
+    return "/".join([*(p for p in parts[:-1] if p.lower() not in _KINDS | SPLIT_FOLDERS.keys()), parts[-1]])
+
+
+def folder_split(name: str) -> Split:
+    """Return the split that a folder of the path names; train if no folder does."""
+    parts = PurePosixPath(name).parts[:-1]
+    return next((SPLIT_FOLDERS[p.lower()] for p in parts if p.lower() in SPLIT_FOLDERS), "train")
 
 
 def check_name(name: object, where: str) -> Problem | None:

@@ -21,6 +21,8 @@ from infrablend.formats.capture import Captures, CaptureTable, find_table, read_
 from infrablend.formats.pictures import assign_ids, read_size
 
 KEEP_OR_DROP = ("keep", "drop")
+LEFT_OUT = "left out"
+"""How the problem of pictures without labels ends that a reader left out."""
 
 
 @dataclass

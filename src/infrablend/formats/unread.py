@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
@@ -18,12 +19,23 @@ from infrablend.core.run_folder import RUN_FILE
 from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem, Severity
 from infrablend.formats import folder
-from infrablend.formats.annotation_files import as_utf8, read_json, read_xml
+from infrablend.formats.annotation_files import MAX_TEXT_BYTES, as_utf8, read_json, read_xml
 from infrablend.formats.base import stated_split
 from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, is_picture_name, masks_of, walk
+from infrablend.formats.unread_pictures import folders_like_classes, path_below, unread_pictures, unread_videos
 
 _JSON_SUFFIXES = {".json", ".jsonl", ".ndjson", ".geojson", ".manifest", ".odgt"}
-_SUFFIXES = {".xml", ".txt", ".csv", ".tsv", ".label", ".tfrecord", ".record", ".pkl", *_JSON_SUFFIXES}
+_YAML_SUFFIXES = {".yaml", ".yml"}
+_SUFFIXES = {
+    ".xml", ".txt", ".csv", ".tsv", ".label", ".tfrecord", ".record", ".pkl", *_JSON_SUFFIXES, *_YAML_SUFFIXES,
+}  # fmt: skip
+# What cannot be searched as text: the suffix alone says that there may be labels or pictures.
+_ARCHIVES = {".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar"}
+_BINARY = {".mat", ".parquet", ".arrow", ".xlsx", ".xls", ".ods", ".h5", ".hdf5"}
+# Names of such files that speak of labels.
+_OF_LABELS = re.compile(
+    r"label|annot|(?:^|[\W_])(?:gt|xml|voc|coco|yolo|dota)(?:[\W_]|$)|truth|box|mask", re.IGNORECASE
+)
 _PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
 # What InfraBlend writes of the datasets that it made.
@@ -40,14 +52,20 @@ _LABEL_WORD = (
 )
 _TITLE = re.compile(rf"{_LABEL_WORD}|w", re.IGNORECASE)
 _KEY = re.compile(rf'"(?:{_LABEL_WORD})"\s*:', re.IGNORECASE)
+_YAML_KEY = re.compile(rf"""(?:^[ -]*|[{{,] ?)["']?(?:{_LABEL_WORD})["']?:(?:\s|$)""", re.IGNORECASE | re.MULTILINE)
+# A recipe of ours may name pictures, and has `objects`.
+_RECIPE = re.compile(r"^(?:configurations|camera|placement|sensor):", re.MULTILINE)
 _TAG = re.compile(rf"<(?:{_LABEL_WORD})[\s/>]", re.IGNORECASE)
 # What the first line of a table of places on the ground says of them.
 _COORDINATES = re.compile(r"EPSG:|\+proj|WGS", re.IGNORECASE)
 # The end of a picture's name, and what separates names. Names are looked for backwards from their ends: forwards, a
 # line of a megabyte without a separator would be searched from each of its characters.
 _PICTURE_END = re.compile(r"\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
-_SEPARATOR = re.compile(r"[\\/\"'<>|,;:=\x00-\x1f\ufffd]")
+_SEPARATOR = re.compile(r"[\\/\"'<>\x00-\x1f\ufffd]")
+# What also separates names, unless it is in one.
+_BREAK = re.compile(r"[ |,;:=]")
 _LONGEST_NAME = 255
+_PIECE = re.compile(r"""[\\/"'<>|,;:= ()\[\]{}#?&-]|[\x00-\x1f\ufffd]""")
 # What Label Studio puts before the names of uploaded pictures.
 _UPLOADED = re.compile(r"[0-9a-f]{8}-(?=.)")
 # Names without a suffix in tables and in JSON; plain numbers and dates are none.
@@ -64,17 +82,56 @@ _BOX_OF = re.compile(rf'"([^"\\]{{1,255}})"\s*:\s*\[[\s\[]*+{_NUMBER}(?:\s*,\s*{
 _ESCAPED = re.compile(r"\\u([0-9a-fA-F]{4})")
 _TRUTH = re.compile(r"(?:^|[\W_])(?:gt|det|ground_?truth)(?:[\W_]|$)")
 _HEAD_BYTES = 1_000_000
+_LONGEST_LINE = 10_000
 # Files of one folder that are named one by one; more are one problem.
 _MOST_NAMED = 3
 _EMPTY = "an empty file"
 _UNKNOWN = "labels in no known layout, which are not read"
 _NAMING = "a file that names pictures, and is not read"
+_CLOSED = "a file that may hold labels, and is not read"
+_PACKED = "an archive, which is not read"
+_UNPACK = "if it holds labels or pictures, unpack it; else move it out of the folder"
 _IF_LABELS = "if it holds labels, convert it, for example with CVAT or Datumaro, to a format of docs/formats"
 _TODO = "convert it, for example with CVAT or Datumaro, to a format of docs/formats; or move it out of the folder"
 
 
-def unread_label_files(
-    dataset: Dataset, read: Collection[Path] = (), splits: Collection[str] | None = None
+def unread_files(
+    dataset: Dataset,
+    read: Collection[Path] = (),
+    splits: Collection[str] | None = None,
+    options: Collection[str] = (),
+) -> list[Problem]:
+    """Return the problems of what is below the dataset's folder and was not taken by its reader.
+
+    Args:
+        dataset: The dataset.
+        read: Files from which the reader took something (see `annotation_files.noting_files_read`).
+        splits: Splits that were asked for; None for all.
+        options: Names of the reader's options that were given.
+    """
+    files = list(files_below(dataset.root))
+    if (dataset.root / RUN_FILE).is_file():  # a run, with the labels of all its formats
+        return _unread_labels(dataset, files, {}, read, splits)
+    masks = masks_of([name for name in files if is_picture_name(name)])
+    if masks:  # but for pictures that have labels of their own, or are named by an annotation
+        taken = {i.path for i in dataset.images}.union(read)
+        masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
+    below, known = path_below(dataset.root), {os.fspath(path) for path in read}
+    others = [name for name in files if name not in masks and below + name not in known]
+    return [
+        *_unread_labels(dataset, files, masks, read, splits),
+        *unread_pictures(dataset, others, splits, options),
+        *unread_videos(dataset, others),
+        *(folders_like_classes(dataset) if dataset.format == folder.NAME else ()),
+    ]
+
+
+def _unread_labels(
+    dataset: Dataset,
+    files: Sequence[str],
+    masks: Mapping[str, str],
+    read: Collection[Path],
+    splits: Collection[str] | None,
 ) -> list[Problem]:
     """Return the problems of label files below the dataset's folder that its reader did not take.
 
@@ -82,22 +139,16 @@ def unread_label_files(
     dataset or hold a table of boxes, files named after a picture with its suffix, files named like a picture, and
     masks. Lists of pictures and texts for people are none. A file of one picture, or its mask, is only worth a warning
     if the picture has labels from elsewhere; so is a file that names pictures, but shows neither boxes nor classes.
-
-    Args:
-        dataset: The dataset.
-        read: Files from which the reader took something (see `annotation_files.noting_files_read`).
-        splits: Splits that were asked for; None for all.
     """
-    files = list(_files_below(dataset.root))
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     left = [name for name in files if _is_candidate(name, splits) and dataset.root / name not in read]
     bare = reported.difference(files)  # readers state some places without their folders
     left = [name for name in left if name not in reported and PurePosixPath(name).name not in bare]
-    masks = masks_of([name for name in files if is_picture_name(name)])
-    if masks:  # but for pictures that have labels of their own, or are named by an annotation
-        taken = {i.path for i in dataset.images}.union(read)
-        masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
-    if not left and not masks:
+    ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
+    packed = [
+        n for n in files if _suffix(n) in _ARCHIVES | _BINARY and n not in reported and dataset.root / n not in read
+    ]
+    if not left and not masks and (ours or not packed):
         return []
     names = _Pictures.of(dataset)
     plain = dataset.format == folder.NAME
@@ -107,7 +158,6 @@ def unread_label_files(
         labelled[stem] = bool(image.instances) or labelled.get(stem, False)
     # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
     places = set() if plain else {_place(os.fspath(i.path)) for i in dataset.images}
-    ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
     problems, alike = [], defaultdict[tuple[str, str, str, str, Severity], list[str]](list)
     for name in left:
         path = dataset.root / name
@@ -129,13 +179,17 @@ def unread_label_files(
         elif says := _tells_of(path, names, alone=labelled.get(stem) is False):
             found, todo = (_UNKNOWN, _TODO) if says == "error" else (_NAMING, _IF_LABELS)
             alike[path.parent.as_posix(), path.suffix, found, todo, says].append(name)
-    for name, of in {} if ours else masks.items():
+    for name in () if ours else packed:
+        lost = _OF_LABELS.search(PurePosixPath(name).stem) and not any(labelled.values())
+        found, todo = (_PACKED, _UNPACK) if _suffix(name) in _ARCHIVES else (_CLOSED, _IF_LABELS)
+        alike[name.rpartition("/")[0], _suffix(name), found, todo, "error" if lost else "warning"].append(name)
+    for name, of in masks.items():
         if fold_name(of) in labelled:
             severity: Severity = "warning" if labelled[fold_name(of)] else "error"
             alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", _TODO, severity].append(name)
     for (_, _, found, todo, severity), same in alike.items():
         if len(same) > _MOST_NAMED:
-            found, same = f"{len(same)} files with {found}", same[:1]
+            found, same = f"{len(same)} files: {found}", same[:1]
         problems += [Problem(name, "label-unread", found, _EXPECTED, todo, severity) for name in same]
     return problems
 
@@ -162,7 +216,7 @@ def hidden_pictures(root: Path) -> list[Problem]:
 
 def label_candidates(root: Path) -> Iterator[str]:
     """Yield the files below a folder that may be label files, by relative POSIX path, sorted within each folder."""
-    return filter(_is_candidate, _files_below(root))
+    return filter(_is_candidate, files_below(root))
 
 
 def _is_candidate(name: str, splits: Collection[str] | None = None) -> bool:
@@ -175,7 +229,8 @@ def _suffix(name: str) -> str:
     return name[name.rfind(".") :].lower().partition("-")[0]
 
 
-def _files_below(root: Path) -> Iterator[str]:
+def files_below(root: Path) -> Iterator[str]:
+    """Yield the files below a folder by relative POSIX path, sorted within each folder, without hidden ones."""
     for base, names in walk(root):
         prefix = "" if Path(base) == root else Path(base).relative_to(root).as_posix() + "/"
         yield from (prefix + n for n in sorted(names) if not is_hidden(n))
@@ -222,7 +277,8 @@ class _Pictures:
         stems: Those without suffix, unless they look like numbers.
         numbers: Those that are numbers, without zeros before them.
         folders: Names of the folders that they are in, folded.
-        words: Number of words of the longest name.
+        words: Number of words of the longest name, see `_BREAK`.
+        ends: The last pieces of the names, see `_PIECE`.
     """
 
     names: frozenset[str]
@@ -230,6 +286,7 @@ class _Pictures:
     numbers: frozenset[str]
     folders: frozenset[str]
     words: int
+    ends: frozenset[str]
 
     @classmethod
     def of(cls, dataset: Dataset) -> _Pictures:
@@ -237,17 +294,23 @@ class _Pictures:
         names, stems = frozenset(fold_name(p.name) for p in paths), frozenset(p.stem for p in paths)
         folders = frozenset(fold_name(p.parent.name) for p in paths)
         numbers = frozenset(s.lstrip("0") for s in stems if s.isdecimal())
-        words = max((n.count(" ") + 1 for n in names), default=1)
-        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), numbers, folders, words)
+        words = 1 + max((len(_BREAK.findall(n)) for n in names), default=0)
+        ends = frozenset(_PIECE.split(n)[-1] for n in names)
+        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), numbers, folders, words, ends)
+
+    def may_be_in(self, text: str) -> bool:
+        """Return whether a name of a picture may be in a text, as fast as a text of many megabytes needs it."""
+        return not self.ends.isdisjoint(_PIECE.split(fold_name(text)))
 
     def named_in(self, line: str) -> str | None:
-        """Return the first name of a picture in a line; a name may contain blanks, or follow one."""
+        """Return the first name of a picture in a line; a name may contain blanks and commas, or follow one."""
         for end in (m.end() for m in _PICTURE_END.finditer(line)):
-            words = _SEPARATOR.split(line[max(0, end - _LONGEST_NAME) : end])[-1].split(" ")[-self.words :]
-            for name in (" ".join(words[k:]) for k in range(len(words))):
-                for said in (name, _UPLOADED.sub("", name, count=1)):
-                    if fold_name(said) in self.names:
-                        return said
+            said = _SEPARATOR.split(line[max(0, end - _LONGEST_NAME) : end])[-1]
+            starts = [0, *(m.end() for m in _BREAK.finditer(said))]
+            for name in (said[k:] for k in starts[-self.words :]):
+                for plain in (name, _UPLOADED.sub("", name, count=1)):
+                    if fold_name(plain) in self.names:
+                        return plain
         return None
 
     def are_keys_of_boxes(self, text: str) -> bool:
@@ -268,7 +331,10 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
     if stem in pictures.names:  # f.jpg.json
         return "error"
     with suppress(OSError), open_regular(path) as stream:
-        text = as_utf8(stream.read(_HEAD_BYTES)).decode("utf-8", "replace")
+        head = _block(stream)
+        text = as_utf8(head).decode("utf-8", "replace")
+        if not pictures.may_be_in(text):
+            text = f"{text}\n{_block_with_name(stream, head, pictures)}"
         lines = [line for line in map(str.strip, text.splitlines()) if line]
         if not lines:
             return "error" if stem in pictures.folders else None
@@ -276,7 +342,7 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
             _TRUTH.search(stem) and any(map(_NUMBERS.match, lines))
         ):
             return "error"
-        if suffix == ".xml" or suffix in _JSON_SUFFIXES:
+        if suffix in {".xml", *_JSON_SUFFIXES, *_YAML_SUFFIXES}:
             return _said_in_records(text, lines, pictures, suffix, alone=alone)
         if suffix in (".csv", ".tsv", ".txt"):
             return _said_in_table(lines, pictures, suffix, alone=alone)
@@ -284,15 +350,34 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
     return None
 
 
+def _block(stream: BufferedReader) -> bytes:
+    """Return the next part of a file, up to the end of a line unless that is far."""
+    return stream.read(_HEAD_BYTES) + stream.readline(_LONGEST_LINE)
+
+
+def _block_with_name(stream: BufferedReader, before: bytes, pictures: _Pictures) -> str:
+    """Return the next part of a file of text in UTF-8 in which a picture is named, within `MAX_TEXT_BYTES`; or none."""
+    while stream.tell() < MAX_TEXT_BYTES and (block := _block(stream)):
+        text = (before[-_LONGEST_NAME:] + block).decode("utf-8", "replace")
+        if pictures.may_be_in(text) and pictures.named_in(text):
+            return text
+        before = block
+    return ""
+
+
 def _said_in_records(
     text: str, lines: Sequence[str], pictures: _Pictures, suffix: str, *, alone: bool
 ) -> Severity | None:
-    """Return what `_tells_of` does for JSON or XML, whose keys or tags speak of labels or do not."""
-    is_json = suffix != ".xml"
+    """Return what `_tells_of` does for JSON, YAML or XML, whose keys or tags speak of labels or do not."""
+    is_json, keys = suffix in _JSON_SUFFIXES, _TAG if suffix == ".xml" else _KEY
+    if suffix in _YAML_SUFFIXES:
+        keys = _YAML_KEY
+        if _RECIPE.search(text):
+            return None
     if is_json and "\\u" in text:
         text = _ESCAPED.sub(lambda m: chr(int(m[1], 16)), text)
         lines = text.splitlines()
-    labels = bool((_KEY if is_json else _TAG).search(text)) or (is_json and pictures.are_keys_of_boxes(text))
+    labels = bool(keys.search(text)) or (is_json and pictures.are_keys_of_boxes(text))
     if alone and labels:
         return "error"
     said = {name for value, name, key in _TEXT.findall(text) if value or key} if is_json else set()

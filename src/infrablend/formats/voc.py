@@ -25,13 +25,13 @@ from infrablend.core.files import link_or_copy, write_text
 from infrablend.core.run_folder import kept_aside
 from infrablend.formats.annotation_files import child_text, read_xml
 from infrablend.formats.base import (
-    SPLIT_FOLDERS,
     Match,
     category_ids,
     check_splits,
     ignored_by_class,
     in_order,
     is_ignored_name,
+    names_of,
     require_known,
     require_options,
     require_size,
@@ -39,7 +39,15 @@ from infrablend.formats.base import (
 )
 from infrablend.formats.box_checks import is_near, snap_edges, turned_box
 from infrablend.formats.losses import Written, count_dropped
-from infrablend.formats.pictures import is_hidden, list_pictures, walk
+from infrablend.formats.pictures import (
+    PictureKey,
+    folder_split,
+    is_hidden,
+    list_pictures,
+    picture_key,
+    plain_name,
+    walk,
+)
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.values import number_text, to_bool, to_floats, to_number, to_size
 
@@ -52,11 +60,6 @@ OPTIONS = {
 DATABASE = "InfraBlend VOC"
 """Value of `source/database` in our files, which makes HIT-UAV's reader ignore them."""
 
-# Folders that only separate pictures from annotations; without them, the paths of a picture and its XML are equal.
-_KINDS = {
-    "annotations", "annotation", "ann", "jpegimages", "images", "image", "imgs", "img", "xml", "xmls", "json", "jsons",
-    "labels",
-}  # fmt: skip
 _LABELMAP = "labelmap.txt"
 # Below the root of a file, what tells of the picture, and what only an object has.
 _OF_PICTURE = {"folder", "filename", "path", "source", "owner", "size", "segmented"}
@@ -65,14 +68,6 @@ _MOST_TRIED = 1000  # of which at most 20 can be read; damaged files must not hi
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
-
-Key = tuple[str, ...]
-
-
-def key_of(name: str) -> Key:
-    """Return the part of a path that a picture shares with its annotation: no folder in `_KINDS`, and no suffix."""
-    path = PurePosixPath(name)
-    return (*(p for p in path.parts[:-1] if p.lower() not in _KINDS), path.stem)
 
 
 def list_xml(root: Path) -> Iterable[str]:
@@ -87,7 +82,7 @@ def detect(root: Path) -> Match:
     names = list(islice(list_xml(root), _MOST_TRIED))
     if not names:
         return Match(NAME, False, "no XML file in the folder or below it")
-    pictures = {key_of(n) for n in list_pictures(root)}
+    pictures = {picture_key(n) for n in list_pictures(root)}
     reason, readable = f"no picture for {names[0]} or the next XML files", 0
     for name in names:
         top, problem = read_xml(root / name, name)
@@ -97,7 +92,7 @@ def detect(root: Path) -> Match:
             break
         if problem is not None or top.tag != "annotation":
             reason = f"{name}: {problem.found if problem else f'root element <{top.tag}>, not <annotation>'}"
-        elif key_of(name) in pictures or _named(name, top) in pictures:
+        elif picture_key(name) in pictures or _named(name, top) in pictures:
             return Match(NAME, True, f"VOC files such as {name}")
     return Match(NAME, False, reason)
 
@@ -109,10 +104,10 @@ def _strip_namespaces(top: Any) -> None:
             element.tag = element.tag.rpartition("}")[2]
 
 
-def _named(name: str, top: Any) -> Key:
+def _named(name: str, top: Any) -> PictureKey:
     """Return the key of the picture that the XML file names; folders in that name are ignored."""
     said = re.split(r"[\\/]", child_text(top, "filename") or "")[-1]
-    folder = key_of(name)[:-1]
+    folder = picture_key(name)[:-1]
     return (*folder, PurePosixPath(said).stem if re.search(r"\.\w{2,5}$", said) else said)
 
 
@@ -147,42 +142,37 @@ def read(
     return found.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def names_of(records: Iterable[ImageRecord]) -> list[str]:
-    """Return the names of the categories, sorted."""
-    return sorted({i.category for r in records for i in r.instances})
-
-
 def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabelled: str) -> list[ImageRecord]:
     """Read all XML files below a folder with their pictures, and the pictures without an XML file.
 
     The records have no ids; those without an XML file have `labelled` False in `extra`.
     """
     root = found.root
-    pictures: dict[Key, list[str]] = {}
+    pictures: dict[PictureKey, list[str]] = {}
     for name in (paths := list_pictures(root)):
-        pictures.setdefault(key_of(name), []).append(name)
+        pictures.setdefault(picture_key(name), []).append(name)
     split_of = _splits(found, {key[-1] for key in pictures})
     records: dict[str, ImageRecord] = {}
     unlisted: list[str] = []
     skipped: set[str] = set()
     for name in list_xml(root):
-        split = split_of.get(key_of(name)[-1]) if split_of else folder_split(name)
+        split = split_of.get(picture_key(name)[-1]) if split_of else folder_split(name)
         if split is None:
             unlisted.append(name)
             split = "train"
         top = _read_annotation(found, name) if split in splits else None
         picture = None if top is None else _find_picture(found, name, top, pictures, records)
         if picture is None:
-            skipped.update(pictures.get(key_of(name), ()))
+            skipped.update(pictures.get(picture_key(name), ()))
             continue
         found.counts["files"] += 1
         size_wh = _size(found, top, name, paths[picture], picture)
         instances = _objects(found, top, name, size_wh, from_one)
         records[picture] = ImageRecord(
-            "", paths[picture], split, size_wh, instances, file_name=file_name(picture)
+            "", paths[picture], split, size_wh, instances, file_name=plain_name(picture)
         )  # fmt: skip
     left = {
-        name: split_of.get(key_of(name)[-1], "train") if split_of else folder_split(name)
+        name: split_of.get(picture_key(name)[-1], "train") if split_of else folder_split(name)
         for name in paths
         if name not in records and name not in skipped
     }
@@ -191,7 +181,7 @@ def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabe
     found.counts["unlabelled"] = len(left)
     for name, split in left.items() if unlabelled == "keep" else ():
         unsaid = {"labelled": False}
-        records[name] = ImageRecord("", paths[name], split, None, (), extra=unsaid, file_name=file_name(name))
+        records[name] = ImageRecord("", paths[name], split, None, (), extra=unsaid, file_name=plain_name(name))
     if unlisted:
         text = f"{len(unlisted)} file(s) in no list of ImageSets/Main are read as train: {', '.join(unlisted[:3])}"
         found.warn(root.name, "split-unknown", text, "every stem in one list")
@@ -221,23 +211,11 @@ def _size(found: Findings, top: Any, where: str, path: Path, picture: str) -> tu
     return found.size(path, picture)
 
 
-def file_name(name: str) -> str:
-    """Return the picture's path without folders that only name a kind or a split."""
-    parts = PurePosixPath(name).parts
-    return "/".join([*(p for p in parts[:-1] if p.lower() not in _KINDS | SPLIT_FOLDERS.keys()), parts[-1]])
-
-
-def folder_split(name: str) -> Split:
-    """Return the split that a folder of the path names; train if no folder does."""
-    parts = PurePosixPath(name).parts[:-1]
-    return next((SPLIT_FOLDERS[p.lower()] for p in parts if p.lower() in SPLIT_FOLDERS), "train")
-
-
 def _find_picture(
-    found: Findings, name: str, top: Any, pictures: Mapping[Key, list[str]], taken: Mapping[str, ImageRecord]
+    found: Findings, name: str, top: Any, pictures: Mapping[PictureKey, list[str]], taken: Mapping[str, ImageRecord]
 ) -> str | None:
     """Return the picture with the XML file's name, else the one named inside it; or None, with a problem."""
-    own, named = key_of(name), _named(name, top)
+    own, named = picture_key(name), _named(name, top)
     said = child_text(top, "filename") or ""
     choices = pictures.get(own) or pictures.get(named) or []
     if not choices:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from infrablend.assets.catalogue import load_model
 from infrablend.assets.user_model import GroupFacts, geometry_file, load_user_model, read_description, write_geometry
 from infrablend.core.mesh import Mesh
 from infrablend.errors import ModelError
@@ -124,3 +127,10 @@ def test_a_link_out_of_the_folder_of_the_model_is_refused(tmp_path: Path, name: 
     (folder / name).symlink_to(tmp_path / name)
     with pytest.raises(ModelError, match="a link out of its folder; expected a file inside it"):
         read_description(folder / "thing.yaml")
+
+
+@pytest.mark.parametrize("file", ["my drone.obj", "a.glb"])
+def test_a_3d_file_as_a_model_is_refused_with_the_command_that_describes_it(file: str) -> None:
+    command = f"infrablend models add {shlex.quote(file)} --category NAME"
+    with pytest.raises(ModelError, match=re.escape(command)):
+        load_model(file)

@@ -116,7 +116,7 @@ def test_split_folders_are_splits(tmp_path: Path, inside: str) -> None:
         60,
         "day",
     )
-    assert codes(d, "warning") == ["image-unlisted"]
+    assert codes(detection.read(tmp_path), "warning") == ["image-unlisted"]
     assert [i.split for i in folder.read(tmp_path, splits=["test"]).images] == ["test"]
 
 

@@ -15,7 +15,7 @@ from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
-from infrablend.formats import hit_uav
+from infrablend.formats import detection, hit_uav
 from infrablend.formats.capture import facts_from_name
 from tests.samples import codes
 
@@ -205,7 +205,7 @@ def test_missing_pictures_are_named(tiny: Path) -> None:
 def test_pictures_no_record_names_are_counted(tiny: Path) -> None:
     folder = tiny / "normal_json" / "train"
     shutil.copy(folder / "0_60_30_0_00001.jpg", folder / "0_60_30_0_09999.jpg")
-    d = hit_uav.read(tiny, form="normal_json")
+    d = detection.read(tiny)
     assert codes(d, "warning") == ["image-unlisted"] and len(d.images) == 4
 
 

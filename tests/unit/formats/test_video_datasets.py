@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import Dataset
-from infrablend.errors import DatasetError, UnknownFormatError
+from infrablend.errors import DatasetError
 from infrablend.formats import coco, detection
 from infrablend.formats.reading import Reading
 from tests.samples import SAMPLES, picture, with_facts
@@ -96,7 +96,7 @@ def test_pictures_and_labels_of_other_lengths(tmp_path: Path) -> None:
     root = SAMPLES["anti-uav"](tmp_path)
     picture(root / "train" / "20190920_111757_1_0" / "000003.jpg", 9)
     d = detection.read(root)
-    assert len(d.images) == 4 and codes(d) == ["annotation-length"]
+    assert len(d.images) == 4 and codes(d) == ["annotation-length", "image-unlisted"]
     assert d.notes["rows"]["unlabelled"] == 1
     assert [i.split for i in d.images] == ["train", "train", "test", "test"]
 
@@ -163,6 +163,4 @@ def test_halmstad_without_clips_names_where_they_are_expected(tmp_path: Path) ->
     with pytest.raises(DatasetError, match="no clips") as error:
         detection.read(tmp_path, Reading(format="halmstad"))
     assert "Video_IR/IR_<CLASS>_NNN.mp4" in error.value.problems[0].expected
-    with pytest.raises(UnknownFormatError) as unknown:
-        detection.read(tmp_path)
-    assert any("Video_IR/IR_<CLASS>_NNN.mp4" in p.found for p in unknown.value.problems)
+    assert "Video_IR/IR_<CLASS>_NNN.mp4" in detection.detect(tmp_path).reasons["halmstad"]

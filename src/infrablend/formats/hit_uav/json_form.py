@@ -75,7 +75,6 @@ def _read_json_images(
     """Return the pictures by image id; unusable ones are reported and left out."""
     listing = PictureFolder.scan(folder)
     pictures: dict[int, FormPicture] = {}
-    named: set[str] = set()
     for i, record in enumerate(records):
         if not isinstance(record, dict):
             data.add(f"{where}: image {i}", "image-malformed", repr(record)[:80], "an image record")
@@ -89,7 +88,6 @@ def _read_json_images(
         name = str(raw_name)
         if fault is None:
             name, path, fault = listing.find(name, here)
-        named.add(name)
         if fault is not None or number is None:
             data.problems += [fault] if fault else []
             continue
@@ -106,11 +104,6 @@ def _read_json_images(
         picture = FormPicture(stem, name, path, split, size_wh, here, capture, number, extra)
         pictures[number] = picture
         data.pictures[stem] = picture
-    unlisted = sorted(set(listing.by_name) - named)
-    if unlisted:
-        some = ", ".join(unlisted[:3]) + (" ..." if len(unlisted) > 3 else "")
-        found = f"{len(unlisted)} picture(s) in {folder.name}/ without an image record, left out: {some}"
-        data.warn(where, "image-unlisted", found, "a record for every picture")
     return pictures
 
 
