@@ -18,7 +18,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import annotation_files, detection, label_studio
 from infrablend.formats.annotation_files import read_lines
 from infrablend.formats.capture import read_table
-from infrablend.formats.unread import unread_label_files
+from infrablend.formats.unread import unread_files
 
 WITH_JSON = [
     name
@@ -45,7 +45,7 @@ def read(root: Path) -> tuple[Any, ...]:
         dataset = detection.read(root)
     except DatasetError as error:
         return (sorted((p.where, p.code) for p in error.problems),)
-    unread = unread_label_files(dataset)
+    unread = unread_files(dataset)
     problems = sorted((p.where, p.code, p.severity) for p in (*dataset.problems, *unread))
     return repr(dataset.images), repr(dataset.categories), repr(dataset.notes), repr(dataset.extra), problems
 
