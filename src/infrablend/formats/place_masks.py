@@ -21,12 +21,15 @@ def find_mask(folder: Path, image: ImageRecord) -> Path | None:
     return next((path for path in places if path.is_file()), None)
 
 
-def read_mask(path: Path, size_wh: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return the (h, w) pixels where objects may stand.
+def read_mask(folder: Path, image: ImageRecord, size_wh: tuple[int, int]) -> NDArray[np.bool_] | None:
+    """Return the (h, w) pixels of a background where objects may stand; None if it has no mask.
 
     Raises:
         DatasetError: The mask cannot be read, has another size, colours or 16 bits.
     """
+    path = find_mask(folder, image)
+    if path is None:
+        return None
     mask = load_background(path, size_wh)
     if mask.problems or mask.bit_depth != 8:
         found = mask.problems[0].found if mask.problems else "16 bits"

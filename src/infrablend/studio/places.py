@@ -15,7 +15,7 @@ from infrablend.core.file_names import is_inside, real_path
 from infrablend.core.rng import stream
 from infrablend.errors import OutputError, RecipeError
 from infrablend.formats.images import load_background
-from infrablend.formats.place_masks import find_mask, read_mask, write_mask
+from infrablend.formats.place_masks import read_mask, write_mask
 from infrablend.report.place_sheet import COLOURS
 from infrablend.report.preview import Colour, Rgb, to_rgb
 from infrablend.sampling.placement import PlacementRequest
@@ -73,13 +73,11 @@ def paint(tuned: Tuned, data: Path, line: Sequence[Sequence[float]], pen_px: int
     if is_inside(folder, data):
         raise OutputError(f"{folder}: is in the dataset; expected placement.where.masks outside it")
     h, w = tuned.trial.frame.pixels.shape
-    path = find_mask(folder, image)
-    mask = np.ones((h, w), np.uint8) if path is None or not line else read_mask(path, (w, h)).astype(np.uint8)
+    known = read_mask(folder, image, (w, h)) if line else np.full((h, w), allowed)
+    mask = np.ones((h, w), np.uint8) if known is None else known.astype(np.uint8)
     if line:
         points = np.rint(np.clip(line, -w - h, w + h)).astype(np.int32)
         cv2.polylines(mask, [points], False, int(allowed), pen_px)
-    else:
-        mask[:] = allowed
     write_mask(folder, image, mask > 0)
     return folder
 
@@ -88,14 +86,14 @@ def _site(tuned: Tuned, ignored: Collection[str]) -> Site:
     """Return the background of a frame as placement sees it."""
     image, where = tuned.background, ground_rules(tuned.recipe)
     background = load_background(image.path, image.size_wh)
-    path = None if where is None or where.masks is None else find_mask(Path(where.masks), image)
+    folder = None if where is None else where.masks
     return Site(
         background.pixels,
         image.instances,
         frozenset(ignored),
         time_of_day=image.capture.time_of_day,
         labelled_ground=tuned.trial.labelled_ground,
-        allowed=None if path is None else read_mask(path, background.size_wh),
+        allowed=None if folder is None else read_mask(Path(folder), image, background.size_wh),
     )
 
 
