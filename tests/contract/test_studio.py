@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import pytest
 from tests.run_files import edit_ledger
 from tests.samples import picture
@@ -265,3 +267,38 @@ def test_a_wrong_field_is_marked_and_the_last_picture_stays(
         opened.process.send_signal(signal.SIGINT)
         assert opened.process.wait(timeout=30) == 0
     assert opened.errors == []
+
+
+def test_a_mask_is_painted_over_a_map(chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-person", data, run, limit=1, execution=flat)
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/tune")
+        page.locator("img.picture[src]").wait_for()
+        for label, option in (("Map", "Surfaces"), ("Brush", "Not allowed"), ("Pen", "64 px")):
+            page.get_by_role("combobox", name=label).click()
+            page.get_by_role("option", name=option, exact=True).click()
+        page.locator(".tune-legend").get_by_text("%").first.wait_for()
+        assert serious_issues(page) == []
+
+        def paint() -> None:
+            box = page.locator(".stage-paint").bounding_box()
+            page.mouse.move(box["x"] + box["width"] / 4, box["y"] + box["height"] / 2)
+            page.mouse.down()
+            page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+            page.mouse.up()
+
+        before = page.get_attribute("img.picture", "src")
+        paint()
+        page.wait_for_function("s => document.querySelector('img.picture').getAttribute('src') != s", arg=before)
+        (mask,) = (tmp_path / "data.places").rglob("*.png")
+        pixels = cv2.imread(str(mask), cv2.IMREAD_UNCHANGED)
+        assert not pixels[256, 160:320].any() and pixels[[200, 312]].all()
+        assert "data.places" in page.get_by_label("where", exact=True).input_value()
+        shutil.rmtree(tmp_path / "data.places")
+        (tmp_path / "data.places").write_text("a file")
+        paint()
+        page.get_by_role("alert").get_by_text("data.places").first.wait_for()
+        assert opened.errors == []

@@ -27,8 +27,6 @@ Share = NDArray[np.float32]
 # The longer side of pictures that the model sees, px; it has learnt from 320x256. Sides are multiples of what its
 # levels halve.
 _LONGER_PX, _STEP_PX = 320, 64
-# Axes along which the picture is turned over: the model sees it four times, and what it says each time is averaged.
-_FLIPS: tuple[tuple[int, ...], ...] = ((), (0,), (1,), (0, 1))
 # Contrast below which a picture is even: it is not spread further, levels as a share of the whole range.
 _LEAST_SPREAD = 4 / 255
 # How far one can stand and drive on each kind.
@@ -106,7 +104,9 @@ def find_surfaces(
     small = cv2.resize(level, size, interpolation=cv2.INTER_AREA)
     small -= small.mean()
     small /= max(float(small.std()), _LEAST_SPREAD)
-    scores = np.mean([_scores(small, axes) for axes in _FLIPS], axis=0)
+    net = _net()
+    net.setInput(small[None, None])
+    scores = net.forward()[0]
     shares = np.exp(scores - scores.max(axis=0))
     shares /= shares.sum(axis=0)
     cells = np.zeros((len(SURFACES), *shares.shape[1:]), np.uint8)
@@ -120,15 +120,6 @@ def find_surfaces(
     if margin is not None:
         found.set(_at_cells(margin, cells.shape), "margin")
     return found
-
-
-def _scores(small: Share, axes: tuple[int, ...]) -> Share:
-    """Return the (k, h', w') logarithms of the probabilities that the model gives a picture that is turned over."""
-    net = _net()
-    net.setInput(np.ascontiguousarray(np.flip(small, axes))[None, None])
-    scores = np.flip(net.forward()[0], tuple(a + 1 for a in axes))
-    high = scores.max(axis=0)
-    return np.asarray(scores - high - np.log(np.exp(scores - high).sum(axis=0)), np.float32)
 
 
 def _at_cells(mask: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[np.bool_]:

@@ -16,6 +16,8 @@ from infrablend.core.files import read_regular, write_bytes
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import OutputError
+from infrablend.places.surfaces import SurfaceMap
+from infrablend.report.place_sheet import coloured
 from infrablend.report.preview import INSERTED, Rgb, decode_picture, to_rgb
 from infrablend.studio.frame_index import FrameRow
 
@@ -25,6 +27,7 @@ _VERSION = "1"
 _JPEG_QUALITY = 82
 _MARGIN_PX = 4
 _DASH_PX = 3
+_COLOUR, _DARK = 0.5, 0.25  # opacity of the surfaces' colours; brightness where objects do not stand
 ORIGINAL_COLOUR = (130, 220, 150)
 
 
@@ -91,6 +94,18 @@ def with_originals(rgb: Rgb, boxes_xyxy: Iterable[Sequence[float]]) -> Rgb:
             dash = np.arange(len(across)) % (2 * _DASH_PX) < _DASH_PX
             canvas[down[dash], across[dash]] = ORIGINAL_COLOUR
     return canvas
+
+
+def with_surfaces(rgb: Rgb, surfaces: SurfaceMap) -> Rgb:
+    """Return a picture with its surfaces in colour over it."""
+    return np.asarray(cv2.addWeighted(coloured(surfaces.kinds()), _COLOUR, rgb, 1 - _COLOUR, 0), np.uint8)
+
+
+def darkened(rgb: Rgb, suits: NDArray[np.float32]) -> Rgb:
+    """Return a picture that is the darker the less its (h', w') cells suit, in [0, 1]."""
+    h, w = rgb.shape[:2]
+    light = _DARK + (1 - _DARK) * cv2.resize(suits, (w, h), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(np.rint(rgb * light[:, :, None]), np.uint8)
 
 
 def enlarged(rgb: Rgb, box_xyxy: Sequence[float], zoom: int) -> Rgb:

@@ -45,10 +45,12 @@ class Tuned:
     Attributes:
         recipe: The recipe with the settings applied.
         trial: The frame.
+        background: The background, as it was read.
     """
 
     recipe: Recipe
     trial: Trial
+    background: ImageRecord
 
     @property
     def has_ground(self) -> bool:
@@ -56,17 +58,17 @@ class Tuned:
         scene = self.trial.frame.scene
         return scene is not None and scene.view is not None
 
-    def picture(self, *, boxes: bool, ground: bool = False) -> Rgb:
-        """Return the picture, with boxes, or with the ground and people of 1.7 m on it, twice as large."""
+    def picture(self, *, boxes: bool, ground: bool = False, base: Rgb | None = None) -> Rgb:
+        """Return the picture, or `base`, with boxes, or with the ground and people of 1.7 m on it, twice as large."""
         frame = self.trial.frame
         if ground and frame.scene is not None and self.has_ground:
-            return draw_ground(to_rgb(frame.pixels), frame.labels, frame.scene)[0]
-        return self.labelled(inserts=boxes, originals=boxes)
+            return draw_ground(to_rgb(frame.pixels) if base is None else base, frame.labels, frame.scene)[0]
+        return self.labelled(inserts=boxes, originals=boxes, base=base)
 
-    def labelled(self, *, inserts: bool, originals: bool) -> Rgb:
-        """Return the picture with the boxes of its inserts, and with dashed ones of its original objects."""
+    def labelled(self, *, inserts: bool, originals: bool, base: Rgb | None = None) -> Rgb:
+        """Return the picture, or `base`, with boxes of its inserts, and with dashed ones of its original objects."""
         frame = self.trial.frame
-        rgb = to_rgb(frame.pixels)
+        rgb = to_rgb(frame.pixels) if base is None else base
         if originals:
             rgb = with_originals(rgb, [i.box_xyxy.tolist() for i in frame.labels if not i.inserted])
         return draw_labels(rgb, frame.inserted, ("boxes",)) if inserts else rgb
@@ -117,6 +119,7 @@ class Tuning:
         data: Folder of the backgrounds.
         seed: Seed of the frames.
         backgrounds: All backgrounds, in the order of the dataset.
+        ignored: Names of the categories that mark ignore regions.
     """
 
     def __init__(self, request: TrialRequest) -> None:
@@ -134,6 +137,7 @@ class Tuning:
             start = read_recipe(request.recipe).recipe
             dataset = detection.read(request.data, with_scale(request.reading, start))
             self.backgrounds: tuple[ImageRecord, ...] = dataset.images
+            self.ignored = frozenset(c.name for c in dataset.categories if c.ignore)
         except BaseException:
             self._trials.close()
             raise
@@ -165,7 +169,8 @@ class Tuning:
         with self._lock:
             checked = self.read(recipe, settings)
             frame = f"{background.split}/{background.id}"
-            return Tuned(checked, self._trials.again(recipe=recipe, settings=dict(settings), frame=frame))
+            trial = self._trials.again(recipe=recipe, settings=dict(settings), frame=frame)
+            return Tuned(checked, trial, background)
 
     def nearest_real(self, label: Instance, time_of_day: str | None) -> Rgb | None:
         """Return the annotated object of the same class that is most like an insert in size, enlarged.

@@ -33,7 +33,7 @@ from infrablend.core.rng import integer_seed
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import MissingDependencyError
 from infrablend.formats.images import Background, encode_image, output_suffix
-from infrablend.formats.place_masks import find_mask, read_mask
+from infrablend.formats.place_masks import read_mask
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import (
     FirstContrasts,
@@ -218,8 +218,7 @@ class FrameComposer:
         where = ground_rules(self._recipe)
         if where is None or where.masks is None:
             return None
-        path = find_mask(Path(where.masks), frame.background)
-        return None if path is None else read_mask(path, background.size_wh)
+        return read_mask(Path(where.masks), frame.background, background.size_wh)
 
     def _grey_unit(self, background: Background) -> float:
         """Return the picture's levels per 8-bit level: by its own range if it has 16 bits and the run measured none."""

@@ -31,6 +31,7 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan, with_scale
 from infrablend.pipeline.plans.request import ONE_WORKER, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.places.labelled_ground import LabelledGround
 from infrablend.report.preview import PreviewFrame, contact_sheet
 
 POLL_S = 0.02
@@ -74,11 +75,13 @@ class Trial:
         frame: The frame, with the same picture and labels as in a run.
         problems: Warnings about the recipe and the background.
         seconds: Time from the change of a file, or from the start, to the frame.
+        labelled_ground: On which kinds of ground the dataset's labelled objects are.
     """
 
     frame: Frame
     problems: tuple[Problem, ...]
     seconds: float
+    labelled_ground: LabelledGround
 
     def write(self, out: str | Path) -> Path:
         """Write the frame with its boxes and its enlarged inserts as a PNG; return its path.
@@ -177,7 +180,8 @@ class Trials:
         composed = self._workers.compose_one(planned, settings)
         frame = as_frame(planned, composed, plan.recipe)
         warnings = tuple(Problem(**{"severity": "warning", **w}) for w in composed.record.warnings)
-        return Trial(frame, (*loaded.warnings, *warnings), time.perf_counter() - started)
+        seconds = time.perf_counter() - started
+        return Trial(frame, (*loaded.warnings, *warnings), seconds, settings.labelled_ground)
 
     def watch(self) -> Iterator[Trial | InfraBlendError]:
         """Yield the frame, and again whenever a file changes that it depends on; errors are yielded, too."""

@@ -119,16 +119,15 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
         *_other_lens(recipe, images),
         *_other_pitch(recipe, images),
         *_other_height(recipe, images),
-        *_without_mask(recipe, images),
     ]
     return [*found, *_sun_unused(recipe, images)]
 
 
-def _without_mask(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
+def without_mask(recipe: Recipe, images: Sequence[ImageRecord], known: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning if some pictures have no mask of where objects may stand.
 
     Raises:
-        RecipeError: No picture has one.
+        RecipeError: No picture of the dataset, `known`, has one.
     """
     where = ground_rules(recipe)
     if where is None or where.masks is None:
@@ -136,7 +135,7 @@ def _without_mask(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem
     folder, field = Path(where.masks), "placement.where.masks"
     missing = [i for i in images if find_mask(folder, i) is None]
     expected = f"{missing[0].split}/{missing[0].id}.png or {missing[0].id}.png in {folder}" if missing else ""
-    if missing and len(missing) == len(images):
+    if missing and not any(find_mask(folder, i) for i in known):
         found = "no mask of any picture" if folder.is_dir() else "no such folder"
         raise RecipeError(f"recipe {recipe.name}: {field}", [Problem(field, "masks-missing", found, expected)])
     if not missing:

@@ -30,6 +30,7 @@ from infrablend.pipeline.plans.checks import (
     require_pitch_of_pixels,
     unknown_by_hand,
     without_effect,
+    without_mask,
 )
 from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
@@ -88,7 +89,8 @@ def make_plan(
         usable = [image for image in usable if id(image) in drawn]
         recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
         names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
-    problems += data_warnings(recipe, usable, dataset.root) + unknown_by_hand(recipe, renamed.images)
+    problems += data_warnings(recipe, usable, dataset.root) + without_mask(recipe, usable, renamed.images)
+    problems += unknown_by_hand(recipe, renamed.images)
     require_ids(recipe, usable)
     require_pitch_of_pixels(recipe, usable)
 

@@ -134,10 +134,10 @@ def show_table(head: Sequence[str], rows: Iterable[Sequence[str | tuple[str, str
 def show_choice(
     title: str, options: Mapping[str, str] | Sequence[str], value: str, on_choice: Callable[[str], None], *,
     classes: str = "", dense: bool = True,
-) -> None:  # fmt: skip
-    """Show a list to choose from; `dense` brings the options closer together."""
+) -> Any:  # fmt: skip
+    """Show a list to choose from, and return it; `dense` brings the options closer together."""
     made = ui.select(options, label=title, value=value, on_change=lambda e: on_choice(e.value))
-    made.props(f'dense outlined aria-label="{title}"' + (" options-dense" if dense else "")).classes(classes)
+    return made.props(f'dense outlined aria-label="{title}"' + (" options-dense" if dense else "")).classes(classes)
 
 
 def is_pressed(event: KeyEventArguments) -> bool:

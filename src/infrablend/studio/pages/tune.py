@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,12 +16,14 @@ from nicegui.events import GenericEventArguments
 
 from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
+from infrablend.config.recipe import ground_rules
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
 from infrablend.report.preview import Rgb
-from infrablend.studio.pages.layout import error_text, show_choice, show_picture
+from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
 from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.pictures import to_png
+from infrablend.studio.places import Legend, paint, show_places, show_surfaces
 from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
 from infrablend.studio.tuning import Tuned, Tuning
 
@@ -27,6 +31,8 @@ _KEPT = 48
 _MOST_CROPS = 3
 _SLIDER_SPAN = 400.0
 _OPEN = ("objects.0",)
+_MAPS = {"surfaces": show_surfaces, "stand": show_places}
+_PENS_PX = ("8", "24", "64")
 
 _numbers = itertools.count()
 
@@ -40,15 +46,15 @@ def _address(pictures: Pictures, rgb: Rgb) -> str:
 
 
 class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
-    """The picture, with a handle on each insert."""
+    """The picture, with a handle on each insert, or a brush over it."""
 
     def __init__(self, alt: str) -> None:
         super().__init__()
-        self._props.update(source="", alt=alt, marks=[], size=[1, 1])
+        self._props.update(source="", alt=alt, marks=[], size=[1, 1], pen=0)
 
-    def show(self, source: str, marks: list[dict[str, Any]], size_wh: tuple[int, int]) -> None:
-        """Show a picture of a frame of this size."""
-        self._props.update(source=source, marks=marks, size=list(size_wh))
+    def show(self, source: str, marks: list[dict[str, Any]], size_wh: tuple[int, int], pen_px: int) -> None:
+        """Show a picture of a frame of this size; 0 px is no brush."""
+        self._props.update(source=source, marks=marks, size=list(size_wh), pen=pen_px)
         self.update()
 
 
@@ -142,10 +148,20 @@ class TunePage:
         with ui.element("div").classes("studio-row"):
             self._boxes = ui.switch("Boxes", value=True, on_change=self._show_picture)
             self._ground = ui.switch("Ground and people of 1.7 m", on_change=self._show_picture)
+            maps = {"": "None", "surfaces": "Surfaces", "stand": "Where objects may stand"}
+            self._map = show_choice("Map", maps, "", lambda _: self._show_picture())
             self._state = ui.label("Starting the renderer...").classes("faint").props("role=status")
+        with ui.element("div").classes("studio-row").bind_visibility_from(self._map, "value", backward=bool):
+            self._legend = ui.element("div").classes("studio-row tune-legend").props("role=status")
+            brushes = {"": "Off", "forbid": "Not allowed", "allow": "Allowed"}
+            self._brush = show_choice("Brush", brushes, "", lambda _: self._show_picture(), classes="min-w-24")
+            pens = {px: f"{px} px" for px in _PENS_PX}
+            self._pen = show_choice("Pen", pens, _PENS_PX[1], lambda _: self._show_picture())
+            self._all = ui.button("Fill", on_click=lambda: self._paint(())).props("no-caps outline dense")
         self._image = Stage("The frame with the recipe as it is in the form")
         self._image.on("place", self._placed)
         self._image.on("adjust", self._adjusted)
+        self._image.on("paint", lambda e: self._paint(e.args["line"]))
         self._error = ui.label().classes("studio-error").props("role=alert")
         self._error.set_visibility(False)
         self._facts = ui.element("div").classes("tune-facts")
@@ -155,9 +171,44 @@ class TunePage:
             return
         tuned = self._tuned
         self._ground.set_enabled(tuned.has_ground)
-        rgb = tuned.picture(boxes=bool(self._boxes.value), ground=bool(self._ground.value))
+        base, legend = self._mapped(tuned)
+        rgb = tuned.picture(boxes=bool(self._boxes.value), ground=bool(self._ground.value), base=base)
         height, width = tuned.trial.frame.pixels.shape[:2]
-        self._image.show(_address(self._pictures, rgb), self._marks(), (width, height))
+        can_paint = ground_rules(tuned.recipe) is not None
+        pen_px = int(self._pen.value) if can_paint and self._map.value and self._brush.value else 0
+        self._brush.set_visibility(can_paint)
+        self._pen.set_visibility(pen_px > 0)
+        self._all.set_visibility(pen_px > 0)
+        self._image.show(_address(self._pictures, rgb), self._marks(), (width, height), pen_px)
+        self._legend.clear()
+        with self._legend:
+            for text, colour in legend.items():
+                shown = ui.label(text)
+                if colour is not None:
+                    shown.style(f"border-left: 14px solid rgb{colour}")
+
+    def _mapped(self, tuned: Tuned) -> tuple[Rgb | None, Legend]:
+        """Return the picture with the chosen map over it, and its legend; None for the picture alone."""
+        try:
+            return _MAPS[self._map.value](tuned, self._tuning.ignored) if self._map.value else (None, {})
+        except InfraBlendError as error:
+            tell(error)
+            return None, {}
+
+    def _paint(self, line: Sequence[Sequence[float]]) -> None:
+        """Paint the mask along a line, or all over without one, and have the recipe use it."""
+        tuned, field = self._tuned, self._inputs.get("placement.where")
+        rules = None if tuned is None else ground_rules(tuned.recipe)
+        if tuned is None or rules is None or field is None:
+            return
+        try:
+            folder = paint(tuned, self._tuning.data, line, int(self._pen.value), allowed=self._brush.value != "forbid")
+            field.value = json.dumps(rules.model_dump(mode="json") | {"masks": str(folder)})
+            self._tuned = replace(tuned, recipe=self._tuning.read(self._recipe, self._settings))
+        except InfraBlendError as error:
+            tell(error)
+        self._show_picture()
+        self._request()
 
     def _marks(self) -> list[dict[str, Any]]:
         """Return the handles: none where objects were left out, since the rest then have other numbers."""

@@ -1,22 +1,46 @@
-// The picture of a frame with a handle on each insert: drag it, or focus it and use the keys.
+// The picture of a frame with a handle on each insert: drag it, or focus it and use the keys. With a pen, lines are painted.
 const STEP_PX = 1, FAR_STEP_PX = 10, TURN_DEG = 5, AWAY = 1.05, QUIET_MS = 120;
 
 export default {
   template: `
     <div class="stage" ref="box">
-      <img class="picture" :src="source || undefined" :alt="alt" draggable="false">
+      <img class="picture" :src="source || undefined" :alt="alt" draggable="false" @load="loaded">
       <button v-for="(m, k) in marks" :key="k" type="button" class="stage-handle" :style="place(m, k)" :title="help"
               :aria-label="m.name + ', insert ' + (k + 1) + '. ' + help" @pointerdown.prevent="grab($event, k)"
               @pointermove="drag" @pointerup="drop" @pointercancel="drop" @keydown="keyed($event, k)"></button>
+      <svg v-if="pen" class="stage-paint" :viewBox="'0 0 ' + size.join(' ')" @pointerdown.prevent="begin"
+           @pointermove="extend" @pointerup="finish" @pointercancel="finish">
+        <polyline :points="line.join(' ')" :stroke-width="pen"></polyline>
+      </svg>
     </div>`,
-  props: { source: String, alt: String, marks: Array, size: Array },
+  props: { source: String, alt: String, marks: Array, size: Array, pen: Number },
   data() {
     return {
-      held: null, shift: [0, 0],
+      held: null, shift: [0, 0], line: [], paints: false,
       help: "Drag, or arrow keys to move, [ and ] to turn, + and - for nearer and farther, Delete to let it go",
     };
   },
   methods: {
+    loaded() {
+      if (!this.paints) this.line = []; // until then, it shows what is painted
+    },
+    begin(event) {
+      event.currentTarget.setPointerCapture(event.pointerId);
+      this.line = [];
+      this.paints = true;
+      this.extend(event);
+      this.extend(event);
+    },
+    extend(event) {
+      if (!this.paints) return;
+      const box = event.currentTarget.getBoundingClientRect(), scale = this.size[0] / box.width;
+      this.line.push([(event.clientX - box.left) * scale, (event.clientY - box.top) * scale]);
+    },
+    finish() {
+      if (!this.paints) return;
+      this.paints = false;
+      this.$emit("paint", { line: this.line });
+    },
     place(m, k) {
       const [w, h] = this.size, [dx, dy] = this.held && this.held.k === k ? this.shift : [0, 0];
       const pad = 3, x0 = m.box[0] - pad + dx, y0 = m.box[1] - pad + dy;
