@@ -814,7 +814,7 @@ MODEL = ObjectModel(
     origin="on the ground below the middle of the car; +X is its nose",
     stands=True,
     # Car parks are roads to the model of surfaces.
-    surfaces={"road": 1.0, "path": 0.2, "track": 0.5},
+    surfaces={"road": 1.0, "track": 0.5},
     parts={**PARTS, SHADOW: _shadow_role()},
     sample=sample_params,
     build=build_car,
