@@ -31,8 +31,8 @@ ROWS: tuple[tuple[str, tuple[str, ...], str, str, tuple[int, int, int]], ...] = 
         "deer, real camera and physics (monet-deer-physical)",
         ("--count", "8", "--seed", "1", "--layout", "monet"),
         "monet-deer-physical",
-        "train/dirtroad_02_image00001_c0",
-        (40, 20, 340),
+        "test/dirtroad_03_image00000_c0",
+        (60, 40, 400),
     ),
 )
 PANEL_WH = (400, 300)

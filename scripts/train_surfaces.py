@@ -37,8 +37,8 @@ SIZE_WH = (320, 256)
 SEED = 42
 # Kinds of places, and how often each is drawn.
 PLACES = {
-    "street": 0.24, "parking": 0.12, "court": 0.06, "park": 0.16, "runway": 0.03, "dirtroad": 0.06, "forest": 0.13,
-    "river": 0.06, "suburb": 0.14,
+    "street": 0.2, "parking": 0.11, "court": 0.04, "park": 0.13, "runway": 0.02, "dirtroad": 0.05, "forest": 0.12,
+    "river": 0.05, "suburb": 0.12, "courts": 0.08, "athletics": 0.08,
 }  # fmt: skip
 # Range of focal lengths in pixels of a picture 640 wide, of heights and of widths of the ground seen, metres.
 FOCAL_PX, HEIGHT_M, WIDTH_M = (450.0, 2300.0), (18.0, 140.0), (18.0, 130.0)
@@ -46,7 +46,7 @@ NIGHT, STRAIGHT_DOWN, LEAST_PITCH_DEG, LEAST_TOP_DEG, MOST_TREES = 0.55, 0.2, 22
 # Ten kinds of surface; the rare ones count more.
 WEIGHTS = (1.0, 1.0, 1.5, 1.0, 1.2, 1.5, 1.3, 1.0, 1.2, 1.0)
 # Grass, soil, shrubs, trees and structures, and how often they get other temperatures.
-VARIED, PLANTS, OTHER_LOOKS = (3, 4, 5, 6, 7), (3, 4, 5, 6), 0.7
+VARIED, PLANTS, PAVED, OTHER_LOOKS = (3, 4, 5, 6, 7), (3, 4, 5, 6), (0, 1), 0.7
 CHANNELS = (16, 24, 32, 48, 48, 48)
 
 Scene = tuple[NDArray[np.float16], NDArray[np.uint8]]
@@ -150,6 +150,10 @@ class Cameras:
         rng, u = self._rng, self._rng.uniform
         plants = np.isin(kinds, PLANTS)
         middle, alike = float(kelvin[plants].mean()) if plants.any() else 0.0, u(0, 1)
+        if rng.random() < 0.5:  # shade, and ground that kept the cold of it
+            paved = cv2.GaussianBlur(np.isin(kinds, PAVED).astype(np.float32), (0, 0), 0.8)
+            shade = cv2.resize(rng.standard_normal((4, 5)).astype(np.float32), kelvin.shape[::-1])
+            kelvin = kelvin + paved * u(0, 2.0) * shade
         share = cv2.GaussianBlur(1 - np.isin(kinds, VARIED).astype(np.float32), (0, 0), 0.8)
         changed = share * kelvin
         for kind in VARIED:

@@ -13,13 +13,14 @@ from infrablend.core.margin import find_margin
 
 
 @pytest.mark.realdata
-def test_no_deer_where_the_undistorted_picture_is_black(tmp_path, real_data: Path):
+@pytest.mark.parametrize("where", ["{learned: true}", "anywhere"])
+def test_no_deer_where_the_undistorted_picture_is_black(tmp_path, real_data: Path, where: str):
     run = tmp_path / "run"
     api.generate(
         "deer-above",
         real_data / "bambi",
         run,
-        settings=["configurations=3", "output.formats=[coco]"],
+        settings=["configurations=3", "output.formats=[coco]", f"placement.where={where}"],
         execution=api.Execution(renderer="flat", in_process=True),
     )
     rejected: Counter[str] = Counter()
@@ -32,7 +33,8 @@ def test_no_deer_where_the_undistorted_picture_is_black(tmp_path, real_data: Pat
             assert (picture[y0:y1, x0:x1] == 0).mean() < 0.5, (record.frame_id, label.box_xyxy)
             inserted += 1
     assert inserted >= 15
-    assert rejected["on_margin"] >= 5
+    # Where surfaces are known, hardly any place is drawn there.
+    assert where != "anywhere" or rejected["on_margin"] >= 5
 
 
 @pytest.mark.realdata

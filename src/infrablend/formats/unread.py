@@ -15,7 +15,7 @@ from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import fold_name
 from infrablend.core.files import LFS_FOUND, LFS_TODO, open_regular
 from infrablend.core.json_records import is_list
-from infrablend.core.run_folder import RUN_FILE
+from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE
 from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem, Severity
 from infrablend.formats import folder
@@ -144,7 +144,7 @@ def _unread_labels(
     left = [name for name in files if _is_candidate(name, splits) and dataset.root / name not in read]
     bare = reported.difference(files)  # readers state some places without their folders
     left = [name for name in left if name not in reported and PurePosixPath(name).name not in bare]
-    ours = (dataset.root / RUN_FILE).is_file()  # with the labels of all its formats
+    ours = any((dataset.root / name).is_file() for name in (RUN_FILE, SHARDS_FILE))  # with the labels of all formats
     packed = [
         n for n in files if _suffix(n) in _ARCHIVES | _BINARY and n not in reported and dataset.root / n not in read
     ]

@@ -1,4 +1,4 @@
-"""More kinds of places, for training: woods, a river, and houses in gardens."""
+"""More kinds of places, for training: woods, a river, houses in gardens, and sports grounds."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from infrablend.world.fixtures import TreeKind
 from infrablend.world.ground_cover import Patch, Road
+from infrablend.world.places import basketball
 from infrablend.world.roadside import add_road, cold_mark, hedge_row, kerb_parking, traffic, tree_row, walkers
 from infrablend.world.site import Site
 from infrablend.world.vehicles import CARS
@@ -112,6 +113,109 @@ def suburb(site: Site) -> str:
     traffic(site, road, (u(20, 40), u(60, 120)))
     walkers(site, road, draws.integer(1, 8))
     return "grass"
+
+
+def courts(site: Site) -> str:
+    """Fill a site with basketball courts in rows, back to back: hardly any edge, hoops, players, strips between."""
+    draws, weather = site.draws, site.weather
+    u = draws.uniform
+    h = u(-math.pi / 2, math.pi / 2)
+    length, width, gap, strip = 28.0, 15.0, u(0.5, 6), u(1.5, 7)
+    ox, oy = u(-0.5, 0.5) * length, u(-0.5, 0.5) * width
+    c, s = math.cos(h), math.sin(h)
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        return ox + x * c - y * s, oy + x * s + y * c
+
+    along, across = draws.integer(2, 5), draws.integer(3, 7)
+    total = along * (length + strip) + 2 * strip, across * (width + gap) + 2 * gap
+    site.patches.append(Patch("rect", *at(0, 0), h, *total, "court", 0.0, u(0.05, 0.4)))
+    line = u(-1.5, 1.5) * (1.0 if weather.night else 2.0)
+    for i in range(along):
+        x = (i - (along - 1) / 2) * (length + strip)
+        if i and draws.chance(0.6):  # a gutter or a fence between two rows
+            x_between = x - (length + strip) / 2
+            site.patches.append(Patch("rect", *at(x_between, 0), h, u(0.3, 1.5), total[1], None, 1.5 * line, 0.1))
+        for j in range(across):
+            basketball(site, at, (x, (j - (across - 1) / 2) * (width + gap)), h, (length, width), line)
+    for side in (-1, 1):
+        beside = Road(*at(0, side * (total[1] / 2 + u(2, 8))), h, 0.0, u(1.0, 3.5), 0.0, 1, "concrete", False)
+        if draws.chance(0.6):
+            site.roads.append(beside)
+        tree_row(site, beside, side * u(4.0, 8.0), u(3, 7), ("crown", "bare", "crown", "shrub"))
+        if draws.chance(0.4):
+            hedge_row(site, beside, -side * 1.5 - side * beside.half_width_m, u(0.8, 1.6))
+    return "grass" if draws.chance(0.6) else "paving"
+
+
+def athletics(site: Site) -> str:
+    """Fill a site with a running track around a lawn, with runways, pits, people who walk on it, and stands."""
+    draws = site.draws
+    u = draws.uniform
+    h, straight, radius, track = u(-math.pi / 2, math.pi / 2), u(50, 90), u(16, 37), u(5, 10)
+    c, s = math.cos(h), math.sin(h)
+    # A straight, a bend or the lawn is in the middle of the picture.
+    cx, cy = u(-0.6, 0.6) * straight, draws.one_of((-1, 1)) * u(0.2, 1.3) * radius
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        return cx + x * c - y * s, cy + x * s + y * c
+
+    def oval(reach: float, material: str | None, amount: float) -> None:
+        site.patches.append(Patch("rect", *at(0, 0), h, straight, 2 * reach, material, amount, 0.1))
+        for end in (-1, 1):
+            site.patches.append(
+                Patch("ellipse", *at(end * straight / 2, 0), h, 2 * reach, 2 * reach, material, amount, 0.1)
+            )
+
+    around = "court" if draws.chance(0.5) else "paving"
+    base = draws.one_of(("grass", "paving", "grass"))
+    if draws.chance(0.5):  # the ground around it is paved as well
+        site.patches.append(
+            Patch("rect", *at(0, 0), h, straight + 3 * radius, 2 * (radius + track) + u(6, 20), around, 0.0, 0.1)
+        )
+    kerb = u(0.3, 1.6) * (1 if draws.chance(0.7) else -1)
+    oval(radius + track + 0.4, "court", kerb)
+    oval(radius + track, "court", 0.0)
+    oval(radius + 0.4, "court", kerb)
+    oval(radius, "grass", 0.0)
+    for end in (-1, 1):  # the segment behind a goal is often paved, and straights go on beyond the bends
+        if draws.chance(0.5):
+            d = 2 * radius - 1.0
+            site.patches.append(Patch("ellipse", *at(end * straight / 2, 0), h, d, d, "court", u(-0.3, 0.3), 0.1))
+            site.patches.append(Patch("rect", *at(0, 0), h, straight, 2 * radius, "grass", 0.0, 0.1))
+        if draws.chance(0.5):
+            x, y = end * (straight / 2 + u(5, 15)), draws.one_of((-1, 1)) * (radius + track / 2)
+            site.patches.append(Patch("rect", *at(x, y), h, 30.0, track, "court", 0.0, 0.1))
+    lanes = u(-0.5, 0.5)
+    for k in range(1, draws.integer(4, 9)):
+        offset = radius + k * 1.22
+        for side in (-1, 1):
+            if offset < radius + track:
+                site.patches.append(Patch("rect", *at(0, side * offset), h, straight, 0.06, None, lanes, 0.03))
+    for _ in range(draws.integer(0, 4)):  # runways and pits of jumpers
+        x, y = u(-0.5, 0.5) * straight, draws.one_of((-1, 1)) * (radius + track + u(3, 8))
+        site.patches.append(Patch("rect", *at(x, y), h, u(25, 40), 1.3, "court", u(-0.5, 0.5), 0.05))
+        site.patches.append(Patch("rect", *at(x + 20, y), h, u(6, 9), u(2.7, 4), "soil", 0.0, 0.05))
+    for _ in range(draws.integer(4, 30)):
+        x, y = u(-0.5, 0.5) * straight, draws.one_of((-1, 1)) * (radius + u(0, track))
+        site.add_person(*at(x, y), h + draws.one_of((0.0, math.pi)) + u(-0.3, 0.3))
+    for _ in range(draws.integer(0, 15)):
+        site.add_person(*at(u(-0.5, 0.5) * straight, u(-0.9, 0.9) * radius), u(0, 2 * math.pi))
+    edge = Road(
+        *at(0, draws.one_of((-1, 1)) * (radius + track + u(8, 16))),
+        h,
+        0.0,
+        u(1.5, 4.0),
+        u(0, 1.5),
+        2,
+        "concrete",
+        False,
+    )
+    site.roads.append(edge)
+    tree_row(site, edge, u(4, 8) * draws.one_of((-1, 1)), u(4, 8), ("crown", "bare", "shrub"))
+    if draws.chance(0.4):
+        site.add_building(*at(u(-15, 15), radius + track + u(14, 22)), h, u(30, 60), u(8, 14), u(3, 8))
+    return base
 
 
 def _strollers(site: Site, count: int) -> None:

@@ -165,7 +165,7 @@ def court(site: Site) -> str:
     for i in range(along):
         for j in range(across):
             ox, oy = (i - (along - 1) / 2) * (length + gap), (j - (across - 1) / 2) * (width + gap)
-            _basketball(site, at, (ox, oy), h, (length, width), line)
+            basketball(site, at, (ox, oy), h, (length, width), line)
     for side in (-1, 1):
         fx, fy = at(0.0, side * (total[1] / 2 + 1.0))
         site.furniture.append(
@@ -186,7 +186,7 @@ def court(site: Site) -> str:
     return "grass"
 
 
-def _basketball(
+def basketball(
     site: Site, at: At, middle: tuple[float, float], h: float, size_m: tuple[float, float], line: float
 ) -> None:
     """Add one court with its middle at a point: its lines and hoops, and a game around one hoop, or nobody.

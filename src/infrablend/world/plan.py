@@ -18,7 +18,9 @@ from infrablend.world.ground_cover import GroundMaterial, Patch, Road
 from infrablend.world.people import Cycle, Person
 from infrablend.world.vehicles import Vehicle
 
-PlaceKind = Literal["street", "parking", "court", "park", "runway", "dirtroad", "forest", "river", "suburb"]
+PlaceKind = Literal[
+    "street", "parking", "court", "park", "runway", "dirtroad", "forest", "river", "suburb", "courts", "athletics"
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from infrablend.core.capture import TimeOfDay
-from infrablend.world.countryside import forest, river, suburb
+from infrablend.world.countryside import athletics, courts, forest, river, suburb
 from infrablend.world.ground_cover import Patch, draw_materials, draw_water
 from infrablend.world.places import airfield, court, dirt_road, park, parking, street
 from infrablend.world.plan import PlaceKind, WorldPlan
@@ -26,6 +26,8 @@ PLACES: dict[PlaceKind, Callable[[Site], str]] = {
     "forest": forest,
     "river": river,
     "suburb": suburb,
+    "courts": courts,
+    "athletics": athletics,
 }
 # Places drawn at random; the others have to be asked for by name.
 TOWN: tuple[PlaceKind, ...] = ("street", "parking", "court", "park")
