@@ -522,6 +522,11 @@ class Placement(Strict):
     `{change_grey: 20, scr: 1.5}`. By default `real` with `appearance.mode: physical`, else `off`. Objects below it are
     drawn again elsewhere (`placement.mode: metric`), and left out if that does not help."""
 
+    @property
+    def surfaces(self) -> Where | None:
+        """Rules on the surfaces that objects stand on; None for any place."""
+        return None
+
 
 class PaperPlacement(Placement):
     """Placement around the origin of a virtual scene."""
@@ -607,6 +612,11 @@ class MetricPlacement(Placement):
     max_noise_grey: float = Field(12.0, gt=0)
     """Largest noise of a background, 8-bit grey levels; nothing is inserted into noisier ones. A camera that sees
     nothing but an empty sky raises its gain until the picture is pure noise."""
+
+    @property
+    def surfaces(self) -> Where | None:
+        """Rules on the surfaces that objects stand on; None for any place."""
+        return None if isinstance(self.where, str) else self.where
 
 
 class Occlusion(Strict):
@@ -1252,10 +1262,3 @@ PaperRecipe = PaperArtisticRecipe | PaperPhysicalRecipe
 MetricRecipe = MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe
 PhysicalRecipe = PaperPhysicalRecipe | MetricPhysicalRecipe | RadiometricRecipe
 Recipe = PaperArtisticRecipe | PaperPhysicalRecipe | MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe
-
-
-def ground_rules(recipe: Recipe) -> Where | None:
-    """Return the surfaces that objects of a recipe stand on; None for anywhere."""
-    placement = recipe.placement
-    where = placement.where if isinstance(placement, MetricPlacement) else None
-    return where if isinstance(where, Where) else None

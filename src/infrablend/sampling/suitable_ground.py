@@ -107,8 +107,8 @@ def suitable_ground(
     rules: MetricPlacement, site: Site, item: PlacementRequest, *, among_plants: bool = False
 ) -> SuitableGround | None:
     """Return the ground that suits an object, or also that under trees and shrubs; None where any does."""
-    where = rules.where
-    if not isinstance(where, Where) or not item.model.stands:
+    where = rules.surfaces
+    if where is None or not item.model.stands:
         return None
     affinity = affinity_of(where, site, item)
     if among_plants:
@@ -122,7 +122,7 @@ def suitable_ground(
 
 def plants_of(rules: MetricPlacement, site: Site) -> SuitableGround | None:
     """Return where trees and shrubs are; None if the recipe does not look at surfaces."""
-    if not isinstance(rules.where, Where):
+    if rules.surfaces is None:
         return None
     return SuitableGround(site.surfaces.suitability(_PLANTS), site.surfaces.size_wh)
 

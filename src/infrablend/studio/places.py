@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.assets.catalogue import load_model
-from infrablend.config.recipe import MetricPlacement, Recipe, ground_rules
+from infrablend.config.recipe import MetricPlacement, Recipe
 from infrablend.core.file_names import is_inside, real_path
 from infrablend.core.rng import stream
 from infrablend.errors import OutputError, RecipeError
@@ -66,7 +66,7 @@ def paint(tuned: Tuned, data: Path, line: Sequence[Sequence[float]], pen_px: int
         OutputError: The mask cannot be written, or would be in the dataset.
         DatasetError: The mask cannot be read.
     """
-    where, image = ground_rules(tuned.recipe), tuned.background
+    where, image = tuned.recipe.placement.surfaces, tuned.background
     if where is None:
         raise RecipeError("objects stand anywhere in this recipe; expected placement.mode metric with placement.where")
     folder = Path(where.masks or f"{real_path(data)}.places")
@@ -84,7 +84,7 @@ def paint(tuned: Tuned, data: Path, line: Sequence[Sequence[float]], pen_px: int
 
 def _site(tuned: Tuned, ignored: Collection[str]) -> Site:
     """Return the background of a frame as placement sees it."""
-    image, where = tuned.background, ground_rules(tuned.recipe)
+    image, where = tuned.background, tuned.recipe.placement.surfaces
     background = load_background(image.path, image.size_wh)
     folder = None if where is None else where.masks
     return Site(

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from infrablend.world.fixtures import TreeKind
 from infrablend.world.ground_cover import Patch, Road
-from infrablend.world.places import basketball
+from infrablend.world.places import At, basketball
 from infrablend.world.roadside import add_road, cold_mark, hedge_row, kerb_parking, traffic, tree_row, walkers
 from infrablend.world.site import Site
 from infrablend.world.vehicles import CARS
@@ -192,7 +192,21 @@ def athletics(site: Site) -> str:
         for side in (-1, 1):
             if offset < radius + track:
                 site.patches.append(Patch("rect", *at(0, side * offset), h, straight, 0.06, None, lanes, 0.03))
-    for _ in range(draws.integer(0, 4)):  # runways and pits of jumpers
+    _jumpers_and_walkers(site, at, h, straight, (radius, track))
+    x, y = at(0, draws.one_of((-1, 1)) * (radius + track + u(8, 16)))
+    edge = Road(x, y, h, 0.0, u(1.5, 4.0), u(0, 1.5), 2, "concrete", False)
+    site.roads.append(edge)
+    tree_row(site, edge, u(4, 8) * draws.one_of((-1, 1)), u(4, 8), ("crown", "bare", "shrub"))
+    if draws.chance(0.4):
+        site.add_building(*at(u(-15, 15), radius + track + u(14, 22)), h, u(30, 60), u(8, 14), u(3, 8))
+    return base
+
+
+def _jumpers_and_walkers(site: Site, at: At, h: float, straight: float, across_m: tuple[float, float]) -> None:
+    """Add runways with pits beside a track, and people on it and on its lawn; `across_m` is its radius and width."""
+    draws, (radius, track) = site.draws, across_m
+    u = draws.uniform
+    for _ in range(draws.integer(0, 4)):
         x, y = u(-0.5, 0.5) * straight, draws.one_of((-1, 1)) * (radius + track + u(3, 8))
         site.patches.append(Patch("rect", *at(x, y), h, u(25, 40), 1.3, "court", u(-0.5, 0.5), 0.05))
         site.patches.append(Patch("rect", *at(x + 20, y), h, u(6, 9), u(2.7, 4), "soil", 0.0, 0.05))
@@ -201,21 +215,6 @@ def athletics(site: Site) -> str:
         site.add_person(*at(x, y), h + draws.one_of((0.0, math.pi)) + u(-0.3, 0.3))
     for _ in range(draws.integer(0, 15)):
         site.add_person(*at(u(-0.5, 0.5) * straight, u(-0.9, 0.9) * radius), u(0, 2 * math.pi))
-    edge = Road(
-        *at(0, draws.one_of((-1, 1)) * (radius + track + u(8, 16))),
-        h,
-        0.0,
-        u(1.5, 4.0),
-        u(0, 1.5),
-        2,
-        "concrete",
-        False,
-    )
-    site.roads.append(edge)
-    tree_row(site, edge, u(4, 8) * draws.one_of((-1, 1)), u(4, 8), ("crown", "bare", "shrub"))
-    if draws.chance(0.4):
-        site.add_building(*at(u(-15, 15), radius + track + u(14, 22)), h, u(30, 60), u(8, 14), u(3, 8))
-    return base
 
 
 def _strollers(site: Site, count: int) -> None:

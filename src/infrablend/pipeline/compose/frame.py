@@ -24,7 +24,6 @@ from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, me
 from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import ground_rules
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.placed import PlacedScene
@@ -215,7 +214,7 @@ class FrameComposer:
 
     def _allowed(self, frame: PlannedFrame, background: Background) -> NDArray[np.bool_] | None:
         """Return the pixels where the caller's mask lets objects stand; None without one."""
-        where = ground_rules(self._recipe)
+        where = self._recipe.placement.surfaces
         if where is None or where.masks is None:
             return None
         return read_mask(Path(where.masks), frame.background, background.size_wh)

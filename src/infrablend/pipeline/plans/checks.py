@@ -9,7 +9,7 @@ from pathlib import Path
 
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import Recipe, ground_rules
+from infrablend.config.recipe import Recipe
 from infrablend.core.camera import fov_of_width
 from infrablend.core.class_names import differ_in_form
 from infrablend.core.dataset import Dataset, ImageRecord
@@ -129,7 +129,7 @@ def without_mask(recipe: Recipe, images: Sequence[ImageRecord], known: Sequence[
     Raises:
         RecipeError: No picture of the dataset, `known`, has one.
     """
-    where = ground_rules(recipe)
+    where = recipe.placement.surfaces
     if where is None or where.masks is None:
         return []
     folder, field = Path(where.masks), "placement.where.masks"

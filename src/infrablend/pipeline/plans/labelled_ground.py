@@ -6,7 +6,6 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 
-from infrablend.config.recipe import ground_rules
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.images import Background
@@ -21,7 +20,7 @@ def labelled_ground(plan: RunPlan, load: Load) -> LabelledGround:
 
     Empty if the recipe does not ask for it, or the dataset labels none of these classes.
     """
-    where = ground_rules(plan.recipe)
+    where = plan.recipe.placement.surfaces
     if where is None or not where.learned or where.surfaces:
         return {}
     wanted = {o.category or plan.models[o.model].category for o in plan.recipe.objects if plan.models[o.model].stands}

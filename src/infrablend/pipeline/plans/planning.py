@@ -11,7 +11,7 @@ from typing import Any
 from infrablend import __version__
 from infrablend.annotation.classes import ignored_turned_objects, rename_classes
 from infrablend.assets.user_model import description_digest, is_description
-from infrablend.config.recipe import NOT_IN_KEY, Recipe, ground_rules
+from infrablend.config.recipe import NOT_IN_KEY, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, fit_name
 from infrablend.core.files import sha256_of_json
@@ -143,7 +143,7 @@ def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
         "seed": seed,
         "backgrounds": fingerprint(used),
     }
-    if ground_rules(recipe) is not None:
+    if recipe.placement.surfaces is not None:
         key["places"] = model_version()
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own

@@ -16,7 +16,6 @@ from nicegui.events import GenericEventArguments
 
 from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
-from infrablend.config.recipe import ground_rules
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
 from infrablend.report.preview import Rgb
@@ -174,7 +173,7 @@ class TunePage:
         base, legend = self._mapped(tuned)
         rgb = tuned.picture(boxes=bool(self._boxes.value), ground=bool(self._ground.value), base=base)
         height, width = tuned.trial.frame.pixels.shape[:2]
-        can_paint = ground_rules(tuned.recipe) is not None
+        can_paint = tuned.recipe.placement.surfaces is not None
         pen_px = int(self._pen.value) if can_paint and self._map.value and self._brush.value else 0
         self._brush.set_visibility(can_paint)
         self._pen.set_visibility(pen_px > 0)
@@ -198,7 +197,7 @@ class TunePage:
     def _paint(self, line: Sequence[Sequence[float]]) -> None:
         """Paint the mask along a line, or all over without one, and have the recipe use it."""
         tuned, field = self._tuned, self._inputs.get("placement.where")
-        rules = None if tuned is None else ground_rules(tuned.recipe)
+        rules = None if tuned is None else tuned.recipe.placement.surfaces
         if tuned is None or rules is None or field is None:
             return
         try:
