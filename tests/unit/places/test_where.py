@@ -17,6 +17,8 @@ FIELDS = [
     "objects.0.count=3", "camera.calibrate=false", "placement.min_contrast=off", "placement.max_relief_grey=0",
     "output.formats=[coco]",
 ]  # fmt: skip
+# What kind of paving or roof it is, only more of the picture could show.
+PAVED = "placement.where.surfaces={road: 1, path: 1, structure: 1, water: 1}"
 
 
 @pytest.fixture
@@ -49,7 +51,7 @@ def left_edges(out):
 
 
 def test_cars_are_on_the_road_and_the_model_is_in_the_key(roads, tmp_path):
-    run(roads, tmp_path / "run")
+    run(roads, tmp_path / "run", PAVED)
     x = left_edges(tmp_path / "run")
     assert len(x) >= 3 and all(170 < v < 420 for v in x)
     assert json.loads((tmp_path / "run/run.json").read_text())["key"]["places"] == model_version()
@@ -67,7 +69,7 @@ def test_masks_are_found_by_split_or_name_beside_the_recipe(roads, tmp_path):
     recipe.write_text(
         recipe_text("hit-uav-car").replace("  mode: metric\n", "  mode: metric\n  where: {masks: masks}\n", 1)
     )
-    run(roads, tmp_path / "run", recipe=recipe)
+    run(roads, tmp_path / "run", PAVED, recipe=recipe)
     of_first = [
         label.box_xyxy[0] for r in records(tmp_path / "run") if r.image.endswith("0_c0.png") for label in r.inserted
     ]
@@ -103,7 +105,7 @@ def test_missing_masks_are_counted_and_none_at_all_is_refused(roads, tmp_path):
 def test_a_mask_that_allows_nothing_leaves_the_picture_without_objects(roads, tmp_path):
     masks = mask_all(tmp_path / "masks", 0)
     text = run(roads, tmp_path / "run", f"placement.where.masks={masks}", code=1)
-    assert "no ground" in text and not left_edges(tmp_path / "run")
+    assert "no ground" in text and "placement.where" in text and not left_edges(tmp_path / "run")
 
 
 def test_labels_are_learned_from_and_shown(roads, tmp_path):
@@ -113,7 +115,8 @@ def test_labels_are_learned_from_and_shown(roads, tmp_path):
     (roads / "classes.txt").write_text("Car\n")
     found = json.loads(done("places", "learn", roads, "--json").stdout)
     ground = found["ground"]["Car"]["any"]
-    assert ground["objects"] == 36 and ground["factors"]["road"] > 1.3
+    assert ground["objects"] == 36
+    assert ground["around"]["grass"] < 0.1 < 0.5 < ground["anywhere"]["grass"] and ground["factors"]["grass"] < 0.5
     assert "Car" in done("places", "learn", roads).stdout and found["model"] == model_version()
 
 

@@ -42,6 +42,10 @@ class _Reason(NamedTuple):
     least_share: float = 0.0
 
 
+_OTHER_GROUND = (
+    "nothing, if few pictures show ground that suits them (`infrablend places map` shows what is found); or set "
+    "placement.where.surfaces or masks, or placement.where=anywhere"
+)
 # Reasons with a remedy of their own; all others are a matter of placement.
 _REASONS: Mapping[str, _Reason] = {
     "no_horizon": _Reason(
@@ -56,8 +60,7 @@ _REASONS: Mapping[str, _Reason] = {
         "placement.where",
         "the picture shows no ground that suits them",
         "pictures with such ground (`infrablend places map` shows what is found)",
-        "nothing, if these pictures may stay without such objects; or set placement.where.surfaces or masks, or "
-        "placement.where=anywhere",
+        _OTHER_GROUND,
         0.05,
     ),
     "noise": _Reason(
@@ -127,6 +130,8 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
         )
         if most and most[0][0] == "beyond_ground":
             todo = _LOOKS_DOWN
+        elif most and most[0][0] == "unfit_ground":
+            todo = _OTHER_GROUND
         elif "too_small_px" in draws and any(reason == "too_small" for reason, _ in most):
             todo = _TOO_SMALL.format(px=draws["too_small_px"])
         problems.append(Problem("placement", "objects-absent", found, "most objects inserted", todo, "warning"))
