@@ -110,6 +110,11 @@ class GroundEdges:
     step_m: FloatArray
     weight: FloatArray
 
+    def thinned(self, most: int) -> GroundEdges:
+        """Return about `most` of these edges, evenly spread over the picture."""
+        step = max(1, len(self.weight) // most)
+        return GroundEdges(self.xy_m[::step], self.step_m[::step], self.weight[::step])
+
     def lines(self, around_xy: tuple[float, float] | None = None, reach_m: float = 0.0) -> GroundLines | None:
         """Return the direction of all edges, or of those around a place; None without any.
 

@@ -73,6 +73,8 @@ _LEAST_CLARITY = 0.08
 # With `along: road`: how far edges count, and how far the road is followed to tell its direction from that across it,
 # metres. One of them is taken if the road reaches so many times farther there.
 _EDGES_M, _FOLLOWED_M, _LONGER = 9.0, 25.0, 1.25
+# Number of edges, about, that are looked at around each place.
+_MOST_EDGES = 3000
 # Largest difference in heading between neighbouring parked cars, degrees.
 _ROW_TURN_DEG = 4.0
 
@@ -374,7 +376,8 @@ class _Search:
         site, z = self._site, self._view.ground_z_m
         if self._seeks_edges:
             boxes = [*boxes_of(site.labels), *site.text_boxes]
-            self._edges, self._seeks_edges = find_ground_edges(site.pixels, self._camera, z, boxes, site.margin), False
+            edges = find_ground_edges(site.pixels, self._camera, z, boxes, site.margin)
+            self._edges, self._seeks_edges = None if edges is None else edges.thinned(_MOST_EDGES), False
         lines = None if self._edges is None else self._edges.lines(place_xy, _EDGES_M)
         along = common if lines is None or lines.clarity < _LEAST_CLARITY else lines.yaw_rad
         suitable = self._suitable_ground(item)
