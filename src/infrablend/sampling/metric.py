@@ -25,7 +25,6 @@ from infrablend.core.ground_plane import (
     GroundEdges,
     at_height,
     find_ground_edges,
-    find_ground_lines,
     ground_point,
     ground_z_m,
     pixel_ray,
@@ -142,24 +141,39 @@ class MetricPlacer(Placer):
         ground = ground_z_m(camera, found.height_m)
         return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)
 
-    def _headings(self, camera: CameraSpec, view: View, site: Site, rng: np.random.Generator) -> dict[int, float]:
-        """Return the direction along which objects stand, radians, by identity of their kind; only of aligned kinds."""
+    def _headings(self, camera: CameraSpec, view: View, site: Site, rng: np.random.Generator) -> _Headings:
+        """Return the directions along which objects stand, and the edges that show them."""
         kinds = [(id(kind), kind.align) for kind in self.recipe.objects]
         aligned = {k: a for k, a in kinds if a is not None and a.time_of_day in (None, site.time_of_day)}
         if not aligned:
-            return {}
+            return _Headings({}, None)
         turn, across, off_view = float(rng.random()), bool(rng.random() < 0.5), float(rng.standard_normal())
-        along_lines = math.pi * turn
+        along_lines, edges = math.pi * turn, None
         if any(align.along != "view" for align in aligned.values()):
             boxes = [*boxes_of(site.labels), *site.text_boxes]
-            lines = find_ground_lines(site.pixels, camera, view.ground_z_m, boxes, site.margin)
+            edges = find_ground_edges(site.pixels, camera, view.ground_z_m, boxes, site.margin)
+            lines = None if edges is None else edges.lines()
             if lines is not None and lines.clarity >= _LEAST_CLARITY:
                 along_lines = lines.yaw_rad + (math.pi / 2 if across else 0.0)
         # The camera looks along +Y.
-        return {
+        of_kind = {
             kind: along_lines if align.along != "view" else math.pi / 2 + math.radians(align.turn_deg) * off_view
             for kind, align in aligned.items()
         }
+        return _Headings(of_kind, None if edges is None else edges.thinned(_MOST_EDGES))
+
+
+@dataclass(frozen=True, eq=False)
+class _Headings:
+    """Directions along which objects of a picture stand.
+
+    Attributes:
+        of_kind: Direction, radians, by identity of the kind; only of aligned kinds.
+        edges: Edges on the ground, thinned; None if no kind follows them, or the picture shows none.
+    """
+
+    of_kind: Mapping[int, float]
+    edges: GroundEdges | None
 
 
 class _Search:
@@ -171,7 +185,7 @@ class _Search:
         view: View,
         recipe: MetricRecipe,
         site: Site,
-        headings: Mapping[int, float],
+        headings: _Headings,
         rng: np.random.Generator,
         tally: DrawStatistics,
         occupied: Sequence[tuple[PlacementRequest, Pose]] = (),
@@ -189,8 +203,6 @@ class _Search:
         self._relief = relief_of(site.pixels) / site.grey_unit if even else None
         self._real = _real_ground(recipe, site)
         self._suitable: dict[tuple[int, bool], SuitableGround | None] = {}  # by identity of the kind
-        self._edges: GroundEdges | None = None
-        self._seeks_edges = True
         self._missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
 
     def place(self, item: PlacementRequest) -> Pose | None:
@@ -199,7 +211,6 @@ class _Search:
         if suitable is not None and not suitable.exists:
             self._tally.absent["no_ground"] += 1
             return None
-        among_plants = self._suitable_ground(item, among_plants=True)
         in_a_row = self._missed.get(id(item.kind), 0)
         attempts = attempts_after(in_a_row, self._rules.attempts)
         mates, aim = self._mates(item), self._ground_aim(item)
@@ -209,7 +220,7 @@ class _Search:
             if attempt >= _HIDDEN * attempts or examined == _HIDING_PLACES:
                 hiding = None
             beside = mates if attempt < _IN_COMPANY * attempts else []
-            ground = suitable if hiding is None else among_plants
+            ground = suitable if hiding is None else self._suitable_ground(item, among_plants=True)
             pose = self._draw_beside(item, beside) if beside else self._draw(item, ground)
             if isinstance(pose, str):
                 self._tally.rejected[pose] += 1
@@ -234,7 +245,7 @@ class _Search:
         """Return the ground that suits objects of this kind, or also that under trees and shrubs; None for any."""
         kind = id(item.kind), among_plants
         if kind not in self._suitable:
-            self._suitable[kind] = suitable_ground(self._rules, self._site, item, among_plants=among_plants)
+            self._suitable[kind] = suitable_ground(self._rules.surfaces, self._site, item, among_plants=among_plants)
         return self._suitable[kind]
 
     def _mates(self, item: PlacementRequest) -> list[Pose]:
@@ -304,7 +315,7 @@ class _Search:
 
     @cached_property
     def _plants(self) -> SuitableGround | None:
-        return plants_of(self._rules, self._site)
+        return plants_of(self._rules.surfaces, self._site)
 
     def _near_plants(self, xy: FloatArray) -> bool:
         """Return whether there are trees or shrubs around a position in the picture, as far as surfaces are known."""
@@ -355,15 +366,13 @@ class _Search:
         else:
             low, high = (math.radians(d) for d in kind.yaw_deg)
             yaw, towards = self._aligned(low + (high - low) * heading, item, (x, y)), 2 * math.pi * turn
-        pose, suitable = (
-            (x + away * math.cos(towards), y + away * math.sin(towards), z, yaw),
-            self._suitable_ground(item),
-        )
+        pose = x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
+        suitable = self._suitable_ground(item)
         return pose if suitable is None or suitable.carries(self._camera, item, pose, mate) else "unfit_ground"
 
     def _aligned(self, yaw: float, item: PlacementRequest, place_xy: tuple[float, float]) -> float:
         """Return a heading along the picture's or the road's, or the given one for objects that do not follow it."""
-        align, common, rng = _kind(item).align, self._headings.get(id(item.kind)), self._rng
+        align, common, rng = _kind(item).align, self._headings.of_kind.get(id(item.kind)), self._rng
         if align is None or common is None:
             return yaw
         follows, back, off = rng.random() < align.share, rng.random() < 0.5, float(rng.standard_normal())
@@ -373,12 +382,8 @@ class _Search:
 
     def _along_road(self, common: float, item: PlacementRequest, place_xy: tuple[float, float]) -> float:
         """Return the direction of the road at a place, or that of the picture where no edges are clear."""
-        site, z = self._site, self._view.ground_z_m
-        if self._seeks_edges:
-            boxes = [*boxes_of(site.labels), *site.text_boxes]
-            edges = find_ground_edges(site.pixels, self._camera, z, boxes, site.margin)
-            self._edges, self._seeks_edges = None if edges is None else edges.thinned(_MOST_EDGES), False
-        lines = None if self._edges is None else self._edges.lines(place_xy, _EDGES_M)
+        edges, z = self._headings.edges, self._view.ground_z_m
+        lines = None if edges is None else edges.lines(place_xy, _EDGES_M)
         along = common if lines is None or lines.clarity < _LEAST_CLARITY else lines.yaw_rad
         suitable = self._suitable_ground(item)
         if suitable is None:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.config.recipe import MetricPlacement, Where
+from infrablend.config.recipe import Where
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import FloatArray
 from infrablend.core.surface_kinds import Affinity
@@ -104,10 +104,9 @@ class SuitableGround:
 
 
 def suitable_ground(
-    rules: MetricPlacement, site: Site, item: PlacementRequest, *, among_plants: bool = False
+    where: Where | None, site: Site, item: PlacementRequest, *, among_plants: bool = False
 ) -> SuitableGround | None:
     """Return the ground that suits an object, or also that under trees and shrubs; None where any does."""
-    where = rules.surfaces
     if where is None or not item.model.stands:
         return None
     affinity = affinity_of(where, site, item)
@@ -120,9 +119,9 @@ def suitable_ground(
     return SuitableGround(suits, site.surfaces.size_wh)
 
 
-def plants_of(rules: MetricPlacement, site: Site) -> SuitableGround | None:
+def plants_of(where: Where | None, site: Site) -> SuitableGround | None:
     """Return where trees and shrubs are; None if the recipe does not look at surfaces."""
-    if rules.surfaces is None:
+    if where is None:
         return None
     return SuitableGround(site.surfaces.suitability(_PLANTS), site.surfaces.size_wh)
 

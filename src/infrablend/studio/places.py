@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.assets.catalogue import load_model
-from infrablend.config.recipe import MetricPlacement, Recipe
+from infrablend.config.recipe import Recipe
 from infrablend.core.file_names import is_inside, real_path
 from infrablend.core.rng import stream
 from infrablend.errors import OutputError, RecipeError
@@ -99,14 +99,12 @@ def _site(tuned: Tuned, ignored: Collection[str]) -> Site:
 
 def _suits(recipe: Recipe, site: Site) -> dict[str, NDArray[np.float32]]:
     """Return how well each cell of a background suits the standing objects of a recipe, by class."""
-    rules, found = recipe.placement, dict[str, NDArray[np.float32]]()
-    if not isinstance(rules, MetricPlacement):
-        return found
+    found = dict[str, NDArray[np.float32]]()
     for kind in recipe.objects:
         model = load_model(kind.model)
         params = model.sample(stream(0, "options"), kind.options)
         item = PlacementRequest(kind, model, params, model.build(params), 1.0)
-        if (ground := suitable_ground(rules, site, item)) is not None:
+        if (ground := suitable_ground(recipe.placement.surfaces, site, item)) is not None:
             name = kind.category or model.category
             found[name] = np.maximum(found.get(name, np.float32(0)), ground.suits)
     return found
