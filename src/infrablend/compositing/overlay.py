@@ -33,13 +33,38 @@ class Layer:
     alpha: NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class Bloom:
+    """Light that optics and detector scatter around bright objects, which the blur alone does not reach.
+
+    Attributes:
+        share: Share of the light of each point that is scattered.
+        sigma_px: Sigma of the Gaussian that it spreads over.
+    """
+
+    share: float = 0.0
+    sigma_px: float = 0.0
+
+    @property
+    def reach_px(self) -> int:
+        """How far it spreads, in whole pixels."""
+        return blur_radius_px(self.sigma_px) if self.share else 0
+
+
+NO_BLOOM = Bloom()
+
+
 def blur_radius_px(softness_px: float) -> int:
     """Return the reach of the blur in whole pixels: three sigma."""
     return math.ceil(3 * softness_px) if softness_px > 0 else 0
 
 
 def make_layer(
-    result: RenderResult, mapping: GreyMapping, softness_px: float, motion_px: tuple[float, float] = (0.0, 0.0)
+    result: RenderResult,
+    mapping: GreyMapping,
+    softness_px: float,
+    motion_px: tuple[float, float] = (0.0, 0.0),
+    bloom: Bloom = NO_BLOOM,
 ) -> Layer:
     """Turn the rendered crop into a layer in the background's levels, blurred by a Gaussian of sigma `softness_px`.
 
@@ -63,6 +88,7 @@ def make_layer(
         reach = kernel.shape[0] // 2
     else:
         reach = blur_radius_px(softness_px)
+    reach = max(reach, bloom.reach_px)
     if reach:
         rows, columns = alpha.shape
         left, top = min(reach, x0), min(reach, y0)
@@ -76,11 +102,20 @@ def make_layer(
             # OpenCV applies large kernels by Fourier transform, which leaves rounding errors.
             soft[np.abs(soft).max(axis=-1) < _NOTHING] = 0
         else:
-            line = cv2.getGaussianKernel(2 * reach + 1, softness_px, cv2.CV_32F)
-            soft = cv2.sepFilter2D(inner, cv2.CV_32F, line, line, borderType=cv2.BORDER_REPLICATE)
+            soft = _blurred(inner, softness_px)
+        if bloom.share:
+            soft = np.float32(1 - bloom.share) * soft + np.float32(bloom.share) * _blurred(inner, bloom.sigma_px)
         grey, alpha = np.ascontiguousarray(soft[..., 0]), np.ascontiguousarray(soft[..., 1])
         x0, y0 = x0 - left, y0 - top
     return Layer((x0, y0), grey, np.clip(alpha, 0, 1))
+
+
+def _blurred(picture: NDArray[np.float32], sigma_px: float) -> NDArray[np.float32]:
+    """Return an (h, w, n) picture blurred by a Gaussian; as it is with a sigma of 0."""
+    if not (reach := blur_radius_px(sigma_px)):
+        return picture
+    line = cv2.getGaussianKernel(2 * reach + 1, sigma_px, cv2.CV_32F)
+    return np.asarray(cv2.sepFilter2D(picture, cv2.CV_32F, line, line, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
 def flat_layer(result: RenderResult, mapping: GreyMapping) -> Layer:

@@ -33,7 +33,7 @@ def overlay(
         front: (h, w) share of each pixel of the background that stays in front; None for nothing.
     """
     if sensor is not None:
-        layer = make_layer(rendered, mapping, sensor.layer_sigma_px(style.softness_px), motion_px)
+        layer = make_layer(rendered, mapping, sensor.layer_sigma_px(style.softness_px), motion_px, sensor.bloom)
     else:
         layer = flat_layer(rendered, mapping) if style.flat else make_layer(rendered, mapping, style.softness_px)
     if front is not None:

@@ -25,7 +25,7 @@ from infrablend.compositing.measure import (
     true_grain,
     unsharpened_sigma,
 )
-from infrablend.compositing.overlay import Layer, blur_radius_px
+from infrablend.compositing.overlay import Bloom, Layer, blur_radius_px
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 
 # Variance of the renderer's pixel filter, a box of one pixel, which is part of the total blur, px^2.
@@ -80,6 +80,8 @@ class Sensor:
             the real one.
         defocus_sigma_px: Blur added by defocus at that range, in quadrature.
         speed_px_s: Motion relative to the camera that causes the scene's motion tail; for information.
+        bloom_share: Share of the light that the optics scatter; see `Bloom`.
+        bloom_sigma_px: Sigma of that.
     """
 
     profile: str
@@ -97,6 +99,13 @@ class Sensor:
     range_m: float | None = None
     defocus_sigma_px: float = 0.0
     speed_px_s: float = 0.0
+    bloom_share: float = 0.0
+    bloom_sigma_px: float = 0.0
+
+    @property
+    def bloom(self) -> Bloom:
+        """Light scattered around bright objects."""
+        return Bloom(self.bloom_share, self.bloom_sigma_px)
 
     def layer_sigma_px(self, softness_px: float) -> float:
         """Return the sigma to blur the render with; `softness_px` is the recipe's, for chains without optics."""
@@ -177,6 +186,8 @@ def fit_sensor(
         edges=edges,
         flat_blocks=blocks,
         speed_px_s=round(math.hypot(*motion_px) / p.time_constant_s, 2),
+        bloom_share=round(strength.optics * p.bloom_share, 4),
+        bloom_sigma_px=p.bloom_px,
     )
     return focus_missed(fitted, p, strength, range_m)
 

@@ -874,6 +874,7 @@ class NoSensor(Strict):
     needs_levels: ClassVar[bool] = False
     motion_px: ClassVar[tuple[float, float]] = (0.0, 0.0)
     headroom: ClassVar[float] = 0.0
+    randomise: ClassVar[None] = None
 
     profile: Literal["off"] = "off"
     """`off`: no imitation; the render is blurred by `overlay.softness_px`."""
@@ -900,6 +901,25 @@ class _Imitation(Strict):
         return self.profile
 
 
+class Randomise(Strict):
+    """Another camera for each picture, inserts and background alike, for detectors whose camera is not known."""
+
+    blur_px: range_of(0, 5) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Sigma of an additional blur, pixels."""
+    bloom: range_of(0, 0.5) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Share of the light that is scattered around each point."""
+    gain: range_of(0.2, 4) = (1.0, 1.0)  # type: ignore[valid-type]
+    """Factor on the contrast, around the picture's median level."""
+    noise_grey: range_of(0, 40) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Standard deviation of additional noise, 8-bit grey levels."""
+    halo: range_of(0, 3) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Gain of an additional detail enhancement, which draws rings around edges."""
+    invert: float = Field(0.0, ge=0, le=1)
+    """Share of the pictures whose polarity is inverted."""
+    bits: range_of(2, 8) = (8.0, 8.0)  # type: ignore[valid-type]
+    """Bits of the grey levels that are left, a whole number in this range; 8 for all."""
+
+
 class Sensor(_Imitation):
     """Imitation of the background's own camera, for the inserts only. Strength 0 turns a step off, 1 is as measured."""
 
@@ -916,6 +936,10 @@ class Sensor(_Imitation):
     codec: float = Field(1.0, ge=0, le=2)
     """Compression of the 8 px blocks that the inserts touch, by JPEG of quality 100 - codec * (100 - q), where q is
     the profile's quality. 8-bit images only."""
+    randomise: Randomise | None = None
+    """Another camera for each picture, drawn from ranges: `{blur_px: [0, 1.5], gain: [0.6, 1.6], invert: 0.3}`. It
+    changes whole pictures, unchanged originals too, after their inserts have been matched to them. Boxes and contrasts
+    are those from before."""
 
 
 class PaperSensor(Sensor):
@@ -941,6 +965,7 @@ class RadiometricSensor(_Imitation):
     codec: ClassVar[float] = 0.0
     clip: ClassVar[bool] = False
     headroom: ClassVar[float] = 0.0
+    randomise: ClassVar[None] = None
 
     noise: float = Field(1.0, ge=0, le=2)
     """Noise of the inserts, matched in strength and grain size to flat areas of each background. The sharpening,

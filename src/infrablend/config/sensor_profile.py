@@ -48,6 +48,10 @@ class SensorProfile(Strict):
     """Sigma of the Gaussian blur of optics, pixel and processing together, before sharpening, pixels."""
     edge_bounds_px: range_of(0.1, 10)  # type: ignore[valid-type]
     """Smallest and largest accepted sigma of an image's sharpest edges, after sharpening, pixels."""
+    bloom_share: float = Field(0.0, ge=0, le=0.5)
+    """Share of an object's light that the optics scatter around it: the glow of saturated objects."""
+    bloom_px: float = Field(2.0, ge=0.5, le=20)
+    """Sigma of the Gaussian that this light spreads over, pixels."""
     halo_gain: float = Field(0.0, ge=0, le=4)
     """Gain of the detail enhancement `P + gain * (P - G_radius * P)`."""
     halo_radius_px: float = Field(1.6, ge=0.3, le=20)

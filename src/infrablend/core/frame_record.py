@@ -28,7 +28,7 @@ class FrameRecord:
         inserted: Labels of the inserted objects.
         removed: Labels that were removed, each with the reason.
         facts: Special cases of labelling (see `annotation.labels.LabelReport`), and values estimated from the
-            background: `matching`, and `sensor`, which was applied to the picture.
+            background: `matching`, and `sensor` and `camera`, which were applied to the picture.
         warnings: Problems that did not stop the frame.
         covered: Visible remains of kept labels that inserted objects partly cover, by index: `visibility`, and `mask`
             where known.

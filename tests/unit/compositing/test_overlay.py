@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from infrablend.compositing.mapping import GreyMapping, percentile_mapping
-from infrablend.compositing.overlay import blend, blur_radius_px, compose, flat_layer, make_layer
+from infrablend.compositing.overlay import Bloom, blend, blur_radius_px, compose, flat_layer, make_layer
 from infrablend.config.recipe import PercentileMatching
 from infrablend.core.render import RenderResult
 
@@ -141,3 +141,17 @@ def test_one_odd_pixel_of_a_16_bit_picture_does_not_spread_its_levels(odd):
         percentile_mapping(p, PercentileMatching(low_percentile=40, high_percentile=60)) for p in (picture, spoilt)
     )
     assert (other.dark, other.bright) == (pytest.approx(one.dark, abs=5), pytest.approx(one.bright, abs=5))
+
+
+def test_bloom_spreads_light_around_an_object_and_keeps_its_sum():
+    alpha = np.zeros((41, 41), np.float32)
+    alpha[18:23, 18:23] = 1
+    sharp, glowing = (
+        make_layer(result(alpha, alpha, frame=(41, 41)), GreyMapping(0, 1000), 0.6, bloom=bloom)
+        for bloom in (Bloom(), Bloom(0.2, 3.0))
+    )
+    assert glowing.grey.sum() == pytest.approx(sharp.grey.sum(), rel=1e-3)
+    middle = glowing.grey[20]
+    # Four pixels beside the object, where the blur does not reach, is a glow that decreases outwards.
+    assert sharp.grey[20, 27] < 1 < middle[27] and middle[24] > middle[26] > middle[28] > 0
+    assert glowing.grey[20, 20] < sharp.grey[20, 20]

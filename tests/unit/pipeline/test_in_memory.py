@@ -14,6 +14,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.errors import ArgumentError, RecipeError
+from tests.run_files import records
 
 FLAT = api.Execution(renderer="flat", in_process=True)
 POOL = api.Execution(renderer="flat", workers=2)
@@ -216,3 +217,24 @@ def test_the_workers_of_a_loader_share_the_frames(data: Path) -> None:
     assert 0 <= float(image.min()) <= float(image.max()) <= 1
     assert target["boxes"].shape == (len(target["labels"]), 4)
     dataset.close()
+
+
+def test_another_camera_is_drawn_for_every_picture_and_repeats(data: Path, tmp_path: Path) -> None:
+    plain = {"sensor.profile": "hit-uav", "output.originals": True, "output.image": "png"}
+    settings = {**plain, "sensor.randomise": {"gain": [0.4, 0.6], "invert": 0.5, "noise_grey": [1, 4]}}
+    api.generate(RECIPE, data, tmp_path / "plain", settings=plain, execution=FLAT)
+    api.generate(RECIPE, data, tmp_path / "run", settings=settings, execution=FLAT)
+    cameras = {r.frame_id: r.facts["camera"] for r in records(tmp_path / "run")}
+    assert len({c["gain"] for c in cameras.values()}) == len(cameras) and {c["inverted"] for c in cameras.values()} == {
+        True,
+        False,
+    }
+    with api.frames(RECIPE, data, settings=settings, execution=POOL) as frames:
+        for frame in frames:
+            before, after = (np.asarray(Image.open(tmp_path / r / f"images/{frame.id}.png")) for r in ("plain", "run"))
+            assert (frame.pixels == after).all()
+            relation = np.corrcoef(before.ravel(), after.ravel())[0, 1] * after.std() / before.std()
+            sign = -1 if cameras[frame.id]["inverted"] else 1
+            assert relation * sign == pytest.approx(cameras[frame.id]["gain"], abs=0.1)
+    again = api.rerender(tmp_path / "run", FRAME, tmp_path / "again.png")
+    assert again.read_bytes() == (tmp_path / "run/images" / f"{FRAME}.png").read_bytes()

@@ -22,13 +22,14 @@ from infrablend.annotation.merge import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
 from infrablend.compositing.occlusion import Scenery
+from infrablend.compositing.other_camera import OtherCamera
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
-from infrablend.core.rng import integer_seed
+from infrablend.core.rng import integer_seed, stream
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import MissingDependencyError
 from infrablend.formats.images import Background, encode_image, output_suffix
@@ -156,8 +157,9 @@ class FrameComposer:
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
-        image_bytes = encode_image(picture.pixels, canvas.background, self._recipe.output.image)
-        facts = {**picture.facts, **({"contrast_first": first.found} if moves and first.found else {})}
+        pixels, camera = self._retaken(picture.pixels, canvas.background, frame.frame_id)
+        image_bytes = encode_image(pixels, canvas.background, self._recipe.output.image)
+        facts = {**picture.facts, **camera, **({"contrast_first": first.found} if moves and first.found else {})}
         made = {"scene": picture.scene.spec, "mapping": picture.mapping.to_json(), "facts": facts}
         record = self._record(frame, canvas.background, labels, image_bytes, made)
         return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
@@ -182,15 +184,27 @@ class FrameComposer:
         return canvas, drop_barely_visible(scene, self._recipe.placement.min_visibility)
 
     def _unchanged(self, frame: PlannedFrame) -> ComposedFrame:
-        """Return a background as a frame; the image is a byte-for-byte copy unless the recipe asks for PNG."""
+        """Return a background as a frame; the image is a byte-for-byte copy unless the recipe changes it."""
         path, kind, extensions = frame.background.path, self._recipe.output.image, self._settings.extensions
         background = extensions.load(frame.background)
-        if extensions.backgrounds is not None or (kind == "png" and path.suffix.lower() != ".png"):
-            image_bytes = encode_image(background.pixels, background, kind)
+        pixels, camera = self._retaken(background.pixels, background, frame.frame_id)
+        if camera or extensions.backgrounds is not None or (kind == "png" and path.suffix.lower() != ".png"):
+            image_bytes = encode_image(pixels, background, kind)
         else:
             image_bytes = path.read_bytes()
-        record = self._record(frame, background, (), image_bytes, {"scene": None, "mapping": None})
+        record = self._record(frame, background, (), image_bytes, {"scene": None, "mapping": None, "facts": camera})
         return ComposedFrame(record, image_bytes, {})
+
+    def _retaken(
+        self, pixels: GreyImage, background: Background, frame_id: str
+    ) -> tuple[GreyImage, dict[str, Mapping[str, Any]]]:
+        """Return a picture as another camera shows it, and that camera for the record; as it is without one."""
+        rules = self._recipe.sensor.randomise
+        if rules is None:
+            return pixels, {}
+        rng = stream(self._settings.seed, frame_id, "camera")
+        camera = OtherCamera.draw(rules, self._grey_unit(background), rng)
+        return camera.take(pixels), {"camera": camera.to_json()}
 
     def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
         recipe, source, pixels, unit = self._recipe, frame.as_read, background.pixels, self._grey_unit(background)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.compositing.mapping import GreyMapping
+from infrablend.compositing.other_camera import OtherCamera
 from infrablend.compositing.picture import overlay
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
@@ -132,6 +133,8 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
             scene.spec.motion_px,
             recorded_front(record.facts, background.pixels, rendered),
         )
+        if (known := record.facts.get("camera")) is not None:
+            pixels = OtherCamera.from_json(known).take(pixels)
         lossless = job.out.suffix.lower() == ".png"
         data = encode_image(pixels, background, "png" if lossless else "same")
         if job.overwrite or not (job.out.is_file() and job.out.read_bytes() == data):
