@@ -128,6 +128,8 @@ class Resplit(Strict):
     """For `by: gap`: largest step between frame numbers within a run."""
     shares: tuple[float, float, float] = (0.7, 0.1, 0.2)
     """Shares of train, val and test."""
+    test: tuple[str, ...] = ()
+    """Sequences, dates or runs that are test; the others become train and val."""
 
 
 class Part(Strict):

@@ -64,6 +64,17 @@ def test_runs_of_frames_stay_together(tmp_path: Path) -> None:
     assert tree(tmp_path / "out") == tree(tmp_path / "second")
 
 
+def test_named_groups_are_test_and_the_others_are_not(tmp_path: Path) -> None:
+    root = clips(tmp_path / "data")
+    names = sorted(api.split(root, tmp_path / "all", api.SplitRule(by="gap")).groups)
+    done("split", root, tmp_path / "out", "--by", "gap", "--test", f"{names[4]},{names[1]}", "--shares", "0.7,0.3,0.9")
+    made = json.loads((tmp_path / "out/split.json").read_text())["groups"]
+    assert {n for n, split in made.items() if split == "test"} == {names[1], names[4]}
+    assert set(made.values()) == {"train", "val", "test"}
+    with pytest.raises(DatasetError, match="--test: wolf; expected names of groups"):
+        api.split(root, tmp_path / "none", api.SplitRule(by="gap", test=("wolf",)))
+
+
 def test_a_split_with_hardly_any_object_of_a_class_is_a_warning(tmp_path: Path) -> None:
     """The day with the ten pictures for test holds one hare; that with most pictures all others."""
     root = tmp_path / "data"

@@ -86,9 +86,11 @@ class SplitRule:
         gap: End a run where the next frame is more than N away [default: 5].
         shares: Shares of train, val and test [default: 0.7,0.1,0.2].
         seed: The same seed gives the same bytes.
+        test: Sequences, days or runs that are test, as `split.json` names them; the others become train and val.
     """
 
     by: Literal["sequence", "date", "gap"]
     gap: int | None = None
     shares: Sequence[float] = (0.7, 0.1, 0.2)
     seed: int = 0
+    test: Sequence[str] = ()

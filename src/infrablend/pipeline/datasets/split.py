@@ -131,9 +131,16 @@ def split_dataset(
         todo = "use a larger --gap if these count frames, else --by sequence or --by date"
         problem = Problem("--by gap", "group-single", found, "numbers that count frames", todo)
         raise DatasetError("cannot group by gap: every group is one picture", [problem])
+    if unknown := sorted(set(rule.test) - set(groups)):
+        expected = f"names of groups by {by}, such as {', '.join([*groups][:3])}"
+        wrong = [Problem("--test", "group-none", name, expected) for name in unknown]
+        raise DatasetError(f"{dataset.root}: no such group", wrong)
     names = [c.name for c in dataset.categories if not c.ignore]
-    chosen = assign_groups(group_weights(groups.values(), names), wanted, seed)
-    of_group: dict[str, Split] = dict(zip(groups, (SPLITS[k] for k in chosen), strict=True))
+    of_group: dict[str, Split] = dict.fromkeys(rule.test, "test")
+    others = [name for name in groups if name not in of_group]
+    shares = (*wanted[:2], 0.0) if of_group else wanted
+    chosen = assign_groups(group_weights((groups[n] for n in others), names), shares, seed)
+    of_group |= zip(others, (SPLITS[k] for k in chosen), strict=True)
     images = [replace(i, split=of_group[name]) for name, group in groups.items() for i in group]
     report = SplitReport(
         out,

@@ -322,7 +322,8 @@ def _convert_inputs(spec: Convert, images: ImagesByRole, request: ExperimentRequ
 
 
 def _split_inputs(spec: Resplit, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
-    inputs = {"by": spec.by, "gap": spec.gap, "shares": list(spec.shares), "seed": request.seed}
+    inputs: dict[str, Any] = {"by": spec.by, "gap": spec.gap, "shares": list(spec.shares), "seed": request.seed}
+    inputs |= {"test": list(spec.test)} if spec.test else {}
     total, shares = sum(images["of"].values()), sum(spec.shares)
     return inputs, {s: round(total * k / shares) for s, k in zip(SPLITS, spec.shares, strict=True)}
 

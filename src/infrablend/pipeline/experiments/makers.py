@@ -187,7 +187,7 @@ def _make_split(job: StageJob) -> dict[str, Any]:
     spec: Resplit = job.stage.spec
     source, out = job.needs["of"], job.out
     dataset = read_dataset(source.dataset, options=source.reader_options)
-    rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed)
+    rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed, spec.test)
     report = split_dataset(dataset, out, rule, to="coco")
     facts = dataset_facts(read_dataset(out))
     empty = [s for s in SPLITS if not facts["images"].get(s)]
