@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.masks import Mask
+from infrablend.core.rng import stream
+from infrablend.evaluation.coco import coco_precisions
 from infrablend.evaluation.detections import Detections, detections
 from infrablend.evaluation.figures import figures
 from infrablend.evaluation.matching import SIZE_BINS, match_all
@@ -55,6 +60,38 @@ def test_wrong_names_cost_nothing_where_classes_are_one() -> None:
     # A detection is dropped for one that is kept only: the third is like the second, but not like the first.
     chain = detections([[0, 0, 10, 10], [1.5, 0, 11.5, 10], [3, 0, 13, 10]], [0.9, 0.8, 0.7], [DRONE, BIRD, DRONE])
     assert as_one_class(case((truth([], []), chain))).found[0].scores.tolist() == [0.9, 0.7]
+
+
+def test_turned_boxes_and_masks_of_two_names_are_one_detection() -> None:
+    turned = np.array([[5, 0], [10, 5], [5, 10], [0, 5]], np.float64)
+    both = detections([A, A], [0.9, 0.8], [BIRD, DRONE], [turned, turned])
+    label = replace(truth([A], [DRONE]), corners_xy=turned[None])
+    one = as_one_class(replace(case((label, both)), task="obb"))
+    assert (len(one.found[0]), ap50(one)) == (1, pytest.approx(1))
+    square = np.zeros((100, 100), np.bool_)
+    square[:10, :10] = True
+    mask = Mask.from_array(square)
+    label, both = (
+        replace(truth([A], [DRONE]), masks=(mask,)),
+        detections([A, A], [0.9, 0.8], [BIRD, DRONE], None, [mask] * 2),
+    )
+    one = as_one_class(replace(case((label, both)), task="segment"))
+    assert (len(one.found[0]), ap50(one)) == (1, pytest.approx(1))
+
+
+def test_pycocotools_gives_the_same_precision_of_classes_as_one() -> None:
+    rng = stream(0, "as one")
+    images = []
+    for _ in range(20):
+        boxes = np.concatenate([low := rng.uniform(0, 80, (6, 2)), low + rng.uniform(5, 20, (6, 2))], axis=1)
+        near = np.concatenate([boxes, boxes]) + rng.normal(0, 2, (12, 4))
+        names = rng.integers(0, 2, 6).tolist()
+        found = detections(near, rng.uniform(0, 1, 12), rng.integers(0, 2, 12))
+        images.append((truth(boxes.tolist(), [*names[:5], -1], [False] * 4 + [True] * 2), found))
+    one = as_one_class(case(*images))
+    ours = average_precisions(match_all(one)[0])[0]
+    assert 0.2 < ours[0] < 0.9
+    assert coco_precisions(one)[0, 0] == pytest.approx(ours, abs=1e-9)
 
 
 def test_a_crowd_of_one_class_takes_detections_of_all_where_classes_are_one() -> None:
