@@ -129,6 +129,7 @@ def evaluate(
 
 
 def _evaluation(report: EvaluationReport) -> list[str]:
+    from infrablend.report import evaluation as page
     from infrablend.report.evaluation import FOUND_HEAD, HEAD, class_interval, found_rows, found_title, table_rows
     from infrablend.report.figures import decimals, interval
 
@@ -136,6 +137,11 @@ def _evaluation(report: EvaluationReport) -> list[str]:
     classes = metrics["classes"]
     rows = [[*row, class_interval(classes[row[0]]["ci"], "map50_95")] for row in table_rows(classes)]
     blocks = [grid([*HEAD, "interval"], rows)]
+    targets, alarms = metrics["targets"], metrics["false_alarms"]
+    blocks.append(page.as_one_text(classes["all"]))
+    blocks.append(f"{page.target_title(targets)}:\n" + grid(page.TARGET_HEAD, page.target_rows(targets)))
+    if alarms["pictures"]:
+        blocks.append(f"{page.alarm_title(alarms)}:\n" + grid(*page.alarm_table(alarms)))
     if metrics["ultralytics"]:
         blocks.append("by Ultralytics' own code:\n" + grid(HEAD, table_rows(metrics["ultralytics"])))
     if metrics["paired"]:

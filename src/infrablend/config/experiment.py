@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -25,8 +25,9 @@ from infrablend.errors import RecipeError
 
 _PATH_FIELD = re.compile(r"objects\.\d+\.model|sensor\.profile", re.ASCII)
 
-Metric = Literal["p", "r", "map50", "map50_95"]
-METRICS: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
+Metric = Literal["p", "r", "map50", "map50_95", "as_one50", "as_one50_95", "found", "named", "false_alarms"]
+METRICS: tuple[Metric, ...] = get_args(Metric)
+"""Figures of the row of a class; `as_one50` and `as_one50_95` are of all classes, so only of the row `all`."""
 
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
@@ -138,7 +139,9 @@ class Part(Strict):
     of: Name
     """Source or data item to take the images from."""
     splits: tuple[Split, ...] = SPLITS
-    """Splits to take images from; they keep their split."""
+    """Splits to take images from."""
+    into: Split | None = None
+    """Split to put them in; they keep their own by default."""
     images: dict[Scale, Limits] = Field(default_factory=dict)
     """Maximum number of images per split at each scale, drawn at random; a smaller draw is part of a larger one."""
 
@@ -227,6 +230,8 @@ class Evaluation(Strict):
     few objects."""
     list_iou: float = Field(0.3, gt=0, le=1)
     """Least overlap with an object to be listed as found."""
+    by_body: bool = False
+    """Give AP by the size of what the pictures show of the objects, too."""
 
 
 class Comparison(Strict):
@@ -282,6 +287,8 @@ class Table(Strict):
     of the paper."""
     note: str = ""
     """Text below the table."""
+    columns: tuple[Metric, ...] = ("p", "r", "map50", "map50_95")
+    """Figures to show."""
     rows: tuple[Row, ...] = Field(min_length=1)
     """Rows."""
 

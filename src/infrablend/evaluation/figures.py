@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.evaluation.coco import coco_precisions
+from infrablend.evaluation.detections import FloatArray
 from infrablend.evaluation.matching import SIZE_BINS, ClassMatches, match_all, overlaps
 from infrablend.evaluation.precision import (
     MEASURES,
@@ -23,18 +24,29 @@ from infrablend.evaluation.precision import (
     operating_point,
     precision_by_recall,
 )
+from infrablend.evaluation.targets import (
+    BODY_BINS,
+    FOUND_IOU,
+    as_one_class,
+    false_alarms,
+    found_and_named,
+    sizes_by_body,
+    target_shares,
+)
 from infrablend.evaluation.truth import Case
 
 # Least overlap of a match in the confusion matrix.
 CONFUSION_IOU = 0.5
 PITCH_EDGES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 ALTITUDE_EDGES_M = (0.0, 20.0, 40.0, 60.0, 80.0, 100.0, 120.0, 150.0)
+AS_ONE = ("as_one50", "as_one50_95")
+"""Measures of all classes taken as one, in the order of `MEASURES`."""
 # At most this many different values get a bin each.
 _SINGLE_VALUES = 10
 
 
 def figures(
-    case: Case, groups: Sequence[str], draws: int, seed: int
+    case: Case, groups: Sequence[str], draws: int, seed: int, bodies_px: Sequence[FloatArray] | None = None
 ) -> tuple[dict[str, Any], tuple[ClassMatches, ...]]:
     """Return the figures of an evaluation as in `evaluation.json`, and the matches of each class at all sizes.
 
@@ -43,6 +55,7 @@ def figures(
         groups: Group of each image; those of one group are drawn together.
         draws: Number of bootstrap draws; 0 for no intervals.
         seed: Seed of the draws.
+        bodies_px: Sizes of the bodies of the labels on each image, if they are measured.
     """
     names, matches, coco = case.classes, match_all(case), coco_precisions(case)[0]
     ours = np.array([average_precisions(m)[0] for m in matches])
@@ -54,12 +67,25 @@ def figures(
     table = np.array([(np.nanmean(coco[:, 0]), np.nanmean(coco)), *((ap[0], ap.mean()) for ap in coco)])
     rows = _rows(names, len(case.images), matches, table, drawn_figures(matches, weights), groups)
     means = [float(np.mean(of)) for of in zip(*(p for p in points if p is not None), strict=True)]
-    for row, point in zip(rows.values(), [means, *points], strict=True):
+    one = match_all(as_one_class(case), {"all": SIZE_BINS["all"]})
+    rows["all"] |= _as_one(one, weights, rows["all"]["ci"])
+    targets = found_and_named(case, confidence)
+    alarms = false_alarms(case, {"all": one[0], **dict(zip(names, matches, strict=True))}, confidence)
+    for (name, row), point in zip(rows.items(), [means, *points], strict=True):
         row["p"], row["r"] = point or (None, None)
+        row |= target_shares(targets[name], alarms["classes"].get(name))
+    strata = {"size": _by_size(case, matches, SIZE_BINS, weights, groups)}
+    if bodies_px is not None:
+        of_bodies = match_all(case, {"all": SIZE_BINS["all"], **BODY_BINS}, sizes_by_body(case, bodies_px))
+        strata["body"] = _by_size(case, of_bodies, BODY_BINS, weights, groups)
+    for kind, parts in image_strata(case.images).items():
+        strata[kind] = {name: _stratum(matches, names, which, weights, groups) for name, which in parts.items()}
     metrics = {
         "classes": rows,
         "confidence": confidence,
-        "strata": _strata(case, matches, weights, groups),
+        "strata": strata,
+        "targets": {"iou": FOUND_IOU, "confidence": confidence, "classes": targets},
+        "false_alarms": alarms,
         "confusion": {
             "classes": [*names, "background"],
             "found_by_labelled": matrix.tolist(),
@@ -78,19 +104,31 @@ def figures(
     return metrics, tuple(_at_size(m, 0) for m in matches)
 
 
-def _strata(
-    case: Case, matches: Sequence[ClassMatches], weights: NDArray[Any], groups: Sequence[str]
+def _as_one(
+    one: Sequence[ClassMatches], weights: NDArray[Any], ci: dict[str, list[float] | None] | None
 ) -> dict[str, Any]:
-    names = case.classes
-    strata: dict[str, Any] = {"size": {}}
-    for a, name in enumerate(list(SIZE_BINS)[1:], 1):
+    """Return the AP of all classes as one, and the intervals `ci` with its own if there are any."""
+    once = np.ones((1, weights.shape[1]), np.int32)
+    values, drawn = drawn_figures(one, once)[0, 0], drawn_figures(one, weights)[:, 0]
+    ours = {measure: float(v) for measure, v in zip(AS_ONE, values, strict=True)}
+    return {**ours, "ci": None if ci is None else ci | {m: interval(drawn[:, n]) for n, m in enumerate(AS_ONE)}}
+
+
+def _by_size(
+    case: Case,
+    matches: Sequence[ClassMatches],
+    bins: Iterable[str],
+    weights: NDArray[Any],
+    groups: Sequence[str],
+) -> dict[str, Any]:
+    """Return the strata of the size ranges of some matches: the first holds all sizes, the others are the bins."""
+    strata = {}
+    for a, name in enumerate([b for b in bins if b != "all"], 1):
         at_size = [_at_size(m, a) for m in matches]
-        stratum = _stratum(at_size, names, np.ones(len(case.images), np.bool_), weights, groups)
+        stratum = _stratum(at_size, case.classes, np.ones(len(case.images), np.bool_), weights, groups)
         # All images are evaluated for each size; the count covers those with an object of this size.
         stratum["classes"]["all"]["images"] = int(np.any([m.objects[a] > 0 for m in matches], axis=0).sum())
-        strata["size"][name] = stratum
-    for kind, parts in image_strata(case.images).items():
-        strata[kind] = {name: _stratum(matches, names, which, weights, groups) for name, which in parts.items()}
+        strata[name] = stratum
     return strata
 
 

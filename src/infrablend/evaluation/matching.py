@@ -9,7 +9,7 @@ Boxes, oriented boxes and masks overlap by their intersection over their union.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -51,24 +51,36 @@ class ClassMatches:
     objects: NDArray[np.int32]
 
 
-def match_all(case: Case, bins: Mapping[str, tuple[float, float]] = SIZE_BINS) -> tuple[ClassMatches, ...]:
-    """Match the detections of every class on every image, in each range of sizes."""
+def match_all(
+    case: Case,
+    bins: Mapping[str, tuple[float, float]] = SIZE_BINS,
+    sizes_px: Sequence[tuple[FloatArray, FloatArray]] | None = None,
+) -> tuple[ClassMatches, ...]:
+    """Match the detections of every class on every image, in each range of sizes.
+
+    Args:
+        case: Labels and detections.
+        bins: Half-open ranges of sizes, px.
+        sizes_px: Sizes of the labels and of the detections on each image; their longer sides by default.
+    """
     ranges = np.array(list(bins.values()), np.float64)
     classes, a, t = range(len(case.classes)), len(ranges), len(IOUS)
     objects = np.zeros((len(classes), a, len(case.labels)), np.int32)
     none = np.zeros((a, t, 0), np.bool_)
     gathered = [[(np.zeros(0), np.zeros(0, np.int32), none, none)] for _ in classes]
     for number, (truth, found) in enumerate(zip(case.labels, case.found, strict=True)):
-        away = truth.ignore[None] | _outside(truth, ranges)  # (a, g)
+        of_labels, of_found = (long_sides(truth), long_sides(found)) if sizes_px is None else sizes_px[number]
+        away = truth.ignore[None] | _outside(of_labels, ranges)  # (a, g)
         for c in classes:
             labels = np.flatnonzero((truth.classes == c) | (truth.classes == -1))
             objects[c, :, number] = (~away[:, labels]).sum(axis=1)
-            of = found.take(np.flatnonzero(found.classes == c))
+            its = np.flatnonzero(found.classes == c)
+            of = found.take(its)
             if not len(of):
                 continue
             part = _part(truth, labels)
             taken, neutral = match_image(overlaps(of, part, case.task), away[:, labels], part.ignore)
-            neutral |= ~taken & _outside(of, ranges)[:, None]
+            neutral |= ~taken & _outside(of_found[its], ranges)[:, None]
             gathered[c].append((of.scores, np.full(len(of), number, np.int32), taken, neutral))
     result = []
     for c in classes:
@@ -78,9 +90,8 @@ def match_all(case: Case, bins: Mapping[str, tuple[float, float]] = SIZE_BINS) -
     return tuple(result)
 
 
-def _outside(of: Truth | Detections, ranges: FloatArray) -> BoolArray:
-    sizes = long_sides(of)
-    return np.asarray((sizes < ranges[:, :1]) | (sizes >= ranges[:, 1:]))
+def _outside(sizes_px: FloatArray, ranges: FloatArray) -> BoolArray:
+    return np.asarray((sizes_px < ranges[:, :1]) | (sizes_px >= ranges[:, 1:]))
 
 
 def match_image(overlap: FloatArray, away: BoolArray, region: BoolArray) -> tuple[BoolArray, BoolArray]:

@@ -12,14 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import Contrast
-from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.dataset import Instance
-from infrablend.core.rings import ring_window
+from infrablend.core.outline import region_beyond_half
 from infrablend.core.rng import stream
 from infrablend.realism.contrasts import ObjectContrast
 from infrablend.realism.features import Picture
@@ -90,23 +88,9 @@ def visible_extent(
     other_end = min(contrast.high - contrast.ring, contrast.ring - contrast.low)  # below 0 if both are on one side
     if contrast.change < MIN_CHANGE or other_end > MAX_OTHER_END * contrast.change:
         return None
-    left, top, right, bottom = pixel_box(instance.box_xyxy, picture.shape)
-    window = ring_window(instance.box_xyxy, picture.shape)
-    x0, y0, x1, y1 = window
-    beyond = ((picture[y0:y1, x0:x1] - contrast.ring) / contrast.signed > 0.5).astype(np.uint8)
-    others = boxes_mask((o.box_xyxy for o in labels if o is not instance), picture.shape, window)
-    own = (slice(top - y0, bottom - y0), slice(left - x0, right - x0))
-    others[own] = False
-    beyond[others] = 0
-    _, regions, facts, _ = cv2.connectedComponentsWithStats(beyond, connectivity=8)
-    inside = np.bincount(regions[own].ravel(), minlength=len(facts))
-    inside[0] = 0
-    if not inside.any():
-        return None
-    x, y, w, h = (int(v) for v in facts[int(np.argmax(inside)), :4])
-    if x == 0 or y == 0 or x + w == beyond.shape[1] or y + h == beyond.shape[0]:
-        return None
-    return float(w), float(h)
+    boxes = [o.box_xyxy for o in labels]
+    region = region_beyond_half(picture, instance.box_xyxy, boxes, contrast.ring, contrast.signed)
+    return None if region is None else (float(region.shape[1]), float(region.shape[0]))
 
 
 def box_extent(

@@ -14,8 +14,10 @@ COLUMNS = ("images", "instances", "p", "r", "map50", "map50_95")
 HEAD = ("class", "images", "instances", "P", "R", "mAP50", "mAP50-95")
 _COLOURS = ("#1b1b1b", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#9a9a9a")
 FOUND_HEAD = ("image", "class", "box, px", "rank", "score", "IoU")
+TARGET_HEAD = ("class", "objects", "found", "named", "others called")
 STRATA = {
     "size": "longer side, px",
+    "body": "longer side of the body, px",
     "pitch": "pitch, degrees below the horizon",
     "altitude": "altitude, m",
     "time": "time of day",
@@ -46,6 +48,42 @@ def found_title(listed: Mapping[str, Any]) -> str:
     """Return how many objects are among the first detections, in words."""
     among = f"the {listed['detections']} detections with the highest scores"
     return f"{listed['found']} of {len(listed['objects'])} objects are among {among} (IoU at least {listed['iou']:g})"
+
+
+def as_one_text(row: Mapping[str, Any]) -> str:
+    """Return the AP of all classes taken as one, in words, from the row `all`."""
+    return f"All classes as one: AP50 {decimals(row['as_one50'])}, AP50-95 {decimals(row['as_one50_95'])}"
+
+
+def target_title(targets: Mapping[str, Any]) -> str:
+    """Return what counts as found, in words."""
+    return f"Objects found by any class (IoU at least {targets['iou']:g}, confidence {decimals(targets['confidence'])})"
+
+
+def target_rows(targets: Mapping[str, Any]) -> list[list[str]]:
+    """Return numbers of objects found and named as text, and what the found ones of other names are called."""
+    rows = []
+    for name, of in targets["classes"].items():
+        others = {n: k for n, k in of["called"].items() if n != name} if name != "all" else {}
+        called = ", ".join(f"{n} {k}" for n, k in others.items())
+        if of["objects"]:
+            rows.append([name, *(decimals(of[k]) for k in ("objects", "found", "named")), called])
+    return rows
+
+
+def alarm_title(alarms: Mapping[str, Any]) -> str:
+    """Return what false alarms are counted on, in words."""
+    return f"False alarms a picture on {alarms['pictures']} pictures without objects of these classes"
+
+
+def alarm_table(alarms: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of the false alarms a picture by class: at the confidence of P and R, and at each recall."""
+    levels = list(alarms["classes"]["all"]["at_recall"])
+    rows = [
+        [name, decimals(of["per_picture"]), *(decimals(at and at["per_picture"]) for at in of["at_recall"].values())]
+        for name, of in alarms["classes"].items()
+    ]
+    return ["class", "as P and R", *(f"recall {level}" for level in levels)], rows
 
 
 # -- plots
@@ -141,6 +179,11 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
             [*row, class_interval(classes[row[0]]["ci"], "map50"), class_interval(classes[row[0]]["ci"], "map50_95")]
             for row in table_rows(classes)
         ],
+        as_one=as_one_text(classes["all"]),
+        targets=(target_title(facts["targets"]), list(TARGET_HEAD), target_rows(facts["targets"])),
+        alarms=(alarm_title(facts["false_alarms"]), *alarm_table(facts["false_alarms"]))
+        if facts["false_alarms"]["pictures"]
+        else None,
         ultralytics_rows=table_rows(facts["ultralytics"] or {}),
         paired_rows=_paired_rows(paired["classes"]) if paired else [],
         strata=[

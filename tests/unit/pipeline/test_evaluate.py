@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from infrablend import api
@@ -117,7 +118,7 @@ def test_written_files(charts: None, saved: Path, tmp_path: Path) -> None:
     assert low < table["Person"]["map50"] < high
     assert table["OtherVehicle"] == {
         "images": 0, "instances": 0, "p": None, "r": None, "map50": None, "map50_95": None,
-        "ci": None,
+        "ci": None, "found": None, "named": None, "false_alarms": None,
     }  # fmt: skip
     assert report.metrics["ultralytics"] is None
     codes = {p.code for p in report.problems}
@@ -149,6 +150,34 @@ def test_objects_found_and_missed_are_listed_on_request(saved: Path, tmp_path: P
     assert "Objects found and missed" not in (tmp_path / "plain" / "evaluation.html").read_text()
     with pytest.raises(DatasetError, match="list_iou"):
         EvaluationSettings(list_iou=0)
+
+
+def test_bodies_are_measured_in_the_pictures_on_request(charts: None, tmp_path: Path) -> None:
+    """A cold object of 3 px, a warm one of 6 px and none in a 16-bit picture; the third picture is lost."""
+    images = []
+    for k, box in enumerate(([15.0, 15, 30, 30], [55.0, 55, 70, 70], [15.0, 15, 30, 30])):
+        path = tmp_path / f"{k}.png"
+        pixels = np.full((512, 640), 100, np.uint8) if k == 0 else np.full((512, 640), 30000, np.uint16)
+        pixels[20:23, 20:22] -= 60
+        pixels[60:64, 60:66] += 90
+        Image.fromarray(pixels).save(path)
+        objects = (Instance("Person", np.array(box)), Instance("Car", np.array([80.0, 10, 90, 20])))
+        images.append(ImageRecord(str(k), path, "test", (640, 512), objects[: 2 if k else 1]))
+    (tmp_path / "2.png").unlink()
+    dataset = Dataset(tmp_path, "coco", CATEGORIES, tuple(images))
+    found = write_predictions(tmp_path / "found.json", found_on(dataset))
+    report = run(found, tmp_path / "out", dataset, by_body=True, bootstrap=0)
+    bins = {n: of["classes"]["Person"]["instances"] for n, of in report.metrics["strata"]["body"].items()}
+    assert bins == {"2-4": 1, "4-8": 1, "8-14": 0, "14-30": 0, ">=30": 0}
+    assert report.metrics["counts"]["bodies_not_measured"] == 3
+    assert report.metrics["counts"]["bodies_below_2_px"] == 0
+    said = [p.found for p in report.problems]
+    assert "0 objects with a body below 2 px and 3 without a measurable one are in no bin of the body" in said
+    assert "pictures that cannot be read, so that the bodies in them are not measured: 1; 2.png: no such file" in said
+    page = (tmp_path / "out" / "evaluation.html").read_text()
+    assert "By longer side of the body, px" in page
+    assert "All classes as one: AP50" in page
+    assert "body" not in run(found, tmp_path / "again", dataset, bootstrap=0).metrics["strata"]
 
 
 def test_repeated_evaluations_and_saved_detections_give_the_same_bytes(
@@ -544,6 +573,8 @@ def test_the_command(tmp_path: Path, write_tiny_hit_uav) -> None:
     row = next(line.split() for line in done.stdout.splitlines() if line.startswith("OtherVehicle"))
     assert row[1:3] == ["1", "1"]
     assert row[5] == "1.000"
+    assert "All classes as one: AP50 1.000" in done.stdout
+    assert "Objects found by any class (IoU at least 0.1" in done.stdout
     again = CliRunner().invoke(build_app(), arguments)
     assert again.exit_code == 2
     assert "--overwrite" in again.stderr

@@ -98,8 +98,9 @@ class Bench:
         value = round(worth / 100, 6)
         of_all = {"p": value, "r": value, "map50": value, "map50_95": value / 2}
         ci = {"map50": [value - 0.01, value + 0.01], "map50_95": [value / 2 - 0.01, value / 2 + 0.01]}
+        targets = {"as_one50": 0.75, "found": 0.9, "named": 0.625, "false_alarms": 2.5}
         table = {
-            n: {"images": len(images), "instances": 1, **of_all, "ci": ci}
+            n: {"images": len(images), "instances": 1, **of_all, **targets, "ci": ci}
             for n in ("all", *(c for c in names if c.casefold() in {x.casefold() for x in chosen}))
         }
         metrics = {
@@ -259,6 +260,29 @@ def test_the_page_lists_objects_found_and_missed(bench: Bench, data: Path, tmp_p
     assert "1 of 2 objects are among the 7 detections with the highest scores (IoU at least 0.3)." in page
     assert "| test/a | Car | 1, 2, 3, 4 | 1 | 0.900 | 0.50 |" in page
     assert "| test/a | Car | 5, 6, 7, 8 | missed |  |  |" in page
+
+
+def test_tables_and_ratios_take_figures_of_small_targets(bench: Bench, data: Path, tmp_path: Path) -> None:
+    path = tmp_path / "few.yaml"
+    path.write_text(
+        HEAD + "trainings: {t: {data: hit-uav}}\n"
+        "evaluations: {plain: {training: t, data: hit-uav}, bodies: {training: t, data: hit-uav, by_body: true}}\n"
+        "tables:\n"
+        "  - {title: Plain, evaluation: plain, rows: [{title: first, paper: {p: 0.5}}]}\n"
+        "  - title: Small\n"
+        "    columns: [as_one50, found, named, false_alarms]\n"
+        "    rows: [{title: second, evaluation: plain}]\n"
+        "checks:\n"
+        "  - {text: c, ratio: [plain, bodies], metric: found, expect: at_least, least: 0.8}\n"
+    )
+    report = run(str(path), data, tmp_path / "w")
+    page = report.page.read_text("utf-8")
+    assert "| Images | Instances | P | R | mAP50 | mAP50-95 |" in page
+    head = "AP50, classes as one | found | named of found | false alarms a picture at recall 0.8 |"
+    assert head in page
+    assert "| 0.750 | 0.900 | 0.625 | 2.500 |" in page
+    assert "| all, found |" in page and "1.000 = 0.900 / 0.900" in page
+    assert len(bench.evaluated) == 2  # other settings are another stage
 
 
 def test_run_writes_a_page_and_repeating_it_does_nothing(bench: Bench, data: Path, tmp_path: Path) -> None:

@@ -17,8 +17,9 @@ from infrablend.pipeline.datasets.convert import convert_dataset
 from infrablend.pipeline.experiments.dataset_facts import read_dataset
 from infrablend.pipeline.experiments.makers import draw_images, merge_datasets
 from infrablend.pipeline.experiments.pasting import Paster, cut_objects
-from infrablend.pipeline.experiments.prepare import assign_folders
+from infrablend.pipeline.experiments.prepare import assign_folders, prepare_experiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
+from infrablend.pipeline.experiments.run import run_experiment
 from infrablend.world.sky_pictures import write_sky_pictures
 
 BIRDS, DRONES = ("airplane", "bird", "helicopter"), ("drone",)
@@ -56,6 +57,29 @@ def test_merged_images_keep_labels_splits_and_unique_names(birds: Path, drones: 
             same = by_name[image.split, f"{name}/{image.name}"]
             assert [o.category for o in same.instances] == [o.category for o in image.instances]
             assert same.path.read_bytes() == image.path.read_bytes()
+
+
+def test_merged_images_can_be_put_in_another_split(birds: Path, drones: Path, tmp_path: Path) -> None:
+    """Birds of the splits train and val, in which no drone is looked for, beside the test pictures of drones."""
+    mine = tmp_path / "both.yaml"
+    mine.write_text(
+        "name: both\ntitle: t\ndescription: d\n"
+        "sources: {drones: {format: coco, title: D}, birds: {format: coco, title: B}}\n"
+        "data:\n  both:\n    kind: merge\n"
+        "    parts: [{of: drones, splits: [test]}, {of: birds, splits: [train, val], into: test}]\n"
+        "facts: [{title: Both, data: [both]}]\n"
+    )
+    request = ExperimentRequest(
+        str(mine), [f"drones={drones}", f"birds={birds}"], tmp_path / "work", results=tmp_path / "results"
+    )
+    planned = {s["stage"]: s["images"] for s in plan_experiment(request).facts["stages"]}
+    run_experiment(prepare_experiment(request))
+    (out,) = (tmp_path / "work" / "merge").glob("*/out")
+    images = read_dataset(out).images
+    assert {i.split for i in images} == {"test"}
+    assert len(images) == planned["merge:both"] == 1 + 6 + 1
+    assert sum(any(o.category == "drone" for o in i.instances) for i in images) == 1
+    assert {i.name.rpartition("/")[0] for i in images} == {"drones", "birds/train", "birds/val"}
 
 
 def test_classes_of_one_name_are_one_and_ids_stay_unique() -> None:

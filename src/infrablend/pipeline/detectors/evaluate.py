@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.files import write_bytes, write_text
@@ -18,9 +20,10 @@ from infrablend.core.workspace import replacing, workspace
 from infrablend.errors import DatasetError, ModelError, Problem
 from infrablend.evaluation.coco import MAX_DETECTIONS
 from infrablend.evaluation.comparison import StoredMatches, paired_facts, read_evaluation, require_same, write_matches
-from infrablend.evaluation.detections import MATCHES, RECORD, write_predictions
+from infrablend.evaluation.detections import MATCHES, RECORD, FloatArray, write_predictions
 from infrablend.evaluation.figures import figures, list_found
 from infrablend.evaluation.precision import LEVEL
+from infrablend.evaluation.targets import BODY_BINS, NO_BODY_PX, body_sizes
 from infrablend.evaluation.truth import (
     Case,
     Truth,
@@ -34,6 +37,7 @@ from infrablend.evaluation.truth import (
 from infrablend.formats.base import SPLIT_FOLDERS, shorten
 from infrablend.formats.capture import facts_from_name
 from infrablend.formats.groups import GROUPINGS, background_stem, group_images
+from infrablend.formats.images import load_background
 from infrablend.formats.pictures import with_sizes
 from infrablend.pipeline.detectors.detection_source import PREDICTIONS, DetectionSource, choose_task
 from infrablend.pipeline.detectors.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
@@ -123,7 +127,8 @@ def evaluate_detector(
         counts |= {"detections_of_other_classes": foreign} if foreign else {}
         if settings.list_first:
             facts["first_detections"] = list_found(case, settings.list_first, settings.list_iou)
-        metrics, matches = figures(case, groups, settings.bootstrap, settings.seed)
+        bodies = measure_bodies(case, counts, problems) if settings.by_body else None
+        metrics, matches = figures(case, groups, settings.bootstrap, settings.seed, bodies)
         stored = StoredMatches(case.classes, matches, groups)
         problems += _detection_warnings(metrics["classes"], counts["detections"])
         facts |= metrics
@@ -280,6 +285,32 @@ def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
 
 
 # -- figures ---------------------------------------------------------------------------------------------------
+
+
+def measure_bodies(case: Case, counts: dict[str, int], problems: list[Problem]) -> list[FloatArray]:
+    """Return the sizes of the bodies of the labels on each image, px; append those without one to `problems`."""
+    found, unread = [], []
+    for image, truth in zip(case.images, case.labels, strict=True):
+        sizes = np.full(len(truth.ignore), NO_BODY_PX)
+        if not truth.ignore.all():
+            try:
+                sizes = body_sizes(load_background(image.path, truth.size_wh).pixels, truth)
+            except DatasetError as error:
+                unread.append(f"{image.name}: {error.problems[0].found}")
+        found.append(sizes)
+    of = np.concatenate([sizes[~t.ignore] for sizes, t in zip(found, case.labels, strict=True)])
+    left = {
+        "bodies_below_2_px": int(((of != NO_BODY_PX) & (of < BODY_BINS["2-4"][0])).sum()),
+        "bodies_not_measured": int((of == NO_BODY_PX).sum()),
+    }
+    counts |= left
+    if any(left.values()):
+        text = "{} objects with a body below 2 px and {} without a measurable one are in no bin of the body"
+        problems.append(Problem("labels", "bodies", text.format(*left.values()), severity="warning"))
+    if unread:
+        text = f"pictures that cannot be read, so that the bodies in them are not measured: {len(unread)}; {unread[0]}"
+        problems.append(Problem("labels", "bodies-unread", text, severity="warning"))
+    return found
 
 
 def _detection_warnings(table: Mapping[str, Mapping[str, Any]], detections: int) -> list[Problem]:

@@ -29,6 +29,7 @@ class EvaluationSettings:
         seed: Seed of the draws.
         list_first: List which objects are found among the N detections with the highest scores; 0: no list.
         list_iou: Least overlap to be listed as found.
+        by_body: Measure what the pictures show of the objects, and give AP by its size from 2 px.
 
     Raises:
         ArgumentError: `classes` is no list of names.
@@ -45,6 +46,7 @@ class EvaluationSettings:
     seed: int = 0
     list_first: int = 0
     list_iou: float = 0.3
+    by_body: bool = False
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)

@@ -260,6 +260,8 @@ class _Builder:
         }
         if spec.list_first is not None:
             inputs |= {"list_first": spec.list_first, "list_iou": spec.list_iou}
+        if spec.by_body:
+            inputs["by_body"] = True
         needs = {"training": f"train:{spec.training}", "data": self.made_by[spec.data]}
         images = self.stages[self.made_by[spec.data]].images
         used = {str(s): n for s, n in images.items() if s == spec.split}
@@ -332,8 +334,10 @@ def _merge_inputs(spec: Merge, images: ImagesByRole, request: ExperimentRequest)
     parts, made = [], Counter[str]()
     for part, of_part in zip(spec.parts, images.values(), strict=True):
         limits = _at_scale(part.images, request)
-        parts.append({"name": part.of, "splits": list(part.splits), "images": limits})
-        made.update(_limited({s: of_part[s] for s in part.splits if s in of_part}, limits))
+        moved = {} if part.into is None else {"into": part.into}
+        parts.append({"name": part.of, "splits": list(part.splits), "images": limits, **moved})
+        for split, n in _limited({s: of_part[s] for s in part.splits if s in of_part}, limits).items():
+            made[part.into or split] += n
     return {"parts": parts, "seed": request.seed + spec.reseed}, dict(made)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from infrablend.annotation.looseness import Looseness, loosened_counts
 from infrablend.config.experiment import Convert, Evaluation, Generate, Merge, Resplit, Training
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Split
 from infrablend.core.tasks import paced
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.evaluation.comparison import compare_evaluations
@@ -135,8 +135,8 @@ def _make_merge(job: StageJob) -> dict[str, Any]:
         source = job.needs[f"part{k}"]
         dataset = read_dataset(source.dataset, options=source.reader_options)
         images = [i for i in dataset.images if i.split in part.splits]
-        dataset = replace(dataset, images=tuple(images))
-        parts.append((part.of, draw_images(dataset, asked["images"], job.stage.inputs["seed"])))
+        drawn = draw_images(replace(dataset, images=tuple(images)), asked["images"], job.stage.inputs["seed"])
+        parts.append((part.of, drawn if part.into is None else move_images(drawn, part.into)))
     merged = merge_datasets(parts)
     if not merged.images:
         names = ", ".join(name for name, _ in parts)
@@ -155,6 +155,12 @@ def draw_images(dataset: Dataset, limits: Mapping[str, int], seed: int) -> Datas
         drawn = of_split if n >= len(of_split.images) else select(of_split, Selection(images=n, seed=seed))[0]
         images += drawn.images
     return replace(dataset, images=tuple(images))
+
+
+def move_images(dataset: Dataset, split: Split) -> Dataset:
+    """Return the dataset with all images in one split, each in a folder named after its own split."""
+    moved = [replace(i, split=split, id=f"{i.split}/{i.id}", file_name=f"{i.split}/{i.name}") for i in dataset.images]
+    return replace(dataset, images=tuple(moved))
 
 
 def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
@@ -241,6 +247,7 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
             seed=job.request.seed,
             list_first=spec.list_first or 0,
             list_iou=spec.list_iou,
+            by_body=spec.by_body,
         ),
         device=job.request.device,
         on_image=paced(job.on_progress),

@@ -18,7 +18,17 @@ from infrablend.pipeline.experiments.stage import FinishedStage, Stage
 Finished = Mapping[str, FinishedStage]
 
 _DATA_KINDS = ("world", "source", "generate", "convert", "split", "merge", "paste")
-_OF_EVALUATION = ("classes", "confidence", "ultralytics", "strata", "counts", "settings", "curves")
+_OF_EVALUATION = (
+    "classes",
+    "confidence",
+    "ultralytics",
+    "strata",
+    "counts",
+    "settings",
+    "curves",
+    "targets",
+    "false_alarms",
+)
 _IF_LISTED = "first_detections"
 _OF_TRAINING = (
     "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
@@ -73,7 +83,12 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
         "evaluations": evaluations,
         "comparisons": comparisons,
         "tables": [
-            {"title": t.title, "note": t.note, "rows": list(_rows(t.rows, t.evaluation, evaluations, graph.left_out))}
+            {
+                "title": t.title,
+                "note": t.note,
+                "columns": t.columns,
+                "rows": list(_rows(t.rows, t.evaluation, evaluations, graph.left_out)),
+            }
             for t in experiment.tables
         ],
         "datasets": [_dataset_row(f, graph, finished) for f in experiment.facts],

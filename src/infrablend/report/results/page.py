@@ -14,7 +14,10 @@ from infrablend.core.dataset import SPLITS
 from infrablend.report.evaluation import FOUND_HEAD, found_rows, found_title
 from infrablend.report.figures import markdown_table, stratum_order
 
-_STRATA = {"size": "longer side, px", "pitch": "camera pitch, °", "altitude": "altitude, m", "time": "time of day"}
+_STRATA = {
+    "size": "longer side, px", "body": "longer side of the body, px", "pitch": "camera pitch, °",
+    "altitude": "altitude, m", "time": "time of day",
+}  # fmt: skip
 _EXPECTED = {
     "below": "whole interval below 0",
     "above": "whole interval above 0",
@@ -34,7 +37,11 @@ _CELLS = (
     "pycocotools with at most 300 detections per image."
 )
 _SMOKE = "A smoke run trains for a few steps only, to test that everything runs, and gives no verdicts."
-METRICS = {"p": "P", "r": "R", "map50": "mAP50", "map50_95": "mAP50-95"}
+METRICS = {
+    "p": "P", "r": "R", "map50": "mAP50", "map50_95": "mAP50-95", "as_one50": "AP50, classes as one",
+    "as_one50_95": "AP50-95, classes as one", "found": "found", "named": "named of found",
+    "false_alarms": "false alarms a picture at recall 0.8",
+}  # fmt: skip
 
 
 def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), stem: str | None = None) -> str:
@@ -59,7 +66,12 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         f"Left out:\n\n{left_out}" if left_out else "",
         f"At other scales only: {elsewhere}." if elsewhere else "",
         # Rows of stages at other scales are left out, and so are tables without any other row.
-        *(b for t in facts["tables"] if t["rows"] for b in (f"## {t['title']}", _figures_table(t["rows"]), t["note"])),
+        *(
+            b
+            for t in facts["tables"]
+            if t["rows"]
+            for b in (f"## {t['title']}", _figures_table(t["rows"], t["columns"]), t["note"])
+        ),
         _CELLS if facts["tables"] else "",
         *_found_lists(evaluations),
         *(["## Datasets", _datasets_table(facts["datasets"])] if facts["datasets"] else []),
@@ -88,7 +100,7 @@ def _unfinished(facts: Mapping[str, Any]) -> str:
     )
 
 
-def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
+def _figures_table(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -> str:
     """Return a table with paper, ours and difference in each cell, without columns that have no figures."""
     shown = [
         k
@@ -99,8 +111,8 @@ def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
     for r in rows:
         ours = r["ours"] or {}
         cells = [r["title"], *(paper_and_ours(r["paper"][k], ours.get(k), ",") for k in shown)]
-        for k in METRICS:
-            cell = paper_and_ours(r["paper"][k], ours.get(k), ".3f")
+        for k in metrics:
+            cell = paper_and_ours(r["paper"].get(k), ours.get(k), ".3f")
             if k in r["difference"]:
                 cell += f" ({r['difference'][k]:+.3f})"
             if interval := (ours.get("ci") or {}).get(k):
@@ -109,7 +121,7 @@ def _figures_table(rows: Sequence[Mapping[str, Any]]) -> str:
                 cell += f" ({extent[0]:.3f} to {extent[1]:.3f})"
             cells.append(cell)
         lines.append(cells)
-    text = markdown_table(["", *(k.capitalize() for k in shown), *METRICS.values()], lines)
+    text = markdown_table(["", *(k.capitalize() for k in shown), *(METRICS[k] for k in metrics)], lines)
     if several := max((len(r.get("means_of", ())) for r in rows), default=0):
         text += f"\n\nRows with a range in round brackets show means of {several} trainings, smallest to largest."
     why = sorted({f"{r['title']}: {r['missing']}" for r in rows if r["missing"]})

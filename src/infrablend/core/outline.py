@@ -1,0 +1,86 @@
+"""What a picture shows of an object: the pixels beyond a share of its contrast against the surroundings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import boxes_mask, pixel_box
+from infrablend.core.masks import row_corners
+from infrablend.core.rings import Levels, ring_levels, ring_window
+
+# Least contrast of the peak, in standard deviations of the ring, as estimated by its middle half.
+_LEAST_PEAK = 4.0
+_STANDARD_PER_QUARTILES = 0.7413
+
+
+def region_beyond_half(
+    picture: Levels,
+    box_xyxy: NDArray[np.float64],
+    boxes: Iterable[NDArray[np.float64]],
+    level: float,
+    contrast: float,
+) -> NDArray[np.bool_] | None:
+    """Return the (h, w) mask, just as large as itself, of an object's pixels beyond half of its contrast.
+
+    Of the connected regions, it is the one that covers most of the box; it may leave the box.
+
+    Args:
+        picture: (h, w) levels.
+        box_xyxy: (4,) box of the object, pixels.
+        boxes: Boxes of all objects; what is in another box but not in this one does not belong to the object.
+        level: Level of the surroundings.
+        contrast: Level of the object less that of the surroundings.
+
+    Returns:
+        The mask; None without any region, or if it runs on into the surroundings.
+    """
+    left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
+    window = ring_window(box_xyxy, picture.shape)
+    x0, y0, x1, y1 = window
+    beyond = ((picture[y0:y1, x0:x1] - level) / contrast > 0.5).astype(np.uint8)
+    foreign = boxes_mask(boxes, picture.shape, window)
+    own = (slice(top - y0, bottom - y0), slice(left - x0, right - x0))
+    foreign[own] = False
+    beyond[foreign] = 0
+    _, regions, facts, _ = cv2.connectedComponentsWithStats(beyond, connectivity=8)
+    inside = np.bincount(regions[own].ravel(), minlength=len(facts))
+    inside[0] = 0
+    if not inside.any():
+        return None
+    number = int(np.argmax(inside))
+    x, y, w, h = (int(v) for v in facts[number, :4])
+    if x == 0 or y == 0 or x + w == beyond.shape[1] or y + h == beyond.shape[0]:
+        return None
+    return np.asarray(regions[y : y + h, x : x + w] == number)
+
+
+def body_size_px(picture: Levels, box_xyxy: NDArray[np.float64], boxes: Sequence[NDArray[np.float64]]) -> float | None:
+    """Return the longer side, px, of the smallest rectangle, turned, around an object's area above half of its peak.
+
+    The peak is the level in the box that differs most from the median of the ring around it, whether warmer or colder.
+
+    Args:
+        picture: (h, w) levels of any unit.
+        box_xyxy: (4,) box, however loose, pixels.
+        boxes: Boxes of all objects.
+
+    Returns:
+        The size, 1 for a single pixel; None if the peak does not stand out from the ring, if the area runs on into the
+        surroundings or the frame's edge, and for boxes outside the picture or without a ring.
+    """
+    ring = ring_levels(picture, box_xyxy, boxes)
+    if ring is None:
+        return None
+    low, level, high = np.percentile(ring, [25, 50, 75])
+    left, top, right, bottom = pixel_box(box_xyxy, picture.shape)
+    change = picture[top:bottom, left:right].astype(np.float64) - level
+    peak = float(change.flat[np.abs(change).argmax()])
+    rounding = 0.0 if picture.dtype.kind == "f" else 12**-0.5
+    if peak == 0 or abs(peak) < _LEAST_PEAK * np.hypot(_STANDARD_PER_QUARTILES * (high - low), rounding):
+        return None
+    region = region_beyond_half(picture, box_xyxy, boxes, float(level), peak)
+    return None if region is None else float(max(cv2.minAreaRect(row_corners(region).astype(np.float32))[1]))
