@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -58,10 +59,25 @@ def region_beyond_half(
     return np.asarray(regions[y : y + h, x : x + w] == number)
 
 
-def body_size_px(picture: Levels, box_xyxy: NDArray[np.float64], boxes: Sequence[NDArray[np.float64]]) -> float | None:
-    """Return the longer side, px, of the smallest rectangle, turned, around an object's area above half of its peak.
+@dataclass(frozen=True)
+class Body:
+    """An object's area above half of its peak.
 
-    The peak is the level in the box that differs most from the median of the ring around it, whether warmer or colder.
+    Attributes:
+        size_px: Longer side of the smallest rectangle, turned, around it; 1 for a single pixel.
+        width_px: Shorter side.
+        fill: Share of the rectangle that it covers.
+        peak: The level in the object's box that differs most from the surroundings, less theirs.
+    """
+
+    size_px: float
+    width_px: float
+    fill: float
+    peak: float
+
+
+def find_body(picture: Levels, box_xyxy: NDArray[np.float64], boxes: Sequence[NDArray[np.float64]]) -> Body | None:
+    """Return the body of an object, warmer or colder than the ring around its box.
 
     Args:
         picture: (h, w) levels of any unit.
@@ -69,8 +85,8 @@ def body_size_px(picture: Levels, box_xyxy: NDArray[np.float64], boxes: Sequence
         boxes: Boxes of all objects.
 
     Returns:
-        The size, 1 for a single pixel; None if the peak does not stand out from the ring, if the area runs on into the
-        surroundings or the frame's edge, and for boxes outside the picture or without a ring.
+        The body; None if the peak does not stand out from the ring, if the area runs on into the surroundings or the
+        frame's edge, and for boxes outside the picture or without a ring.
     """
     ring = ring_levels(picture, box_xyxy, boxes)
     if ring is None:
@@ -83,4 +99,7 @@ def body_size_px(picture: Levels, box_xyxy: NDArray[np.float64], boxes: Sequence
     if peak == 0 or abs(peak) < _LEAST_PEAK * np.hypot(_STANDARD_PER_QUARTILES * (high - low), rounding):
         return None
     region = region_beyond_half(picture, box_xyxy, boxes, float(level), peak)
-    return None if region is None else float(max(cv2.minAreaRect(row_corners(region).astype(np.float32))[1]))
+    if region is None:
+        return None
+    sides = sorted(cv2.minAreaRect(row_corners(region).astype(np.float32))[1])
+    return Body(sides[1], sides[0], float(np.count_nonzero(region)) / (sides[0] * sides[1]), peak)

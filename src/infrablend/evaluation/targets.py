@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.outline import body_size_px
+from infrablend.core.outline import find_body
 from infrablend.core.rings import Levels
 from infrablend.evaluation.detections import Detections, FloatArray, Task
 from infrablend.evaluation.matching import ClassMatches, overlaps
@@ -147,8 +147,8 @@ def body_sizes(picture: Levels, truth: Truth) -> FloatArray:
     boxes = truth.boxes_xyxy[~truth.ignore]
     found = np.full(len(truth.ignore), NO_BODY_PX)
     for k in np.flatnonzero(~truth.ignore):
-        size = body_size_px(picture, truth.boxes_xyxy[k], list(boxes))
-        found[k] = NO_BODY_PX if size is None else size
+        body = find_body(picture, truth.boxes_xyxy[k], list(boxes))
+        found[k] = NO_BODY_PX if body is None else body.size_px
     return found
 
 

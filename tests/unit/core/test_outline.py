@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from infrablend.core.outline import body_size_px
+from infrablend.core.outline import find_body
 from infrablend.core.rng import stream
 
 
@@ -15,6 +15,11 @@ def show(bar_hw: tuple[int, int], change: float) -> np.ndarray:
     picture = 100 + stream(0, "grain").normal(0, 1, (96, 96))
     picture[40 : 40 + bar_hw[0], 40 : 40 + bar_hw[1]] = 100 + change
     return picture
+
+
+def body_size_px(picture, box, boxes):
+    body = find_body(picture, box, boxes)
+    return None if body is None else body.size_px
 
 
 def box_around(bar_hw: tuple[int, int], margin: float) -> np.ndarray:
@@ -40,6 +45,18 @@ def test_the_area_above_half_of_the_peak_is_measured_along_the_object():
     blob = 50 + 100 * np.exp(-((rows - 47.5) ** 2 + (columns - 47.5) ** 2) / (2 * 3.0**2))
     box = np.array([33.0, 33, 62, 62])
     assert body_size_px(np.float32(blob), box, [box]) == pytest.approx(2.355 * 3, abs=1)
+
+
+def test_a_bar_fills_its_rectangle_and_a_cross_does_not():
+    picture, box = show((3, 12), -40), box_around((3, 12), 3)
+    body = find_body(picture, box, [box])
+    assert (body.size_px, body.width_px, body.fill) == pytest.approx((12, 3, 1)) and -45 < body.peak < -37
+    picture[36:47, 45:47] = 60
+    box = np.array([36.0, 33, 56, 50])
+    cross = find_body(picture, box, [box])
+    # The smallest rectangle around a cross may be turned.
+    area = 3 * 12 + 11 * 2 - 3 * 2
+    assert cross.fill == pytest.approx(area / (cross.size_px * cross.width_px)) and cross.fill < 0.6
 
 
 def test_what_does_not_stand_out_or_runs_on_has_no_size():
