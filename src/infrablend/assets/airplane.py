@@ -26,9 +26,9 @@ PARTS: Mapping[str, PartRange] = {
     "wing": part_role("painted", (-2.0, 4.0), "skin over fuel; recovery heating of 1 to 4 K, clear sky above"),
     "tail": part_role("painted", (-2.0, 4.0), "fin and tail plane"),
     "strut": part_role("painted", (-1.0, 2.0), "struts of the wing and fixed landing gear"),
-    "nacelle": part_role("painted", (6.0, 25.0), "cowling around an engine (estimate)"),
+    "nacelle": part_role("painted", (5.0, 20.0), "cowling around an engine (estimate)"),
     "intake": part_role("cavity", (2.0, 12.0), "fan seen through the intake (estimate)"),
-    "exhaust": part_role("oxidised_steel", (120.0, 350.0), "nozzle of a jet or exhaust pipe (estimate)"),
+    "exhaust": part_role("oxidised_steel", (60.0, 250.0), "nozzle of a jet or exhaust pipe (estimate)"),
     "propeller": part_role("painted", (0.0, 6.0), "spinner"),
     **DISC_PARTS,
 }

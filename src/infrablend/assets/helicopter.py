@@ -25,8 +25,8 @@ PARTS: Mapping[str, PartRange] = {
     "boom": part_role("painted", (0.0, 5.0), "tail boom, partly in the exhaust"),
     "fin": part_role("painted", (-1.0, 3.0), "fin, tail plane, shroud of the tail rotor"),
     "gear": part_role("painted", (-1.0, 2.0), "skids or wheels"),
-    "engine": part_role("painted", (12.0, 40.0), "cowling over engines and gearbox (estimate)"),
-    "exhaust": part_role("oxidised_steel", (120.0, 350.0), "exhaust pipes (estimate)"),
+    "engine": part_role("painted", (8.0, 30.0), "cowling over engines and gearbox (estimate)"),
+    "exhaust": part_role("oxidised_steel", (60.0, 250.0), "exhaust pipes (estimate)"),
     "hub": part_role("painted", (4.0, 20.0), "mast and hub above the gearbox (estimate)"),
     "propeller": part_role("painted", (0.0, 4.0), "blades: recovery heating of up to 15 K at the tips, mean over them"),
     **DISC_PARTS,
@@ -179,9 +179,9 @@ def _add_gear(out: Pieces, wheels: bool, ends: tuple[float, float], wide: float,
         return
     y, z = 1.35 * wide, -1.75 * tall
     rail = [(1.0 * rear, y, z), (0.75 * front, y, z), (0.9 * front, y, z + 0.02)]
-    out.add_both_sides("gear", shapes.sweep(rail, 0.006, n=8, round_ends=True))
+    out.add_both_sides("gear", shapes.sweep(rail, 0.0045, n=8, round_ends=True))
     for x in (0.45 * front, 0.55 * rear):
-        out.add_both_sides("gear", shapes.capsule((x, 0.5 * wide, -0.6 * tall), (x, y, z), 0.006, n=8))
+        out.add_both_sides("gear", shapes.capsule((x, 0.5 * wide, -0.6 * tall), (x, y, z), 0.0045, n=8))
 
 
 MODEL = aircraft(
