@@ -70,6 +70,7 @@ def build_airplane(params: Params) -> Mesh:
 
 def build_pieces(p: Params) -> Pieces:
     """Return the closed solids of one airplane in level flight, for a wingspan of 1."""
+    # Wings and tails are shaded flat: renderers differ in smooth normals at their thin trailing edges.
     out = Pieces()
     {"propeller": _add_light, "business-jet": _add_business_jet, "airliner": _add_airliner}[p["kind"]](out, p)
     return out
@@ -96,7 +97,9 @@ def _add_light(out: Pieces, p: Params) -> None:
     out.add("exhaust", shapes.capsule(pipe, (0.16 * length, 0.4 * girth, -1.25 * girth), 0.006, n=8))
     chord, lead, z_wing = 0.145 * float(p["chord"]), 0.10 * length, 1.4 * girth if high else -0.75 * girth
     dihedral = math.radians(float(p["dihedral_deg"]) * (0.4 if high else 1.2))
-    out.add_both_sides("wing", _half(0.5, lead, z_wing, (chord, 0.95 * chord, 0.7 * chord), 0.02, dihedral, 0.13))
+    out.add_both_sides(
+        "wing", _half(0.5, lead, z_wing, (chord, 0.95 * chord, 0.7 * chord), 0.02, dihedral, 0.13), smooth=False
+    )
     gear_z = -2.3 * girth
     if high:
         foot = (0.05 * length, 0.8 * girth, -0.8 * girth)
@@ -116,10 +119,10 @@ def _add_business_jet(out: Pieces, p: Params) -> None:
     chord = 0.165 * float(p["chord"])
     dihedral, sweep = math.radians(float(p["dihedral_deg"])), 0.13 * float(p["sweep"])
     chords = (1.15 * chord, 0.75 * chord, 0.38 * chord)
-    out.add_both_sides("wing", _half(0.5, 0.07 * length, -0.8 * girth, chords, sweep, dihedral, 0.12))
+    out.add_both_sides("wing", _half(0.5, 0.07 * length, -0.8 * girth, chords, sweep, dihedral, 0.12), smooth=False)
     _add_engine(out, (-0.27 * length, 1.62 * girth, 0.5 * girth), 0.033, 0.17)
     pylon = [((-0.21 * length, y, 0.5 * girth), 0.10, 0.10) for y in (0.5 * girth, 1.3 * girth)]
-    out.add_both_sides("tail", shapes.aerofoil(pylon, _UP))
+    out.add_both_sides("tail", shapes.aerofoil(pylon, _UP), smooth=False)
     _add_tail(out, -0.38 * length, 0.7 * girth, half=0.17, chord=0.11, sweep=0.07, fin=0.17, t=True)
 
 
@@ -130,19 +133,21 @@ def _add_airliner(out: Pieces, p: Params) -> None:
     chord = 0.135 * float(p["chord"])
     dihedral, sweep = math.radians(float(p["dihedral_deg"])), 0.25 * float(p["sweep"])
     chords = (1.5 * chord, 0.85 * chord, 0.33 * chord)
-    out.add_both_sides("wing", _half(0.5, 0.14 * length, -0.65 * girth, chords, sweep, dihedral, 0.12))
+    out.add_both_sides("wing", _half(0.5, 0.14 * length, -0.65 * girth, chords, sweep, dihedral, 0.12), smooth=False)
     belly = shapes.ellipsoid((0.16, 0.85 * girth, 0.4 * girth), 16, 8)
     out.add("wing", belly, at=(0.14 * length - 0.1, 0.0, -0.8 * girth))
     y = 0.165
     x, z = 0.14 * length - 2 * y * sweep + 0.02, -0.65 * girth + y * math.tan(dihedral) - 0.045
     _add_engine(out, (x, y, z), 0.033, 0.13)
     out.add_both_sides(
-        "wing", shapes.aerofoil([((x + 0.03, y, z + 0.02), 0.11, 0.1), ((x - 0.02, y, z + 0.055), 0.1, 0.1)], _RIGHT)
+        "wing",
+        shapes.aerofoil([((x + 0.03, y, z + 0.02), 0.11, 0.1), ((x - 0.02, y, z + 0.055), 0.1, 0.1)], _RIGHT),
+        smooth=False,
     )
     lead = 0.14 * length - sweep - 0.005
     top = 0.5 * math.tan(dihedral) - 0.65 * girth
     winglet = [((lead, 0.498, top), 0.3 * chord, 0.08), ((lead - 0.045, 0.507, top + 0.06), 0.13 * chord, 0.08)]
-    out.add_both_sides("wing", shapes.aerofoil(winglet, _RIGHT))
+    out.add_both_sides("wing", shapes.aerofoil(winglet, _RIGHT), smooth=False)
     _add_tail(out, -0.34 * length, 0.8 * girth, half=0.185, chord=0.115, sweep=0.09, fin=0.175, t=False)
 
 
@@ -183,9 +188,11 @@ def _half(
 def _add_tail(out: Pieces, x: float, z: float, *, half: float, chord: float, sweep: float, fin: float, t: bool) -> None:
     """Add a fin whose root begins at x, z and a tail plane, on top of the fin if `t`."""
     ends = [((x + 0.03, 0.0, z - 0.01), 1.35 * chord, 0.09), ((x - 1.1 * sweep, 0.0, z + fin), 0.75 * chord, 0.09)]
-    out.add("tail", shapes.aerofoil(ends, _RIGHT))
+    out.add("tail", shapes.aerofoil(ends, _RIGHT), smooth=False)
     x_plane, z_plane = (x - sweep - 0.005, z + fin) if t else (x - 0.02, z)
-    out.add_both_sides("tail", _half(half, x_plane, z_plane, (chord, 0.8 * chord, 0.5 * chord), sweep, 0.05, 0.09))
+    out.add_both_sides(
+        "tail", _half(half, x_plane, z_plane, (chord, 0.8 * chord, 0.5 * chord), sweep, 0.05, 0.09), smooth=False
+    )
 
 
 def _add_engine(out: Pieces, at: tuple[float, float, float], radius: float, length: float) -> None:
