@@ -4,7 +4,7 @@
     INFRABLEND_REAL_DATA=DIR .venv/bin/python scripts/compare_runs.py 66cd77d
     ... compare_runs.py 66cd77d --recipe hit-uav-cars --sample 40
 
-Backgrounds: HIT-UAV's val split for `hit-uav-*` and `deer-above`, Halmstad's val backgrounds for `drone-sky`, and the
+Backgrounds: HIT-UAV's val split for `hit-uav-*` and `deer-above`, Halmstad's val backgrounds for `drone-sky*`, and the
 virtual world in MONET's layout for `monet-*`. `hit-uav-drone` is written in every label format, the others in YOLO's.
 Runs of the commit are kept in build/compare, with a checkout and its environment. Exits with 1 if a file differs, is
 missing or is new, and says by how much the labels differ.
@@ -57,7 +57,7 @@ def backgrounds(recipe: str, real: Path) -> list[str]:
     """Return the options of `generate` that read the backgrounds for a recipe."""
     if recipe.startswith("monet"):
         return ["--data", str(WORK / "monet")]
-    if recipe == "drone-sky":
+    if recipe.startswith("drone-sky"):
         return ["--data", str(real / "halmstad" / "backgrounds"), "--split", "val"]
     return ["--data", str(real / "hit-uav"), "--split", "val"]
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 # name -> module and name of its ObjectModel; one file per model.
 MODELS = {
+    "airplane": "infrablend.assets.airplane:MODEL",
+    "bird": "infrablend.assets.bird:MODEL",
     "boar": "infrablend.assets.boar:MODEL",
     "camera-quad": "infrablend.assets.camera_quad:MODEL",
     "car": "infrablend.assets.car:MODEL",
@@ -21,6 +23,7 @@ MODELS = {
     "drone": "infrablend.assets.drone:MODEL",
     "drones": "infrablend.assets.drones:MODEL",
     "fixed-wing": "infrablend.assets.fixed_wing:MODEL",
+    "helicopter": "infrablend.assets.helicopter:MODEL",
     "hexacopter": "infrablend.assets.hexacopter:MODEL",
     "person": "infrablend.assets.person:MODEL",
     "racer": "infrablend.assets.racer:MODEL",

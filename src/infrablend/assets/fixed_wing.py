@@ -9,7 +9,7 @@ docs/explanation/models.md.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,30 +130,6 @@ def build_pieces(p: Params) -> Pieces:
 
 # --- surfaces ---------------------------------------------------------------------------------------------------
 
-# Loop around a profile from the leading edge along the top to the trailing edge and back below: share of the chord, and
-# height over the chord in chords, for a thickness of 1.
-_ALONG = np.array([0.0, 0.03, 0.10, 0.25, 0.45, 0.70, 1.0])
-_HALF = np.array([0.0, 0.21, 0.37, 0.49, 0.46, 0.29, 0.02])
-_CAMBER = 0.018
-
-
-def _surface(stations: Sequence[tuple[tuple[float, float, float], float, float]], up: FloatArray) -> Solid:
-    """Return a wing, tail plane or fin.
-
-    Args:
-        stations: (leading edge, chord, thickness share) from the right or lower end to the left or upper one.
-        up: (3,) unit vector across the surface, the direction of its upper side.
-    """
-    s = np.concatenate([_ALONG, _ALONG[-2:0:-1]])
-    half = np.concatenate([_HALF, -_HALF[-2:0:-1]])
-    rings = np.empty((len(stations), len(s), 3))
-    for ring, (lead, chord, thick) in zip(rings, stations, strict=True):
-        height = chord * (thick * half + 4 * _CAMBER * s * (1 - s))
-        ring[:] = np.asarray(lead) + np.outer(-chord * s, (1.0, 0.0, 0.0)) + np.outer(height, up)
-    # Counter-clockwise seen from the left: along the bottom first.
-    return shapes.loft(np.ascontiguousarray(rings[:, ::-1]))
-
-
 _UP = np.array([0.0, 0.0, 1.0])
 _LEFT = np.array([0.0, 1.0, 0.0])
 
@@ -168,7 +144,7 @@ def _wing(lead_x: float, z: float, chords: tuple[float, float], sweep: float, di
         round_off = {0.5: 0.55, 0.485: 0.85}.get(abs(y), 1.0)
         lead = lead_x - sweep * share - 0.25 * chord * (1 - round_off)
         stations.append(((lead, y, z + abs(y) * math.tan(dihedral_rad)), chord * round_off, 0.11))
-    return _surface(stations, _UP)
+    return shapes.aerofoil(stations, _UP)
 
 
 def _add_airframe(out: Pieces, p: Params) -> None:
@@ -248,21 +224,21 @@ def _add_tail(out: Pieces, p: Params, x: float, z: float) -> None:
                 for e, d, c in zip(ends, (0.0, 0.025, 0.035), (chord, 0.8 * chord, 0.6 * chord), strict=True)
             ]
             stations = stations if along[1] > 0 else stations[::-1]
-            out.add("tail", _surface(stations, up))
+            out.add("tail", shapes.aerofoil(stations, up))
         return
     plane_z = z + (0.135 if kind == "t" else 0.004)
     stations = []
     for y in (-1.0, -0.93, 0.0, 0.93, 1.0):
         c = chord * (1 - 0.25 * abs(y)) * (0.65 if abs(y) == 1 else 1.0)
         stations.append(((x + 0.06 - 0.02 * abs(y), y * half, plane_z), c, 0.08))
-    out.add("tail", _surface(stations, _UP))
+    out.add("tail", shapes.aerofoil(stations, _UP))
     for side in (0.16, -0.16) if p["layout"] == "boom" else (0.0,):
         fin = [
             ((x + 0.07, side, z - 0.004), 1.15 * chord, 0.08),
             ((x + 0.03, side, z + 0.12), 0.85 * chord, 0.08),
             ((x + 0.015, side, z + 0.14), 0.6 * chord, 0.08),
         ]
-        out.add("tail", _surface(fin, -_LEFT))
+        out.add("tail", shapes.aerofoil(fin, -_LEFT))
 
 
 def _add_flying_wing(out: Pieces, p: Params) -> None:
@@ -281,7 +257,7 @@ def _add_flying_wing(out: Pieces, p: Params) -> None:
             ((lead_x - sweep - 0.06, side, z + 0.085), 0.6 * tip, 0.07),
             ((lead_x - sweep - 0.075, side, z + 0.10), 0.4 * tip, 0.07),
         ]
-        out.add("tail", _surface(winglet, -_LEFT))
+        out.add("tail", shapes.aerofoil(winglet, -_LEFT))
     x = np.array([lead_x + 0.06, lead_x + 0.04, lead_x - 0.03, lead_x - 0.12, rear + 0.03, rear - 0.005])
     wide = width * np.array([0.25, 0.55, 0.95, 1.0, 0.75, 0.45])
     spine = np.column_stack([x, np.zeros_like(x), np.full_like(x, 0.010)])[::-1]

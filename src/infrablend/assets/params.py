@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -113,11 +113,15 @@ class Number:
         drawn: Range to draw from unless an option sets another.
         allowed: Range that options and parameters may use.
         log: Whether the logarithm is drawn evenly instead of the number; used for sizes.
+        by: Name of a choice that is drawn before and sets the range; empty for none.
+        ranges: Range to draw from for each value of this choice; `drawn` then covers them all.
     """
 
     drawn: Range
     allowed: Range
     log: bool = False
+    by: str = ""
+    ranges: Mapping[str, Range] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -164,7 +168,7 @@ class Dials:
             if isinstance(dial, Choice):
                 params[name] = checks.choose(name, options, dial.values, dial.odds, share)
                 continue
-            low, high = dial.drawn
+            low, high = dial.ranges[params[dial.by]] if dial.by else dial.drawn
             if name in options:
                 low, high = checks.number_range(f"option {name}", options[name], *dial.allowed)
             value = low * (high / low) ** share if dial.log else low + (high - low) * share
@@ -197,4 +201,5 @@ class Dials:
             else:
                 low, high = dial.drawn
                 text[name] = f"a number or [low, high]; by default [{low:g}, {high:g}]"
+                text[name] += f", by {dial.by}" if dial.by else ""
         return text

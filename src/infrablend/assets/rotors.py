@@ -77,7 +77,7 @@ class Propeller:
 
     Attributes:
         radius: Radius of the tips.
-        blades: Number of blades, 2 or 3.
+        blades: Number of blades.
         chord: Factor on the width of the blades.
         spinning: Whether it is drawn as a disc; labels ignore the disc.
     """
@@ -91,7 +91,7 @@ class Propeller:
         """Return the widths of a blade, in radii, at fractions `t` of its radius."""
         wide = np.interp(t, [0.0, 0.12, 0.3, 0.45, 0.8, 1.0], [0.08, 0.11, 0.185, 0.18, 0.125, 0.09])
         wide *= np.sqrt(np.clip(1 - ((t - 0.85) / 0.155).clip(0) ** 2, 0.05, 1))
-        wide *= {2: 1.0, 3: 0.92}[self.blades] * self.chord
+        wide *= (1.0 if self.blades == 2 else 0.92) * self.chord
         return np.asarray(wide)
 
     def blade(self, clockwise: bool) -> Solid:
@@ -281,11 +281,12 @@ def aircraft(
     dials: Dials,
     build: Callable[[Params], Mesh],
     roles: Callable[[Params], Mapping[str, PartRange]],
+    category: str = "drone",
 ) -> ObjectModel:
-    """Return the model of a drone that flies."""
+    """Return the model of an aircraft."""
     return ObjectModel(
         name=name,
-        category="drone",
+        category=category,
         description=description,
         origin="the centre of its bounding box without propellers and antennas",
         stands=False,

@@ -325,6 +325,31 @@ def blade(
     return mirrored(solid, 1) if clockwise else solid
 
 
+# Loop around a profile from the leading edge along the top to the trailing edge and back below: share of the chord, and
+# height over the chord in chords, for a thickness of 1.
+_ALONG = np.array([0.0, 0.03, 0.10, 0.25, 0.45, 0.70, 1.0])
+_HALF = np.array([0.0, 0.21, 0.37, 0.49, 0.46, 0.29, 0.02])
+_CAMBER = 0.018
+
+
+def aerofoil(stations: Sequence[tuple[tuple[float, float, float], float, float]], up: ArrayLike) -> Solid:
+    """Return a wing, tail plane or fin whose chords lie along X.
+
+    Args:
+        stations: (leading edge, chord, thickness share) from the right or lower end to the left or upper one.
+        up: (3,) unit vector across the surface, the direction of its upper side; or (S, 3), one for each station.
+    """
+    s = np.concatenate([_ALONG, _ALONG[-2:0:-1]])
+    half = np.concatenate([_HALF, -_HALF[-2:0:-1]])
+    rings = np.empty((len(stations), len(s), 3))
+    ups = np.broadcast_to(np.asarray(up, np.float64), (len(stations), 3))
+    for ring, (lead, chord, thick), rise in zip(rings, stations, ups, strict=True):
+        height = chord * (thick * half + 4 * _CAMBER * s * (1 - s))
+        ring[:] = np.asarray(lead) + np.outer(-chord * s, (1.0, 0.0, 0.0)) + np.outer(height, rise)
+    # Counter-clockwise seen from the left: along the bottom first.
+    return loft(np.ascontiguousarray(rings[:, ::-1]))
+
+
 def moved(solid: Solid, offset: ArrayLike) -> Solid:
     """Return the solid shifted by (3,) `offset`."""
     return Solid(solid.vertices + np.asarray(offset, np.float64), solid.triangles)

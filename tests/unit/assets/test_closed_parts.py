@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from infrablend.assets import camera_quad, car, drone, fixed_wing, hexacopter, racer
+from infrablend.assets import airplane, bird, camera_quad, car, drone, fixed_wing, helicopter, hexacopter, racer
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.core.rng import stream
 from tests.meshes import check_pieces, check_surface
@@ -15,7 +15,10 @@ from tests.meshes import check_pieces, check_surface
 PIECES: dict[str, Any] = {
     "car": car._build_pieces,
     "drone": lambda p: drone._build_pieces(p).items,
-    **{m.MODEL.name: lambda p, m=m: m.build_pieces(p).items for m in (camera_quad, hexacopter, racer, fixed_wing)},
+    **{
+        m.MODEL.name: lambda p, m=m: m.build_pieces(p).items
+        for m in (airplane, bird, camera_quad, fixed_wing, helicopter, hexacopter, racer)
+    },
 }
 
 
@@ -36,6 +39,8 @@ def test_every_piece_is_closed_and_faces_outward(name: str) -> None:
     for k in range(12):
         params = model.sample(stream(7, name, k), options)
         found = PIECES[name](params)
-        assert len(found) > 20
-        assert sum(len(t) for _, _, t, _ in found) == len(model.build(params).triangles)
+        assert len(found) >= 10
+        mesh = model.build(params)
+        solid = [model.roles(params)[n].opacity == 1 for n in mesh.part_names]
+        assert sum(len(t) for _, _, t, _ in found) == np.array(solid)[mesh.part_of_triangle].sum()
         check_pieces(found)

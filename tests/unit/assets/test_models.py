@@ -25,7 +25,10 @@ DRAWS = {
     "deer": [deer.sample(stream(3, "deer"), {"pose": "walking", "antlers": True})],
     "person": [person.sample(stream(3, "person"), {"pose": "walking", "backpack": True, "top": "coat"})],
 }
-OTHERS = ("boar", "camera-quad", "drones", "fixed-wing", "hexacopter", "racer")
+OTHERS = (
+    "airplane", "bird", "boar", "camera-quad", "drones", "fixed-wing", "helicopter", "hexacopter", "racer"
+)  # fmt: skip
+STANDING = ("boar", "car", "deer", "person")
 DRAWS |= {name: [MODELS[name].sample(stream(7, name, 5), {})] for name in OTHERS}
 BASE["boar"] = DRAWS["boar"][0]
 CACHED_PIECES = {
@@ -41,8 +44,8 @@ def test_the_catalogue_ships_them() -> None:
     assert list_models() == sorted(list_models())
     for name, model in MODELS.items():
         assert load_model(name) is model
-        category = name if name in ("boar", "car", "deer", "person") else "drone"
-        assert (model.name, model.category, model.stands) == (name, category, category != "drone")
+        category = name if name in (*STANDING, "airplane", "bird", "helicopter") else "drone"
+        assert (model.name, model.category, model.stands) == (name, category, name in STANDING)
 
 
 @pytest.mark.parametrize("name", MODELS)

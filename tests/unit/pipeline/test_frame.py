@@ -396,6 +396,24 @@ def test_drones_against_the_sky_are_bright_and_their_contrast_is_recorded(tmp_pa
     assert set(report.counts["contrast_grey"]) == {"labelled", "before placement.min_contrast"}
 
 
+def test_what_is_taken_for_drones_joins_the_classes_of_the_dataset(tmp_path):
+    data, labels = sky_folder(tmp_path / "data", 8), tmp_path / "data" / "annotations.json"
+    images = [{"id": n, "file_name": f"{n}.png", "width": 320, "height": 256} for n in range(8)]
+    known = [{"id": 5, "name": "bird"}, {"id": 7, "name": "drone"}]
+    boxes = [
+        {"id": n, "image_id": n, "category_id": 5, "bbox": [9, 9, 6, 5], "area": 30, "iscrowd": 0} for n in range(8)
+    ]
+    labels.write_text(json.dumps({"images": images, "categories": known, "annotations": boxes}))
+    report = generate(data, tmp_path / "run", "drone-sky-confusers")
+    assert report.ok
+    coco = json.loads((tmp_path / "run" / "coco" / "train.json").read_text())
+    names = {c["id"]: c["name"] for c in coco["categories"]}
+    assert sorted(names.values()) == ["airplane", "bird", "drone", "helicopter"]
+    inserted = [names[a["category_id"]] for a in coco["annotations"] if a["inserted"]]
+    assert set(inserted) == set(names.values()) and len(inserted) < 4 * 8
+    assert {names[a["category_id"]] for a in coco["annotations"] if not a["inserted"]} == {"bird"}
+
+
 def test_every_label_of_a_physical_recipe_is_seen(tmp_path):
     data = folder(tmp_path / "data", {f"{n}.png": Image.fromarray(scenery(k)) for k, n in enumerate(RECORDS)})
     for recipe in ("hit-uav-drone-physical", "hit-uav-people", "hit-uav-cars", "monet-deer-physical"):
