@@ -41,12 +41,13 @@ def write_video(
     if pictures is None:
         pictures = [np.full(SIZE_WH[::-1], 16 + k % 200, np.uint8) for k in range(frames)]
     height, width = pictures[0].shape
+    tick = Fraction(1, RATE if path.suffix == ".avi" else 1000)  # AVI has frames at all ticks
     with av.open(str(path), "w") as out:
         if created:
             out.metadata["creation_time"] = created
         stream = out.add_stream(codec, rate=RATE)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        stream.codec_context.time_base = Fraction(1, 1000)
+        stream.codec_context.time_base = tick
         if codec == "libx264":
             stream.options = {"qp": "0", "x264-params": "log-level=none"}
         for k, luminance in enumerate(pictures):
@@ -56,8 +57,8 @@ def write_video(
                 lines = np.zeros((plane.height, plane.line_size), np.uint8)
                 lines[:, : plane.width] = values
                 plane.update(lines.tobytes())
-            frame.pts = k * 1000 // RATE if times_ms is None else times_ms[k]
-            frame.time_base = Fraction(1, 1000)
+            frame.pts = k * tick.denominator // RATE if times_ms is None else times_ms[k]
+            frame.time_base = tick
             out.mux(stream.encode(frame))
         out.mux(stream.encode())
     return path

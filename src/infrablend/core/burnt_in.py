@@ -1,12 +1,13 @@
 """Finds text, logos and symbols that a camera has written into its pictures.
 
 Glyphs are small, nearly as bright as the brightest level, sharper than any lens, and in rows of equal height. A picture
-with one such row has more marks, which need not be as clear: shorter rows, dimmer glyphs, the outline of a battery.
+with one such row has more marks, which need not be as clear: shorter rows, dimmer glyphs, the outline of a battery, and
+lines of a reticle, bright before what is dark and dark before what is bright.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -39,6 +40,12 @@ _LEAST_MARK_PX = 4
 # Details on a larger share of the picture are its texture.
 _MOST_MARKED = 0.25
 _MARGIN_PX = 2
+# A line of a reticle is along the picture's rows or columns, at most so wide, at least so long, has gaps of at most so
+# many px, and differs from both sides by this much, 8-bit levels.
+_LINE_PX, _LINE_LONG_PX, _LINE_GAP_PX, _LINE_ABOVE = 3, 32, 5, 30.0
+
+
+_Box = tuple[int, int, int, int]
 
 
 class _Glyph(NamedTuple):
@@ -49,20 +56,23 @@ class _Glyph(NamedTuple):
 
 
 def find_burnt_in(picture: NDArray[np.float32], scale: float = 1.0) -> FloatArray:
-    """Return the (n, 4) boxes around text and other marks in a picture (h, w); none if it has no row of text.
+    """Return the (n, 4) boxes around text and other marks in a picture (h, w); none if it has no row of bright text.
 
     Bright details of the scene may be among the marks of a picture that has text. `scale` is the number of levels per
     8-bit level.
     """
     grey = np.asarray(picture, np.float32) / np.float32(scale)
-    rows = [row for stroke in _STROKES_PX for glyphs in _glyphs(grey, stroke) for row in _rows(glyphs)]
-    boxes = [
-        (min(g.x for g in row), min(g.y for g in row), max(g.x + g.w for g in row), max(g.y + g.h for g in row))
-        for row in rows
-    ]
+    boxes = _text(grey)
     if boxes:
-        level = float(np.median([grey[y0:y1, x0:x1].max() for x0, y0, x1, y1 in boxes]))
-        boxes += _marks(grey, level)
+        # Some cameras write black before what is bright.
+        boxes += _text(-grey)
+        lines = _lines(grey)
+        bands = [(y0, y1) for _, y0, _, y1 in boxes]
+        light, dark = ([image[y0:y1, x0:x1].max() for x0, y0, x1, y1 in boxes] for image in (grey, -grey))
+        boxes += _marks(grey, float(np.median(light)), lines)
+        dark_marks = _marks(-grey, float(np.median(dark)), lines)
+        boxes += [m for m in dark_marks if any(m[1] < y1 and y0 < m[3] for y0, y1 in bands)]
+        boxes += _boxes_of(lines)
     grown = np.array(boxes, np.float64).reshape(-1, 4)
     return np.asarray(grown + np.array([-_MARGIN_PX, -_MARGIN_PX, _MARGIN_PX, _MARGIN_PX]))
 
@@ -112,9 +122,39 @@ def _rows(glyphs: list[_Glyph]) -> list[list[_Glyph]]:
     return [row for row in rows if len(row) >= _LEAST_GLYPHS]
 
 
-def _marks(grey: NDArray[np.float32], text_level: float) -> list[tuple[int, int, int, int]]:
-    """Return boxes around sharp details about as bright as the text, joined to words."""
+def _text(grey: NDArray[np.float32]) -> list[_Box]:
+    """Return the boxes around the rows of glyphs that are brighter than their surroundings."""
+    rows = [row for stroke in _STROKES_PX for glyphs in _glyphs(grey, stroke) for row in _rows(glyphs)]
+    return [
+        (min(g.x for g in row), min(g.y for g in row), max(g.x + g.w for g in row), max(g.y + g.h for g in row))
+        for row in rows
+    ]
+
+
+def _lines(grey: NDArray[np.float32]) -> list[NDArray[np.bool_]]:
+    """Return the (h, w) masks of the horizontal and the vertical lines of a reticle."""
+    found = []
+    for image in (grey, grey.T):
+        apart = np.zeros(image.shape, np.float32)
+        above = image[_LINE_PX:-_LINE_PX] - image[: -2 * _LINE_PX]
+        below = image[_LINE_PX:-_LINE_PX] - image[2 * _LINE_PX :]
+        apart[_LINE_PX:-_LINE_PX] = np.maximum(np.minimum(above, below), np.minimum(-above, -below))
+        sharp = (apart > _LINE_ABOVE).astype(np.uint8)
+        joined = cv2.morphologyEx(sharp, cv2.MORPH_CLOSE, np.ones((1, _LINE_GAP_PX), np.uint8))
+        long = cv2.morphologyEx(joined, cv2.MORPH_OPEN, np.ones((1, _LINE_LONG_PX), np.uint8)).astype(np.bool_)
+        found.append(long)
+    return [found[0], found[1].T]
+
+
+def _boxes_of(lines: Sequence[NDArray[np.bool_]]) -> list[_Box]:
+    return [(g.x, g.y, g.x + g.w, g.y + g.h) for mask in lines for g in _components(mask, mask)]
+
+
+def _marks(grey: NDArray[np.float32], text_level: float, lines: Sequence[NDArray[np.bool_]]) -> list[_Box]:
+    """Return boxes around sharp details about as bright as the text, joined to words, without the lines."""
     above = _above_surroundings(grey, _STROKES_PX[0])
+    for mask in lines:
+        above[mask] = 0
     certain = (above > _ABOVE) & (grey > text_level - _BELOW_TEXT)
     joined = cv2.morphologyEx((above > _EDGE_ABOVE).astype(np.uint8), cv2.MORPH_CLOSE, np.ones((1, _JOIN_PX), np.uint8))
     found = _components(joined.astype(np.bool_), certain)

@@ -188,7 +188,7 @@ FORMATS: tuple[Format, ...] = (
     Format("wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"),
     Format("wit-uas", "WIT-UAS: runs with `.label` files beside the frames"),
     Format("dut-anti-uav", "DUT-Anti-UAV: drones in visible light, VOC labels", written_as="voc"),
-    Format("anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON per sequence", written_as="coco"),
+    Format("anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON or text per sequence", written_as="coco"),
     Format("halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels", written_as="coco"),
     Format("drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes", written_as="dota"),
     Format("visdrone", "VisDrone-DET: people and vehicles in visible light, with regions to ignore", written_as="coco"),

@@ -3,35 +3,44 @@
     [train|val|test/]<sequence>/infrared.mp4   infrared.json   [visible.mp4  visible.json]    Anti-UAV300
     [train|val|test/]<sequence>/IR.mp4         IR_label.json   [RGB.mp4      RGB_label.json]  its first version
     [train|val|test/]<sequence>/000001.jpg ..  IR_label.json                                  Anti-UAV410, Anti-UAV600
+    [train|val|test/]<sequence>.avi            <sequence>.txt   [osd.csv]                     the project's clips
 
-A label file has `exist`, one flag per frame, and `gt_rect`, one box `x, y, width, height` in px per frame, empty or
-zeros where there is no drone. Frames in order of their names, or of the video, are those of the lists. The cameras are
-on the ground and look up.
+A JSON label file has `exist`, one flag per frame, and `gt_rect`, one box `x, y, width, height` in px per frame, empty
+or zeros where there is no drone. A text has one such box per line. Frames in order of their names, or of the video, are
+those of the lists. The cameras are on the ground and look up; `osd.csv` has their field of view and elevation.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import repeat
+from dataclasses import dataclass, replace
+from itertools import islice, repeat
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.capture import Capture
+import numpy as np
+
+from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_list
+from infrablend.core.mesh import FloatArray
+from infrablend.errors import DatasetError
 from infrablend.formats.base import Match, check_splits, option_error, require_options
-from infrablend.formats.box_checks import edges_of_xywh
+from infrablend.formats.box_checks import check_box, edges_of_xywh
+from infrablend.formats.capture import csv_rows, table_of_rows
+from infrablend.formats.paint_out import How
 from infrablend.formats.pictures import is_hidden, is_picture_name
 from infrablend.formats.records import Findings
-from infrablend.formats.values import to_bool, to_floats
+from infrablend.formats.values import to_bool, to_floats, to_number
+from infrablend.formats.video import SUFFIXES
 
 NAME = "anti-uav"
 OPTIONS = {
     "modality": "video to read: ir (the default), rgb or both",
     "every": "step in frames; 1 for folders of pictures and 25 for videos by default",
+    "drones": "keep (the default) the drones in frames of videos, or paint-out: paint over them, and drop their labels",
 }
 CATEGORIES = (Category(0, "drone"),)
 
@@ -46,6 +55,12 @@ _DATE = re.compile(r"(20\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])_", re.ASCII)
 _PICTURE_STEP, _VIDEO_STEP = 1, 25
 
 
+_TEXT, _VIEWS = ".txt", "osd.csv"
+_BETWEEN_NUMBERS = re.compile(r"[\s,;]+")
+_COLUMNS = {"field_of_view_deg": "hfov_deg", "elevation_at_start_deg": "pitch_deg"}
+_PAINTED: Mapping[How, str] = {"other-frames": "painted", "in-part": "painted_in_part", "guessed": "painted_by_guess"}
+
+
 @dataclass(frozen=True)
 class _Sequence:
     """One sequence in one modality: its folder, kind, label file and video (None for pictures)."""
@@ -55,6 +70,14 @@ class _Sequence:
     label: Path
     video: Path | None
     pictures: Path
+
+    @property
+    def name(self) -> str:
+        return self.label.stem if self.label.suffix == _TEXT else self.folder.name
+
+    def split(self, root: Path) -> Split:
+        parts = self.label.relative_to(root).parts[: -1 if self.label.suffix == _TEXT else -2]
+        return next((_SPLITS[p.lower()] for p in parts if p.lower() in _SPLITS), "train")
 
 
 def _sequences(root: Path) -> list[_Sequence]:
@@ -68,7 +91,7 @@ def _sequences(root: Path) -> list[_Sequence]:
             found += here
             deeper += [] if here else _subfolders(folder)
         level = deeper
-    return sorted(found, key=lambda s: (s.folder, s.kind))
+    return sorted(found, key=lambda s: (s.folder, s.kind, s.label))
 
 
 def _subfolders(folder: Path) -> list[Path]:
@@ -85,7 +108,22 @@ def _in_folder(folder: Path) -> list[_Sequence]:
         if label is not None:
             pictures = next((p for n in _FOLDERS[kind] if (p := folder / n).is_dir()), folder)
             found.append(_Sequence(folder, kind, label, video, pictures))
-    return found
+    return found or _clips_in(folder)
+
+
+def _clips_in(folder: Path) -> list[_Sequence]:
+    """Return the videos of a folder that have a text of boxes beside them."""
+    videos = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not is_hidden(p.name))
+    return [
+        _Sequence(folder, "ir", label, video, folder)
+        for video in videos
+        if (label := video.with_suffix(_TEXT)).is_file() and not leaves_folder(label) and not leaves_folder(video)
+    ]
+
+
+def _is_box(line: str) -> bool:
+    """Return whether a line of text has four numbers."""
+    return to_floats(_BETWEEN_NUMBERS.split(line.strip()), 4) is not None
 
 
 def detect(root: Path) -> Match:
@@ -96,10 +134,12 @@ def detect(root: Path) -> Match:
                 start = file.read(1 << 16)
         except OSError:
             continue
-        if b'"exist"' in start or b'"gt_rect"' in start:
+        lines = start.decode("utf-8-sig", "replace").splitlines() if sequence.label.suffix == _TEXT else []
+        if b'"exist"' in start or b'"gt_rect"' in start or any(map(_is_box, lines)):
             where = sequence.label.relative_to(root).as_posix()
             return Match(NAME, True, f"{where} has the boxes of a sequence")
-    return Match(NAME, False, "no infrared.json, IR_label.json, visible.json or RGB_label.json with exist and gt_rect")
+    expected = "infrared.json, IR_label.json, visible.json or RGB_label.json with exist and gt_rect"
+    return Match(NAME, False, f"no {expected}, and no video with a text of four numbers per line")
 
 
 def read(
@@ -109,6 +149,7 @@ def read(
     metadata: Path | None = None,
     modality: str = "ir",
     every: str = "",
+    drones: str = "keep",
 ) -> Dataset:
     """Read frames and boxes of all sequences.
 
@@ -119,17 +160,30 @@ def read(
         DatasetError: An option has a wrong value, or no frame can be read.
         MissingDependencyError: The frames are in videos, and PyAV is not installed.
     """
-    require_options(root, modality=(modality, ("ir", "rgb", "both")))
+    require_options(root, modality=(modality, ("ir", "rgb", "both")), drones=(drones, ("keep", "paint-out")))
     step = step_of(root, every)
     found = Findings(root)
     wanted = check_splits(splits)
     records: list[ImageRecord] = []
-    for sequence in _sequences(root):
-        split = _split(sequence.folder.relative_to(root).parts[:-1])
+    sequences = _sequences(root)
+    views = _views(found, sequences)
+    for sequence in sequences:
+        split = sequence.split(root)
         if split in wanted and modality in (sequence.kind, "both"):
             found.counts["sequences"] += 1
-            records += _read_sequence(found, sequence, split, step)
-    keys = ("sequences", "frames", "objects", "read", "absent", "hidden_boxes", "unlabelled", "without_picture")
+            view = views.get(sequence.label, UNKNOWN)
+            records += _read_sequence(found, sequence, split, step, view, drones == "paint-out")
+    keys: tuple[str, ...] = (
+        "sequences",
+        "frames",
+        "objects",
+        "read",
+        "absent",
+        "hidden_boxes",
+        "unlabelled",
+        "without_picture",
+    )
+    keys += tuple(_PAINTED.values()) if drones == "paint-out" else ()
     notes = {"labels": NAME, "modality": modality, "rows": found.rows(*keys)}
     return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
 
@@ -146,16 +200,56 @@ def step_of(root: Path, every: str) -> int | None:
     return int(text) if text else None
 
 
-def _split(parts: Sequence[str]) -> Split:
-    return next((_SPLITS[p.lower()] for p in parts if p.lower() in _SPLITS), "train")
+def _views(found: Findings, sequences: Sequence[_Sequence]) -> dict[Path, Capture]:
+    """Return field of view and pitch of clips by their label files, from the tables beside them."""
+    clips = [s for s in sequences if s.label.suffix == _TEXT and s.video is not None]
+    views: dict[Path, Capture] = {}
+    for folder in sorted({s.folder for s in clips if (s.folder / _VIEWS).is_file()}):
+        path, here = folder / _VIEWS, [s for s in clips if s.folder == folder]
+        try:
+            rows = [(where, _named(row)) for where, row in csv_rows(path)]
+            table = table_of_rows(path, rows)
+        except DatasetError as error:
+            found.add_all(error.problems, found.place(path))
+            continue
+        found.problems += table.problems
+        found.problems += table.remarks(path, [s.video.name for s in here if s.video is not None])
+        known = {s.label: row for s in here if s.video is not None and (row := table.find(s.video.name))}
+        lacking = ", ".join(s.name for s in here if s.label not in known)
+        if lacking:
+            text = f"no usable row for {lacking}"
+            found.warn(found.place(path), "table-value", text, "field of view and elevation of each clip", "add them")
+        views |= known
+    return views
 
 
-def _read_sequence(found: Findings, sequence: _Sequence, split: Split, step: int | None) -> list[ImageRecord]:
+def _named(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a row with our names of columns; pitch is below the horizon, elevation above it."""
+    named = {_COLUMNS.get(k, k): v for k, v in row.items()}
+    elevation = to_number(named.get("pitch_deg"))
+    return named if elevation is None else {**named, "pitch_deg": -elevation}
+
+
+def _labels(found: Findings, sequence: _Sequence) -> tuple[Any, Any] | None:
+    """Return the boxes and flags in a label file; None, with a problem, if it cannot be read."""
+    if sequence.label.suffix != _TEXT:
+        top = found.json(sequence.label)
+        return None if top is None else (top.get("gt_rect"), top.get("exist"))
+    text = found.text(sequence.label, "a box per line")
+    if text is None:
+        return None
+    cells = [[c for c in _BETWEEN_NUMBERS.split(line) if c] for line in text.splitlines()]
+    return [[] if all(c.lower() == "nan" for c in row) else row for row in cells], None
+
+
+def _read_sequence(
+    found: Findings, sequence: _Sequence, split: Split, step: int | None, view: Capture, paint: bool
+) -> list[ImageRecord]:
     where = found.place(sequence.label)
-    top = found.json(sequence.label)
-    if top is None:
+    labels = _labels(found, sequence)
+    if labels is None:
         return []
-    boxes, exist = top.get("gt_rect"), top.get("exist")
+    boxes, exist = labels
     if not is_list(boxes) or not (exist is None or is_list(exist)):
         expected = "gt_rect, a list of boxes, and exist, a list of flags"
         found.add(where, "annotation-layout", "no list of boxes", expected, "fetch the file again")
@@ -170,7 +264,7 @@ def _read_sequence(found: Findings, sequence: _Sequence, split: Split, step: int
     if total != labelled:
         text = f"{labelled} label(s) for {total} frame(s); the frames or labels without the other are left out"
         found.warn(where, "annotation-length", text, "a label per frame")
-    date = _DATE.match(sequence.folder.name)
+    date = _DATE.match(sequence.name)
     captured = "-".join(date.groups()) if date else None
     extra = {"modality": "visible"} if sequence.kind == "rgb" else {}
     records: list[ImageRecord] = []
@@ -187,10 +281,53 @@ def _read_sequence(found: Findings, sequence: _Sequence, split: Split, step: int
             continue
         found.counts["frames"] += 1
         instances = _instance(found, box, flag, size_wh, here)
-        capture = Capture(sequence=sequence.folder.name, captured=captured, frame=number)
-        name = f"{sequence.folder.name}/{sequence.kind}/{path.name}"
+        capture = replace(view, sequence=sequence.name, captured=captured, frame=number)
+        name = f"{sequence.name}/{sequence.kind}/{path.name}"
         records.append(ImageRecord("", path, split, size_wh, instances, capture, extra=extra, file_name=name))
-    return records
+    return _painted(found, sequence, records, islice(boxes, labelled), exist) if paint else records
+
+
+def _painted(
+    found: Findings, sequence: _Sequence, records: list[ImageRecord], boxes: Iterable[Any], exist: Iterable[Any] | None
+) -> list[ImageRecord]:
+    """Return the records with drones painted over and without labels; those that cannot be painted stay as they are."""
+    wanted = {r.capture.frame: r for r in records if r.instances and r.capture.frame is not None}
+    if not wanted:
+        return records
+    where = found.place(sequence.label)
+    if sequence.video is None or records[0].path.parent == sequence.pictures:
+        text = f"{len(wanted)} drone(s) in a folder of pictures, kept with their labels"
+        found.warn(where, "not-painted", text, "a video, in whose other frames drones are elsewhere")
+        return records
+    size_wh = records[0].size_wh
+    assert size_wh is not None
+    flags = repeat(None) if exist is None else exist
+    shown = [_where(box, flag, size_wh) for box, flag in zip(boxes, flags, strict=False)]
+    painted = found.painted_frames(sequence.video, sorted(wanted), shown) or {}
+    for how, key in _PAINTED.items():
+        count = sum(h == how for _, h in painted.values())
+        found.counts[key] += count
+        if count and how != "other-frames":
+            parts = "the background behind parts of the drone" if how == "in-part" else "where the background is"
+            text = f"{count} drone(s) painted over from what is around them: no other frame shows {parts}"
+            found.warn(where, "painted-by-guess", text, "other frames that show the background behind it")
+    if len(painted) < len(wanted):
+        found.warn(
+            where, "not-painted", f"{len(wanted) - len(painted)} drone(s), kept with their labels", "an intact video"
+        )
+    return [
+        replace(r, path=painted[k][0], instances=()) if (k := r.capture.frame) is not None and k in painted else r
+        for r in records
+    ]
+
+
+def _where(rect: Any, flag: Any, size_wh: tuple[int, int]) -> FloatArray | None:
+    """Return the box of a frame's drone, the whole frame where its label has none to use; None for no drone."""
+    numbers = to_floats(rect, 4)
+    if to_bool(flag) is False or (flag is None and (rect in ([], None) or (numbers is not None and not any(numbers)))):
+        return None
+    box = None if numbers is None else check_box(edges_of_xywh(numbers, None), size_wh, "")[0]
+    return np.array([0, 0, *size_wh], np.float64) if box is None else box
 
 
 def _frames(
@@ -200,7 +337,13 @@ def _frames(
     names = sorted(p for p in sequence.pictures.iterdir() if is_picture_name(p.name) and p.is_file())
     if names or sequence.video is None:
         return {n: names[n] for n in range(0, min(len(names), labelled), step or _PICTURE_STEP)}, len(names)
-    numbers = range(0, labelled, step or _VIDEO_STEP)
+    total = labelled
+    if sequence.label.suffix == _TEXT:
+        counted = found.video_length(sequence.video)
+        if counted is None:
+            return {}, 0
+        total = counted
+    numbers = range(0, min(labelled, total), step or _VIDEO_STEP)
     frames = found.video_frames(sequence.video, numbers)
     if frames is None:
         return {}, 0
@@ -208,7 +351,7 @@ def _frames(
     if lost:
         text = f"{lost} of {len(numbers)} frame(s) that cannot be decoded, left out"
         found.add(found.place(sequence.video), "frames-lost", text, "an intact video", "fetch the file again")
-    return frames, labelled
+    return frames, total
 
 
 def _instance(found: Findings, rect: Any, exist: Any, size_wh: tuple[int, int], where: str) -> tuple[Instance, ...]:

@@ -160,7 +160,11 @@ def read_table(path: Path) -> CaptureTable:
     Raises:
         DatasetError: The file cannot be read, or has no such columns.
     """
-    rows = _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path)
+    return table_of_rows(path, _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path))
+
+
+def table_of_rows(path: Path, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> CaptureTable:
+    """Return the table in rows, each with its place; see `read_table`, also for what is raised."""
     columns = {k for _, row in rows for k in row}
     keys = columns & set(_KEYS)
     facts = columns & FACTS.keys() - ({"sequence"} if keys == {"sequence"} else set())

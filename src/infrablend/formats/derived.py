@@ -1,4 +1,4 @@
-"""Pictures that a reader makes from files of a dataset: frames of videos, and crops.
+"""Pictures that a reader makes from files of a dataset: frames of videos, also without their object, and crops.
 
 They are PNG files in the user's cache folder, made once and found again by the path, size and time of the source. The
 dataset's own folder is never written to.
@@ -7,14 +7,17 @@ dataset's own folder is never written to.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping
+import json
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from infrablend.core.file_names import file_name
 from infrablend.core.files import write_bytes
+from infrablend.core.mesh import FloatArray
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.images import load_background, png_bytes
+from infrablend.formats.paint_out import HOWS, REACH, SAMPLES, STEP, How, Shown, find_written, paint_out
 from infrablend.formats.video import Video
 
 FOLDER = "pictures"
@@ -58,6 +61,49 @@ def video_frames(source: Path, numbers: Collection[int], left: float = 1.0) -> t
                 break
         problems = video.problems()
     return {n: path for n, path in paths.items() if path.is_file()}, problems
+
+
+def painted_frames(
+    source: Path, numbers: Collection[int], boxes: Sequence[FloatArray | None]
+) -> tuple[Mapping[int, tuple[Path, How]], list[Problem]]:
+    """Return the pictures of some frames of a video without their object, see `paint_out`, and the video's faults.
+
+    `boxes` has the object's box in each frame, None for no object. Errors as in `video_frames`.
+    """
+    rows = [[-1.0] if b is None else b.tolist() for b in boxes]
+    folder = derived_folder(source, f"painted {json.dumps(rows)}")
+    made = {
+        n: (path, how) for n in sorted(numbers) for how in HOWS if (path := folder / how / f"{n:06d}.png").is_file()
+    }
+    waiting = [n for n in sorted(numbers) if n not in made]
+    if not waiting:
+        return made, []
+    over_all = {*range(0, len(boxes), max(STEP, len(boxes) // SAMPLES))}
+    with Video(source) as video:
+        samples = {f.number: Shown(f.pixels, boxes[f.number]) for f in video.frames() if f.number in over_all}
+    written = find_written(list(samples.values()))
+
+    def paint(number: int, recent: Mapping[int, Shown]) -> None:
+        near = {k: s for k, s in recent.items() if k % STEP == 0 and abs(k - number) <= REACH} | samples
+        others = [(k - number, near[k]) for k in sorted(near.keys() - {number}, key=lambda k: (abs(k - number), k))]
+        pixels, how = paint_out(recent[number], others, written)
+        made[number] = write_bytes(folder / how / f"{number:06d}.png", png_bytes(pixels, 1)), how
+
+    with Video(source) as video:
+        recent: dict[int, Shown] = {}
+        for frame in video.frames():
+            while waiting and frame.number > waiting[0] + REACH:
+                first = waiting.pop(0)
+                if first in recent:
+                    paint(first, recent)
+                recent = {k: s for k, s in recent.items() if waiting and k >= waiting[0] - REACH}
+            if frame.number < len(boxes) and (frame.number % STEP == 0 or frame.number in waiting):
+                recent[frame.number] = Shown(frame.pixels, boxes[frame.number])
+        for number in waiting:
+            if number in recent:
+                paint(number, recent)
+        problems = video.problems()
+    return made, problems
 
 
 def crop(source: Path, border_px: int) -> Path:

@@ -25,7 +25,6 @@ from infrablend.formats.base import Match, check_splits
 from infrablend.formats.matlab import object_workspace
 from infrablend.formats.records import Findings
 from infrablend.formats.values import to_floats
-from infrablend.formats.video import Video
 
 NAME = "halmstad"
 OPTIONS = {"every": "step in frames; 30 (a second) is the default"}
@@ -127,10 +126,8 @@ def _read_clip(found: Findings, clip: str, path: Path, step: int, decoder: Any) 
         found.problems.append(problem)
         found.counts["undecoded"] += 1
         return []
-    try:
-        total = len(Video(path).timeline.times_s)
-    except DatasetError as error:
-        found.add_all(error.problems, here)
+    total = found.video_length(path)
+    if total is None:
         return []
     frames = found.video_frames(path, range(0, min(total, len(boxes)), step))
     if frames is None:

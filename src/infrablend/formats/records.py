@@ -12,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.mesh import FloatArray
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import derived
 from infrablend.formats.annotation_files import read_json, read_text, read_xml
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.box_checks import check_box
 from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
+from infrablend.formats.paint_out import How
 from infrablend.formats.pictures import assign_ids, read_size
+from infrablend.formats.video import Video
 
 KEEP_OR_DROP = ("keep", "drop")
 LEFT_OUT = "left out"
@@ -108,6 +111,26 @@ class Findings:
         """Return the pictures of a video's frames, see `derived.video_frames`; None, with problems, if unreadable."""
         try:
             frames, problems = derived.video_frames(path, numbers, left)
+        except DatasetError as error:
+            self.add_all(error.problems, self.place(path))
+            return None
+        self.add_all(problems, self.place(path))
+        return frames
+
+    def video_length(self, path: Path) -> int | None:
+        """Return the number of frames of a video; None, with problems, if it is unreadable."""
+        try:
+            return len(Video(path).timeline.times_s)
+        except DatasetError as error:
+            self.add_all(error.problems, self.place(path))
+            return None
+
+    def painted_frames(
+        self, path: Path, numbers: Sequence[int], boxes: Sequence[FloatArray | None]
+    ) -> Mapping[int, tuple[Path, How]] | None:
+        """Return frames without their object, see `derived.painted_frames`; None, with problems, if unreadable."""
+        try:
+            frames, problems = derived.painted_frames(path, numbers, boxes)
         except DatasetError as error:
             self.add_all(error.problems, self.place(path))
             return None

@@ -100,3 +100,36 @@ def test_all_text_is_found_at_any_size(size, level):
         covered[max(y0, 0) : y1, max(x0, 0) : x1] = True
     assert covered[grey > 150].mean() > 0.98
     assert covered.mean() < 0.4
+
+
+def reticle(at=(20, 30)):
+    """Return a bright sky above dark ground with text, bright on one side and black on the other, and lines."""
+    grey = np.random.default_rng(3).normal(90, 3, (256, 320))
+    grey[:, 160:] += 130
+    picture = Image.fromarray(np.clip(grey, 0, 255).astype(np.uint8))
+    pen, font, written = ImageDraw.Draw(picture), ImageFont.load_default(14), Image.new("L", (320, 256))
+    marks = ImageDraw.Draw(written)
+    for xy, text, level in ((at, "AZ 17.54 1.24", 255), ((at[0] + 180, at[1]), "10:18:59", 0)):
+        pen.text(xy, text, fill=level, font=font)
+        marks.text(xy, text, fill=255, font=font)
+    for x, level in ((100, 255), (220, 0)):
+        for box in ((x, 140, x + 40, 141), (x, 140, x + 1, 180)):
+            pen.rectangle(box, fill=level)
+            marks.rectangle(box, fill=255)
+    return np.array(picture, np.float32), np.array(written) > 120
+
+
+@pytest.mark.parametrize("at", [(10, 10), (60, 90), (10, 235)])
+def test_black_text_and_lines_are_found_beside_bright_text(at):
+    grey, written = reticle(at)
+    covered = np.zeros(grey.shape, bool)
+    for x0, y0, x1, y1 in find_burnt_in(grey).astype(int):
+        covered[max(y0, 0) : y1, max(x0, 0) : x1] = True
+    assert covered[written].mean() > 0.98
+    assert not covered[150:175, 110:135].any()  # what the lines enclose is free
+
+
+def test_lines_without_text_are_the_scene():
+    grey, _ = reticle()
+    grey[:60] = 90
+    assert not len(find_burnt_in(grey))
