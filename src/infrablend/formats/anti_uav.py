@@ -308,8 +308,8 @@ def _painted(
         count = sum(h == how for _, h in painted.values())
         found.counts[key] += count
         if count and how != "other-frames":
-            parts = "the background behind parts of the drone" if how == "in-part" else "where the background is"
-            text = f"{count} drone(s) painted over from what is around them: no other frame shows {parts}"
+            shown_there = "all of the background behind them" if how == "in-part" else "the same background"
+            text = f"{count} drone(s) painted over from what is around them: no other frame shows {shown_there}"
             found.warn(where, "painted-by-guess", text, "other frames that show the background behind it")
     if len(painted) < len(wanted):
         found.warn(

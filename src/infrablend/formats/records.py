@@ -134,7 +134,9 @@ class Findings:
         except DatasetError as error:
             self.add_all(error.problems, self.place(path))
             return None
-        self.add_all(problems, self.place(path))
+        # The frames as they are were read before, with the same faults.
+        where, known = self.place(path), {(p.where, p.code) for p in self.problems}
+        self.add_all([p for p in problems if (where, p.code) not in known], where)
         return frames
 
     def dataset(

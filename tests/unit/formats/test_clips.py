@@ -172,6 +172,16 @@ def test_a_clip_that_does_not_decode_costs_only_itself(tmp_path: Path) -> None:
     assert [i.capture.sequence for i in d.images] == ["7"] and "video-unreadable" in codes(d)
 
 
+def test_a_clip_that_ends_early_is_said_once(tmp_path: Path) -> None:
+    root = write_clip(tmp_path)
+    whole = (root / "4.avi").read_bytes()
+    (root / "4.avi").write_bytes(whole[: len(whole) // 2])
+    d = read(root, drones="paint-out")
+    assert 1 <= len(d.images) < 3 and all(i.instances == () for i in d.images)
+    found = codes(d)
+    assert "video-truncated" in found and "annotation-length" in found and len({*found}) == len(found)
+
+
 # -- painted out -------------------------------------------------------------------------------------------------
 
 
