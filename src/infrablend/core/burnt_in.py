@@ -37,8 +37,8 @@ _LEAST_GLYPHS = 4
 _BELOW_TEXT = 60.0
 _JOIN_PX = 9
 _LEAST_MARK_PX = 4
-# Details on a larger share of the picture are its texture.
-_MOST_MARKED = 0.25
+# Details on a larger share of the picture, or more of them, are its texture; clips with text and reticle have up to 70.
+_MOST_MARKED, _MOST_MARKS = 0.25, 200
 _MARGIN_PX = 2
 # A line of a reticle is along the picture's rows or columns, at most so wide, at least so long, has gaps of at most so
 # many px, and differs from both sides by this much, 8-bit levels.
@@ -69,10 +69,10 @@ def find_burnt_in(picture: NDArray[np.float32], scale: float = 1.0) -> FloatArra
         lines = _lines(grey)
         bands = [(y0, y1) for _, y0, _, y1 in boxes]
         light, dark = ([image[y0:y1, x0:x1].max() for x0, y0, x1, y1 in boxes] for image in (grey, -grey))
-        boxes += _marks(grey, float(np.median(light)), lines)
         dark_marks = _marks(-grey, float(np.median(dark)), lines)
-        boxes += [m for m in dark_marks if any(m[1] < y1 and y0 < m[3] for y0, y1 in bands)]
-        boxes += _boxes_of(lines)
+        marks = [m for m in dark_marks if any(m[1] < y1 and y0 < m[3] for y0, y1 in bands)]
+        marks += [*_marks(grey, float(np.median(light)), lines), *_boxes_of(lines)]
+        boxes += marks if len(marks) <= _MOST_MARKS else []
     grown = np.array(boxes, np.float64).reshape(-1, 4)
     return np.asarray(grown + np.array([-_MARGIN_PX, -_MARGIN_PX, _MARGIN_PX, _MARGIN_PX]))
 
