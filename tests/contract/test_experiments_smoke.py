@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from tests.coarse_world import coarse_worlds
+from tests.unit.formats.test_clips import write_clip
 
 from infrablend import api
 from infrablend.config.experiment import list_experiments, load_experiment
@@ -42,6 +43,16 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four clips of a narrow view."""
+    root = tmp_path_factory.mktemp("data") / "clips"
+    names = ("4", "7", "18", "40")
+    for name in names:
+        write_clip(root, f"{name}.avi", rows="".join(f"{n}.avi,0.2,3.0\n" for n in names))
+    return root
+
+
+@pytest.fixture(scope="module")
 def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("work")
 
@@ -50,10 +61,12 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", list_experiments())
 @pytest.mark.filterwarnings("ignore")  # of torch and Ultralytics
 def test_every_experiment_runs_at_the_smoke_scale(
-    name: str, ultralytics: None, world: Path, work: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, ultralytics: None, world: Path, clips: Path, work: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stand_ins = all(s.stand_in is not None for s in load_experiment(name).sources.values())
-    data: list[Path] = [] if stand_ins else [world]
+    sources = load_experiment(name).sources
+    of_clips = [f"{n}={clips}" for n, s in sources.items() if s.format == "anti-uav"]
+    stand_ins = all(s.stand_in is not None for s in sources.values())
+    data: list[Path | str] = [*of_clips] if stand_ins or of_clips else [world]
     request = ExperimentRequest(name, data, work, work / "results", scale="smoke", device="cpu", workers=2)
     report = api.experiment(request)
     assert report.status == "complete"

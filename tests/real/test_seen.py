@@ -56,7 +56,7 @@ def test_drones_are_as_bright_against_the_sky_as_real_ones(tmp_path, real_data: 
         real_data / "halmstad/backgrounds",
         run,
         reading=api.Reading(splits=["val"]),
-        settings=["output.formats=[coco]"],
+        settings=["output.formats=[coco]", "objects.0.count=1"],
         execution=api.Execution(renderer="flat", in_process=True),
     )
     found = records(run)

@@ -160,7 +160,7 @@ def _no_single_source(experiment: Experiment, folder: Path, format: str | None, 
 def _labels_of(experiment: Experiment, source: Source) -> list[str]:
     """Return what tells a source apart from others of its format."""
     alone = [s.format for s in experiment.sources.values()].count(source.format) == 1
-    return [] if alone else [f"labels of {' and '.join(source.classes)}"]
+    return [] if alone or not source.classes else [f"labels of {' and '.join(source.classes)}"]
 
 
 def _missing_folders(experiment: Experiment, given: dict[str, Path]) -> list[Problem]:
