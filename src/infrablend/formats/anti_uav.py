@@ -291,18 +291,23 @@ def _painted(
     found: Findings, sequence: _Sequence, records: list[ImageRecord], boxes: Iterable[Any], exist: Iterable[Any] | None
 ) -> list[ImageRecord]:
     """Return the records with drones painted over and without labels; those that cannot be painted stay as they are."""
+    where = found.place(sequence.label)
+    flags = repeat(None) if exist is None else exist
+    size_wh = records[0].size_wh if records else None
+    shown = [] if size_wh is None else [_where(box, flag, size_wh) for box, flag in zip(boxes, flags, strict=False)]
+    # Without a usable box nobody knows where the drone is: the frame is no background without one.
+    unknown = [r for r in records if not r.instances and shown[r.capture.frame or 0] is not None]
+    if unknown:
+        text = f"{len(unknown)} frame(s) with a drone whose box cannot be used, left out"
+        found.warn(where, "not-painted", text, "a box for every drone")
+        records = [r for r in records if r not in unknown]
     wanted = {r.capture.frame: r for r in records if r.instances and r.capture.frame is not None}
     if not wanted:
         return records
-    where = found.place(sequence.label)
     if sequence.video is None or records[0].path.parent == sequence.pictures:
         text = f"{len(wanted)} drone(s) in a folder of pictures, kept with their labels"
         found.warn(where, "not-painted", text, "a video, in whose other frames drones are elsewhere")
         return records
-    size_wh = records[0].size_wh
-    assert size_wh is not None
-    flags = repeat(None) if exist is None else exist
-    shown = [_where(box, flag, size_wh) for box, flag in zip(boxes, flags, strict=False)]
     painted = found.painted_frames(sequence.video, sorted(wanted), shown) or {}
     for how, key in _PAINTED.items():
         count = sum(h == how for _, h in painted.values())

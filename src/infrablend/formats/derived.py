@@ -97,7 +97,10 @@ def painted_frames(
                 if first in recent:
                     paint(first, recent)
                 recent = {k: s for k, s in recent.items() if waiting and k >= waiting[0] - REACH}
-            if frame.number < len(boxes) and (frame.number % STEP == 0 or frame.number in waiting):
+            if not waiting:
+                break
+            reached = waiting[0] - REACH <= frame.number < len(boxes)
+            if reached and (frame.number % STEP == 0 or frame.number in waiting):
                 recent[frame.number] = Shown(frame.pixels, boxes[frame.number])
         for number in waiting:
             if number in recent:

@@ -21,7 +21,7 @@ from infrablend.core.mesh import FloatArray
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 How = Literal["other-frames", "in-part", "guessed"]
 """Where the pixels come from: from other frames; some from what is around them, as no other frame shows them; all from
-there, as no other frame can be aligned."""
+there, as no other frame can be aligned or shows any of them."""
 
 HOWS: tuple[How, ...] = ("other-frames", "in-part", "guessed")
 
@@ -147,7 +147,9 @@ def paint_out(shown: Shown, others: Iterable[tuple[int, Shown]], written: Writte
     result = shown.pixels.copy()
     top = np.iinfo(result.dtype).max
     result[window] = np.clip(np.rint(frame + share * (painted - frame)), 0, top).astype(result.dtype)
-    return result, "guessed" if not found else "in-part" if missing.any() else "other-frames"
+    if not missing.any():
+        return result, "other-frames" if found else "guessed"
+    return result, "in-part" if (inside & ~written.strokes[window] & ~missing).any() else "guessed"
 
 
 def _window(hole: NDArray[np.bool_]) -> tuple[slice, slice]:

@@ -138,7 +138,8 @@ def split_dataset(
     names = [c.name for c in dataset.categories if not c.ignore]
     of_group: dict[str, Split] = dict.fromkeys(rule.test, "test")
     others = [name for name in groups if name not in of_group]
-    shares = (*wanted[:2], 0.0) if of_group else wanted
+    rest = wanted[0] + wanted[1]
+    shares = (wanted[0] / rest, wanted[1] / rest, 0.0) if of_group else wanted
     chosen = assign_groups(group_weights((groups[n] for n in others), names), shares, seed)
     of_group |= zip(others, (SPLITS[k] for k in chosen), strict=True)
     images = [replace(i, split=of_group[name]) for name, group in groups.items() for i in group]
