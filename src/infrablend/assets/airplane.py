@@ -61,8 +61,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 def build_airplane(params: Params) -> Mesh:
     """Build the mesh of one airplane: origin at the centre of its bounding box without the propeller."""
     DIALS.require(params)
-    climb, bank = (math.radians(float(params[k])) for k in ("climb_deg", "bank_deg"))
-    attitude = shapes.turn_y(-climb) @ shapes.turn_x(bank)
+    attitude = shapes.attitude(float(params["climb_deg"]), float(params["bank_deg"]))
     nose = 0.30 * float(params["length"])
     discs = [d @ _FORWARD.T + (nose, 0.0, 0.0) for d in _propeller(params).discs()]
     return assembled(build_pieces(params), discs, attitude=attitude, size=float(params["size_m"]))

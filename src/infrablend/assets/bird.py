@@ -86,8 +86,7 @@ DIALS = Dials(
 def build_bird(params: Params) -> Mesh:
     """Build the mesh of one bird: origin at the centre of its bounding box."""
     DIALS.require(params)
-    climb, bank = (math.radians(float(params[k])) for k in ("climb_deg", "bank_deg"))
-    attitude = shapes.turn_y(-climb) @ shapes.turn_x(bank)
+    attitude = shapes.attitude(float(params["climb_deg"]), float(params["bank_deg"]))
     return assembled(build_pieces(params), (), attitude=attitude, size=float(params["size_m"]))
 
 

@@ -5,7 +5,6 @@ Each shape is one of the other drone models with certain options, and gives exac
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -89,8 +88,8 @@ def build(params: Params) -> Mesh:
     if not _is_level(shape):
         return mesh
     _CHECKS.complete(params, tuple(TILT_DEG))
-    lean, bank = (math.radians(_CHECKS.number(f"parameter {key}", params[key], -45, 45)) for key in TILT_DEG)
-    turn = shapes.turn_y(lean) @ shapes.turn_x(bank)
+    lean, bank = (_CHECKS.number(f"parameter {key}", params[key], -45, 45) for key in TILT_DEG)
+    turn = shapes.attitude(-lean, bank)
     return replace(mesh, vertices_m=np.ascontiguousarray(mesh.vertices_m @ turn.T))
 
 

@@ -107,8 +107,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 def build_fixed_wing(params: Params) -> Mesh:
     """Build the mesh of one aircraft: origin at the centre of its bounding box without propeller and antennas."""
     DIALS.require(params)
-    climb, bank = (math.radians(float(params[k])) for k in ("climb_deg", "bank_deg"))
-    attitude = shapes.turn_y(-climb) @ shapes.turn_x(bank)
+    attitude = shapes.attitude(float(params["climb_deg"]), float(params["bank_deg"]))
     thrust = _thrust(params)
     discs = [d @ thrust.turn.T + thrust.at for d in _rotor(params).discs()]
     size = float(params["size_m"])

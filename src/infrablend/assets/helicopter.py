@@ -88,8 +88,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 def build_helicopter(params: Params) -> Mesh:
     """Build the mesh of one helicopter: origin at the centre of its bounding box without rotors."""
     DIALS.require(params)
-    lean, bank = (math.radians(float(params[k])) for k in ("lean_deg", "bank_deg"))
-    attitude = shapes.turn_y(lean) @ shapes.turn_x(bank)
+    attitude = shapes.attitude(-float(params["lean_deg"]), float(params["bank_deg"]))
     discs = [d @ turn.T + at for rotor, turn, at in _rotors(params) for d in rotor.discs()]
     return assembled(build_pieces(params), discs, attitude=attitude, size=float(params["size_m"]))
 

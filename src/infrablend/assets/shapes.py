@@ -8,6 +8,7 @@ Lengths are in the unit of the caller, angles in radians.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
@@ -383,6 +384,11 @@ def turn_x(angle_rad: float) -> FloatArray:
     """Return the (3, 3) rotation about +X: a positive angle turns +Y up to +Z and +Z to -Y."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def attitude(climb_deg: float, bank_deg: float) -> FloatArray:
+    """Return the (3, 3) rotation of what flies level to its attitude: nose up, then right side down, in degrees."""
+    return np.asarray(turn_y(-math.radians(climb_deg)) @ turn_x(math.radians(bank_deg)))
 
 
 def creased(solid: Solid, angle_rad: float, area: ArrayLike | None = None) -> Solid:

@@ -130,20 +130,19 @@ def evaluate(
 
 def _evaluation(report: EvaluationReport) -> list[str]:
     from infrablend.report import evaluation as page
-    from infrablend.report.evaluation import FOUND_HEAD, HEAD, class_interval, found_rows, found_title, table_rows
     from infrablend.report.figures import decimals, interval
 
     metrics: Any = report.metrics
     classes = metrics["classes"]
-    rows = [[*row, class_interval(classes[row[0]]["ci"], "map50_95")] for row in table_rows(classes)]
-    blocks = [grid([*HEAD, "interval"], rows)]
+    rows = [[*row, page.class_interval(classes[row[0]]["ci"], "map50_95")] for row in page.table_rows(classes)]
+    blocks = [grid([*page.HEAD, "interval"], rows)]
     targets, alarms = metrics["targets"], metrics["false_alarms"]
     blocks.append(page.as_one_text(classes["all"]))
     blocks.append(f"{page.target_title(targets)}:\n" + grid(page.TARGET_HEAD, page.target_rows(targets)))
     if alarms["pictures"]:
         blocks.append(f"{page.alarm_title(alarms)}:\n" + grid(*page.alarm_table(alarms)))
     if metrics["ultralytics"]:
-        blocks.append("by Ultralytics' own code:\n" + grid(HEAD, table_rows(metrics["ultralytics"])))
+        blocks.append("by Ultralytics' own code:\n" + grid(page.HEAD, page.table_rows(metrics["ultralytics"])))
     if metrics["paired"]:
         lines = []
         for name, of in metrics["paired"]["classes"].items():
@@ -154,7 +153,7 @@ def _evaluation(report: EvaluationReport) -> list[str]:
         head = ["class", "this", metrics["paired"]["against"]["name"], "difference", "interval"]
         blocks.append("mAP50-95 on the same images:\n" + grid(head, lines))
     if listed := metrics.get("first_detections"):
-        blocks.append(f"{found_title(listed)}:\n" + grid(FOUND_HEAD, found_rows(listed)))
+        blocks.append(f"{page.found_title(listed)}:\n" + grid(page.FOUND_HEAD, page.found_rows(listed)))
     detector = metrics["detector"]
     if "image_size" in detector:
         size = f"a longer side of {detector['image_size']} px" if detector["image_size"] else "their own size"

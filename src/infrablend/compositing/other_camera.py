@@ -10,12 +10,11 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
-from infrablend.compositing.sensor import enhance, grain
+from infrablend.compositing.sensor import blurred, enhance, grain
 from infrablend.config.recipe import Randomise
 
 # Sigma of scattered light, of the detail enhancement and of the noise's grain, px.
@@ -71,9 +70,9 @@ class OtherCamera:
         top = np.iinfo(pixels.dtype).max
         picture: NDArray[np.float64] = pixels.astype(np.float64)
         if self.blur_px > 0:
-            picture = _blurred(picture, self.blur_px)
+            picture = blurred(picture, self.blur_px)
         if self.bloom > 0:
-            picture = (1 - self.bloom) * picture + self.bloom * _blurred(picture, _BLOOM_PX)
+            picture = (1 - self.bloom) * picture + self.bloom * blurred(picture, _BLOOM_PX)
         middle = float(np.median(picture))
         picture = middle + self.gain * (picture - middle)
         if self.noise_grey > 0:
@@ -86,7 +85,3 @@ class OtherCamera:
             step = self.grey_unit * 2.0 ** (8 - self.bits)
             picture = np.rint(picture / step) * step
         return np.asarray(np.clip(np.rint(picture), 0, top).astype(pixels.dtype))
-
-
-def _blurred(picture: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float64)

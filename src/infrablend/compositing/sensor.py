@@ -254,18 +254,21 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
     return picture
 
 
+def blurred(picture: NDArray[np.float64], sigma_px: float) -> NDArray[np.float64]:
+    """Return an (h, w) picture blurred by a Gaussian of `sigma_px`, above 0."""
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float64)
+
+
 def enhance(picture: NDArray[np.float64], gain: float, radius_px: float) -> NDArray[np.float64]:
     """Return the picture after detail enhancement, `P + gain * (P - G * P)`; linear, so it works on additions alone."""
-    soft = cv2.GaussianBlur(picture, (0, 0), radius_px, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(picture + gain * (picture - soft), np.float64)
+    return np.asarray(picture + gain * (picture - blurred(picture, radius_px)), np.float64)
 
 
 def unsharpen(picture: NDArray[np.float64], gain: float, radius_px: float) -> NDArray[np.float64]:
     """Invert `enhance` by iteration; with gain 0.6 each step reduces the error to 0.375 of it."""
     before = picture
     for _ in range(12):
-        soft = cv2.GaussianBlur(before, (0, 0), radius_px, borderType=cv2.BORDER_REPLICATE)
-        before = (picture + gain * soft) / (1 + gain)
+        before = (picture + gain * blurred(before, radius_px)) / (1 + gain)
     return np.asarray(before, np.float64)
 
 

@@ -173,18 +173,9 @@ def read(
             found.counts["sequences"] += 1
             view = views.get(sequence.label, UNKNOWN)
             records += _read_sequence(found, sequence, split, step, view, drones == "paint-out")
-    keys: tuple[str, ...] = (
-        "sequences",
-        "frames",
-        "objects",
-        "read",
-        "absent",
-        "hidden_boxes",
-        "unlabelled",
-        "without_picture",
-    )
-    keys += tuple(_PAINTED.values()) if drones == "paint-out" else ()
-    notes = {"labels": NAME, "modality": modality, "rows": found.rows(*keys)}
+    keys = ("sequences", "frames", "objects", "read", "absent", "hidden_boxes", "unlabelled", "without_picture")
+    rows = found.rows(*keys, *(_PAINTED.values() if drones == "paint-out" else ()))
+    notes = {"labels": NAME, "modality": modality, "rows": rows}
     return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
 
 
