@@ -31,11 +31,12 @@ def experiment(
     options: Annotated[
         dict[str, Any],
         Fields(
-            "data work results scale seed device training only adopt workers",
+            "data work results scale seed device weights training only adopt workers",
             request=api.ExperimentRequest,
             data=Annotated[list[str] | None, typer.Option(metavar="[NAME=]DIR"), tuple],
             work=typer.Option(metavar="DIR"),
             results=typer.Option(metavar="DIR"),
+            weights=typer.Option(metavar="FILE"),
             training=typer.Option("--set"),
             only=Annotated[list[str] | None, typer.Option(metavar="STAGE"), tuple],
             adopt=typer.Option(metavar="STAGE=DIR"),

@@ -361,6 +361,8 @@ class Experiment(Strict):
     """Datasets that the user gives, by name."""
     data: dict[Name, Data] = Field(default_factory=dict)
     """Data items made from them, by name."""
+    scales: tuple[Scale, ...] = ("smoke", "small", "paper")
+    """Scales at which it can be run."""
     settings: dict[Scale, dict[str, Any]] = Field(default_factory=dict)
     """Settings of all trainings at each scale, instead of those of the scale's preset."""
     trainings: dict[Name, Training] = Field(default_factory=dict)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from importlib import resources
 from typing import Literal
 
-Scale = Literal["smoke", "small", "paper"]
+Scale = Literal["smoke", "small", "medium", "paper"]
 """Scale of an experiment."""
 
-SCALES: tuple[Scale, ...] = ("smoke", "small", "paper")
+SCALES: tuple[Scale, ...] = ("smoke", "small", "medium", "paper")
 NAME_PATTERN = r"^[a-z0-9][a-z0-9-]*$"
 """Names of experiments, and of what is in them."""
 

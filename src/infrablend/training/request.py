@@ -22,7 +22,8 @@ class TrainRequest:
     """How to train a detector.
 
     Attributes:
-        preset: paper: YOLOv8s as in the paper, for a GPU; small: two cores, minutes; smoke: a few steps.
+        preset: paper: YOLOv8s as in the paper, for a GPU; medium: whole pictures, two cores, hours; small: two cores,
+            minutes; smoke: a few steps.
         settings: Field of the preset (passes, epochs, batch ...) or argument of Ultralytics.
         task: Boxes, oriented boxes or masks.
         weights: Starting point; auto: the preset's published weights, or scratch if they cannot be downloaded.

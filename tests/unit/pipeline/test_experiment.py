@@ -22,6 +22,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
 from infrablend.errors import (
     DatasetError,
+    FetchError,
     Interrupted,
     MissingDependencyError,
     OtherSettingsError,
@@ -631,11 +632,29 @@ def test_the_users_settings_win_over_those_of_the_file() -> None:
     assert chosen.passes == 4000
 
 
+def test_start_weights_of_the_request_count_by_content_wherever_they_lie(data: Path, tmp_path: Path) -> None:
+    found = []
+    for folder, content in (("a", b"one"), ("b", b"one"), ("c", b"another")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "start.pt").write_bytes(content)
+        given = str(tmp_path / folder / "start.pt")
+        found.append(keys("hit-uav-drone", data, tmp_path, scale="medium", weights=given)["train:aligned"])
+    assert found[0] == found[1] != found[2]
+    assert found[0] != keys("hit-uav-drone", data, tmp_path, scale="medium")["train:aligned"]
+    with pytest.raises(FetchError, match=r"no such file; expected a \.pt file"):
+        plan("hit-uav-drone", data, tmp_path / "w", weights=str(tmp_path / "nothing.pt.zip"))
+
+
+def test_a_scale_that_an_experiment_lacks_is_refused(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="transfer-car has no scale medium; expected one of smoke, small, paper"):
+        plan("transfer-car", data, tmp_path / "w", scale="medium")
+
+
 def test_the_page_goes_to_the_current_folder_unless_another_is_named(tmp_path: Path) -> None:
     assert ExperimentRequest("hit-uav").results_folder == DEFAULT_RESULTS == Path("results")
     assert ExperimentRequest("hit-uav", work=tmp_path, scale="smoke").results_folder == tmp_path / "results"
     assert ExperimentRequest("hit-uav", results=tmp_path).results_folder == tmp_path
-    with pytest.raises(DatasetError, match="expected one of smoke, small, paper"):
+    with pytest.raises(DatasetError, match="expected one of smoke, small, medium, paper"):
         ExperimentRequest("hit-uav", scale="huge")  # type: ignore[arg-type]
 
 

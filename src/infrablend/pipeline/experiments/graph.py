@@ -38,8 +38,9 @@ from infrablend.pipeline.experiments.stage import Stage, stage_keys
 from infrablend.report.card import WORLD_FILE
 from infrablend.training.presets import Preset
 from infrablend.training.request import choose_preset
+from infrablend.training.weights import AUTO
 
-BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "paper": 1000}
+BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "medium": 1000, "paper": 1000}
 """Number of bootstrap draws at each scale."""
 OTHER_SCALES = "at other scales only"
 STAND_IN_IMAGES = 24
@@ -233,6 +234,8 @@ class _Builder:
             return
         of_scale = self.experiment.settings.get(self.request.scale, {})
         spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}})
+        if spec.weights == AUTO:
+            spec = spec.model_copy(update={"weights": self.request.weights})
         inputs = {
             "preset": preset_inputs(preset_of(self.request, spec)),
             "scale": self.request.scale,
@@ -241,8 +244,8 @@ class _Builder:
             "classes": spec.classes,
             "weights": spec.weights,
         }
-        if Path(spec.weights).is_file():  # training them anew must train what starts from them
-            inputs["weights_sha256"] = sha256_of(Path(spec.weights))
+        if Path(spec.weights).is_file():  # training them anew must train what starts from them, wherever they lie
+            inputs |= {"weights": Path(spec.weights).name, "weights_sha256": sha256_of(Path(spec.weights))}
         images = self.stages[self.made_by[spec.data]].images
         used = {s: images[s] for s in ("train", "val") if s in images}
         self.add(Stage("train", name, inputs, {"data": self.made_by[spec.data]}, spec, used))

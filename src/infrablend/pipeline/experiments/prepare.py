@@ -18,6 +18,7 @@ from infrablend.pipeline.experiments.graph import StageGraph, build_graph, unkno
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage, find_finished
 from infrablend.report.results.write import require_own_pages
+from infrablend.training.weights import require_known
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,10 @@ def prepare_experiment(request: ExperimentRequest) -> PreparedExperiment:
         OutputError: The work or results folder is inside a dataset, or a file in the place of the page is not ours.
     """
     experiment = repeat_seeds(load_experiment(request.experiment), request.scale)
+    if request.scale not in experiment.scales:
+        known = ", ".join(experiment.scales)
+        raise DatasetError(f"experiment {experiment.name} has no scale {request.scale}; expected one of {known}")
+    require_known(request.weights)
     for _, folder in request.folders:
         require_apart(folder, request.work)
         require_apart(folder, request.results_folder)

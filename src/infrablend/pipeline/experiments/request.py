@@ -12,6 +12,7 @@ from infrablend.core.arguments import require_choice, require_names, require_who
 from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale
 from infrablend.errors import DatasetError
 from infrablend.rendering import RENDERERS
+from infrablend.training.weights import AUTO
 
 DEFAULT_RESULTS = Path("results")
 
@@ -25,9 +26,11 @@ class ExperimentRequest:
         data: Folder of a dataset it needs, recognised by format and labelled classes, or named; repeatable.
         work: Folder of the stages. Experiments in one folder share equal stages.
         results: Folder of the page [default: results; WORK/results at the scale smoke].
-        scale: paper: as published, needs a GPU; small: minutes per training on two cores; smoke: a test.
+        scale: paper: as published, needs a GPU; medium: hours per training on two cores, from `weights`; small:
+            minutes; smoke: a test.
         seed: The same seed gives the same bytes.
         device: Device to train on: auto, cpu, cuda, or the number of a GPU.
+        weights: Start weights of every training that names none: `scratch`, a name, or a file.
         training: Setting of every training, e.g. passes=4000; repeatable.
         only: Make only these stages and what they need: a kind (generate), name or id (train:fixed); repeatable.
         adopt: Use a training (train:fixed=DIR), run or dataset made by another command; repeatable.
@@ -46,6 +49,7 @@ class ExperimentRequest:
     scale: Scale = "small"
     seed: int = 0
     device: str = "auto"
+    weights: str = AUTO
     training: Mapping[str, Any] = field(default_factory=dict)
     only: Sequence[str] = ()
     adopt: Mapping[str, Path] = field(default_factory=dict)
