@@ -576,6 +576,16 @@ def test_plan_writes_nothing_and_lists_finished_stages(bench: Bench, data: Path,
     assert next(s for s in small["stages"] if s["stage"] == "train:fixed")["training"]["passes"] > 1000
 
 
+def test_plan_learns_from_stages_of_this_machine_alone(bench: Bench, data: Path, tmp_path: Path) -> None:
+    run("pitch-alignment", data, tmp_path / "work")
+    assert forecast.measured_rates(tmp_path / "work")
+    for record in (tmp_path / "work").glob("*/*/stage.json"):
+        facts = json.loads(record.read_text())
+        facts["machine"]["cores"] += 14
+        record.write_text(json.dumps(facts))
+    assert not forecast.measured_rates(tmp_path / "work")
+
+
 def test_plan_matches_the_run_of_the_same_command(bench: Bench, data: Path, tmp_path: Path) -> None:
     def statuses(**more: Any) -> dict[str, Any]:
         facts = plan("pitch-alignment", data, tmp_path / "work", **more).facts

@@ -16,7 +16,7 @@ from typing import Any
 from infrablend.config.experiment import Generate
 from infrablend.config.loading import read_recipe
 from infrablend.core.files import read_object
-from infrablend.core.machine import available_cores
+from infrablend.core.machine import available_cores, describe_machine
 from infrablend.core.workspace import partial_of
 from infrablend.errors import InfraBlendError
 from infrablend.pipeline.detectors.training_plan import require_arguments
@@ -50,11 +50,14 @@ Rates = Mapping[tuple[str, str], float]
 
 
 def measured_rates(work: Path) -> Rates:
-    """Return seconds per image of the finished stages in a work folder; per image shown for trainings."""
+    """Return seconds per image of the stages in a work folder that this machine made; per image shown for trainings."""
+    here = {k: describe_machine()[k] for k in ("processor", "cores")}
     found: dict[tuple[str, str], list[float]] = {}
     for path in sorted(work.glob(f"*/*/{RECORD}")):
         record = read_object(path) or {}
         with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):  # a record that is not ours
+            if {k: record["machine"].get(k) for k in here} != here:
+                continue
             seconds, images = _seconds_and_images(record)
             if images:
                 found.setdefault((str(record["kind"]), _network(record["inputs"])), []).append(seconds / images)
