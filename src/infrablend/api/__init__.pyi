@@ -7,6 +7,7 @@ from infrablend.api.datasets import (
     extract_frames as extract_frames,
     extract_temperatures as extract_temperatures,
     fetch as fetch,
+    find_motion as find_motion,
     inspect as inspect,
     make_world as make_world,
     learn_places as learn_places,

@@ -23,6 +23,7 @@ from infrablend.world.dataset import WorldRequest
 from infrablend.world.frames import Layout
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.capture.camera_motion import MotionReport
     from infrablend.pipeline.capture.clips import FlightFacts, FrameChoice
     from infrablend.pipeline.capture.count_scale import CountScale
     from infrablend.pipeline.capture.report import FramesReport
@@ -187,6 +188,21 @@ def map_places(
     from infrablend.pipeline.studies import places
 
     return places.map_places(read_dataset(data, reading), Path(out), overwrite=overwrite, on_progress=on_progress)
+
+
+def find_motion(
+    data: str | Path, out: str | Path, *, reading: Reading = READ_ALL, overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> MotionReport:  # fmt: skip
+    """Write how the camera moves through each sequence (`NAME.json`, and `NAME.html` with plots).
+
+    Every frame is related to the first of its span by the background; labelled objects, text and reticle are left out.
+    """
+    from infrablend.pipeline.capture import camera_motion
+
+    return camera_motion.write_motion(
+        read_dataset(data, reading), Path(out), overwrite=overwrite, on_progress=on_progress
+    )
 
 
 def learn_places(

@@ -35,6 +35,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "preview": finished_runs.preview,
     "report": finished_runs.report,
     "profile": cameras.profile,
+    "motion": cameras.find_motion,
     "rerender": finished_runs.rerender,
     "show": finished_runs.show,
     "exclude": finished_runs.exclude,

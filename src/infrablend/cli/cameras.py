@@ -17,6 +17,7 @@ from infrablend.cli.options import (
     JsonSession,
     ReadingOfPictures,
     ReadingOfSplits,
+    ReadingOptions,
     SeedOption,
     WorkersOption,
     reported,
@@ -220,6 +221,21 @@ def map_places(
         report = api.map_places(data, out, reading=reading, overwrite=overwrite, on_progress=on_progress)
     facts_ = {"maps": str(report.maps), "surfaces": ", ".join(f"{k} {v:.2f}" for k, v in report.surfaces.items())}
     show_report(session, report, out / "places.json", report.to_json(), lambda: f"{table(facts_)}\n{out}")
+
+
+def find_motion(
+    session: JsonSession,
+    *,
+    data: DatasetArgument,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for a JSON file and a page per sequence.")],
+    reading: ReadingOptions,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace earlier movements in DIR.")] = False,
+) -> None:
+    """Find how the camera moves through each sequence, from the background of its pictures."""
+    with shown_progress(session, "following") as on_progress:
+        report = api.find_motion(data, out, reading=reading, overwrite=overwrite, on_progress=on_progress)
+    rows = {name: ", ".join(f"{state} {n}" for state, n in states.items()) for name, states in report.sequences.items()}
+    show_report(session, report, out / "motion.json", report.to_json(), lambda: f"{table(rows)}\n{out}")
 
 
 def learn_places(

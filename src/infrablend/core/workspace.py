@@ -51,6 +51,7 @@ WORLD_FILE = "world.json"
 FRAMES_FILE = "frames.json"
 TEMPERATURES_FILE = "temperatures.json"
 PLACES_FILE = "places.json"
+MOTION_FILE = "motion.json"
 
 NOTE = ".workspace.json"
 """Note in a workspace: what it is for, and the command that finishes it."""

@@ -1,0 +1,1 @@
+"""How the camera moves through a sequence, from the background of its pictures."""

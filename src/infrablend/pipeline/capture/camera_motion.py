@@ -1,0 +1,283 @@
+"""Finds how the camera moves through the sequences of a dataset, and writes it down: one JSON and one page for each."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.boxes import boxes_mask
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.file_names import distinct_names, file_name, real_path
+from infrablend.core.files import load_json, sha256_of, write_json, write_text
+from infrablend.core.output import require_apart
+from infrablend.core.tasks import OnProgress, paced
+from infrablend.core.user_folders import cache_folder
+from infrablend.core.workspace import MOTION_FILE, replacing, workspace
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.images import load_background
+from infrablend.formats.paint_out import Shown, Written, find_written
+from infrablend.motion.sequence import MOST_ERROR_PX, Moment, follow_camera, moment_from_json, moment_to_json
+from infrablend.motion.shift import View
+from infrablend.report.motion_page import motion_page
+
+VERSION = 1
+"""Part of the cache's key. Raise it when the same pictures give another movement."""
+# Frames in which text and reticle are looked for.
+_SAMPLES = 12
+# Change of the mid level between two frames that is a jump of the gain, 8-bit levels.
+_JUMP_LEVELS = 15.0
+# A frame is blurred if its second derivative varies less than this share of that of the frames around it, so many.
+_BLURRED, _AROUND = 0.5, 12
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceMotion:
+    """How the camera moves through one sequence.
+
+    Attributes:
+        name: Name of the sequence.
+        frames: Numbers of the frames, ascending.
+        moments: What is known of the camera in each of them.
+        size_wh: Size of the pictures, px.
+    """
+
+    name: str
+    frames: tuple[int, ...]
+    moments: tuple[Moment, ...]
+    size_wh: tuple[int, int]
+
+    def spans(self) -> list[dict[str, int]]:
+        """Return number, first and last frame, and number of known frames of each span."""
+        found: dict[int, list[int]] = {}
+        for n, m in zip(self.frames, self.moments, strict=True):
+            if m.known:
+                found.setdefault(m.span, []).append(n)
+        return [{"span": s, "first": of[0], "last": of[-1], "frames": len(of)} for s, of in found.items()]
+
+    def level_jumps(self) -> list[int]:
+        """Return the frames whose levels differ by a jump from those of the frame before."""
+        mid = [m.gain * 128 + m.offset for m in self.moments]
+        pairs = zip(self.frames[1:], self.moments, self.moments[1:], mid, mid[1:], strict=False)
+        return [n for n, a, b, x, y in pairs if a.known and a.span == b.span and abs(y - x) > _JUMP_LEVELS]
+
+    def blurred(self) -> list[int]:
+        """Return the frames that are much less sharp than those around them."""
+        sharp = np.array([m.sharpness for m in self.moments])
+        around = [np.median(sharp[max(0, k - _AROUND) : k + _AROUND + 1]) for k in range(len(sharp))]
+        return [n for n, s, a in zip(self.frames, sharp, around, strict=True) if s < _BLURRED * a]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "sequence": self.name,
+            "size_wh": list(self.size_wh),
+            "states": dict(sorted(Counter(m.state for m in self.moments).items())),
+            "spans": self.spans(),
+            "level_jumps": self.level_jumps(),
+            "blurred": self.blurred(),
+            "frames": [{"frame": n, **moment_to_json(m)} for n, m in zip(self.frames, self.moments, strict=True)],
+        }
+
+
+@dataclass(frozen=True)
+class MotionReport:
+    """Movements that were written.
+
+    Attributes:
+        out: Their folder.
+        sequences: Number of frames in each state, by sequence.
+        problems: Sequences and frames whose movement is not known, each with its reason.
+    """
+
+    out: Path
+    sequences: Mapping[str, Mapping[str, int]]
+    problems: tuple[Problem, ...] = field(default=())
+
+    @property
+    def ok(self) -> bool:
+        """True if some frame of every sequence is known and all pictures could be read."""
+        return bool(self.sequences) and not any(p.severity == "error" for p in self.problems)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {**asdict(self), "out": str(self.out), "problems": [p.to_json() for p in self.problems]}
+
+
+def write_motion(
+    dataset: Dataset, out: Path, *, overwrite: bool = False, on_progress: OnProgress | None = None
+) -> MotionReport:
+    """Write `NAME.json` and `NAME.html` for each sequence: how the camera moves, frame by frame.
+
+    Raises:
+        OutputError: `out` has something that may not be replaced, or cannot be written.
+        DatasetError: The dataset has no sequence, or a picture cannot be read.
+    """
+    require_apart(dataset.root, out)
+    sequences = sequences_of(dataset)
+    total = sum(len(images) for images in sequences.values())
+    names = distinct_names([file_name(name) for name in sequences])
+    problems, states, done = list(dataset.problems), {}, 0
+    progress = paced(on_progress)
+
+    def read() -> None:
+        nonlocal done
+        done += 1
+        if progress is not None:
+            progress(done, total)
+
+    with workspace(out, "movements of cameras", MOTION_FILE, replacing(overwrite)) as space:
+        for name, (sequence, images) in zip(names, sequences.items(), strict=True):
+            motion = find_motion(sequence, images, on_frame=read)
+            facts = motion.to_json()
+            write_json(space.folder / f"{name}.json", facts)
+            write_text(space.folder / f"{name}.html", motion_page(facts))
+            states[sequence] = facts["states"]
+            problems += _problems(motion)
+        report = MotionReport(out, states, tuple(problems))
+        space.finish({"sequences": states, "version": VERSION})
+    return report
+
+
+def sequences_of(dataset: Dataset) -> dict[str, list[ImageRecord]]:
+    """Return the pictures of each sequence in the order of their frames; those without sequence or number are left out.
+
+    Raises:
+        DatasetError: No picture has both, or two pictures of a sequence have one number.
+    """
+    found: dict[str, list[ImageRecord]] = {}
+    for image in dataset.images:
+        if image.capture.sequence is not None and image.capture.frame is not None:
+            found.setdefault(image.capture.sequence, []).append(image)
+    if not found:
+        raise DatasetError(
+            f"{dataset.root}: no picture has a sequence and a frame number; expected clips, or pictures whose names "
+            "end in running numbers"
+        )
+    problems = []
+    for name, images in found.items():
+        images.sort(key=_frame)
+        twice = [a for a, b in pairwise(images) if _frame(a) == _frame(b)]
+        problems += [
+            Problem(f"sequence {name}", "frame-repeated", f"frame {_frame(a)} twice: {a.id}", "each frame once")
+            for a in twice[:1]
+        ]
+    if problems:
+        raise DatasetError(f"{dataset.root}: sequences with repeated frames", problems)
+    return found
+
+
+def _frame(image: ImageRecord) -> int:
+    assert image.capture.frame is not None
+    return image.capture.frame
+
+
+def find_motion(
+    name: str, images: Sequence[ImageRecord], *, on_frame: Callable[[], None] = lambda: None
+) -> SequenceMotion:
+    """Return how the camera moves through a sequence, from the cache if these pictures were followed before.
+
+    Raises:
+        DatasetError: A picture cannot be read.
+    """
+    key = _key(images)
+    kept = cache_folder() / "motion" / f"{key}.json"
+    numbers = tuple(_frame(i) for i in images)
+    if kept.is_file():
+        for _ in images:
+            on_frame()
+    else:
+        moments = follow_camera(sequence_views(images, on_frame))
+        height, width = _pixels(images[0]).shape
+        write_json(kept, {"size_wh": [width, height], "frames": [moment_to_json(m) for m in moments]})
+    saved = load_json(kept)  # what a later run will read, to the last digit
+    known = tuple(moment_from_json(m) for m in saved["frames"])
+    return SequenceMotion(name, numbers, known, tuple(saved["size_wh"]))
+
+
+def sequence_views(images: Sequence[ImageRecord], on_frame: Callable[[], None] = lambda: None) -> Iterator[View]:
+    """Yield the pictures of a sequence as the estimate sees them: without labelled objects, text and reticle.
+
+    Raises:
+        DatasetError: A picture cannot be read.
+    """
+    low, high = _range_of(images)
+    written = find_written([_shown(i, low, high) for i in _spread(images, _SAMPLES)])
+    for image in images:
+        yield _view(image, written, low, high)
+        on_frame()
+
+
+def _key(images: Sequence[ImageRecord]) -> str:
+    digest = hashlib.sha256(f"{VERSION} {cv2.__version__}".encode())
+    for image in images:
+        boxes = [i.box_xyxy.tolist() for i in image.instances]
+        digest.update(json.dumps([_frame(image), sha256_of(real_path(image.path)), boxes]).encode())
+    return digest.hexdigest()[:32]
+
+
+def _pixels(image: ImageRecord) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    return load_background(image.path, image.size_wh).pixels
+
+
+def _range_of(images: Sequence[ImageRecord]) -> tuple[float, float]:
+    """Return the levels that become 0 and 255: those of 8-bit pictures as they are, the used range of 16-bit ones."""
+    some = [_pixels(i) for i in _spread(images, _SAMPLES)]
+    if all(p.dtype == np.uint8 for p in some):
+        return 0.0, 255.0
+    low, high = (float(f(np.percentile(p, q) for p in some)) for f, q in ((min, 0.5), (max, 99.5)))
+    return low, max(high, low + 1)
+
+
+def _shown(image: ImageRecord, low: float, high: float) -> Shown:
+    pixels = _pixels(image)
+    if pixels.dtype != np.uint8 or (low, high) != (0.0, 255.0):
+        pixels = np.clip((pixels.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
+    return Shown(pixels, None)
+
+
+def _view(image: ImageRecord, written: Written, low: float, high: float) -> View:
+    shown = _shown(image, low, high)
+    blocked = np.zeros(shown.pixels.shape[:2], np.bool_)
+    if written.marked.shape == blocked.shape:
+        blocked |= cv2.dilate(written.marked.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    grown = []
+    for i in image.instances:
+        grow = 4 + 0.2 * (i.box_xyxy[2:] - i.box_xyxy[:2])
+        grown.append(np.concatenate([i.box_xyxy[:2] - grow, i.box_xyxy[2:] + grow]))
+    return View(shown.grey, blocked | boxes_mask(grown, blocked.shape))
+
+
+def _spread(images: Sequence[ImageRecord], count: int) -> list[ImageRecord]:
+    return [images[k] for k in np.unique(np.linspace(0, len(images) - 1, count).round().astype(int))]
+
+
+def _problems(motion: SequenceMotion) -> Iterator[Problem]:
+    """Yield warnings for frames that are not known, and for spans that cannot be related to each other."""
+    where = f"sequence {motion.name}"
+    lost = [n for n, m in zip(motion.frames, motion.moments, strict=True) if not m.known]
+    if len(lost) == len(motion.frames):
+        todo = "state the camera's movement, or choose a clip with ground, trees or buildings in view"
+        yield Problem(where, "no-motion", "no frame shows how the camera moves", "a background with details", todo)
+    elif lost:
+        found = f"{len(lost)} of {len(motion.frames)} frames, {lost[0]} the first, do not show how the camera moves"
+        yield Problem(where, "motion-lost", found, "a background with details", "they stay without tracks", "warning")
+    if len(spans := motion.spans()) > 1:
+        begins = ", ".join(str(s["first"]) for s in spans[1:6])
+        found = f"{len(spans)} spans; new ones begin at frame {begins}"
+        yield Problem(where, "motion-cut", found, "one scene", "no track goes from one into the other", "warning")
+    uncertain = [
+        n for n, m in zip(motion.frames, motion.moments, strict=True) if m.known and m.error_px > MOST_ERROR_PX
+    ]
+    if uncertain:
+        found = f"{len(uncertain)} frames, {uncertain[0]} the first, are known to no better than {MOST_ERROR_PX:g} px"
+        yield Problem(where, "motion-uncertain", found, "less", "look at the page", "warning")
