@@ -23,6 +23,7 @@ from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.divide import with_val
 from infrablend.formats.flight import add_flight_data
+from infrablend.formats.numbered import with_numbered_frames
 from infrablend.formats.pictures import check_link, is_picture_name
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
@@ -168,6 +169,8 @@ class _Reader:
         if self.stated:
             dataset = temperatures.with_scale(dataset, self.scale)
         dataset = add_flight_data(dataset)
+        if dataset.format == folder.NAME and dataset.notes.get("labels") != "coco":  # which can state it
+            dataset = replace(dataset, images=with_numbered_frames(dataset.images))
         remarks = (*hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
         return replace(dataset, problems=(*dataset.problems, *remarks))
 
