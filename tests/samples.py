@@ -491,7 +491,8 @@ def _videos(folder: Path) -> Path:
 
     for k, split in enumerate(("train", "test")):
         (folder / split).mkdir(parents=True)
-        write_video(folder / split / f"DJI_{k}.mp4", frames=31, codec="mpeg4")
+        frames = [np.full(SIZE_WH[::-1], 30 + 60 * k + n, np.uint8) for n in range(31)]
+        write_video(folder / split / f"DJI_{k}.mp4", frames, codec="mpeg4")
     write_srt(folder / "train" / "DJI_0.SRT", bracketed, blocks=31)
     return folder
 

@@ -13,7 +13,7 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.formats.capture import facts_from_name
 
 # Longer numbers are times.
-_END = re.compile(r"(.*?)(\d{1,9})", re.ASCII | re.DOTALL)
+_END = re.compile(r"(|.*\D)(\d{1,9})", re.ASCII | re.DOTALL)
 # Fewer numbers than this do not show whether they run.
 _LEAST = 4
 # Share of the steps between numbers that are equal in frames of a clip, of which some may have been removed.

@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 
-from PIL import Image
-
 from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.file_names import distinct_names, file_name
@@ -23,7 +21,7 @@ from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits
 from infrablend.formats.flight_log import sample
 from infrablend.formats.images import COLOUR_REMEDY, COLOURS, IN_COLOUR
 from infrablend.formats.log_alignment import NO_CLOCK, align
-from infrablend.formats.pictures import check_link, is_hidden, walk
+from infrablend.formats.pictures import check_link, is_hidden, open_picture, walk
 from infrablend.formats.records import Findings
 from infrablend.formats.video import SUFFIXES, Video
 from infrablend.formats.video_log import log_problems, own_subtitles, rate_problems, subtitles_beside, telemetry_of
@@ -172,7 +170,7 @@ def _name_colours(found: Findings, clip: _Clip, paths: Sequence[Path]) -> None:
 
 
 def _is_colour(path: Path) -> bool:
-    with Image.open(path) as picture:
+    with open_picture(path) as picture:
         return bool(picture.mode == "RGB")
 
 

@@ -689,7 +689,7 @@ def test_videos_beside_pictures_name_the_command_for_their_frames(tmp_path: Path
     from tests.videos import write_video
 
     folder = tmp_path / "my flights"
-    picture(folder / "a.png", 0)
+    picture(folder / "a.png")
     for n in range(count):
         write_video(folder / f"DJI_{n}.MP4", frames=2)
     (problem,) = detection.read(folder).problems
