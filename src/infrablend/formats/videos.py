@@ -7,6 +7,7 @@ CLIP.mp4   [CLIP.SRT]
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import timedelta
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import Dataset, ImageRecord, Split
-from infrablend.core.file_names import distinct_names, file_name
+from infrablend.core.file_names import distinct_names, file_name, fold_name
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.anti_uav import step_of
 from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits
@@ -108,9 +109,9 @@ def _clips(found: Findings) -> list[_Clip]:
         else:
             kept.append(name)
     plain = [file_name(Path(n).stem) for n in kept]
-    repeated = {p.casefold() for p in plain if [q.casefold() for q in plain].count(p.casefold()) > 1}
+    count = Counter(map(fold_name, plain))
     wanted = [
-        file_name("_".join(Path(n).with_suffix("").parts)) if p.casefold() in repeated else p
+        file_name("_".join(Path(n).with_suffix("").parts)) if count[fold_name(p)] > 1 else p
         for n, p in zip(kept, plain, strict=True)
     ]
     return [
@@ -132,7 +133,7 @@ def _read_clip(found: Findings, clip: _Clip, step: int) -> list[ImageRecord]:
     frames = found.video_frames(clip.path, numbers) or {}
     if lost := len(numbers) - len(frames):
         found.counts["lost"] += lost
-        text = f"{lost} of {len(numbers)} chosen frame(s) that cannot be decoded, left out"
+        text = f"{lost} of {len(numbers)} chosen frame(s) that cannot be decoded, or have another size, left out"
         found.add(clip.where, "frames-lost", text, "an intact video", "copy the file from the card again")
     found.problems += rate_problems(clip.where, video.timeline)
     _name_colours(found, clip, list(frames.values()))
