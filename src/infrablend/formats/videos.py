@@ -166,7 +166,7 @@ def _name_colours(found: Findings, clip: _Clip, paths: Sequence[Path]) -> None:
     colour = sum(_is_colour(p) for p in paths)
     if colour:
         found.counts["colour"] += colour
-        text = f"{colour} of {len(paths)} frame(s) {COLOURS}: a palette, not grey levels that follow temperature"
+        text = f"{colour} of {len(paths)} frame(s) {COLOURS}, which do not follow temperature"
         found.warn(clip.where, IN_COLOUR, text, "a thermal video in grey", COLOUR_REMEDY)
 
 

@@ -217,7 +217,7 @@ def test_colours_of_a_palette_are_said_once_per_clip(tmp_path: Path) -> None:
     d = read(tmp_path)
     (problem,) = d.problems
     assert (problem.where, problem.code, problem.severity) == ("a.mp4", "image-colour", "warning")
-    assert problem.found.startswith("3 of 3 frame(s) in colour") and "a palette" in problem.found
+    assert problem.found.startswith("3 of 3 frame(s) in colour") and "palette" in problem.found
     assert d.notes["rows"]["colour"] == 3
 
 
