@@ -484,6 +484,19 @@ def _shards(folder: Path) -> Path:
     return folder
 
 
+@sample("videos")
+def _videos(folder: Path) -> Path:
+    """Two clips of 31 frames in two splits, one with subtitles."""
+    from tests.videos import bracketed, write_srt, write_video
+
+    for k, split in enumerate(("train", "test")):
+        (folder / split).mkdir(parents=True)
+        frames = [np.full(SIZE_WH[::-1], 30 + 60 * k + n, np.uint8) for n in range(31)]
+        write_video(folder / split / f"DJI_{k}.mp4", frames, codec="mpeg4")
+    write_srt(folder / "train" / "DJI_0.SRT", bracketed, blocks=31)
+    return folder
+
+
 @sample("visdrone")
 def _visdrone(folder: Path) -> Path:
     """Two splits; the second picture of train shows nothing, and a line ends with a comma."""

@@ -1,5 +1,6 @@
 """Clips of pan-tilt cameras with real text, reticles and drones."""
 
+import shutil
 from pathlib import Path
 
 import cv2
@@ -50,3 +51,21 @@ def test_clips_are_read_with_their_views_and_without_drones(real_data: Path):
         # What remains is no brighter than what is around it.
         rim = np.concatenate([after[around][[0, -1]].ravel(), after[around][:, [0, -1]].ravel()])
         assert after[y0:y1, x0:x1].max() <= rim.max() + 12
+
+
+@pytest.mark.realdata
+def test_clips_are_also_read_alone_and_without_their_labels(real_data: Path, tmp_path: Path):
+    folder = real_data / "anti-uav-clips"
+    whole = detection.read(folder, Reading(options={"every": "100"}))
+    alone = detection.read(folder / "4.avi", Reading(options={"every": "100"}))
+    assert alone.problems == ()
+    labelled = [i for i in whole.images if i.capture.sequence == "4"]
+    assert [(i.capture, i.size_wh) for i in alone.images] == [(i.capture, i.size_wh) for i in labelled]
+    assert all(a.instances[0].equals(b.instances[0]) for a, b in zip(alone.images, labelled, strict=True))
+    shutil.copy(folder / "4.avi", tmp_path / "copy.avi")
+    bare = detection.read(tmp_path / "copy.avi", Reading(options={"every": "100"}))
+    assert (bare.format, bare.problems) == ("videos", ()) and [i.extra["time_s"] for i in bare.images][1:3] == [4, 8]
+    assert all(
+        np.array_equal(load_background(a.path).pixels, load_background(b.path).pixels)
+        for a, b in zip(bare.images, labelled, strict=True)
+    )

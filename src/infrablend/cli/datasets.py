@@ -181,7 +181,7 @@ def _renamed(texts: list[str] | None) -> dict[str, str]:
 def convert(
     session: JsonSession,
     *,
-    source: Annotated[Path, typer.Argument(metavar="SRC", help="Folder of the dataset to read.")],
+    source: Annotated[Path, typer.Argument(metavar="SRC", help="Folder of the dataset to read, or a video.")],
     out: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write.")],
     to: Annotated[
         str,

@@ -213,7 +213,7 @@ RecipeArgument = Annotated[
         autocompletion=complete_recipe,
     ),
 ]
-DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")]
+DatasetArgument = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset, or a video.")]
 RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder that `generate` wrote.")]
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Number of worker processes [default: one per core].")]
 SeedOption = Annotated[int, typer.Option(help="The same seed gives the same bytes.")]

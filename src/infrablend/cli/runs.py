@@ -50,7 +50,7 @@ def generate(
     *,
     recipe: RecipeArgument,
     data: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of the background dataset, or s3://, gs://, hf://.")
+        Path, typer.Option(metavar="DIR", help="Folder of the background dataset, a video, or s3://, gs://, hf://.")
     ],
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder to write the run to; packed shards also to s3://, gs://, hf://.")

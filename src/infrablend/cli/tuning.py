@@ -31,7 +31,7 @@ def try_recipe(
     session: JsonSession,
     *,
     recipe: RecipeArgument,
-    data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset.")],
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset, or a video.")],
     frame: Annotated[
         str | None,
         typer.Option(metavar="ID", help="Id of the frame, e.g. test/a_c0, or of a background [default: the first]."),

@@ -227,6 +227,7 @@ FORMATS: tuple[Format, ...] = (
     )),
     Format("labelme", "labelme: one JSON of shapes per picture", written_as="coco", any_camera=True),
     Format("folder", "a plain folder of pictures, with or without labels", any_camera=True),
+    Format("videos", "videos without labels: one file, or a folder of clips"),
 )  # fmt: skip
 """All formats, in the order in which detection tries them: the most specific first."""
 

@@ -34,7 +34,7 @@ from infrablend.formats.paint_out import How
 from infrablend.formats.pictures import is_hidden, is_picture_name
 from infrablend.formats.records import Findings
 from infrablend.formats.values import to_bool, to_floats, to_number
-from infrablend.formats.video import SUFFIXES
+from infrablend.formats.video import SUFFIXES, is_video
 
 NAME = "anti-uav"
 OPTIONS = {
@@ -42,6 +42,7 @@ OPTIONS = {
     "every": "step in frames; 1 for folders of pictures and 25 for videos by default",
     "drones": "keep (the default) the drones in frames of videos, or paint-out: paint over them, and drop their labels",
 }
+TAKES_VIDEO = True
 CATEGORIES = (Category(0, "drone"),)
 
 _LABELS = {"ir": ("infrared.json", "IR_label.json"), "rgb": ("visible.json", "RGB_label.json")}
@@ -76,12 +77,16 @@ class _Sequence:
         return self.label.stem if self.label.suffix == _TEXT else self.folder.name
 
     def split(self, root: Path) -> Split:
+        if root.is_file():  # one video alone
+            return "train"
         parts = self.label.relative_to(root).parts[: -1 if self.label.suffix == _TEXT else -2]
         return next((_SPLITS[p.lower()] for p in parts if p.lower() in _SPLITS), "train")
 
 
 def _sequences(root: Path) -> list[_Sequence]:
-    """Return the sequences at most three folders below the dataset's, sorted by path."""
+    """Return the sequences at most three folders below the dataset's, sorted by path; that of a video given alone."""
+    if root.is_file():
+        return [s for s in _in_folder(root.parent) if s.video == root]
     found: list[_Sequence] = []
     level = [root]
     for _ in range(_DEPTH + 1):
@@ -136,7 +141,7 @@ def detect(root: Path) -> Match:
             continue
         lines = start.decode("utf-8-sig", "replace").splitlines() if sequence.label.suffix == _TEXT else []
         if b'"exist"' in start or b'"gt_rect"' in start or any(map(_is_box, lines)):
-            where = sequence.label.relative_to(root).as_posix()
+            where = sequence.label.name if root == sequence.video else sequence.label.relative_to(root).as_posix()
             return Match(NAME, True, f"{where} has the boxes of a sequence")
     expected = "infrared.json, IR_label.json, visible.json or RGB_label.json with exist and gt_rect"
     return Match(NAME, False, f"no {expected}, and no video with a text of four numbers per line")
@@ -166,6 +171,9 @@ def read(
     wanted = check_splits(splits)
     records: list[ImageRecord] = []
     sequences = _sequences(root)
+    if root.is_file():
+        modality = "both"  # of a video given alone, whatever it shows
+    _name_unlabelled(found, sequences)
     views = _views(found, sequences)
     for sequence in sequences:
         split = sequence.split(root)
@@ -177,6 +185,19 @@ def read(
     rows = found.rows(*keys, *(_PAINTED.values() if drones == "paint-out" else ()))
     notes = {"labels": NAME, "modality": modality, "rows": rows}
     return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
+
+
+def _name_unlabelled(found: Findings, sequences: Sequence[_Sequence]) -> None:
+    """Warn of videos beside clips with a text that have none."""
+    if found.root.is_file():
+        return
+    for folder in sorted({s.folder for s in sequences if s.label.suffix == _TEXT}):
+        read = {s.video for s in sequences}
+        left = sorted(p.name for p in folder.iterdir() if is_video(p) and not is_hidden(p.name) and p not in read)
+        if left:
+            text = f"{len(left)} video(s) without a text of boxes, left out, such as {left[0]}"
+            todo = "give such a video alone to read it without labels"
+            found.warn(found.place(folder / left[0]), "label-missing", text, "a text per clip", todo)
 
 
 def step_of(root: Path, every: str) -> int | None:
@@ -204,7 +225,8 @@ def _views(found: Findings, sequences: Sequence[_Sequence]) -> dict[Path, Captur
             found.add_all(error.problems, found.place(path))
             continue
         found.problems += table.problems
-        found.problems += table.remarks(path, [s.video.name for s in here if s.video is not None])
+        # The table also has rows of the clips beside one that is given alone.
+        found.problems += table.remarks(path, [s.video.name for s in _clips_in(folder) if s.video is not None])
         known = {s.label: row for s in here if s.video is not None and (row := table.find(s.video.name))}
         lacking = ", ".join(s.name for s in here if s.label not in known)
         if lacking:

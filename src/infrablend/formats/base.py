@@ -50,6 +50,7 @@ class FormatModule:
         remarks: Returns known faults of a public dataset, for `inspect`.
         OPTIONS: Options of the reader, and what each does.
         TAKES_TABLE: Whether the reader takes a table of pitch and altitude.
+        TAKES_VIDEO: Whether `detect` and `read` also take one video in place of a folder.
     """
 
     detect: Callable[[Path], Match]
@@ -60,6 +61,7 @@ class FormatModule:
     remarks: Callable[[Dataset], Sequence[str]] | None = None
     OPTIONS: Mapping[str, str] = field(default_factory=dict)
     TAKES_TABLE: bool = True
+    TAKES_VIDEO: bool = False
 
     @classmethod
     def load(cls, name: str) -> FormatModule:

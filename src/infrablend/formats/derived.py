@@ -12,7 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from infrablend.core.file_names import file_name
-from infrablend.core.files import write_bytes
+from infrablend.core.files import read_object, sha256_of_json, write_bytes, write_json
 from infrablend.core.mesh import FloatArray
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import DatasetError, Problem
@@ -49,6 +49,11 @@ def video_frames(source: Path, numbers: Collection[int], left: float = 1.0) -> t
     folder = derived_folder(source, f"frames {left}")
     paths = {n: folder / f"{n:06d}.png" for n in sorted(numbers)}
     missing = {n for n, path in paths.items() if not path.is_file()}
+    # What is wrong with these frames is said each time they are read, not only when they are decoded.
+    faults = folder / f"faults-{sha256_of_json(sorted(numbers))[:16]}.json"
+    known = _known_faults(faults)
+    if known is not None and missing == known[0]:
+        return {n: path for n, path in paths.items() if n not in missing}, known[1]
     if not missing:
         return paths, []
     with Video(source) as video:
@@ -60,7 +65,20 @@ def video_frames(source: Path, numbers: Collection[int], left: float = 1.0) -> t
             if frame.number >= max(missing):
                 break
         problems = video.problems()
-    return {n: path for n, path in paths.items() if path.is_file()}, problems
+    made = {n: path for n, path in paths.items() if path.is_file()}
+    if problems or len(made) < len(paths):
+        lost = sorted(paths.keys() - made.keys())
+        write_json(faults, {"lost": lost, "problems": [p.to_json() for p in problems]})
+    return made, problems
+
+
+def _known_faults(path: Path) -> tuple[set[int], list[Problem]] | None:
+    """Return the frames that could not be decoded and the faults of their video; None if that is not known."""
+    record = read_object(path)
+    try:
+        return None if record is None else ({*record["lost"]}, [Problem(**p) for p in record["problems"]])
+    except (KeyError, TypeError):  # damaged
+        return None
 
 
 def painted_frames(

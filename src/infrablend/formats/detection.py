@@ -18,16 +18,17 @@ from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import folder, temperatures, video
+from infrablend.formats import folder, temperatures
 from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.divide import with_val
 from infrablend.formats.flight import add_flight_data
+from infrablend.formats.numbered import with_numbered_frames
 from infrablend.formats.pictures import check_link, is_picture_name
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import files_below, hidden_pictures, label_candidates, unread_files
-from infrablend.formats.unread_pictures import video_problem
+from infrablend.formats.video import is_video
 
 DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
@@ -35,6 +36,7 @@ PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
 # Read from runs that have it, whatever else they have.
 _FIRST_OF_RUN = "coco"
+_LEAVE_OUT = "leave --format out, or give the folder of the dataset"
 
 
 def reader_options(format: Format) -> Mapping[str, str]:
@@ -56,16 +58,21 @@ class Detection:
 
 
 def detect(root: Path) -> Detection:
-    """Return the first format of the table that fits a folder, with the reasons of all formats."""
-    matches = tuple(FormatModule.load(f.module).detect(root) for f in FORMATS)
+    """Return the first format of the table that fits a folder or video, with the reasons of all formats."""
+    single = root.is_file()
+    modules = ((f.name, FormatModule.load(f.module)) for f in FORMATS)
+    matches = tuple(
+        m.detect(root) if m.TAKES_VIDEO or not single else Match(name, False, "a file, not a folder")
+        for name, m in modules
+    )
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
 def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
-    """Read a dataset folder of any format.
+    """Read a dataset folder of any format, or one video.
 
     Args:
-        root: Folder of the dataset.
+        root: Folder of the dataset, or a video.
         reading: Format, splits and reader options; by default the format is detected and every split is read.
 
     Raises:
@@ -119,7 +126,8 @@ class _Reader:
 
     @classmethod
     def of(cls, root: Path, reading: Reading) -> _Reader:
-        if not root.is_dir():
+        single = is_video(root)
+        if not root.is_dir() and not single:
             raise _missing(root)
         _require_merged(root)
         root, format = _labels_of_run(root, reading.format)
@@ -135,6 +143,11 @@ class _Reader:
             given["form"] = reading.form
         table = None if reading.metadata is None else Path(reading.metadata)
         module = FormatModule.load(chosen.module)
+        if single and not module.TAKES_VIDEO:
+            problem = Problem(
+                shown(root), "folder-missing", "a video", f"a folder in the format {chosen.name}", _LEAVE_OUT
+            )
+            raise DatasetError("no dataset to read", [problem])
         known = module.OPTIONS
         problems = [
             Problem(f"option {name}", "option-unknown", f"{name}={value}", _options_text(chosen.name, known))
@@ -156,18 +169,14 @@ class _Reader:
         if self.stated:
             dataset = temperatures.with_scale(dataset, self.scale)
         dataset = add_flight_data(dataset)
+        if dataset.format == folder.NAME and dataset.notes.get("labels") != "coco":  # which can state it
+            dataset = replace(dataset, images=with_numbered_frames(dataset.images))
         remarks = (*hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
         return replace(dataset, problems=(*dataset.problems, *remarks))
 
 
-def _is_video(path: Path) -> bool:
-    return path.suffix.lower() in video.SUFFIXES and path.is_file()
-
-
 def _nothing_to_read(root: Path) -> Problem:
     """Return what is in a folder that has no picture to read, and so no format."""
-    if films := sorted(p for p in root.rglob("*") if _is_video(p)):
-        return video_problem(root, films, f"{len(films)} video(s) and no picture")
     files = [name for name in files_below(root) if not is_picture_name(name)]
     named = f", but {len(files)} other file(s), such as {', '.join(files[:3])}" if files else " and no other file"
     found = f"no picture (JPEG, PNG, BMP, TIFF) to read{named}"
@@ -176,8 +185,6 @@ def _nothing_to_read(root: Path) -> Problem:
 
 
 def _missing(root: Path) -> DatasetError:
-    if _is_video(root):
-        return DatasetError("no dataset to read", [video_problem(root, [root], "a video")])
     found, todo = "no such folder", "check the path"
     if address_of(root) is not None:
         todo = "copy it here first, with `infrablend merge` if it is a run"

@@ -28,6 +28,7 @@ from infrablend.formats.values import to_floats
 
 NAME = "halmstad"
 OPTIONS = {"every": "step in frames; 30 (a second) is the default"}
+TAKES_VIDEO = True
 CATEGORIES = tuple(Category(k, n) for k, n in enumerate(("airplane", "bird", "drone", "helicopter")))
 
 _CLIP = re.compile(r"IR_(AIRPLANE|BIRD|DRONE|HELICOPTER)_(\d{3,4})", re.ASCII)
@@ -41,6 +42,8 @@ _USUAL_DIFFERENCE = 1
 
 
 def _clips(root: Path) -> dict[str, Path]:
+    if root.is_file():
+        return {root.stem: root} if _CLIP.fullmatch(root.stem) and root.suffix == ".mp4" else {}
     for name in _FOLDERS:
         folder = root / name
         found = {

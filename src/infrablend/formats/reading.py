@@ -12,7 +12,7 @@ from infrablend.errors import ArgumentError
 
 @dataclass(frozen=True)
 class Reading:
-    """How to read a dataset folder. By default the format is detected and every split is read.
+    """How to read a dataset folder or a video. By default the format is detected and every split is read.
 
     Attributes:
         splits: Splits to read, from train,val,test [default: all].

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -62,9 +63,14 @@ class Findings:
         """Record the problems of a file under its name in the dataset."""
         self.problems += [replace(p, where=where) for p in problems]
 
+    @cached_property
+    def folder(self) -> Path:
+        """Folder of the dataset; of a single video, the one that it is in."""
+        return self.root if self.root.is_dir() else self.root.parent
+
     def place(self, path: Path) -> str:
         """Return the name of a file in problems: its path below the dataset's folder."""
-        return path.relative_to(self.root).as_posix()
+        return path.relative_to(self.folder).as_posix()
 
     def rows(self, *keys: str) -> dict[str, int]:
         """Return some of the counts, for `Dataset.notes`."""

@@ -186,12 +186,15 @@ def unread_videos(dataset: Dataset, files: Iterable[str]) -> list[Problem]:
 
 
 def video_problem(root: Path, videos: Sequence[Path], found: str, severity: Severity = "error") -> Problem:
-    """Return what to do with videos that are not read: the command that extracts their frames."""
+    """Return what to do with videos that are not read: the command that extracts their frames, or give one alone."""
     named = [shlex.quote(str(p)) for p in videos]
     if len(named) > _FEW_VIDEOS:
         named = sorted({f"{shlex.quote(str(p.parent))}/*{p.suffix}" for p in videos})
     frames = shlex.quote(f"{root.resolve().stem}_frames")
-    todo = f"extract frames with infrablend frames {' '.join(named)} --out {frames}, then use {frames}"
+    todo = (
+        f"extract frames with infrablend frames {' '.join(named)} --out {frames}, then use {frames}; or give a video, "
+    )
+    todo += "or a folder of videos alone, as the data"
     expected = "the folder of a dataset of pictures"
     return Problem(shown(root), "video-not-pictures", found, expected, todo, severity)
 

@@ -29,6 +29,11 @@ _TEXT_SUBTITLES = ("mov_text", "subrip", "srt", "text")
 _NEUTRAL = 2
 
 
+def is_video(path: Path) -> bool:
+    """Return whether a path is a file with a video's suffix."""
+    return path.suffix.lower() in SUFFIXES and path.is_file()
+
+
 def require_av() -> Any:
     """Return PyAV's module.
 

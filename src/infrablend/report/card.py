@@ -199,7 +199,8 @@ def find_provenance(dataset: Dataset) -> Provenance:
     stated = _stated_provenance(dataset)
     if not stated.inserts and any(i.inserted for image in dataset.images for i in image.instances):
         stated = replace(stated, inserts=(_MARKED_ONLY,))
-    if (found := _licence_file(dataset.root)) is None:
+    root = dataset.root.parent if dataset.root.is_file() else dataset.root  # one video
+    if (found := _licence_file(root)) is None:
         return stated
     (name, data), note = found, stated.licence_note
     text = data.decode("utf-8", "replace")

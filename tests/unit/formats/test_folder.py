@@ -683,25 +683,23 @@ def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     assert str(caught.value).count("absent") == 1
 
 
-@pytest.mark.parametrize("count", [0, 1, 3, 5])
-def test_videos_in_place_of_pictures_name_the_command_for_their_frames(tmp_path: Path, count: int) -> None:
-    """The command works as it stands; without a count the video itself is given."""
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_videos_beside_pictures_name_the_command_for_their_frames(tmp_path: Path, count: int) -> None:
+    """The command works as it stands."""
     from tests.videos import write_video
 
     folder = tmp_path / "my flights"
-    folder.mkdir()
-    clips = [write_video(folder / f"DJI_{n}.MP4", frames=2) for n in range(max(1, count))]
-    (folder / "notes.txt").write_text("sunny")
-    with pytest.raises(DatasetError) as caught:
-        detection.read(folder if count else clips[0])
-    (problem,) = caught.value.problems
+    picture(folder / "a.png")
+    for n in range(count):
+        write_video(folder / f"DJI_{n}.MP4", frames=2)
+    (problem,) = detection.read(folder).problems
     assert problem.code == "video-not-pictures"
-    assert problem.found == (f"{count} video(s) and no picture" if count else "a video")
-    command, out = re.fullmatch(r"extract frames with (.*), then use (.*)", problem.todo).groups()  # type: ignore[union-attr]
+    assert problem.found == f"{count} video(s) beside the pictures, not read"
+    command, out = re.fullmatch(r"extract frames with (.*), then use (.*); or .*", problem.todo).groups()  # type: ignore[union-attr]
     program = f"{shlex.quote(sys.executable)} -m {command}"
     subprocess.run(["bash", "-c", program], cwd=tmp_path, check=True, capture_output=True)
     dataset = detection.read(tmp_path / shlex.split(out)[0])
-    assert len({i.capture.sequence for i in dataset.images}) == max(1, count)
+    assert len({i.capture.sequence for i in dataset.images}) == count
 
 
 def test_a_file_in_place_of_a_folder_is_called_a_file(tmp_path: Path) -> None:

@@ -80,6 +80,19 @@ def test_visible_videos_are_marked(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
+def test_one_video_alone_is_read_with_its_labels(tmp_path: Path) -> None:
+    folder = anti_uav_video(tmp_path / "a") / "train" / "20190925_101846_1_1"
+    thermal, visible = (detection.read(folder / f"{name}.mp4") for name in ("infrared", "visible"))
+    assert thermal.format == visible.format == "anti-uav" and thermal.problems == ()
+    assert [i.extra.get("modality") for i in (thermal.images[0], visible.images[0])] == [None, "visible"]
+    assert all(len(i.instances) == 1 for i in (*thermal.images, *visible.images))
+    for clip in ("IR_DRONE_001", "IR_BIRD_002"):
+        halmstad(tmp_path / "h", clip)
+    d = detection.read(tmp_path / "h" / "Data" / "Video_IR" / "IR_BIRD_002.mp4")
+    assert (d.format, {i.capture.sequence for i in d.images}) == ("halmstad", {"IR_BIRD_002"})
+    assert any(i.instances for i in d.images) and d.problems == ()
+
+
 def test_absent_drones_and_bad_labels_are_counted(tmp_path: Path) -> None:
     label = {
         "exist": [1, 0, 0, 1, 1, 2, 1],

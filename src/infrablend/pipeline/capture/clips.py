@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,9 @@ from infrablend.core.arguments import require_names
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.file_names import distinct_names, file_name
 from infrablend.errors import ArgumentError, DatasetError, Problem
-from infrablend.formats.dji_srt import parse_srt, read_srt
-from infrablend.formats.flight_csv import read_flight_csv
-from infrablend.formats.flight_log import FlightLog
 from infrablend.formats.log_alignment import NO_CLOCK, Aligned, Clock, align
 from infrablend.formats.video import Video
+from infrablend.formats.video_log import own_subtitles, read_log
 
 _EVERY = re.compile(r"(\d+(?:\.\d+)?)\s*(s|ms|f|frames?)", re.ASCII)
 _TIME = re.compile(r"(?:(?:(\d+):)?(\d{1,3}):)?(\d+(?:\.\d+)?)s?", re.ASCII)
@@ -143,7 +141,7 @@ def plan_clips(videos: Sequence[Path], choice: FrameChoice, flight: FlightFacts)
     plans = []
     opened = _open_all(videos)
     for path, name, given, video in zip(videos, names, wanted, opened, strict=True):
-        log, remarks = (common, ()) if common is not None or not flight.use_log else _own_subtitles(video)
+        log, remarks = (common, ()) if common is not None or not flight.use_log else own_subtitles(video)
         aligned = None if log is None else align(log, video.timeline, video.created, flight.clock)
         numbers = choice.numbers(video.timeline.times_s)
         if not numbers.size:
@@ -181,24 +179,3 @@ def _renamed(video: Path, wanted: str, name: str) -> tuple[Problem, ...]:
     found = f"another video is also named {wanted!r}, so the sequence of this one is {name!r}"
     todo = "name the sequences with --sequence"
     return (Problem(video.name, "sequence-renamed", found, "a name per video", todo, "warning"),)
-
-
-def _own_subtitles(video: Video) -> tuple[FlightLog | None, tuple[Problem, ...]]:
-    """Return the log of the subtitles beside a video, or else in it; warnings if those in it hold no telemetry."""
-    for suffix in (".SRT", ".srt", ".Srt"):
-        if (beside := video.path.with_suffix(suffix)).is_file():
-            return read_log(beside), ()
-    text = video.subtitles()
-    try:
-        return (parse_srt(text, video.path) if text else None), ()
-    except DatasetError as error:
-        return None, tuple(replace(p, severity="warning") for p in error.problems)
-
-
-def read_log(path: Path) -> FlightLog:
-    """Read a log of any known kind.
-
-    Raises:
-        DatasetError: It cannot be read, or is of no known kind.
-    """
-    return read_srt(path) if path.suffix.lower() == ".srt" else read_flight_csv(path)

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.errors import Problem
-from infrablend.formats.flight import FOR_ALL, time_of_day
+from infrablend.formats.flight import FOR_ALL
 from infrablend.formats.flight_log import FIELDS, Coverage, Sampled
+from infrablend.formats.video_log import log_problems, rate_problems, telemetry_of, value_text
 from infrablend.pipeline.capture.clips import ClipPlan, FlightFacts
 
 TABLE = "metadata.csv"
@@ -24,7 +21,6 @@ COLUMNS = (
     "time_of_day", "frame", "time_s",
     "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg",
 )  # fmt: skip
-_DECIMALS = {"latitude_deg": 7, "longitude_deg": 7}
 _NEEDED = {
     "pitch_deg": ("gimbal pitch", "camera.pitch='{fixed_deg: 90}'"),
     "altitude_m": ("height", "camera.altitude='{fixed_m: 60}'"),
@@ -61,18 +57,10 @@ def telemetry_rows(
             "hfov_deg": "" if flight.hfov_deg is None else f"{flight.hfov_deg:g}",
         }  # fmt: skip
         if sampled is not None:
-            row["captured"] = sampled.captured[k] or ""
-            row |= {name: value_text(name, float(values[k])) for name, values in sampled.values.items()}
-            row["altitude_from"] = "take-off" if row.get("altitude_m") else ""
-            row["time_of_day"] = row["time_of_day"] or _time_of_day(row)
+            stated = telemetry_of(sampled, k)
+            row |= stated | {"time_of_day": flight.time_of_day or stated["time_of_day"]}
         rows.append(row)
     return rows
-
-
-def _time_of_day(row: Mapping[str, str]) -> str:
-    """Return day or night by the sun, if time and place of a frame are known and leave no doubt; else nothing."""
-    latitude, longitude = (float(row[k]) if row.get(k) else None for k in ("latitude_deg", "longitude_deg"))
-    return time_of_day(row["captured"], latitude, longitude) or ""
 
 
 def table_text(rows: Sequence[Mapping[str, str]]) -> str:
@@ -82,20 +70,6 @@ def table_text(rows: Sequence[Mapping[str, str]]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
-
-
-def is_usable(field_name: str, value: float) -> bool:
-    """Return whether a value can be in the table: a camera that looks down or up, a height that is not negative."""
-    if field_name == "pitch_deg":
-        return abs(value) <= STRAIGHT_DOWN_DEG
-    return value >= 0 if field_name == "altitude_m" else math.isfinite(value)
-
-
-def value_text(field_name: str, value: float) -> str:
-    """Return a value as it is written to the table; empty if it cannot be in it."""
-    if not math.isfinite(value) or not is_usable(field_name, value):
-        return ""
-    return f"{value:.{_DECIMALS.get(field_name, 3)}f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,29 +174,10 @@ def clip_problems(plan: ClipPlan, written: Sequence[WrittenFrame], sampled: Samp
         found = f"{colour} of {len(written)} frame(s) in colour, written as RGB"
         todo = "record with a grey palette (white hot); colours of a palette are no temperatures"
         problems.append(Problem(where, "image-colour", found, "a thermal video in grey", todo, "warning"))
-    if plan.video.timeline.varies:
-        shortest, longest = plan.video.timeline.steps_s
-        found = f"a varying frame rate: steps of {shortest:.3f} to {longest:.3f} s; frames are matched by their times"
-        problems.append(Problem(where, "video-rate", found, "equal steps", severity="warning"))
-    if plan.aligned is None or sampled is None:
-        return problems
-    log = plan.aligned.log
-    problems += [*log.problems, *plan.aligned.problems]
-    c = sampled.coverage
-    if c.before or c.after or c.in_gaps:
-        found = f"{c.before} frame(s) before the log, {c.after} after it, {c.in_gaps} in gaps of up to "
-        found += f"{c.largest_gap_s:.1f} s: no telemetry"
+    problems += rate_problems(where, plan.video.timeline)
+    if plan.aligned is not None and sampled is not None:
         todo = "check --offset and --log-start, or cut the video with --start and --end"
-        problems.append(Problem(log.name, "log-mismatch", found, "a log that covers the video", todo, "warning"))
-    for name, what, expected in (
-        ("altitude_m", "below the take-off point", "heights above 0"),
-        ("pitch_deg", "with a camera that looks back under the aircraft", "-90 to 90 degrees"),
-    ):
-        values = sampled.values.get(name, np.zeros(0))
-        bad = sum(math.isfinite(v) and not is_usable(name, float(v)) for v in values.tolist())
-        if bad:
-            found = f"{bad} frame(s) {what}: {name} is left empty"
-            problems.append(Problem(log.name, "log-value", found, expected, severity="warning"))
+        problems += log_problems(plan.aligned, sampled, todo)
     return problems
 
 

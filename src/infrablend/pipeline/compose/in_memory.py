@@ -78,7 +78,7 @@ class FramesRequest:
 
     Attributes:
         recipe: Name of a shipped recipe, or path of a YAML file.
-        data: Folder of the background dataset, or a source of backgrounds.
+        data: Folder of the background dataset, a video, or a source of backgrounds.
         selection: Frames to offer.
         seed: Seed of every random stream, as of a run.
         settings: Recipe fields to set.

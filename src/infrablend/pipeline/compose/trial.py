@@ -50,7 +50,7 @@ class TrialRequest:
 
     Attributes:
         recipe: Name of a shipped recipe, or path of a YAML file.
-        data: Folder of the background dataset.
+        data: Folder of the background dataset, or a video.
         frame: Id of the frame (`test/a_c0`) or of a background; None for the first one.
         seed: Seed, as of a run.
         settings: Recipe fields to set.

@@ -99,7 +99,7 @@ class RunRequest:
 
     Attributes:
         recipe: Name of a shipped recipe, or path of a YAML file.
-        data: Folder of the background dataset, or its address in object storage.
+        data: Folder of the background dataset, a video, or the address of the folder in object storage.
         out: Folder to write, or with packed shards an address; None only for describing a run.
         selection: Frames to produce: `FrameSelection(sample=20)`, `FrameSelection(frames=["test/a_c0"])`.
         seed: Seed of every random stream. The same seed, data and recipe give the same bytes.

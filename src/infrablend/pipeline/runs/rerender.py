@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -75,9 +76,14 @@ def rerender_frame(
     record = folder.record(frame_id)
     if record.scene is None:
         raise OutputError(f"{run}: frame {frame_id!r} is an unchanged original; there is nothing to render")
-    background = local_folder(data or recorded.data) / record.background["path"]
+    source = local_folder(data or recorded.data)
+    # Not by the file system: the data may be one video, below which no path leads out to the cache.
+    background = Path(os.path.normpath(source / record.background["path"]))
     if not background.is_file():
-        raise DatasetError(f"{background}: the background of the frame does not exist; give its folder with --data")
+        todo = "give its folder with --data"
+        if record.background["path"].startswith("../"):
+            todo = f"frames of videos are in the cache folder: `infrablend inspect {source}` decodes them again"
+        raise DatasetError(f"{background}: the background of the frame does not exist; {todo}")
     if sha256_of(real_path(background)) != record.background["sha256"]:
         raise DatasetError(f"{background}: not the background of the frame (its SHA-256 differs)")
     target = out if out is not None else Path(Path(record.image).name)
