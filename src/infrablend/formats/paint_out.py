@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import boxes_mask
 from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.mesh import FloatArray
+from infrablend.motion.shift import Matrix, View, find_shift
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 How = Literal["other-frames", "in-part", "guessed"]
@@ -34,12 +35,6 @@ _ENOUGH = 8
 
 # Boxes grow by this many px and this share of their size: objects glow.
 _GROW_PX, _GROW = 6, 0.2
-# Corners of the background that are followed to another frame, how far apart they are at least, and by how many px
-# following one there and back again may miss; halvings of the picture from which following begins.
-_CORNERS, _CORNERS_APART_PX, _LOOP_PX = 400, 7, 0.7
-_LEVELS = 4
-# A shift of the background: how well it fits corners, px, how many of them and which share, and the change of size.
-_FIT_PX, _LEAST_CORNERS, _LEAST_SHARE, _MOST_ZOOM = 1.0, 12, 0.5, 0.05
 # Width of the surroundings by which frames are compared, px; other frames used besides the best, by their differences.
 _AROUND_PX, _WORSE = 14, 4.0
 # Width over which painted and real pixels blend, px, and how far levels of the surroundings reach in.
@@ -123,23 +118,24 @@ def paint_out(shown: Shown, others: Iterable[tuple[int, Shown]], written: Writte
     window = _window(hole)
     frame = shown.pixels[window].astype(np.float32)
     inside = hole[window]
-    corners = _corners(shown, taken)
+    view = View(shown.grey, taken)
     found: list[_Aligned] = []
     unseen = inside & ~written.strokes[window]
-    moved: dict[bool, NDArray[np.float32]] = {}  # by direction: movement of the corners per frame
+    per_frame: dict[bool, Matrix] = {}  # by direction: change of the matrix in one frame
     for after, other in others:
-        if corners is None or (len(found) >= _ENOUGH and not unseen.any()):
+        if len(found) >= _ENOUGH and not unseen.any():
             break
-        shift = _shift(shown, other, written.marked, corners, corners + after * moved.get(after > 0, np.float32(0)))
+        guess = np.eye(3) + after * per_frame.get(after > 0, np.zeros((3, 3)))
+        shift = find_shift(view, View(other.grey, other.object | written.marked), guess)
         if shift is not None:
-            found.append(_aligned(shown, other, written.marked, shift, window))
+            found.append(_aligned(shown, other, written.marked, shift.matrix, window))
             unseen &= ~found[-1].known
-            moved[after > 0] = (cv2.transform(corners, shift) - corners) / np.float32(after)
+            per_frame[after > 0] = (shift.matrix - np.eye(3)) / after
     painted, missing = _fill(frame, inside, taken[window], found)
     missing &= ~written.strokes[window]
     if missing.any():
-        guess = _inpainted(shown, window, missing, taken)
-        painted[missing] = guess[missing]
+        made_up = _inpainted(shown, window, missing, taken)
+        painted[missing] = made_up[missing]
     # The distance from the hole's own edge: text within it is no edge.
     depth = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 3)
     share = np.where(written.strokes[window], 0, np.clip(depth / _BLEND_PX, 0, 1)).astype(np.float32)
@@ -159,12 +155,6 @@ def _window(hole: NDArray[np.bool_]) -> tuple[slice, slice]:
     return slice(low, high), slice(max(columns[0] - _AROUND_PX, 0), columns[-1] + 1 + _AROUND_PX)
 
 
-def _corners(shown: Shown, blocked: NDArray[np.bool_]) -> NDArray[np.float32] | None:
-    free = (~blocked).astype(np.uint8)
-    found = cv2.goodFeaturesToTrack(shown.grey, _CORNERS, 0.01, _CORNERS_APART_PX, mask=free)
-    return None if found is None else np.asarray(found, np.float32)
-
-
 @dataclass(frozen=True, eq=False)
 class _Aligned:
     """Another frame, shifted so that its background is that of the window: levels, and where they are known."""
@@ -174,51 +164,20 @@ class _Aligned:
 
 
 def _aligned(
-    shown: Shown, other: Shown, marked: NDArray[np.bool_], shift: NDArray[np.float64], window: tuple[slice, slice]
+    shown: Shown, other: Shown, marked: NDArray[np.bool_], shift: Matrix, window: tuple[slice, slice]
 ) -> _Aligned:
     """Return another frame as the window would see it; `shift` leads from this frame to the other one."""
     rows, columns = window
     size = shown.pixels[window].shape[1::-1]
     # That of the window begins at the window's corner.
-    moved = np.column_stack([shift[:, :2], shift @ np.array([columns.start, rows.start, 1.0])])
+    moved = shift @ np.array([[1, 0, columns.start], [0, 1, rows.start], [0, 0, 1]], np.float64)
     unknown = cv2.dilate((other.object | marked).astype(np.uint8), np.ones((2 * _SPREAD_PX + 1,) * 2, np.uint8))
     back = cv2.WARP_INVERSE_MAP
-    pixels = cv2.warpAffine(other.pixels.astype(np.float32), moved, size, flags=cv2.INTER_LANCZOS4 | back)
-    edge = cv2.warpAffine(
+    pixels = cv2.warpPerspective(other.pixels.astype(np.float32), moved, size, flags=cv2.INTER_LANCZOS4 | back)
+    edge = cv2.warpPerspective(
         unknown, moved, size, flags=cv2.INTER_NEAREST | back, borderMode=cv2.BORDER_CONSTANT, borderValue=1
     )
     return _Aligned(np.asarray(pixels, np.float32), np.asarray(edge == 0))
-
-
-def _shift(
-    shown: Shown,
-    other: Shown,
-    marked: NDArray[np.bool_],
-    corners: NDArray[np.float32],
-    guess: NDArray[np.float32],
-) -> NDArray[np.float64] | None:
-    """Return the (2, 3) similarity from a frame to another one by their backgrounds; None if it is not certain.
-
-    `guess` says where the corners may be there.
-    """
-    grey, start = (shown.grey, other.grey), cv2.OPTFLOW_USE_INITIAL_FLOW
-    there, seen, _ = cv2.calcOpticalFlowPyrLK(*grey, corners, guess.copy(), maxLevel=_LEVELS, flags=start)
-    home = there + corners - guess
-    back, again, _ = cv2.calcOpticalFlowPyrLK(*grey[::-1], there, home, maxLevel=_LEVELS, flags=start)
-    begin, end = corners[:, 0], there[:, 0]
-    height, width = marked.shape
-    inside = (end >= 0).all(axis=1) & (end[:, 0] < width) & (end[:, 1] < height)
-    column, row = (np.clip(end[:, k].astype(int), 0, n - 1) for k, n in ((0, width), (1, height)))
-    hidden = (marked | other.object)[row, column]
-    certain = (seen[:, 0] * again[:, 0] > 0) & (np.abs(back[:, 0] - begin).max(axis=1) < _LOOP_PX)
-    kept = inside & certain & ~hidden
-    if kept.sum() < _LEAST_CORNERS:
-        return None
-    found, fits = cv2.estimateAffinePartial2D(begin[kept], end[kept], ransacReprojThreshold=_FIT_PX)
-    if found is None or fits.sum() < max(_LEAST_CORNERS, _LEAST_SHARE * kept.sum()):
-        return None
-    zoom = float(np.hypot(found[0, 0], found[1, 0]))
-    return None if abs(zoom - 1) > _MOST_ZOOM else np.asarray(found, np.float64)
 
 
 def _fill(
