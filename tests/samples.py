@@ -459,6 +459,31 @@ def _monet(folder: Path) -> Path:
     return folder
 
 
+@sample("mot")
+def _mot(folder: Path) -> Path:
+    """A sequence in train with two objects and an empty frame, and one in test without labels."""
+    rows = "1,1,4,5,17,13,1,1,0.5\n1,2,31,9,11,12,1,2,1\n3,1,5,5,17,13,0,1,1\n"
+    info = "[Sequence]\nname={}\nimDir=img1\nframeRate=25\nseqLength={}\nimWidth=64\nimHeight=48\nimExt=.png\n"
+    for k, (name, count) in enumerate((("train/north", 3), ("test/south", 1))):
+        for n in range(count):
+            picture(folder / name / "img1" / f"{n + 1:06d}.png", 3 * k + n)
+        (folder / name / "seqinfo.ini").write_text(info.format(name[-5:], count))
+    (folder / "train/north/gt").mkdir()
+    (folder / "train/north/gt/gt.txt").write_text(rows)
+    (folder / "train/north/gt/labels.txt").write_text("deer\nperson\n")
+    return folder
+
+
+@sample("mot:challenge")
+def _mot_challenge(folder: Path) -> Path:
+    """MOT16's names of classes, without seqinfo.ini; the second frame is empty."""
+    for n in range(2):
+        picture(folder / "MOT16-02" / "img1" / f"{n + 1:06d}.jpg", n)
+    (folder / "MOT16-02" / "gt").mkdir()
+    (folder / "MOT16-02" / "gt" / "gt.txt").write_text("1,1,4,5,17,13,1,1,1\n1,9,31,9,11,12,0,3,0.25\n")
+    return folder
+
+
 @sample("shards")
 def _shards(folder: Path) -> Path:
     """Two packed shards; their tables are not read."""

@@ -185,6 +185,12 @@ FORMATS: tuple[Format, ...] = (
             takes=_set("dont_care pictures"), facts=_VIEW | {"sequence", "captured", "frame"},
         ),
     )),
+    Format("mot", "MOTChallenge: one text of tracks per sequence of frames", (
+        Writer(
+            "mot", "MOTChallenge: one text of tracks per sequence of frames",
+            _set("obb masks occlusion truncated difficult inserted temperature"), takes=_PICTURES,
+        ),
+    )),
     Format("wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"),
     Format("wit-uas", "WIT-UAS: runs with `.label` files beside the frames"),
     Format("dut-anti-uav", "DUT-Anti-UAV: drones in visible light, VOC labels", written_as="voc"),

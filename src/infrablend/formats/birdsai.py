@@ -10,8 +10,6 @@ read as pictures without labels.
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import math
 import re
@@ -232,7 +230,7 @@ def read(
 def _further_species(reading: _Reading) -> dict[int, Category]:
     """Return the categories that our writer's table adds to BIRDSAI's own, by species number."""
     further: dict[int, Category] = {}
-    for n, row in enumerate(_csv_rows(reading, _SPECIES_FILE, _SPECIES_COLUMNS), 1):
+    for n, row in enumerate(reading.own_table(_SPECIES_FILE, _SPECIES_COLUMNS), 1):
         number = to_int(row[0]) if len(row) == len(_SPECIES_COLUMNS) else None
         known = {*SPECIES.values(), UNKNOWN.name, "", *(c.name for c in further.values())}
         if number is not None and number > UNKNOWN.id and number not in further and row[1] not in known:
@@ -243,20 +241,9 @@ def _further_species(reading: _Reading) -> dict[int, Category]:
     return further
 
 
-def _csv_rows(reading: _Reading, name: str, columns: Sequence[str]) -> list[list[str]]:
-    """Return the rows of a table that our writer adds; none if there is no such file."""
-    path = reading.root / name
-    text = reading.text(path, ",".join(columns)) if path.is_file() else None
-    try:
-        return list(csv.reader(io.StringIO(text or "", newline="")))
-    except csv.Error as error:
-        reading.add(name, "table-unreadable", str(error), "a CSV table")
-        return []
-
-
 def _read_names(reading: _Reading) -> dict[str, tuple[str, str]]:
     """Return sequence and date by picture from `names.csv`, which our writer adds if it changed names."""
-    rows = [row for row in _csv_rows(reading, _NAMES_FILE, _NAMES_COLUMNS) if len(row) == len(_NAMES_COLUMNS)]
+    rows = [row for row in reading.own_table(_NAMES_FILE, _NAMES_COLUMNS) if len(row) == len(_NAMES_COLUMNS)]
     return {file: (sequence, captured) for file, _, sequence, captured in rows[1:]}
 
 
