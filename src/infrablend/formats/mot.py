@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from infrablend.core.capture import FACTS, Capture
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.file_names import distinct_names, file_name, leaves, leaves_folder, real_path
+from infrablend.core.file_names import leaves, leaves_folder, real_path
 from infrablend.core.files import link_or_copy, write_text
 from infrablend.errors import Problem
 from infrablend.formats.annotation_files import leave_out
@@ -36,10 +36,10 @@ from infrablend.formats.base import (
     require_size,
 )
 from infrablend.formats.box_checks import edges_of_xywh, snap_edges
-from infrablend.formats.capture import fits_table
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import is_hidden, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.sequences import Tracks, by_sequence, is_labelled, places_of, plain_id, read_names, write_names
 from infrablend.formats.values import csv_text, number_text, to_floats, to_int, to_number, to_share
 
 NAME = "mot"
@@ -61,9 +61,7 @@ _CHALLENGE = re.compile(r"(?:2D)?MOT-?(?:20)?(?:15|16|17|20)(?!\d)", re.IGNORECA
 _NUMBER = re.compile(r"\d{1,12}", re.ASCII)
 # Trackers read it; few datasets say it, and MOTChallenge's own value is mostly this.
 _FRAME_RATE = 30.0
-_NAMES_FILE, _NAMES_COLUMNS = "names.csv", ("file", "name", "sequence", "frame", "captured")
 _TRACKS_FILE, _TRACKS_COLUMNS = "tracks.csv", ("sequence", "id", "category", "track_id")
-_UNNAMED = "pictures"
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
@@ -155,7 +153,7 @@ def read(
     wanted = check_splits(splits)
     reading = _Reading(root, origin=int(origin), by_order=frames == "order", numbers={}, originals={})
     reading.originals = _read_tracks(reading)
-    renamed = _read_names(reading)
+    renamed = read_names(reading)
     records: list[ImageRecord] = []
     for folder in _sequences(root):
         split = _split_of(root, folder)
@@ -170,16 +168,6 @@ def read(
     return reading.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def _read_names(reading: _Reading) -> dict[str, Capture]:
-    """Return sequence, frame and date by picture from `names.csv`, which our writer adds if it changed them."""
-    rows = [r for r in reading.own_table(_NAMES_FILE, _NAMES_COLUMNS)[1:] if len(r) == len(_NAMES_COLUMNS)]
-    facts = ("sequence", "frame", "captured")
-    return {
-        file: Capture.from_json({k: v or None for k, v in zip(facts, values, strict=True)}, strict=False)
-        for file, _, *values in rows
-    }
-
-
 def _read_tracks(reading: _Reading) -> dict[tuple[str, int], int | str]:
     """Return the tracks of `tracks.csv`, in which our writer lists those whose ids it changed."""
     tracks: dict[tuple[str, int], int | str] = {}
@@ -189,14 +177,8 @@ def _read_tracks(reading: _Reading) -> dict[tuple[str, int], int | str]:
             found, expected = repr(",".join(row))[:80], ",".join(_TRACKS_COLUMNS)
             reading.add(f"{_TRACKS_FILE}: line {n}", "row-malformed", found, expected, "correct the line")
         else:
-            tracks[row[0], number] = _plain_id(row[3])
+            tracks[row[0], number] = plain_id(row[3])
     return tracks
-
-
-def _plain_id(text: str) -> int | str:
-    """Return the whole number that an id is, as `7` but not `07`, else the text."""
-    number = to_int(text)
-    return number if number is not None and str(number) == text else text
 
 
 def _read_sequence(reading: _Reading, folder: Path, split: Split, unlabelled: str) -> list[ImageRecord]:
@@ -391,14 +373,6 @@ def _instances(
 # -- writing ---------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Place:
-    """Where a picture goes: the folder of its sequence below the dataset's, and its number in it."""
-
-    folder: str
-    number: int
-
-
 def write(
     out: Path, images: Iterable[ImageRecord], categories: Sequence[Category], *, pictures: bool = True
 ) -> Written:
@@ -418,82 +392,37 @@ def write(
     names = [c.name for c in sorted(categories, key=lambda c: c.id)]
     numbers = {name: n for n, name in enumerate(names, 1)}
     ignored = {c.name for c in categories if c.ignore}
-    places = _places(ordered)
-    groups: dict[str, list[int]] = defaultdict(list)
-    for n in sorted(range(len(places)), key=lambda n: (places[n].folder, places[n].number)):
-        groups[places[n].folder].append(n)
+    places = places_of(ordered)
     files: list[Path] = []
     problems: list[Problem] = []
     changed: list[tuple[str, int, str, int | str]] = []
-    for folder, group in groups.items():
+    for folder, group in by_sequence(places).items():
         sequence = [ordered[n] for n in group]
-        files.append(write_text(out / folder / _INFO, _info(folder, sequence, places[group[-1]].number, problems)))
-        if not any(_is_labelled(image) for image in sequence):
+        files.append(write_text(out / folder / _INFO, _info(folder, sequence, places[group[-1]].number + 1, problems)))
+        if not any(is_labelled(image) for image in sequence):
             continue  # as in the test parts of MOTChallenge
-        losses["unlabelled_unsaid"] += sum(not _is_labelled(image) for image in sequence)
-        tracks = _Tracks(sequence)
+        losses["unlabelled_unsaid"] += sum(not is_labelled(image) for image in sequence)
+        tracks = Tracks(sequence, 1)
         changed += [(folder, number, *key) for key, number in tracks.changed.items()]
         lines = []
         for n, image in zip(group, sequence, strict=True):
             require_known(image, numbers)
-            for o, track in zip(image.instances, tracks.of(image, losses), strict=True):
+            for o, (track, key) in zip(image.instances, tracks.of(image, losses), strict=True):
+                losses["track_renumbered"] += key in tracks.changed
                 conf = int(not o.is_crowd and o.category not in ignored)
-                lines.append(_line(places[n].number, track, o, conf, numbers[o.category], losses))
+                lines.append(_line(places[n].number + 1, track, o, conf, numbers[o.category], losses))
         files.append(write_text(out / folder / _GT, "".join(lines)))
         files.append(write_text(out / folder / "gt" / _LABELS, "".join(f"{name}\n" for name in names)))
-    renamed, known = [], []
-    for image, place in zip(ordered, places, strict=True):
-        base = f"{place.folder.partition('/')[2]}/{place.number:06d}{PurePosixPath(image.name).suffix}"
-        path = f"{place.folder}/{_PICTURES}/{base.rpartition('/')[2]}"
-        if pictures:
-            files.append(link_or_copy(image.path, out / path))
-        capture, (sequence_name, _, _) = image.capture, base.partition("/")
-        losses["name_changed"] += base != image.name
-        losses["sequence_made"] += capture.sequence is None or capture.frame != place.number - 1
-        found_out = (capture.sequence, capture.frame, capture.captured) == (sequence_name, place.number - 1, None)
-        if base != image.name or not found_out:
-            said = (capture.sequence, capture.frame, capture.captured)
-            renamed.append((path, image.name, *("" if v is None else v for v in said)))
-        facts = {k: v for k, v in capture.to_json().items() if k in _TABLE_FACTS}
-        losses["telemetry_dropped"] += not all(fits_table(*fact) for fact in facts.items())
-        if facts:
-            known.append((path, *(facts.get(k, "") if fits_table(k, facts.get(k)) else "" for k in _TABLE_FACTS)))
-    tables = (
-        (_NAMES_FILE, _NAMES_COLUMNS, renamed),
-        (_TRACKS_FILE, _TRACKS_COLUMNS, changed),
-        ("metadata.csv", ("file", *_TABLE_FACTS), known),
-    )
-    files += [write_text(out / name, csv_text(head, rows)) for name, head, rows in tables if rows]
+    paths = [
+        f"{place.folder}/{_PICTURES}/{place.number + 1:06d}{PurePosixPath(image.name).suffix}"
+        for image, place in zip(ordered, places, strict=True)
+    ]
+    if pictures:
+        files += [link_or_copy(image.path, out / path) for image, path in zip(ordered, paths, strict=True)]
+    if changed:
+        files.append(write_text(out / _TRACKS_FILE, csv_text(_TRACKS_COLUMNS, changed)))
+    files += write_names(out, zip(ordered, places, paths, strict=True), losses)
     return Written.of(files, losses, problems)
-
-
-_TABLE_FACTS = tuple(name for name, fact in FACTS.items() if fact.field == "telemetry")
-
-
-def _is_labelled(image: ImageRecord) -> bool:
-    return bool(image.instances) or image.extra.get("labelled", True) is True
-
-
-def _places(images: Sequence[ImageRecord]) -> list[_Place]:
-    """Return the place of each image; sequences keep their names as far as folders can have them."""
-    groups: dict[tuple[Split, str | None], list[int]] = defaultdict(list)
-    for n, image in enumerate(images):
-        groups[image.split, image.capture.sequence].append(n)
-    places: dict[int, _Place] = {}
-    for split in dict.fromkeys(split for split, _ in groups):
-        # Names that can stay come first, so that no other gets theirs.
-        own = sorted(
-            (s for sp, s in groups if sp == split), key=lambda s: (s is None or file_name(s) != s, s is None, s or "")
-        )
-        folders = distinct_names([_UNNAMED if s is None else file_name(s) for s in own])
-        for sequence, folder in zip(own, folders, strict=True):
-            group = groups[split, sequence]
-            frames = [images[n].capture.frame for n in group]
-            known = [f for f in frames if f is not None]
-            if len({*known}) < len(group) or max(known) >= 10**9:
-                group, known = sorted(group, key=lambda n: images[n].name), list(range(len(group)))
-            places |= {n: _Place(f"{split}/{folder}", f + 1) for n, f in zip(group, known, strict=True)}
-    return [places[n] for n in range(len(images))]
 
 
 def _info(folder: str, sequence: Sequence[ImageRecord], last: int, problems: list[Problem]) -> str:
@@ -524,45 +453,6 @@ def _info(folder: str, sequence: Sequence[ImageRecord], last: int, problems: lis
         "imExt": suffix,
     }
     return "[Sequence]\n" + "".join(f"{k}={v}\n" for k, v in fields.items())
-
-
-_Key = tuple[str, int | str]
-
-
-class _Tracks:
-    """Ids of the tracks of one sequence: whole numbers from 1 of one class stay, others get the next free ones."""
-
-    def __init__(self, sequence: Iterable[ImageRecord]) -> None:
-        keys: dict[_Key, None] = dict.fromkeys(k for i in sequence for o in i.instances if (k := self._key(o)))
-        classes = Counter(track for _, track in keys)
-        self.numbers: dict[_Key, int] = {
-            k: k[1] for k in keys if isinstance(k[1], int) and k[1] > 0 and classes[k[1]] == 1
-        }
-        self.free = itertools.count(max(self.numbers.values(), default=0) + 1)
-        self.changed: dict[_Key, int] = {k: next(self.free) for k in keys if k not in self.numbers}
-        self.numbers |= self.changed
-
-    @staticmethod
-    def _key(instance: Instance) -> _Key | None:
-        track = instance.track_id
-        if track is None:
-            return None
-        return instance.category, _plain_id(track) if isinstance(track, str) else track
-
-    def of(self, image: ImageRecord, losses: Counter[str]) -> list[int]:
-        """Return the ids of the objects of an image; those without a track, or with that of another, get a new one."""
-        used: set[int] = set()
-        ids = []
-        for o in image.instances:
-            key = self._key(o)
-            number = None if key is None else self.numbers[key]
-            losses["track_renumbered"] += key in self.changed
-            if number is None or number in used:
-                losses["track_made"] += 1
-                number = next(self.free)
-            used.add(number)
-            ids.append(number)
-        return ids
 
 
 def _line(frame: int, track: int, o: Instance, conf: int, number: int, losses: Counter[str]) -> str:
