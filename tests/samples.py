@@ -288,6 +288,21 @@ def _cvat(folder: Path) -> Path:
     return _written(folder, lambda images, categories: cvat.write(folder, images, categories))
 
 
+@sample("cvat:video")
+def _cvat_video(folder: Path) -> Path:
+    """Two sequences; in the first, one object is gone in the second frame, the other in the third."""
+    box = '<box frame="{}" keyframe="1" outside="{}" occluded="0" xtl="{}" ytl="4" xbr="20" ybr="17.5"></box>'
+    first = "".join(box.format(n, int(n == 2), 3 + n) for n in range(3))
+    second = box.format(0, 0, 9) + box.format(1, 1, 9)
+    tracks = f'<track id="0" label="Person">{first}</track><track id="1" label="Car">{second}</track>'
+    for k, (name, text, count) in enumerate((("train/north", tracks, 3), ("val/south", "", 1))):
+        for n in range(count):
+            picture(folder / name / "images" / f"frame_{n:06d}.png", 3 * k + n)
+        head = "<version>1.1</version><meta><task><mode>interpolation</mode></task></meta>"
+        (folder / name / "annotations.xml").write_text(f"<annotations>{head}{text}</annotations>")
+    return folder
+
+
 @sample("dota")
 def _dota(folder: Path) -> Path:
     return _written(folder, lambda images, names: dota.write(folder, images, names))

@@ -166,10 +166,14 @@ FORMATS: tuple[Format, ...] = (
     Format("huggingface", "Hugging Face's imagefolder with `metadata.jsonl`", (
         Writer("huggingface", "Hugging Face's imagefolder with `metadata.jsonl`", takes=_PICTURES),
     )),
-    Format("cvat", "CVAT's own XML, `CVAT for images 1.1`", (
+    Format("cvat", "CVAT's own XML, `CVAT for images 1.1` or `CVAT for video 1.1`", (
         Writer(
             "cvat", "CVAT's own XML, `CVAT for images 1.1`: rotated boxes, masks, attributes",
             _set("boxes occlusion temperature"), takes=_PICTURES, table=_YOLO_TABLE,
+        ),
+        Writer(
+            "cvat-video", "CVAT's own XML, `CVAT for video 1.1`: a track per object, a file per sequence",
+            _set("boxes masks occlusion temperature"), {"video": True}, _PICTURES, of="cvat",
         ),
     )),
     Format("label-studio", "Label Studio: tasks with rectangles, brushes, polygons", (

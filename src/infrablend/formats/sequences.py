@@ -145,7 +145,8 @@ class Tracks:
         self._numbers: dict[TrackKey, int] = {
             k: k[1] for k in keys if isinstance(k[1], int) and k[1] >= first and classes[k[1]] == 1
         }
-        self._free = itertools.count(max(self._numbers.values(), default=first - 1) + 1)
+        # Above all ids that were given, as readers may restore those that change.
+        self._free = itertools.count(max([first, *(t + 1 for _, t in keys if isinstance(t, int))]))
         self.changed: dict[TrackKey, int] = {k: next(self._free) for k in keys if k not in self._numbers}
         self._numbers |= self.changed
 

@@ -12,8 +12,10 @@ import pytest
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS, Writer
+from infrablend.errors import DatasetError
 from infrablend.formats import detection, writing
 from infrablend.formats.losses import Written
+from infrablend.formats.reading import Reading
 from tests.samples import SIZE_WH, codes, picture
 
 CATEGORIES = (Category(0, "drone"), Category(1, "bird"))
@@ -100,3 +102,117 @@ def test_tracks_by_the_names_of_other_tools(tmp_path: Path) -> None:
     d = detection.read(coco_file(tmp_path, records, annotations, videos=[{"id": 3, "name": "north"}]))
     assert [(i.capture.sequence, i.capture.frame) for i in d.images] == [("north", 5), (None, 0)]
     assert [[o.track_id for o in i.instances] for i in d.images] == [[4, 8, 1], [None]]
+
+
+# -- CVAT for video --------------------------------------------------------------------------------------------
+
+
+def video_task(
+    root: Path, tracks: str, numbers: range = range(3), *, meta: str = "", names: str = "frame_{:06d}.png"
+) -> Path:
+    for n in numbers:
+        picture(root / "images" / names.format(n), n)
+    head = f"<task><name>north</name><mode>interpolation</mode>{meta}</task>"
+    text = f"<?xml version='1.0'?><annotations><version>1.1</version><meta>{head}</meta>{tracks}</annotations>"
+    (root / "annotations.xml").write_text(text)
+    return root
+
+
+def shape(frame: int | str, x: float = 5, more: str = 'keyframe="1" outside="0" occluded="0"') -> str:
+    return f'<box frame="{frame}" {more} xtl="{x}" ytl="2" xbr="{x + 9}" ybr="12.5"></box>'
+
+
+def test_a_video_task_of_cvat_is_read(tmp_path: Path) -> None:
+    gone, hidden = 'keyframe="1" outside="1" occluded="0"', 'keyframe="0" outside="0" occluded="1"'
+    tracks = (
+        f'<track id="0" label="deer">{shape(0)}{shape(1, 6, hidden)}{shape(2, 6, gone)}'
+        f'</track><track id="1" label="boar">{shape(2, 30)}</track>'
+    )
+    d = detection.read(video_task(tmp_path, tracks))
+    assert (d.format, d.problems) == ("cvat", ())
+    assert [(i.capture.sequence, i.capture.frame) for i in d.images] == [("north", 0), ("north", 1), ("north", 2)]
+    assert [[(o.category, o.track_id, o.box_xyxy[0]) for o in i.instances] for i in d.images] == [
+        [("deer", 0, 5)], [("deer", 0, 6)], [("boar", 1, 30)],
+    ]  # fmt: skip
+    assert d.images[1].instances[0].extra == {"occluded": True}
+
+
+def test_the_attribute_is_the_track_where_there_is_one(tmp_path: Path) -> None:
+    named = shape(0).replace("></box>", '><attribute name="track_id">left</attribute></box>')
+    empty = shape(0).replace("></box>", '><attribute name="track_id"></attribute></box>')
+    tracks = f'<track id="4" label="deer">{named}</track><track id="5" label="deer">{empty}</track>'
+    assert [o.track_id for o in detection.read(video_task(tmp_path, tracks)).images[0].instances] == ["left", 5]
+
+
+def test_frames_are_numbers_of_names_or_positions(tmp_path: Path) -> None:
+    """A task made from every tenth frame of a video, and one made from pictures."""
+    tracks = f'<track id="0" label="deer">{shape(10)}</track>'
+    d = detection.read(video_task(tmp_path / "a", tracks, range(0, 30, 10), meta="<stop_frame>20</stop_frame>"))
+    assert [(i.capture.frame, len(i.instances)) for i in d.images] == [(0, 0), (10, 1), (20, 0)]
+    tracks = f'<track id="0" label="deer">{shape(1)}</track>'
+    d = detection.read(video_task(tmp_path / "b", tracks, range(5, 8), names="north-{}.png"))
+    assert [(i.capture.frame, len(i.instances)) for i in d.images] == [(0, 0), (1, 1), (2, 0)] and d.problems == ()
+
+
+def test_objects_that_are_gone_are_outside(tmp_path: Path) -> None:
+    """CVAT keeps an object until a shape is outside; frames are positions in the task."""
+    written, _ = converted("cvat-video", flight(tmp_path), tmp_path / "out")
+    text = (tmp_path / "out/train/clip/annotations.xml").read_text()
+    assert "<start_frame>0</start_frame>\n      <stop_frame>3</stop_frame>" in text
+    shapes = [line.split(' occluded="')[0].strip() for line in text.splitlines() if "<box" in line or "<track" in line]
+    assert shapes == [
+        '<track id="7" label="drone" source="manual">',
+        '<box frame="0" keyframe="1" outside="0"', '<box frame="1" keyframe="1" outside="0"',
+        '<box frame="2" keyframe="1" outside="1"', '<box frame="3" keyframe="1" outside="0"',
+        '<track id="9" label="bird" source="manual">',
+        '<box frame="1" keyframe="1" outside="0"', '<box frame="2" keyframe="1" outside="1"',
+        '<box frame="3" keyframe="1" outside="0"',
+    ]  # fmt: skip
+    assert written.losses == {"name_changed": 4}
+    assert sorted(p.name for p in (tmp_path / "out/train/clip/images").iterdir())[-1] == "frame_000004.png"
+
+
+def test_ids_of_any_kind_come_back_from_cvats_attribute(tmp_path: Path) -> None:
+    objects = (drone("left"), drone(3, 10), drone(3, 20, "bird"), drone(None, 30), drone(3, 40))
+    written, again = converted("cvat-video", [image(tmp_path, 0, *objects)], tmp_path / "out")
+    ids = {o.box_xyxy[0]: o.track_id for o in again.images[0].instances}
+    assert {x: ids[x] for x in (0, 10, 20)} == {0: "left", 10: 3, 20: 3}
+    assert len({ids[30], ids[40], 3, "left"}) == 4  # no track, and the second object of one in the picture
+    assert written.losses["track_made"] == 2
+
+
+@pytest.mark.parametrize(
+    ("tracks", "errors", "warnings"),
+    [
+        (f'<track id="0" label="deer">{shape("x")}{shape(1)}</track>', ["row-malformed"], []),
+        (f'<track id="0" label="deer">{shape(-1)}{shape(1)}</track>', ["row-malformed"], []),
+        (f'<track id="0">{shape(0)}</track><track id="1" label="a">{shape(0)}</track>', ["category-unknown"], []),
+        (f'<track id="0" label="deer">{shape(0, 90)}{shape(1)}</track>', ["box-outside"], []),
+        (f'<track id="0" label="deer">{shape(1)}{shape(1, 8)}</track>', [], ["track-twice"]),
+        (f'<track id="0" label="deer">{shape(2)}{shape(3)}</track>', [], ["row-without-picture"]),
+        (f'<track id="0" label="deer">{shape(0)}{shape(2)}</track>', [], ["track-gaps"]),
+        (f'<track id="0" label="deer">{shape(0)}<points frame="1" points="1,2"/></track>', [], ["kind-unread"]),
+        (
+            "".join(f'<track id="{k}" label="a" task_id="{k}">{shape(0)}</track>' for k in range(2)),
+            ["annotation-layout", "image-missing"],
+            [],
+        ),
+    ],
+)
+def test_faults_of_a_video_task_are_named(tmp_path: Path, tracks: str, errors: list[str], warnings: list[str]) -> None:
+    try:
+        problems = detection.read(video_task(tmp_path, tracks)).problems
+    except DatasetError as error:
+        problems = tuple(error.problems)
+    assert [p.code for p in problems if p.severity == "error"] == errors
+    assert [p.code for p in problems if p.severity == "warning"] == warnings
+
+
+def test_a_video_task_without_pictures_and_one_without_tracks(tmp_path: Path) -> None:
+    bare = video_task(tmp_path / "a", f'<track id="0" label="a">{shape(0)}</track>', range(1))
+    (bare / "images" / "frame_000000.png").unlink()
+    with pytest.raises(DatasetError) as caught:
+        detection.read(bare, Reading(format="cvat"))
+    assert caught.value.problems[0].code == "image-missing"
+    d = detection.read(video_task(tmp_path / "b", ""))
+    assert [i.instances for i in d.images] == [(), (), ()] and d.problems == ()
