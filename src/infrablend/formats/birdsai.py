@@ -36,6 +36,7 @@ from infrablend.formats.box_checks import edges_of_xywh, snap_edges
 from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.sequences import plain_id
 from infrablend.formats.values import csv_text, number_text, to_floats, to_int
 
 NAME = "birdsai"
@@ -516,12 +517,13 @@ class _Tracks:
 
     def reserve(self, ids: Iterable[int | str | None]) -> None:
         """Reserve the numbers of numbered tracks."""
-        self.free = max([self.free, *(i + 1 for i in ids if isinstance(i, int))])
+        self.free = max([self.free, *(n + 1 for i in ids if i is not None and isinstance(n := plain_id(i), int))])
 
     def number(self, id_: int | str | None) -> int:
         """Return the number of a track; each call with None returns a new number."""
-        if isinstance(id_, int):
-            return id_
+        known = None if id_ is None else plain_id(id_)
+        if isinstance(known, int):
+            return known
         number = self.free if id_ is None else self.named.setdefault(id_, self.free)
         self.free += number == self.free
         return number
@@ -544,6 +546,7 @@ def _line(
     losses["class_unfit"] += class_ == 0 and number > UNKNOWN.id
     count_dropped(instance, losses, "obb", "mask", "visibility", "occlusion boxes", "truncated", "difficult")
     losses["track_made"] += instance.track_id is None
+    losses["track_renumbered"] += isinstance(instance.track_id, str) and isinstance(plain_id(instance.track_id), str)
     x0, y0, x1, y1 = instance.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))
     hidden = instance.extra.get("occluded") is True or (instance.visibility is not None and instance.visibility < 1)

@@ -216,3 +216,17 @@ def test_a_video_task_without_pictures_and_one_without_tracks(tmp_path: Path) ->
     assert caught.value.problems[0].code == "image-missing"
     d = detection.read(video_task(tmp_path / "b", ""))
     assert [i.instances for i in d.images] == [(), (), ()] and d.problems == ()
+
+
+# -- BIRDSAI ---------------------------------------------------------------------------------------------------
+
+
+def test_birdsai_counts_frames_from_zero_and_ids_that_are_text(tmp_path: Path) -> None:
+    images = [image(tmp_path, frame, drone("left"), drone("4", 20), drone(0, 40)) for frame in (0, 1)]
+    written, again = converted("birdsai", images, tmp_path / "out")
+    (table,) = (tmp_path / "out" / "TrainReal" / "annotations").iterdir()
+    assert [line.split(",")[:2] for line in table.read_text().splitlines()] == [
+        ["0", "5"], ["0", "4"], ["0", "0"], ["1", "5"], ["1", "4"], ["1", "0"],
+    ]  # fmt: skip
+    assert written.losses["track_renumbered"] == 2 and "track_made" not in written.losses
+    assert [i.capture.frame for i in again.images] == [0, 1]
