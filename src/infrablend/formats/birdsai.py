@@ -524,7 +524,7 @@ class _Tracks:
         known = None if id_ is None else plain_id(id_)
         if isinstance(known, int):
             return known
-        number = self.free if id_ is None else self.named.setdefault(id_, self.free)
+        number = self.free if known is None else self.named.setdefault(known, self.free)
         self.free += number == self.free
         return number
 

@@ -15,6 +15,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
@@ -47,7 +48,16 @@ from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import PictureFolder, check_name
 from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
-from infrablend.formats.sequences import by_sequence, is_labelled, places_of, plain_id, read_names, write_names
+from infrablend.formats.sequences import (
+    Frames,
+    Place,
+    by_sequence,
+    is_labelled,
+    places_of,
+    plain_id,
+    read_names,
+    write_pictures,
+)
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "cvat"
@@ -102,22 +112,20 @@ def _write_videos(
     """Write a file per sequence, and link its pictures beside it."""
     places = places_of(images)
     for folder, group in by_sequence(places).items():
-        sequence = [images[n] for n in group]
+        sequence = Frames(images, group)
         for image in sequence:
             require_known(image, known)
             losses["unlabelled_unsaid"] += not is_labelled(image)
             for i in image.instances:
                 count_dropped(i, losses, "occlusion boxes", "mask")
                 losses["obb_not_rectangle"] += _is_skewed(i)
-        chunks = [_head(folder, len(sequence), known, sequence[0]), *cvat_video.tracks_of(sequence, _box, losses)]
-        yield write_chunks(out / folder / cvat_video.FILE, [*chunks, "</annotations>\n"])
-    paths = [
-        f"{place.folder}/{cvat_video.PICTURES}/frame_{place.number:06d}{PurePosixPath(image.name).suffix}"
-        for image, place in zip(images, places, strict=True)
-    ]
-    if pictures:
-        yield from (link_or_copy(image.path, out / path) for image, path in zip(images, paths, strict=True))
-    yield from write_names(out, zip(images, places, paths, strict=True), losses)
+        head, tracks = _head(folder, len(sequence), known, sequence[0]), cvat_video.tracks_of(sequence, _box, losses)
+        yield write_chunks(out / folder / cvat_video.FILE, chain([head], tracks, ["</annotations>\n"]))
+
+    def path_of(image: ImageRecord, place: Place) -> str:
+        return f"{place.folder}/{cvat_video.PICTURES}/frame_{place.number:06d}{PurePosixPath(image.name).suffix}"
+
+    yield from write_pictures(out, images, places, path_of, losses, pictures)
 
 
 def _labels(categories: Sequence[Category]) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord, Instance, Split
 from infrablend.formats.pictures import list_pictures
 from infrablend.formats.records import Findings
-from infrablend.formats.sequences import Tracks, plain_id
+from infrablend.formats.sequences import Frames, Tracks, plain_id
 from infrablend.formats.values import to_int
 
 FILE, PICTURES = "annotations.xml", "images"
@@ -155,23 +155,41 @@ def _shapes(
 # -- writing ---------------------------------------------------------------------------------------------------
 
 
-def tracks_of(images: Sequence[ImageRecord], write_shape: WriteShape, losses: Counter[str]) -> Iterator[str]:
-    """Yield the elements of the tracks of one sequence, in the order of their numbers.
+def tracks_of(images: Frames, write_shape: WriteShape, losses: Counter[str]) -> Iterator[str]:
+    """Yield the elements of the tracks of one sequence: first those that are made for single objects, then the others.
 
     Frames are positions in the sequence, as in a task that CVAT makes from its pictures. Where an object is gone, a
     shape is outside: CVAT would otherwise keep it to the end.
     """
     tracks = Tracks(images, 0)
-    shapes: dict[int, list[tuple[int, Instance]]] = defaultdict(list)
+    places: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for frame, image in enumerate(images):
-        for o, (number, key) in zip(image.instances, tracks.of(image, losses), strict=True):
-            shapes[number].append((frame, o if key is not None else replace(o, track_id=None)))
-    for number, listed in sorted(shapes.items()):
-        yield f'  <track id="{number}" label={quoteattr(listed[0][1].category)} source="manual">\n'
-        following = [frame for frame, _ in listed[1:]] + [len(images)]
-        for (frame, o), after in zip(listed, following, strict=True):
-            shown = [(frame, 0), *([(frame + 1, 1)] if after > frame + 1 else [])]
-            for n, outside in shown:
-                said = f'frame="{n}" keyframe="1" outside="{outside}"'
-                yield f"    {write_shape(o, said)}\n"
-        yield "  </track>\n"
+        for k, (o, (number, key)) in enumerate(zip(image.instances, tracks.of(image, losses), strict=True)):
+            if key is None:
+                yield from _track(number, [(frame, replace(o, track_id=None))], len(images), write_shape)
+            else:
+                places[number].append((frame, k))
+    for number, listed in sorted(places.items()):
+        yield from _track(number, ((n, images[n].instances[k]) for n, k in listed), len(images), write_shape)
+
+
+def _track(
+    number: int, shapes: Iterable[tuple[int, Instance]], length: int, write_shape: WriteShape
+) -> Iterator[str]:  # fmt: skip
+    """Yield the element of one track from its frames, in order."""
+    last: tuple[int, Instance] | None = None
+    for frame, o in shapes:
+        if last is None:
+            yield f'  <track id="{number}" label={quoteattr(o.category)} source="manual">\n'
+        elif frame > last[0] + 1:
+            yield _shape(last[0] + 1, 1, last[1], write_shape)
+        yield _shape(frame, 0, o, write_shape)
+        last = frame, o
+    if last is not None and last[0] + 1 < length:
+        yield _shape(last[0] + 1, 1, last[1], write_shape)
+    yield "  </track>\n"
+
+
+def _shape(frame: int, outside: int, o: Instance, write_shape: WriteShape) -> str:
+    said = f'frame="{frame}" keyframe="1" outside="{outside}"'
+    return f"    {write_shape(o, said)}\n"

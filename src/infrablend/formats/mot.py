@@ -14,7 +14,7 @@ import itertools
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -22,7 +22,7 @@ from typing import Any
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves, leaves_folder, real_path
-from infrablend.core.files import link_or_copy, write_text
+from infrablend.core.files import write_chunks, write_text
 from infrablend.errors import Problem
 from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.base import (
@@ -39,7 +39,17 @@ from infrablend.formats.box_checks import edges_of_xywh, snap_edges
 from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import is_hidden, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
-from infrablend.formats.sequences import Tracks, by_sequence, is_labelled, places_of, plain_id, read_names, write_names
+from infrablend.formats.sequences import (
+    Frames,
+    Place,
+    Tracks,
+    by_sequence,
+    is_labelled,
+    places_of,
+    plain_id,
+    read_names,
+    write_pictures,
+)
 from infrablend.formats.values import csv_text, number_text, to_floats, to_int, to_number, to_share
 
 NAME = "mot"
@@ -397,35 +407,43 @@ def write(
     problems: list[Problem] = []
     changed: list[tuple[str, int, str, int | str]] = []
     for folder, group in by_sequence(places).items():
-        sequence = [ordered[n] for n in group]
+        sequence = Frames(ordered, group)
         files.append(write_text(out / folder / _INFO, _info(folder, sequence, places[group[-1]].number + 1, problems)))
         if not any(is_labelled(image) for image in sequence):
             continue  # as in the test parts of MOTChallenge
         losses["unlabelled_unsaid"] += sum(not is_labelled(image) for image in sequence)
         tracks = Tracks(sequence, 1)
         changed += [(folder, number, *key) for key, number in tracks.changed.items()]
-        lines = []
-        for n, image in zip(group, sequence, strict=True):
-            require_known(image, numbers)
-            for o, (track, key) in zip(image.instances, tracks.of(image, losses), strict=True):
-                losses["track_renumbered"] += key in tracks.changed
-                conf = int(not o.is_crowd and o.category not in ignored)
-                lines.append(_line(places[n].number + 1, track, o, conf, numbers[o.category], losses))
-        files.append(write_text(out / folder / _GT, "".join(lines)))
+        lines = _lines(sequence, [places[n].number + 1 for n in group], tracks, numbers, ignored, losses)
+        files.append(write_chunks(out / folder / _GT, lines))
         files.append(write_text(out / folder / "gt" / _LABELS, "".join(f"{name}\n" for name in names)))
-    paths = [
-        f"{place.folder}/{_PICTURES}/{place.number + 1:06d}{PurePosixPath(image.name).suffix}"
-        for image, place in zip(ordered, places, strict=True)
-    ]
-    if pictures:
-        files += [link_or_copy(image.path, out / path) for image, path in zip(ordered, paths, strict=True)]
     if changed:
         files.append(write_text(out / _TRACKS_FILE, csv_text(_TRACKS_COLUMNS, changed)))
-    files += write_names(out, zip(ordered, places, paths, strict=True), losses)
+    files += write_pictures(out, ordered, places, _path_of, losses, pictures)
     return Written.of(files, losses, problems)
 
 
-def _info(folder: str, sequence: Sequence[ImageRecord], last: int, problems: list[Problem]) -> str:
+def _path_of(image: ImageRecord, place: Place) -> str:
+    return f"{place.folder}/{_PICTURES}/{place.number + 1:06d}{PurePosixPath(image.name).suffix}"
+
+
+def _lines(
+    sequence: Frames,
+    frames: Iterable[int],
+    tracks: Tracks,
+    numbers: Mapping[str, int],
+    ignored: Collection[str],
+    losses: Counter[str],
+) -> Iterator[str]:
+    """Yield the lines of a sequence's text, picture by picture."""
+    for frame, image in zip(frames, sequence, strict=True):
+        require_known(image, numbers)
+        for o, (track, key) in zip(image.instances, tracks.of(image, losses), strict=True):
+            losses["track_renumbered"] += key in tracks.changed
+            yield _line(frame, track, o, int(not o.is_crowd and o.category not in ignored), numbers[o.category], losses)
+
+
+def _info(folder: str, sequence: Frames, last: int, problems: list[Problem]) -> str:
     """Return the text of `seqinfo.ini`; what one sequence cannot state of several pictures is a warning."""
     sizes = Counter(require_size(image) for image in sequence)
     suffixes = Counter(PurePosixPath(image.name).suffix for image in sequence)

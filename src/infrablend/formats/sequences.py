@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from infrablend.core.capture import FACTS, Capture
 from infrablend.core.dataset import ImageRecord, Instance, Split
 from infrablend.core.file_names import distinct_names, file_name
-from infrablend.core.files import write_text
+from infrablend.core.files import link_or_copy, write_chunks
 from infrablend.formats.capture import fits_table
 from infrablend.formats.records import Findings
 from infrablend.formats.values import csv_text, to_int
@@ -22,7 +23,7 @@ _TABLE_FACTS = tuple(name for name, fact in FACTS.items() if fact.field == "tele
 _UNNAMED = "pictures"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Place:
     """Where a picture goes: its split, the folder of its sequence, and its number in it, from 0."""
 
@@ -69,38 +70,95 @@ def by_sequence(places: Sequence[Place]) -> dict[str, list[int]]:
     return groups
 
 
+@dataclass(frozen=True)
+class Frames:
+    """The pictures of a sequence in order; each is fetched when it is asked for, as a dataset may be stored on disk."""
+
+    images: Sequence[ImageRecord]
+    chosen: Sequence[int]
+
+    def __len__(self) -> int:
+        """Return the number of pictures."""
+        return len(self.chosen)
+
+    def __getitem__(self, index: int) -> ImageRecord:
+        """Return one picture."""
+        return self.images[self.chosen[index]]
+
+    def __iter__(self) -> Iterator[ImageRecord]:
+        """Yield the pictures."""
+        return (self.images[n] for n in self.chosen)
+
+
 def is_labelled(image: ImageRecord) -> bool:
     """Return whether the labels of a picture are known, even if there are none."""
     return bool(image.instances) or image.extra.get("labelled", True) is True
 
 
-def write_names(
-    out: Path, written: Iterable[tuple[ImageRecord, Place, str]], losses: Counter[str]
-) -> Iterator[Path]:  # fmt: skip
-    """Write `names.csv` with what `read_names` restores, and `metadata.csv` with pitch, altitude and the like.
+def write_pictures(
+    out: Path,
+    images: Sequence[ImageRecord],
+    places: Sequence[Place],
+    path_of: Callable[[ImageRecord, Place], str],
+    losses: Counter[str],
+    link: bool,
+) -> Iterator[Path]:
+    """Link the pictures; write `names.csv` with what `read_names` restores, and `metadata.csv` with pitch and the like.
 
     Args:
         out: Folder of the dataset.
-        written: Each picture, its place, and its path below the folder.
+        images: The pictures.
+        places: The place of each.
+        path_of: Returns the path of a picture below the folder.
         losses: Counts what changed, and what a table cannot hold.
+        link: Whether to link the pictures.
     """
-    renamed, known = [], []
-    for image, place, path in written:
-        capture = image.capture
-        base = f"{place.sequence}/{path.rpartition('/')[2]}"
-        losses["name_changed"] += base != image.name
-        losses["sequence_made"] += capture.sequence is None or capture.frame != place.number
-        said = (capture.sequence, capture.frame, capture.captured)
-        if base != image.name or said != (place.sequence, place.number, None):
-            renamed.append((path, image.name, *("" if v is None else v for v in said)))
-        facts = {k: v for k, v in capture.to_json().items() if k in _TABLE_FACTS}
+    renamed = known = 0
+    for image, place in zip(images, places, strict=True):
+        path, facts = path_of(image, place), _telemetry(image)
+        if link:
+            yield link_or_copy(image.path, out / path)
+        losses["name_changed"] += _base(place, path) != image.name
+        losses["sequence_made"] += image.capture.sequence is None or image.capture.frame != place.number
         losses["telemetry_dropped"] += not all(fits_table(*fact) for fact in facts.items())
-        if facts:
-            known.append((path, *(facts.get(k, "") if fits_table(k, facts.get(k)) else "" for k in _TABLE_FACTS)))
+        renamed += _is_renamed(image, place, path)
+        known += bool(facts)
+
+    def rows(row: Callable[[ImageRecord, Place, str], Sequence[object] | None]) -> Iterator[str]:
+        for image, place in zip(images, places, strict=True):
+            cells = row(image, place, path_of(image, place))
+            if cells is not None:
+                yield csv_text(cells, ())
+
     if renamed:
-        yield write_text(out / NAMES_FILE, csv_text(_NAMES_COLUMNS, renamed))
+        yield write_chunks(out / NAMES_FILE, chain([csv_text(_NAMES_COLUMNS, ())], rows(_name_row)))
     if known:
-        yield write_text(out / "metadata.csv", csv_text(("file", *_TABLE_FACTS), known))
+        yield write_chunks(out / "metadata.csv", chain([csv_text(("file", *_TABLE_FACTS), ())], rows(_fact_row)))
+
+
+def _base(place: Place, path: str) -> str:
+    """Return the name that a reader gives a picture: the folder of its sequence, and that of the file."""
+    return f"{place.sequence}/{path.rpartition('/')[2]}"
+
+
+def _telemetry(image: ImageRecord) -> dict[str, object]:
+    return {k: v for k, v in image.capture.to_json().items() if k in _TABLE_FACTS}
+
+
+def _is_renamed(image: ImageRecord, place: Place, path: str) -> bool:
+    """Return whether a reader would not find out the name, sequence, number or date of a picture."""
+    said = (image.capture.sequence, image.capture.frame, image.capture.captured)
+    return _base(place, path) != image.name or said != (place.sequence, place.number, None)
+
+
+def _name_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
+    said = (image.capture.sequence, image.capture.frame, image.capture.captured)
+    return (path, image.name, *("" if v is None else v for v in said)) if _is_renamed(image, place, path) else None
+
+
+def _fact_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
+    facts = {k: v for k, v in _telemetry(image).items() if fits_table(k, v)}
+    return (path, *(facts.get(k, "") for k in _TABLE_FACTS)) if _telemetry(image) else None
 
 
 def read_names(found: Findings) -> dict[str, Capture]:
