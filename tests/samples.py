@@ -541,6 +541,19 @@ def _visdrone(folder: Path) -> Path:
     return folder
 
 
+@sample("visdrone:video")
+def _visdrone_video(folder: Path) -> Path:
+    """A sequence each in train and val; frames count from 1, and the second frame of the first is empty."""
+    rows = "1,0,3,4,17,13,1,4,0,0\n1,7,30,8,11,12,1,1,0,1\n3,0,5,4,17,13,0,4,0,2\n"
+    for k, (split, name, text) in enumerate((("train", "uav0001_00000_v", rows), ("val", "uav0002_00000_v", ""))):
+        base = folder / f"VisDrone2019-MOT-{split}"
+        for n in range(3 - 2 * k):
+            picture(base / "sequences" / name / f"{n + 1:07d}.jpg", 3 * k + n)
+        (base / "annotations").mkdir()
+        (base / "annotations" / f"{name}.txt").write_text(text)
+    return folder
+
+
 @sample("voc")
 def _voc(folder: Path) -> Path:
     return _written(folder, lambda images, names: voc.write(folder, images, names))

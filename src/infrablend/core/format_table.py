@@ -201,7 +201,7 @@ FORMATS: tuple[Format, ...] = (
     Format("anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON or text per sequence", written_as="coco"),
     Format("halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels", written_as="coco"),
     Format("drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes", written_as="dota"),
-    Format("visdrone", "VisDrone-DET: people and vehicles in visible light, with regions to ignore", written_as="coco"),
+    Format("visdrone", "VisDrone: people and vehicles in visible light, in pictures or as tracks", written_as="coco"),
     Format("bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO", written_as="coco"),
     Format("dota", "DOTA text files: four corners in pixels", any_camera=True, writers=(
         Writer(

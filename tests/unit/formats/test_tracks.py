@@ -230,3 +230,43 @@ def test_birdsai_counts_frames_from_zero_and_ids_that_are_text(tmp_path: Path) -
     ]  # fmt: skip
     assert written.losses["track_renumbered"] == 2 and "track_made" not in written.losses
     assert [i.capture.frame for i in again.images] == [0, 1]
+
+
+# -- VisDrone's videos -----------------------------------------------------------------------------------------
+
+
+def visdrone_video(root: Path, text: str | None, count: int = 3, first: int = 1) -> Path:
+    for n in range(count):
+        picture(root / "VisDrone2019-VID-val" / "sequences" / "uav1" / f"{first + n:07d}.jpg", n)
+    (root / "VisDrone2019-VID-val" / "annotations").mkdir()
+    if text is not None:
+        (root / "VisDrone2019-VID-val" / "annotations" / "uav1.txt").write_text(text)
+    return root
+
+
+def test_videos_of_visdrone_count_frames_from_one_and_pixels_from_zero(tmp_path: Path) -> None:
+    d = detection.read(visdrone_video(tmp_path, "1,0,0,0,10,8,1,4,0,0\n3,0,54,40,10,8,1,4,1,2\n3,5,1,1,9,9,0,11,0,0\n"))
+    assert (d.format, d.problems) == ("visdrone", ())
+    assert [(i.split, i.capture.sequence, i.capture.frame) for i in d.images] == [("val", "uav1", n) for n in range(3)]
+    assert [[(o.category, o.track_id) for o in i.instances] for i in d.images] == [
+        [("car", 0)], [], [("car", 0), ("others", 5)],
+    ]  # fmt: skip
+    assert d.images[0].instances[0].box_xyxy.tolist() == [0, 0, 10, 8]
+    assert d.images[2].instances[0].box_xyxy.tolist() == [54, 40, 64, 48] and d.images[2].instances[0].truncated
+    assert all(i.extra == {} for i in d.images)  # names of published videos say that they are in visible light
+
+
+def test_faults_of_visdrones_videos_are_named(tmp_path: Path) -> None:
+    good, row = "1,0,1,1,9,9,1,4,0,0\n", "1,4,0,0\n"
+    text = f"{good}0,0,1,1,9,9,{row}1,0,1,1,{row}1,0,20,1,9,9,{row}2,0,90,1,9,9,{row}"
+    text += f"2,1,1,1,9,9,1,12,0,0\n9,0,1,1,9,9,{row}"
+    d = detection.read(visdrone_video(tmp_path / "a", text))
+    assert codes(d) == ["label-malformed", "label-malformed", "box-outside", "category-unknown"]
+    assert codes(d, "warning") == ["track-twice", "row-without-picture"]
+    assert d.notes["rows"]["objects"] == 7 and d.notes["rows"]["read"] == 2
+    bare = visdrone_video(tmp_path / "b", good, first=0)
+    assert codes(detection.read(bare)) == ["name-grammar"]
+    both = visdrone_video(tmp_path / "c", good)
+    picture(both / "VisDrone2019-VID-val" / "sequences" / "uav2" / "0000001.jpg", 9)
+    d = detection.read(both)
+    assert codes(d, "warning") == ["label-missing"] and d.images[-1].extra["labelled"] is False
