@@ -288,6 +288,21 @@ def _cvat(folder: Path) -> Path:
     return _written(folder, lambda images, categories: cvat.write(folder, images, categories))
 
 
+@sample("cvat:video")
+def _cvat_video(folder: Path) -> Path:
+    """Two sequences; in the first, one object is gone in the second frame, the other in the third."""
+    box = '<box frame="{}" keyframe="1" outside="{}" occluded="0" xtl="{}" ytl="4" xbr="20" ybr="17.5"></box>'
+    first = "".join(box.format(n, int(n == 2), 3 + n) for n in range(3))
+    second = box.format(0, 0, 9) + box.format(1, 1, 9)
+    tracks = f'<track id="0" label="Person">{first}</track><track id="1" label="Car">{second}</track>'
+    for k, (name, text, count) in enumerate((("train/north", tracks, 3), ("val/south", "", 1))):
+        for n in range(count):
+            picture(folder / name / "images" / f"frame_{n:06d}.png", 3 * k + n)
+        head = "<version>1.1</version><meta><task><mode>interpolation</mode></task></meta>"
+        (folder / name / "annotations.xml").write_text(f"<annotations>{head}{text}</annotations>")
+    return folder
+
+
 @sample("dota")
 def _dota(folder: Path) -> Path:
     return _written(folder, lambda images, names: dota.write(folder, images, names))
@@ -459,6 +474,31 @@ def _monet(folder: Path) -> Path:
     return folder
 
 
+@sample("mot")
+def _mot(folder: Path) -> Path:
+    """A sequence in train with two objects and an empty frame, and one in test without labels."""
+    rows = "1,1,4,5,17,13,1,1,0.5\n1,2,31,9,11,12,1,2,1\n3,1,5,5,17,13,0,1,1\n"
+    info = "[Sequence]\nname={}\nimDir=img1\nframeRate=25\nseqLength={}\nimWidth=64\nimHeight=48\nimExt=.png\n"
+    for k, (name, count) in enumerate((("train/north", 3), ("test/south", 1))):
+        for n in range(count):
+            picture(folder / name / "img1" / f"{n + 1:06d}.png", 3 * k + n)
+        (folder / name / "seqinfo.ini").write_text(info.format(name[-5:], count))
+    (folder / "train/north/gt").mkdir()
+    (folder / "train/north/gt/gt.txt").write_text(rows)
+    (folder / "train/north/gt/labels.txt").write_text("deer\nperson\n")
+    return folder
+
+
+@sample("mot:challenge")
+def _mot_challenge(folder: Path) -> Path:
+    """MOT16's names of classes, without seqinfo.ini; the second frame is empty."""
+    for n in range(2):
+        picture(folder / "MOT16-02" / "img1" / f"{n + 1:06d}.jpg", n)
+    (folder / "MOT16-02" / "gt").mkdir()
+    (folder / "MOT16-02" / "gt" / "gt.txt").write_text("1,1,4,5,17,13,1,1,1\n1,9,31,9,11,12,0,3,0.25\n")
+    return folder
+
+
 @sample("shards")
 def _shards(folder: Path) -> Path:
     """Two packed shards; their tables are not read."""
@@ -511,6 +551,19 @@ def _visdrone(folder: Path) -> Path:
         picture(base / "images" / f"{stem}.jpg", k)
         (base / "annotations").mkdir(exist_ok=True)
         (base / "annotations" / f"{stem}.txt").write_text(text)
+    return folder
+
+
+@sample("visdrone:video")
+def _visdrone_video(folder: Path) -> Path:
+    """A sequence each in train and val; frames count from 1, and the second frame of the first is empty."""
+    rows = "1,0,3,4,17,13,1,4,0,0\n1,7,30,8,11,12,1,1,0,1\n3,0,5,4,17,13,0,4,0,2\n"
+    for k, (split, name, text) in enumerate((("train", "uav0001_00000_v", rows), ("val", "uav0002_00000_v", ""))):
+        base = folder / f"VisDrone2019-MOT-{split}"
+        for n in range(3 - 2 * k):
+            picture(base / "sequences" / name / f"{n + 1:07d}.jpg", 3 * k + n)
+        (base / "annotations").mkdir()
+        (base / "annotations" / f"{name}.txt").write_text(text)
     return folder
 
 

@@ -84,13 +84,6 @@ def ground_truth(root: Path) -> Path:
     return put(root, "f1.jpg", **{"output.manifest": json.dumps(row) + "\n"})
 
 
-def visdrone_vid(root: Path) -> Path:
-    """A table named like the folder of its frames: github.com/VisDrone/VisDrone-Dataset/issues/22."""
-    frames = [f"sequences/uav0000013_00000_v/000000{k}.jpg" for k in (1, 2)]
-    text = 9 * "1,0,5,6,12,8,1,4,0,0\n"
-    return put(root, *frames, **{"annotations/uav0000013_00000_v.txt": text})
-
-
 def uavdt(root: Path) -> Path:
     """A table of ground truth per sequence: github.com/VITA-Group/UAV-NDFT/issues/4."""
     return put(root, "UAV-benchmark-M/M0101/img000001.jpg", **{"GT/M0101_gt_whole.txt": "1,9,5,6,12,8,1,3,1\n"})
@@ -139,7 +132,6 @@ NAMED: dict[Callable[[Path], Path], str] = {
     supervisely: "ds0/ann/f1.jpg.json",
     labelbox: "export.ndjson",
     ground_truth: "output.manifest",
-    visdrone_vid: "annotations/uav0000013_00000_v.txt",
     uavdt: "GT/M0101_gt_whole.txt",
     uav123: "anno/UAV123/bike1.txt",
     upload_prefix: "project-1-min.json",
@@ -204,7 +196,14 @@ def yolo_pixels(root: Path) -> Path:
     return put(root, "images/f1.jpg", "images/f2.jpg", **labels, **{"data.yaml": "train: images\nnames: [deer]\n"})
 
 
-READ = (ids_of_text, keypoints, turned_voc, valid_obb, yolo_pixels)
+def tracks_of_visdrone(root: Path) -> Path:
+    """A table named like the folder of its frames, with tracks: github.com/VisDrone/VisDrone-Dataset/issues/22."""
+    frames = [f"sequences/uav0000013_00000_v/000000{k}.jpg" for k in (1, 2)]
+    text = "".join(f"1,{k},5,6,12,8,1,4,0,0\n" for k in range(9))
+    return put(root, *frames, **{"annotations/uav0000013_00000_v.txt": text})
+
+
+READ = (ids_of_text, keypoints, turned_voc, valid_obb, yolo_pixels, tracks_of_visdrone)
 
 
 def objects(root: Path) -> list[tuple[str, list[float]]]:
@@ -250,6 +249,13 @@ def test_yolo_labels_in_pixels_are_no_boxes_of_the_whole_picture(tmp_path: Path)
     for command, more in (("check", ()), ("convert", (tmp_path / "out", "--to", "coco"))):
         done = run(command, root, *more)
         assert done.exit_code == 1 and "Divide pixels by its width and height" in " ".join(done.output.split())
+
+
+def test_videos_of_visdrone(tmp_path: Path) -> None:
+    dataset = api.read_dataset(tracks_of_visdrone(tmp_path / "data"))
+    first, second = dataset.images
+    assert [o.track_id for o in first.instances] == list(range(9)) and second.instances == ()
+    assert dataset.problems == () and first.extra == {"modality": "visible"}
 
 
 # -- bad input ----------------------------------------------------------------------------------------------------

@@ -222,6 +222,10 @@ def test_real_labels_come_back(writer: Writer, name: str, real_data: Path, tmp_p
         "box_clipped",
         "class_unfit",
         "track_made",
+        "track_renumbered",
+        "visibility_made",
+        "sequence_made",
+        "unlabelled_unsaid",
         "empty_unsaid",
     }
 

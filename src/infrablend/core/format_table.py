@@ -166,10 +166,14 @@ FORMATS: tuple[Format, ...] = (
     Format("huggingface", "Hugging Face's imagefolder with `metadata.jsonl`", (
         Writer("huggingface", "Hugging Face's imagefolder with `metadata.jsonl`", takes=_PICTURES),
     )),
-    Format("cvat", "CVAT's own XML, `CVAT for images 1.1`", (
+    Format("cvat", "CVAT's own XML, `CVAT for images 1.1` or `CVAT for video 1.1`", (
         Writer(
             "cvat", "CVAT's own XML, `CVAT for images 1.1`: rotated boxes, masks, attributes",
             _set("boxes occlusion temperature"), takes=_PICTURES, table=_YOLO_TABLE,
+        ),
+        Writer(
+            "cvat-video", "CVAT's own XML, `CVAT for video 1.1`: a track per object, a file per sequence",
+            _set("boxes masks occlusion temperature"), {"video": True}, _PICTURES, of="cvat",
         ),
     )),
     Format("label-studio", "Label Studio: tasks with rectangles, brushes, polygons", (
@@ -185,13 +189,19 @@ FORMATS: tuple[Format, ...] = (
             takes=_set("dont_care pictures"), facts=_VIEW | {"sequence", "captured", "frame"},
         ),
     )),
+    Format("mot", "MOTChallenge: one text of tracks per sequence of frames", (
+        Writer(
+            "mot", "MOTChallenge: one text of tracks per sequence of frames",
+            _set("obb masks occlusion truncated difficult inserted temperature"), takes=_PICTURES,
+        ),
+    )),
     Format("wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"),
     Format("wit-uas", "WIT-UAS: runs with `.label` files beside the frames"),
     Format("dut-anti-uav", "DUT-Anti-UAV: drones in visible light, VOC labels", written_as="voc"),
     Format("anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON or text per sequence", written_as="coco"),
     Format("halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels", written_as="coco"),
     Format("drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes", written_as="dota"),
-    Format("visdrone", "VisDrone-DET: people and vehicles in visible light, with regions to ignore", written_as="coco"),
+    Format("visdrone", "VisDrone: people and vehicles in visible light, in pictures or as tracks", written_as="coco"),
     Format("bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO", written_as="coco"),
     Format("dota", "DOTA text files: four corners in pixels", any_camera=True, writers=(
         Writer(

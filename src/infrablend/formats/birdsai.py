@@ -10,8 +10,6 @@ read as pictures without labels.
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import math
 import re
@@ -38,6 +36,7 @@ from infrablend.formats.box_checks import edges_of_xywh, snap_edges
 from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.sequences import plain_id
 from infrablend.formats.values import csv_text, number_text, to_floats, to_int
 
 NAME = "birdsai"
@@ -232,7 +231,7 @@ def read(
 def _further_species(reading: _Reading) -> dict[int, Category]:
     """Return the categories that our writer's table adds to BIRDSAI's own, by species number."""
     further: dict[int, Category] = {}
-    for n, row in enumerate(_csv_rows(reading, _SPECIES_FILE, _SPECIES_COLUMNS), 1):
+    for n, row in enumerate(reading.own_table(_SPECIES_FILE, _SPECIES_COLUMNS), 1):
         number = to_int(row[0]) if len(row) == len(_SPECIES_COLUMNS) else None
         known = {*SPECIES.values(), UNKNOWN.name, "", *(c.name for c in further.values())}
         if number is not None and number > UNKNOWN.id and number not in further and row[1] not in known:
@@ -243,20 +242,9 @@ def _further_species(reading: _Reading) -> dict[int, Category]:
     return further
 
 
-def _csv_rows(reading: _Reading, name: str, columns: Sequence[str]) -> list[list[str]]:
-    """Return the rows of a table that our writer adds; none if there is no such file."""
-    path = reading.root / name
-    text = reading.text(path, ",".join(columns)) if path.is_file() else None
-    try:
-        return list(csv.reader(io.StringIO(text or "", newline="")))
-    except csv.Error as error:
-        reading.add(name, "table-unreadable", str(error), "a CSV table")
-        return []
-
-
 def _read_names(reading: _Reading) -> dict[str, tuple[str, str]]:
     """Return sequence and date by picture from `names.csv`, which our writer adds if it changed names."""
-    rows = [row for row in _csv_rows(reading, _NAMES_FILE, _NAMES_COLUMNS) if len(row) == len(_NAMES_COLUMNS)]
+    rows = [row for row in reading.own_table(_NAMES_FILE, _NAMES_COLUMNS) if len(row) == len(_NAMES_COLUMNS)]
     return {file: (sequence, captured) for file, _, sequence, captured in rows[1:]}
 
 
@@ -529,13 +517,14 @@ class _Tracks:
 
     def reserve(self, ids: Iterable[int | str | None]) -> None:
         """Reserve the numbers of numbered tracks."""
-        self.free = max([self.free, *(i + 1 for i in ids if isinstance(i, int))])
+        self.free = max([self.free, *(n + 1 for i in ids if i is not None and isinstance(n := plain_id(i), int))])
 
     def number(self, id_: int | str | None) -> int:
         """Return the number of a track; each call with None returns a new number."""
-        if isinstance(id_, int):
-            return id_
-        number = self.free if id_ is None else self.named.setdefault(id_, self.free)
+        known = None if id_ is None else plain_id(id_)
+        if isinstance(known, int):
+            return known
+        number = self.free if known is None else self.named.setdefault(known, self.free)
         self.free += number == self.free
         return number
 
@@ -557,6 +546,7 @@ def _line(
     losses["class_unfit"] += class_ == 0 and number > UNKNOWN.id
     count_dropped(instance, losses, "obb", "mask", "visibility", "occlusion boxes", "truncated", "difficult")
     losses["track_made"] += instance.track_id is None
+    losses["track_renumbered"] += isinstance(instance.track_id, str) and isinstance(plain_id(instance.track_id), str)
     x0, y0, x1, y1 = instance.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))
     hidden = instance.extra.get("occluded") is True or (instance.visibility is not None and instance.visibility < 1)

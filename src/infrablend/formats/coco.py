@@ -590,6 +590,7 @@ def _video_names(rows: object) -> dict[int, str]:
 def _stated_facts(r: Mapping[str, Any], videos: Mapping[int, str]) -> Capture:
     """Return what the record of a picture states; values that cannot be are left out."""
     facts = {**r, **{fact: r.get(key) for fact, key in _KEYS.items()}}
+    facts["frame"] = r.get("frame_index") if facts["frame"] is None else facts["frame"]  # TAO's name
     video = to_int(r.get("video_id"))
     if not facts.get("sequence") and video is not None:
         facts["sequence"] = videos.get(video)
@@ -702,10 +703,18 @@ def _read_annotations(
                 a.get("inserted") is True,
                 number,
                 extra,
-                to_id(a.get("track_id")),
+                _track_id(a),
             )
         )
     return tuple(instances)
+
+
+def _track_id(a: Mapping[str, Any]) -> int | str | None:
+    """Return the track of an object: COCO's field, that of CocoVID, or CVAT's attribute; None without one."""
+    attributes = a.get("attributes")
+    of_cvat = attributes.get("track_id") if isinstance(attributes, dict) else None
+    stated = (to_id(value) for value in (a.get("track_id"), a.get("instance_id"), of_cvat))
+    return next((track for track in stated if track is not None), None)
 
 
 def _rotation_rad(a: Mapping[str, Any]) -> float:

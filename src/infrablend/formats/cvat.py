@@ -1,10 +1,11 @@
-"""CVAT's own XML, "CVAT for images 1.1": one file per split, an `image` per picture, a shape per box and mask.
+"""CVAT's own XML. "CVAT for images 1.1": one file per split, an `image` per picture, a shape per box and mask.
 
     <split>.xml    cvat_labels.json    images/<split>/<name>
 
 Boxes are `xtl, ytl, xbr, ybr` in pixels, edges counted from 0; `rotation` turns them clockwise about their centre, in
 degrees. A mask is a rectangle with run lengths, row by row, that begin with the number of pixels outside. Shapes of one
 object share a `group_id`. CVAT keeps the attributes that the labels of the task have: `cvat_labels.json` states them.
+Files for videos, one per sequence, are in `formats.cvat_video`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from itertools import chain
+from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
@@ -25,6 +27,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Sp
 from infrablend.core.files import link_or_copy, write_chunks, write_json
 from infrablend.core.masks import Mask
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats import cvat_video
 from infrablend.formats.annotation_files import files_with
 from infrablend.formats.base import (
     SPLIT_FOLDERS,
@@ -45,6 +48,16 @@ from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures import PictureFolder, check_name
 from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
+from infrablend.formats.sequences import (
+    Frames,
+    Place,
+    by_sequence,
+    is_labelled,
+    places_of,
+    plain_id,
+    read_names,
+    write_pictures,
+)
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "cvat"
@@ -61,9 +74,17 @@ _EDGES = ("xtl", "ytl", "xbr", "ybr")
 
 
 def write(
-    out: Path, images: Iterable[ImageRecord], categories: Sequence[Category], *, pictures: bool = True
+    out: Path,
+    images: Iterable[ImageRecord],
+    categories: Sequence[Category],
+    *,
+    pictures: bool = True,
+    video: bool = False,
 ) -> Written:
     """Write `<split>.xml`, `cvat_labels.json` for the task's labels, and link the pictures to `images/<split>/`.
+
+    With `video`, write `<split>/<sequence>/annotations.xml` with a track per object, and link the pictures to `images/`
+    beside it. `names.csv` and `metadata.csv` are those of `sequences.write_names`.
 
     Raises:
         OutputError: A file cannot be written.
@@ -74,13 +95,37 @@ def write(
     losses: Counter[str] = Counter()
     unsaid = ignored_by_class(categories)
     files = [write_json(out / LABELS_FILE, _labels(categories))]
+    losses["ignore_as_class"] = sum(unmarked_regions(image.instances, unsaid) for image in ordered)
+    if video:
+        files += _write_videos(out, ordered, known, losses, pictures)
+        return Written.of(files, losses)
     for split, part in split_parts(ordered).items():
         files.append(write_chunks(out / f"{split}.xml", _document(split, part, known, losses)))
-    for image in ordered:
-        losses["ignore_as_class"] += unmarked_regions(image.instances, unsaid)
-        if pictures:
-            files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
+    for image in ordered if pictures else ():
+        files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
     return Written.of(files, losses)
+
+
+def _write_videos(
+    out: Path, images: Sequence[ImageRecord], known: Mapping[str, int], losses: Counter[str], pictures: bool
+) -> Iterator[Path]:
+    """Write a file per sequence, and link its pictures beside it."""
+    places = places_of(images)
+    for folder, group in by_sequence(places).items():
+        sequence = Frames(images, group)
+        for image in sequence:
+            require_known(image, known)
+            losses["unlabelled_unsaid"] += not is_labelled(image)
+            for i in image.instances:
+                count_dropped(i, losses, "occlusion boxes", "mask")
+                losses["obb_not_rectangle"] += _is_skewed(i)
+        head, tracks = _head(folder, len(sequence), known, sequence[0]), cvat_video.tracks_of(sequence, _box, losses)
+        yield write_chunks(out / folder / cvat_video.FILE, chain([head], tracks, ["</annotations>\n"]))
+
+    def path_of(image: ImageRecord, place: Place) -> str:
+        return f"{place.folder}/{cvat_video.PICTURES}/frame_{place.number:06d}{PurePosixPath(image.name).suffix}"
+
+    yield from write_pictures(out, images, places, path_of, losses, pictures)
 
 
 def _labels(categories: Sequence[Category]) -> list[dict[str, Any]]:
@@ -102,20 +147,7 @@ def _document(
     split: str, images: Sequence[ImageRecord], known: Mapping[str, int], losses: Counter[str]
 ) -> Iterator[str]:
     """Yield the text of a split in pieces of one picture each."""
-    lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", "  <version>1.1</version>", "  <meta>"]
-    lines += ["    <task>", f"      <name>{split}</name>", f"      <size>{len(images)}</size>"]
-    lines += ["      <mode>annotation</mode>", "      <labels>"]
-    for name in known:
-        lines += ["        <label>", f"          <name>{escape(name)}</name>", "          <attributes>"]
-        lines += [
-            f"            <attribute><name>{n}</name><mutable>False</mutable><input_type>{kind}</input_type>"
-            f"<default_value>{(d := 'false' if kind == 'checkbox' else '')}</default_value><values>{d}</values>"
-            "</attribute>"
-            for n, kind in ATTRIBUTES.items()
-        ]
-        lines += ["          </attributes>", "        </label>"]
-    lines += ["      </labels>", "    </task>", "  </meta>", ""]
-    yield "\n".join(lines)
+    yield _head(split, len(images), known)
     for number, image in enumerate(images):
         w, h = require_size(image)
         lines = [f'  <image id="{number}" name={quoteattr(image.name)} width="{w}" height="{h}">']
@@ -128,26 +160,62 @@ def _document(
     yield "</annotations>\n"
 
 
+def _head(name: str, size: int, known: Mapping[str, int], first: ImageRecord | None = None) -> str:
+    """Return the start of a file; that of a sequence, with its first picture, is of a video task."""
+    lines = ['<?xml version="1.0" encoding="utf-8"?>', "<annotations>", "  <version>1.1</version>", "  <meta>"]
+    lines += ["    <task>", f"      <name>{escape(name)}</name>", f"      <size>{size}</size>"]
+    lines += [f"      <mode>{'annotation' if first is None else 'interpolation'}</mode>"]
+    if first is not None:
+        w, h = require_size(first)
+        lines += ["      <start_frame>0</start_frame>", f"      <stop_frame>{size - 1}</stop_frame>"]
+        lines += [f"      <original_size><width>{w}</width><height>{h}</height></original_size>"]
+    lines += ["      <labels>"]
+    for name in known:
+        lines += ["        <label>", f"          <name>{escape(name)}</name>", "          <attributes>"]
+        lines += [
+            f"            <attribute><name>{n}</name><mutable>False</mutable><input_type>{kind}</input_type>"
+            f"<default_value>{(d := 'false' if kind == 'checkbox' else '')}</default_value><values>{d}</values>"
+            "</attribute>"
+            for n, kind in ATTRIBUTES.items()
+        ]
+        lines += ["          </attributes>", "        </label>"]
+    lines += ["      </labels>", "    </task>", "  </meta>", ""]
+    return "\n".join(lines)
+
+
 def _shapes(i: Instance, group: int, losses: Counter[str]) -> Iterator[str]:
     """Yield the box of an object and, if it has one, its mask; a group of 0 is none."""
-    label = f'label={quoteattr(i.category)} source="manual" occluded="{int(bool(i.extra.get("occluded")))}"'
-    ending = f' z_order="0" group_id="{group}">' if group else ' z_order="0">'
-    attributes = _attributes(i)
-    edges, rotation = i.box_xyxy, ""
-    if i.corners_xy is not None:
-        cx, cy, w, h, angle = obb = obb_from_corners(i.corners_xy)
-        edges = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2])
-        rotation = f' rotation="{number_text(math.degrees(angle))}"'
-        losses["obb_not_rectangle"] += not is_rectangle(i.corners_xy, obb)
-    box = " ".join(f'{k}="{number_text(float(v))}"' for k, v in zip(_EDGES, edges, strict=True))
-    yield f"    <box {label} {box}{rotation}{ending}{attributes}</box>"
+    label = f'label={quoteattr(i.category)} source="manual"'
+    ending = f' group_id="{group}"' if group else ""
+    losses["obb_not_rectangle"] += _is_skewed(i)
+    yield f"    {_box(i, label, ending)}"
     pixels = None if i.mask is None else i.mask.to_array()
     if pixels is not None and pixels.any():
         (top, left), (bottom, right) = (f(np.argwhere(pixels), axis=0) for f in (np.min, np.max))
         window = pixels[top : bottom + 1, left : right + 1]
         place = f'left="{left}" top="{top}" width="{window.shape[1]}" height="{window.shape[0]}"'
         runs = ", ".join(map(str, _run_lengths(window)))
-        yield f'    <mask {label} rle="{runs}" {place}{ending}{attributes}</mask>'
+        occluded = int(bool(i.extra.get("occluded")))
+        yield (
+            f'    <mask {label} occluded="{occluded}" rle="{runs}" {place} z_order="0"{ending}>{_attributes(i)}</mask>'
+        )
+
+
+def _is_skewed(i: Instance) -> bool:
+    """Return whether the corners of an object form no rectangle."""
+    return i.corners_xy is not None and not is_rectangle(i.corners_xy, obb_from_corners(i.corners_xy))
+
+
+def _box(i: Instance, said: str, ending: str = "") -> str:
+    """Return the element of an object's box, turned if it has an oriented one; `said` are its first attributes."""
+    edges, rotation = i.box_xyxy, ""
+    if i.corners_xy is not None:
+        cx, cy, w, h, angle = obb_from_corners(i.corners_xy)
+        edges = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2])
+        rotation = f' rotation="{number_text(math.degrees(angle))}"'
+    box = " ".join(f'{k}="{number_text(float(v))}"' for k, v in zip(_EDGES, edges, strict=True))
+    occluded = int(bool(i.extra.get("occluded")))
+    return f'<box {said} occluded="{occluded}" {box}{rotation} z_order="0"{ending}>{_attributes(i)}</box>'
 
 
 def _attributes(i: Instance) -> str:
@@ -170,7 +238,12 @@ def _run_lengths(window: NDArray[np.bool_]) -> list[int]:
 
 
 def _files(root: Path) -> list[Path]:
-    return files_with(root, "*.xml", lambda head: b"<annotations>" in head, 4096)
+    """Return the files in the folder, or the `annotations.xml` of sequences one or two folders below."""
+
+    def named(pattern: str) -> list[Path]:
+        return files_with(root, pattern, lambda head: b"<annotations>" in head, 4096)
+
+    return named("*.xml") or named(f"*/{cvat_video.FILE}") or named(f"*/*/{cvat_video.FILE}")
 
 
 def detect(root: Path) -> Match:
@@ -178,13 +251,13 @@ def detect(root: Path) -> Match:
     files = _files(root)
     if not files:
         return Match(NAME, False, "no XML file with the element `annotations`")
-    return Match(NAME, True, f"CVAT for images: {', '.join(p.name for p in files)}")
+    return Match(NAME, True, f"CVAT's XML: {', '.join(p.relative_to(root).as_posix() for p in files[:5])}")
 
 
 def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None) -> Dataset:
     """Read boxes, rotated boxes, ellipses, masks and polygons, count other shapes, and find the pictures.
 
-    These are in `images/<split>/`, `images/`, `<split>/` or beside the XML files.
+    These are in `images/<split>/`, `images/`, `<split>/` or beside the XML files. Files of video tasks are read, too.
 
     Raises:
         DatasetError: There is no file of CVAT, or no picture can be read.
@@ -203,6 +276,11 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
         if top is None:
             continue
         names |= dict.fromkeys(t for label in top.iter("label") if (t := (label.findtext("name") or "").strip()))
+        if cvat_video.is_video(top):
+            for frame in _read_video(found, top, path, wanted):
+                if records.setdefault(frame.path, frame) is not frame:
+                    twice[found.place(path)].append(frame)
+            continue
         elements: dict[tuple[Split, str], list[Any]] = {}
         for element in top.iter("image"):
             subset = (element.get("subset") or "").strip()
@@ -215,14 +293,28 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
                 if record is not None and records.setdefault(record.path, record) is not record:
                     twice[path.name].append(record)
         if any(True for _ in top.iter("track")):
-            text = "tracks of a video task, which are not read"
-            todo = 'export the task as "CVAT for images 1.1"'
-            found.warn(path.name, "annotation-layout", text, "an `image` per frame", todo)
+            text = f"{sum(1 for _ in top.iter('track'))} track(s) beside `image` elements, left out"
+            todo = 'export the task as "CVAT for images 1.1" or "CVAT for video 1.1"'
+            found.warn(path.name, "annotation-layout", text, "one or the other", todo)
     found.problems += annotated_twice(twice)
-    names |= dict.fromkeys(i.category for r in records.values() for i in r.instances)
+    renamed = read_names(found)
+    listed = [replace(r, capture=renamed.get(found.place(r.path), r.capture)) for r in records.values()]
+    names |= dict.fromkeys(i.category for r in listed for i in r.instances)
     return found.dataset(
-        NAME, records.values(), named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted
+        NAME, listed, named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted
     )  # fmt: skip
+
+
+def _read_video(found: Findings, top: Any, path: Path, wanted: Sequence[Split]) -> list[ImageRecord]:
+    """Read the file of a video task; a folder above it states the split, else its subset or its name."""
+    subset = next((s for t in top.iter("track") if (s := (t.get("subset") or "").strip())), "")
+    above = path.parent.relative_to(found.root).parts[:-1]
+    split = next((s for p in above if (s := SPLIT_FOLDERS.get(p.lower()))), None) or split_of_stem(subset or path.stem)
+    if split not in wanted:
+        return []
+    inside = [path.parent / cvat_video.PICTURES, path.parent]
+    places = inside if path.parent != found.root else [*_places(found.root, split, subset or split)]
+    return cvat_video.read_video(found, top, path, split, places, _SHAPES, _read_shape)
 
 
 def _places(root: Path, split: Split, subset: str) -> Iterator[Path]:
@@ -307,7 +399,7 @@ def _read_shape(found: Findings, shape: Any, where: str, size_wh: tuple[int, int
     return Instance(
         label, box, corners, mask, to_share(said.get("visibility")),
         to_bool(said.get("truncated")), to_bool(said.get("difficult")), to_bool(said.get("inserted")) is True,
-        None, occluded, said.get("track_id") or None,
+        None, occluded, plain_id(said["track_id"]) if said.get("track_id") else None,
     )  # fmt: skip
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -99,6 +101,16 @@ class Findings:
             self.problems.append(problem)
             return None
         return text
+
+    def own_table(self, name: str, columns: Sequence[str]) -> list[list[str]]:
+        """Return the rows, with the titles, of a table that our writer adds; none if there is no such file."""
+        path = self.root / name
+        text = self.text(path, ",".join(columns)) if path.is_file() else None
+        try:
+            return list(csv.reader(io.StringIO(text or "", newline="")))
+        except csv.Error as error:
+            self.add(name, "table-unreadable", str(error), "a CSV table")
+            return []
 
     def xml(self, path: Path) -> Any:
         """Return the root element of an XML file; None, with a problem, if it cannot be read."""

@@ -170,7 +170,9 @@ def test_new_classes_new_tracks_and_changed_names_come_back(tmp_path: Path) -> N
     ]
     categories = (*d.categories, Category(10, "deer"), Category(4, "Person"))
     written = birdsai.write(tmp_path / "out", both, categories)
-    assert written.losses == {"class_unfit": 3, "name_changed": 3, "track_made": 3, "visibility_dropped": 3}
+    assert written.losses == {
+        "class_unfit": 3, "name_changed": 3, "track_made": 3, "track_renumbered": 3, "visibility_dropped": 3,
+    }  # fmt: skip
     table = (tmp_path / "out" / "TrainReal" / "annotations" / f"{SEQ}.csv").read_text().splitlines()
     assert table[:2] == ["0,7,10,12,20,8,0,1,0,0", "0,8,1,2,29.25,38.5,0,10,1,0"]
     assert (tmp_path / "out" / "species.csv").read_text() == "species,name,ignore\n10,deer,0\n11,Person,0\n"
