@@ -12,7 +12,6 @@ from infrablend.core.arguments import require_choice, require_names, require_who
 from infrablend.core.shipped import NAME_PATTERN, SCALES, Scale
 from infrablend.errors import DatasetError
 from infrablend.rendering import RENDERERS
-from infrablend.training.weights import AUTO
 
 DEFAULT_RESULTS = Path("results")
 
@@ -49,7 +48,7 @@ class ExperimentRequest:
     scale: Scale = "small"
     seed: int = 0
     device: str = "auto"
-    weights: str = AUTO
+    weights: str = "auto"
     training: Mapping[str, Any] = field(default_factory=dict)
     only: Sequence[str] = ()
     adopt: Mapping[str, Path] = field(default_factory=dict)
