@@ -263,7 +263,8 @@ def test_videos_of_visdrone(tmp_path: Path) -> None:
 # Files that only name classes, folders or all that annotators drew.
 BESIDE = {"data.yaml", "meta.json", "index.json"}
 # An empty text file of these says that its picture shows nothing, or nothing at all.
-EMPTY_IS_NONE = ("valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider")
+EMPTY_IS_NONE = ("valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider",
+                 "04-central-label-files/data-27d-mot")  # fmt: skip
 # Too large for memory or, of pictures, in pixels; JSON may have any size, but is read in other ways beyond this one.
 TEN_TIMES = {".json": 2 * WHOLE_JSON, ".jpg": 0, ".tiff": 0}
 BAD = {kind.__name__: kind for kind in (*NAMED, *READ)} | {n: SAMPLES[n] for n in ("visdrone", "labelme", "coco:flir")}
@@ -278,7 +279,10 @@ def file_to_damage(root: Path) -> Path:
 
 def damage(path: Path, how: str) -> None:
     if how == "truncated":
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        data = path.read_bytes()
+        cut = len(data) // 2
+        cut -= 12 * data[:cut].endswith(b"\n")  # between two lines there is nothing to notice
+        path.write_bytes(data[:cut])
     elif how == "empty":
         path.write_bytes(b"")
     elif size := TEN_TIMES.get(path.suffix.lower(), 10 * MAX_TEXT_BYTES):
@@ -296,7 +300,8 @@ def check_damaged(root: Path, name: str, how: str) -> None:
     output = " ".join(done.output.split())
     assert done.exception is None or isinstance(done.exception, SystemExit), (name, output)
     if how == "empty" and name.startswith(EMPTY_IS_NONE):
-        assert 0 < api.check(root, decode=False).objects <= before.objects or not before.objects
+        named = "label-empty" in output
+        assert named or 0 < api.check(root, decode=False).objects <= before.objects or not before.objects
         return
     place = damaged.relative_to(root)
     assert done.exit_code and (place.name in output or f"{place.parts[0]} (" in output), (name, output)
@@ -315,4 +320,4 @@ def test_bad_input_of_the_shared_kinds_is_named(tmp_path: Path, real_data: Path,
     if not folders:
         pytest.skip("NEEDS REAL DATA: no folder foreign")
     for n, folder in enumerate(folders):
-        check_damaged(shutil.copytree(folder, tmp_path / str(n)), folder.parent.name, how)
+        check_damaged(shutil.copytree(folder, tmp_path / str(n)), f"{folder.parent.name}/{folder.name}", how)
