@@ -349,8 +349,7 @@ def _instances(reading: _Reading, rows: Sequence[_Row], size_wh: tuple[int, int]
         if box is None:
             continue
         if row.track in tracks:
-            found = f"object {row.track} occurs twice in frame {row.frame}; both are kept"
-            reading.warn(row.where, "track-twice", found, "each object once per frame")
+            reading.track_twice(row.where, row.track, row.frame)
         tracks.add(row.track)
         extra = {"class": row.class_, "species": row.species, "occlusion": row.occlusion, "noise": row.noise}
         name = CLASSES[row.class_].name if reading.by_class else _species(row.class_, row.species, reading.names)

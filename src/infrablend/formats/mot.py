@@ -281,8 +281,7 @@ def _read_rows(reading: _Reading, folder: Path, sequence: str) -> list[_Row] | N
         rows.append(row)
         seen[row.frame, row.track] += 1
         if seen[row.frame, row.track] > 1:
-            found = f"object {row.track} occurs twice in frame {row.frame}; both are kept"
-            reading.warn(row.where, "track-twice", found, "each object once per frame", "give one of them another id")
+            reading.track_twice(row.where, row.track, row.frame, "give one of them another id")
     if not text.strip():
         todo = "fetch it again, if the sequence shows objects"
         reading.warn(where, "label-empty", f"no line: no object in all of {sequence}", "a line per box", todo)

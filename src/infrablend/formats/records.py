@@ -102,6 +102,11 @@ class Findings:
             return None
         return text
 
+    def track_twice(self, where: str, track: int, frame: int, todo: str = "") -> None:
+        """Warn of a second label of one object in a frame."""
+        found = f"object {track} occurs twice in frame {frame}; both are kept"
+        self.warn(where, "track-twice", found, "each object once per frame", todo)
+
     def own_table(self, name: str, columns: Sequence[str]) -> list[list[str]]:
         """Return the rows, with the titles, of a table that our writer adds; none if there is no such file."""
         path = self.root / name

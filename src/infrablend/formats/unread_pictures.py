@@ -191,10 +191,8 @@ def video_problem(root: Path, videos: Sequence[Path], found: str, severity: Seve
     if len(named) > _FEW_VIDEOS:
         named = sorted({f"{shlex.quote(str(p.parent))}/*{p.suffix}" for p in videos})
     frames = shlex.quote(f"{root.resolve().stem}_frames")
-    todo = (
-        f"extract frames with infrablend frames {' '.join(named)} --out {frames}, then use {frames}; or give a video, "
-    )
-    todo += "or a folder of videos alone, as the data"
+    todo = f"extract frames with infrablend frames {' '.join(named)} --out {frames}, then use {frames}; "
+    todo += "or give a video, or a folder of videos alone, as the data"
     expected = "the folder of a dataset of pictures"
     return Problem(shown(root), "video-not-pictures", found, expected, todo, severity)
 

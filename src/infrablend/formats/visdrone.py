@@ -48,7 +48,7 @@ _LOOKED_AT = 20
 
 
 def _folders(root: Path, inside: str = "images") -> list[Path]:
-    """Return the folders that contain `images`: the folder itself, or some in it or one level further down."""
+    """Return the folders that contain a folder `inside`: the folder itself, or some in it or one level further down."""
     return [p.parent for depth in ("", "*/", "*/*/") for p in sorted(root.glob(depth + inside))]
 
 
@@ -226,8 +226,7 @@ def _rows(found: Findings, path: Path) -> dict[int, list[_Row]] | None:
             found.add(here, "label-malformed", repr(line.strip()[:80]), expected, "correct the line")
             continue
         if (frame, track) in seen:
-            twice = f"object {track} occurs twice in frame {frame}; both are kept"
-            found.warn(here, "track-twice", twice, "each object once per frame", "give one of them another number")
+            found.track_twice(here, track, frame, "give one of them another number")
         seen.add((frame, track))
         rows[frame].append(_Row(here, track, values[2:]))
     return rows

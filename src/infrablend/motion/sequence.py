@@ -14,8 +14,9 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from infrablend.motion.shift import LEAST_CORNERS, Matrix, Shift, View, find_shift, moved
+from infrablend.motion.shift import LEAST_CORNERS, Matrix, View, find_levels, find_shift, moved
 
 State = Literal["first", "followed", "frozen", "bridged", "lost", "cut"]
 """How a frame is known: `first` of its span, after a gap too; `followed` from other frames; `frozen`: the picture of
@@ -87,38 +88,35 @@ def follow_camera(views: Iterable[View]) -> list[Moment]:
 
 def _moments(views: Iterable[View]) -> Iterator[Moment]:
     keys: list[_Key] = []
-    before: _Key | None = None  # last frame that is known
-    shown: View | None = None  # frame before, known or not
-    last: Moment | None = None
+    known: _Key | None = None  # last frame that is known
+    before: _Key | None = None  # frame before, known or not
     spans = lost = 0
     for number, view in enumerate(views):
-        state: State = "lost"
+        # Another picture size is another camera.
+        resized = before is not None and before.view.size_wh != view.size_wh
         found: Moment | None = None
-        if shown is not None and shown.size_wh != view.size_wh:
-            state = "cut"  # another picture size is another camera
-        elif shown is not None and last is not None and _same(shown, view):
-            found = replace(last, state="frozen") if last.known else None
-        elif before is not None:
-            found = _followed(keys, before, view, number % _KEY_EVERY == 0)
-        enough = len(view.corners) >= LEAST_CORNERS
-        if found is None and enough:
-            if before is None or lost >= BRIDGE:
-                state = "first"
-            elif state == "cut" or (shown is not None and not _alike(shown, view)):
-                state = "cut"
+        if before is not None and not resized and _same(before.view, view):
+            found = replace(before.moment, state="frozen") if before.moment.known else None
+        elif known is not None and not resized:
+            found = _followed(keys, known, view, number % _KEY_EVERY == 0)
         if found is None:
-            begins = enough and state != "lost"
-            found = Moment(spans if begins else -1, state if begins else "lost", _IDENTITY, corners=len(view.corners))
-            if begins:
+            state: State = "lost"
+            if len(view.corners) < LEAST_CORNERS:
+                pass
+            elif before is None or known is None or lost >= BRIDGE:
+                state = "first"
+            elif resized or not _alike(before.view, view):
+                state = "cut"
+            found = Moment(-1 if state == "lost" else spans, state, _IDENTITY, corners=len(view.corners))
+            if found.known:
                 spans += 1
                 keys = [_Key(view, found)]
-        moment = replace(found, sharpness=_sharpness(view))
-        if moment.known:
-            before, lost = _Key(view, moment), 0
-        elif moment.state == "lost":
+        before = _Key(view, replace(found, sharpness=_sharpness(view)))
+        if before.moment.known:
+            known, lost = before, 0
+        else:
             lost += 1
-        shown, last = view, moment
-        yield moment
+        yield before.moment
 
 
 def _followed(keys: list[_Key], before: _Key, view: View, look_back: bool) -> Moment | None:
@@ -179,14 +177,12 @@ def _relative(key: _Key, view: View, guess: Matrix) -> Moment | None:
     shift = find_shift(key.view, view, np.linalg.inv(guess) @ key.moment.to_first)
     if shift is None or shift.error_px > MOST_ERROR_PX:
         return None
-    return _chained(key.moment, shift)
-
-
-def _chained(key: Moment, shift: Shift) -> Moment:
-    to_first = key.to_first @ np.linalg.inv(shift.matrix)
+    gain, offset = find_levels(key.view, view, shift.matrix)
+    known = key.moment
+    to_first = known.to_first @ np.linalg.inv(shift.matrix)
     return Moment(
-        key.span, "followed", to_first / to_first[2, 2], float(np.hypot(key.error_px, shift.error_px)),
-        shift.residual_px, shift.corners, shift.fitting, shift.gain * key.gain, shift.gain * key.offset + shift.offset,
+        known.span, "followed", to_first / to_first[2, 2], float(np.hypot(known.error_px, shift.error_px)),
+        shift.residual_px, shift.corners, shift.fitting, gain * known.gain, gain * known.offset + offset,
     )  # fmt: skip
 
 
@@ -206,7 +202,7 @@ def _alike(one: View, other: View) -> bool:
     return float(cv2.matchTemplate(small[0], part, cv2.TM_CCOEFF_NORMED).max()) >= _ALIKE
 
 
-def _small(view: View) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def _small(view: View) -> NDArray[np.float32]:
     width, height = view.size_wh
     size = (_SMALL_PX, max(4, round(_SMALL_PX * height / width)))
     return np.asarray(cv2.resize(view.grey, size, interpolation=cv2.INTER_AREA), np.float32)

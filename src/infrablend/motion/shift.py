@@ -71,7 +71,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Shift:
-    """Movement of the background from one view to another, and the change of its levels.
+    """Movement of the background from one view to another.
 
     Attributes:
         matrix: (3, 3) from pixels of the first view to those of the second.
@@ -79,8 +79,6 @@ class Shift:
         fitting: Number of those that fit.
         residual_px: Median distance of these from where the matrix puts them.
         error_px: Standard error of the matrix at the worst corner of the picture, from those distances.
-        gain: Level of the second view per level of the first.
-        offset: Level of the second view where the first has 0.
     """
 
     matrix: Matrix
@@ -88,8 +86,6 @@ class Shift:
     fitting: int
     residual_px: float
     error_px: float
-    gain: float = 1.0
-    offset: float = 0.0
 
 
 def find_corners(view: View, most: int = _CORNERS, apart_px: float = _APART_PX) -> Points:
@@ -139,12 +135,11 @@ def find_shift(first: View, second: View, guess: Matrix) -> Shift | None:
     """Return the movement from one view to another; None if the background does not show it with certainty."""
     if len(first.corners) < LEAST_CORNERS:
         return None
-    return _shift(first, second, second, guess) or _shift(first, second, _levelled(second, first), guess)
+    return _shift(first, second, guess) or _shift(first, _levelled(second, first), guess)
 
 
-def _shift(first: View, second: View, shown: View, guess: Matrix) -> Shift | None:
-    """Return the movement to the second view, of which `shown` may have other levels."""
-    end, certain = follow(first, shown, first.corners, guess)
+def _shift(first: View, second: View, guess: Matrix) -> Shift | None:
+    end, certain = follow(first, second, first.corners, guess)
     begin, end = first.corners[certain], end[certain]
     if len(begin) < LEAST_CORNERS:
         return None
@@ -154,9 +149,8 @@ def _shift(first: View, second: View, shown: View, guess: Matrix) -> Shift | Non
     if abs(float(np.sqrt(abs(np.linalg.det(matrix[:2, :2])))) - 1) > _MOST_ZOOM:
         return None
     apart = np.linalg.norm(moved(begin[fits], matrix) - end[fits], axis=1)
-    gain, offset = _levels(first, second, matrix)
-    return Shift(matrix, len(begin), int(fits.sum()), float(np.median(apart)),
-                 _error(begin[fits], apart, first.size_wh), gain, offset)  # fmt: skip
+    error = _error(begin[fits], apart, first.size_wh)
+    return Shift(matrix, len(begin), int(fits.sum()), float(np.median(apart)), error)
 
 
 def _levelled(view: View, like: View) -> View:
@@ -200,8 +194,11 @@ def _error(begin: Points, apart: NDArray[np.float64], size_wh: tuple[int, int]) 
     return float(np.sqrt(2 * variance * (1 / n + farthest / max(spread, 1e-9)) + _BIAS_PX**2))
 
 
-def _levels(first: View, second: View, matrix: Matrix) -> tuple[float, float]:
-    """Return gain and offset from the levels of one view to those of another, from the background that both show."""
+def find_levels(first: View, second: View, matrix: Matrix) -> tuple[float, float]:
+    """Return gain and offset from the levels of one view to those of another, from the background that both show.
+
+    `matrix` is that of the shift between them.
+    """
     back = cv2.WARP_INVERSE_MAP
     there = cv2.warpPerspective(second.smooth, matrix, first.size_wh, flags=cv2.INTER_CUBIC | back)
     taken = cv2.warpPerspective(

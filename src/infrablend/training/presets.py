@@ -60,12 +60,14 @@ class Preset:
 # Epochs of a training with a fixed number of passes.
 ROUNDS = 20
 
+# Thermal pictures have no hue to change. The first epoch of a short training is its warm-up.
+_SHORT_TRAINING = {
+    "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "warmup_epochs": 1.0, "nbs": 16,
+    "hsv_h": 0.0, "hsv_s": 0.0,
+}  # fmt: skip
 # The scale stays near 1 and there is no mosaic: tiles exist to preserve the sizes of objects, and the few passes that
 # two cores can afford are better spent on unmodified pictures.
-_TILE_ARGUMENTS = {
-    "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "scale": 0.2, "mosaic": 0.0,
-    "hsv_h": 0.0, "hsv_s": 0.0, "warmup_epochs": 1.0, "close_mosaic": 0, "nbs": 16,
-}  # fmt: skip
+_TILE_ARGUMENTS = {**_SHORT_TRAINING, "scale": 0.2, "mosaic": 0.0, "close_mosaic": 0}
 
 PRESETS: Mapping[str, Preset] = {
     p.name: p
@@ -77,13 +79,10 @@ PRESETS: Mapping[str, Preset] = {
             "paper", "YOLOv8s on whole pictures as in the paper; for a GPU", "yolov8s", 640, 64, epochs=1000,
             patience=100, arguments={"optimizer": "AdamW", "lr0": 0.002},
         ),
-        # Ultralytics' augmentation with mosaic, which ends in the last quarter. Thermal pictures have no hue to change.
+        # Ultralytics' augmentation with mosaic, which ends in the last quarter.
         Preset(
             "medium", "YOLOv8n on whole pictures of 640 px, from given weights; hours on two cores", "yolov8n", 640, 16,
-            passes=40_000, arguments={
-                "optimizer": "AdamW", "lr0": 0.002, "momentum": 0.9, "warmup_bias_lr": 0.0, "hsv_h": 0.0, "hsv_s": 0.0,
-                "warmup_epochs": 1.0, "close_mosaic": 5, "nbs": 16,
-            },
+            passes=40_000, arguments={**_SHORT_TRAINING, "close_mosaic": 5},
         ),
         Preset(
             "small", "YOLOv8n on tiles of 320 px around objects; for two cores", "yolov8n", 320, 16, passes=16_000,

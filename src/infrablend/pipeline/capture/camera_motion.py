@@ -210,8 +210,11 @@ def sequence_views(images: Sequence[ImageRecord], on_frame: Callable[[], None] =
     Raises:
         DatasetError: A picture cannot be read.
     """
-    low, high = _range_of(images)
-    written = find_written([_shown(i, low, high) for i in _spread(images, _SAMPLES)])
+    # The first and the last frame are among them, between which the scene differs most.
+    chosen = np.unique(np.linspace(0, len(images) - 1, _SAMPLES).round().astype(int))
+    some = [_pixels(images[k]) for k in chosen]
+    low, high = _range_of(some)
+    written = find_written([_shown(pixels, low, high) for pixels in some])
     for image in images:
         yield _view(image, written, low, high)
         on_frame()
@@ -229,24 +232,22 @@ def _pixels(image: ImageRecord) -> NDArray[np.uint8] | NDArray[np.uint16]:
     return load_background(image.path, image.size_wh).pixels
 
 
-def _range_of(images: Sequence[ImageRecord]) -> tuple[float, float]:
+def _range_of(some: Sequence[NDArray[np.uint8] | NDArray[np.uint16]]) -> tuple[float, float]:
     """Return the levels that become 0 and 255: those of 8-bit pictures as they are, the used range of 16-bit ones."""
-    some = [_pixels(i) for i in _spread(images, _SAMPLES)]
     if all(p.dtype == np.uint8 for p in some):
         return 0.0, 255.0
     low, high = (float(f(np.percentile(p, q) for p in some)) for f, q in ((min, 0.5), (max, 99.5)))
     return low, max(high, low + 1)
 
 
-def _shown(image: ImageRecord, low: float, high: float) -> Shown:
-    pixels = _pixels(image)
+def _shown(pixels: NDArray[np.uint8] | NDArray[np.uint16], low: float, high: float) -> Shown:
     if pixels.dtype != np.uint8 or (low, high) != (0.0, 255.0):
         pixels = np.clip((pixels.astype(np.float32) - low) * (255 / (high - low)), 0, 255).astype(np.uint8)
     return Shown(pixels, None)
 
 
 def _view(image: ImageRecord, written: Written, low: float, high: float) -> View:
-    shown = _shown(image, low, high)
+    shown = _shown(_pixels(image), low, high)
     blocked = np.zeros(shown.pixels.shape[:2], np.bool_)
     if written.marked.shape == blocked.shape:
         blocked |= cv2.dilate(written.marked.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
@@ -255,10 +256,6 @@ def _view(image: ImageRecord, written: Written, low: float, high: float) -> View
         grow = 4 + 0.2 * (i.box_xyxy[2:] - i.box_xyxy[:2])
         grown.append(np.concatenate([i.box_xyxy[:2] - grow, i.box_xyxy[2:] + grow]))
     return View(shown.grey, blocked | boxes_mask(grown, blocked.shape))
-
-
-def _spread(images: Sequence[ImageRecord], count: int) -> list[ImageRecord]:
-    return [images[k] for k in np.unique(np.linspace(0, len(images) - 1, count).round().astype(int))]
 
 
 def _problems(motion: SequenceMotion) -> Iterator[Problem]:

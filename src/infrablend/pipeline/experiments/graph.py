@@ -233,9 +233,8 @@ class _Builder:
         if self.skips(name, [spec.data]):
             return
         of_scale = self.experiment.settings.get(self.request.scale, {})
-        spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}})
-        if spec.weights == AUTO:
-            spec = spec.model_copy(update={"weights": self.request.weights})
+        weights = self.request.weights if spec.weights == AUTO else spec.weights
+        spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}, "weights": weights})
         inputs = {
             "preset": preset_inputs(preset_of(self.request, spec)),
             "scale": self.request.scale,
