@@ -235,6 +235,7 @@ def annotate(
                 truncated=shape.truncated,
                 inserted=True,
                 extra={"object": k},
+                track_id=scene.objects[k].spec.track,
             )
         )
     report = LabelReport(

@@ -14,7 +14,7 @@ is put. Gain, local share and the offset of the ground are estimated for each pi
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal, get_args
 
@@ -106,11 +106,13 @@ class LocalMatch:
         facts: Estimates made on the way, as plain JSON values.
         contrasts: Expected contrast of each object against its ground, in the picture's levels; see
             `expected_contrast`.
+        settled: What the mapping was computed from, for other frames of the sequence.
     """
 
     mapping: GreyMapping
     facts: dict[str, Any]
     contrasts: tuple[float, ...]
+    settled: Settled
 
     @property
     def untrusted(self) -> bool:
@@ -119,22 +121,29 @@ class LocalMatch:
 
 
 def match_locally(
-    scene: PlacedScene, backdrop: Backdrop, settings: LocalSettings, rng: np.random.Generator
+    scene: PlacedScene,
+    backdrop: Backdrop,
+    settings: LocalSettings,
+    rng: np.random.Generator,
+    settled: Settled | None = None,
 ) -> LocalMatch:
-    """Match the objects of a scene (at least one) to the ground around each of them."""
+    """Match the objects of a scene (at least one) to the ground around each of them.
+
+    With `settled`, the map is that of the sequence; only what is around each object is measured in the picture.
+    """
     weather = scene.spec.weather
     if weather is None:
         raise ValueError(f"{scene.spec.frame_id}: local matching needs the weather")
     inserts = [describe_insert(placed, weather, scene.spec.view) for placed in scene.objects]
     # The camera's pitch is that of the picture only where the placement is metric.
     camera = None if scene.spec.view is None else scene.spec.camera
-    mapping, facts = local_mapping(backdrop, inserts, weather, settings, rng, camera)
+    mapping, facts, settled = local_mapping(backdrop, inserts, weather, settings, rng, camera, settled)
     places: Sequence[GreyMapping | Place] = mapping.places or (mapping,)
     contrasts = [
         expected_contrast(placed, place, ring, weather)
         for placed, place, ring in zip(scene.objects, places, facts["ring_grey"], strict=True)
     ]
-    return LocalMatch(mapping, facts, tuple(contrasts))
+    return LocalMatch(mapping, facts, tuple(contrasts), settled)
 
 
 def describe_insert(placed: PlacedObject, weather: Weather, view: View | None) -> Insert:
@@ -155,8 +164,9 @@ def local_mapping(
     settings: LocalSettings,
     rng: np.random.Generator,
     camera: CameraSpec | None = None,
-) -> tuple[GreyMapping, dict[str, Any]]:
-    """Return the mapping for the inserts of one frame, and the estimates behind it.
+    settled: Settled | None = None,
+) -> tuple[GreyMapping, dict[str, Any], Settled]:
+    """Return the mapping for the inserts of one frame, the estimates behind it, and what other frames may share.
 
     Cameras apply different gains above and below the ground's temperature, so the gain of warm inserts comes mainly
     from warm anchors, that of cold ones from cold. The contrast between sky and land, if the picture shows both, is an
@@ -171,9 +181,12 @@ def local_mapping(
     free = backdrop.free()
     behind = look_behind(picture, free, backdrop.grey_unit, camera, weather)
     reach = settings.local_share.reach
-    on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey, reach)
-    anchors = (*on_ground, *_land_anchors(behind, backdrop, weather))
-    curve = _estimate(on_ground, anchors, backdrop.grey_unit, weather, settings, rng)
+    anchors: tuple[Anchor, ...] = ()
+    if settled is None:
+        on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey, reach)
+        anchors = (*on_ground, *_land_anchors(behind, backdrop, weather))
+        settled = Settled(_estimate(on_ground, anchors, backdrop.grey_unit, weather, settings, rng), behind)
+    curve, behind = settled.curve, settled.over(behind)
 
     around = [_kind_and_ring(behind, picture, free, insert.box_xyxy, reach) for insert in inserts]
     places = []
@@ -205,11 +218,38 @@ def local_mapping(
         "anchors": {kind: sum(a.kind == kind for a in anchors) for kind in ANCHORS},
         "levels": [low, high],
     }
-    return mapping, facts
+    return mapping, facts, settled
 
 
 @dataclass(frozen=True, eq=False)
-class _Curve:
+class Settled:
+    """The map of a sequence, estimated in one of its frames.
+
+    Attributes:
+        curve: From radiance to grey.
+        behind: Levels of ground, sky and skyline.
+    """
+
+    curve: Curve
+    behind: Behind
+
+    def through(self, gain: float, offset: float) -> Settled:
+        """Return the map in a frame whose levels are `gain` times those of this one, plus `offset`."""
+        known = {k: v for k in _LEVELS if (v := getattr(self.behind, k)) is not None}
+        behind = replace(self.behind, **{k: gain * v + offset for k, v in known.items()})
+        return Settled(self.curve.times(gain), behind)
+
+    def over(self, behind: Behind) -> Behind:
+        """Return what is where in a frame, with the levels of the sequence as far as it has shown them."""
+        known = {k: v for k in _LEVELS if (v := getattr(self.behind, k)) is not None and getattr(behind, k) is not None}
+        return replace(behind, **known)
+
+
+_LEVELS = ("ground_grey", "sky_grey", "skyline_grey")
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
     """The map from radiance to grey of one picture, white-hot.
 
     Attributes:
@@ -225,6 +265,12 @@ class _Curve:
     offset: Mapping[Side, float]
     share_facts: Mapping[str, Any]
     gain_facts: Mapping[Side, Mapping[str, Any]]
+
+    def times(self, gain: float) -> Curve:
+        """Return the map of a frame whose levels are this many times as far apart."""
+        gains: dict[Side, float] = {side: gain * g for side, g in self.gain.items()}
+        offsets: dict[Side, float] = {side: gain * o for side, o in self.offset.items()}
+        return replace(self, gain=gains, offset=offsets)
 
     def line(self, insert: Insert, behind: Behind, kind: Kind, ring: float, weather: Weather) -> tuple[float, float]:
         """Return the level of radiance 0 of an insert, and the levels per radiance; both include the air before it."""
@@ -250,7 +296,7 @@ def _estimate(
     weather: Weather,
     settings: LocalSettings,
     rng: np.random.Generator,
-) -> _Curve:
+) -> Curve:
     """Draw share, gains and offsets of a picture from their posteriors."""
     of_ground, prior = radiance_at(weather.ground_k), settings.prior
     share, share_facts = draw_share(on_ground, weather.air_k, of_ground, unit, settings.local_share, prior, rng)
@@ -267,7 +313,7 @@ def _estimate(
     if any(facts.get("from_prior") for facts in gain_facts.values()):
         # The share came from the same anchors.
         share, share_facts = draw_share((), weather.air_k, of_ground, unit, settings.local_share, prior, rng)
-    return _Curve(share, gains, offsets, share_facts, gain_facts)
+    return Curve(share, gains, offsets, share_facts, gain_facts)
 
 
 def _land_anchors(behind: Behind, backdrop: Backdrop, weather: Weather) -> tuple[Anchor, ...]:

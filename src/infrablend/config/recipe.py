@@ -23,6 +23,7 @@ from infrablend.config.camera_models import CameraModel
 from infrablend.config.sensor_profile import PROFILES, SensorProfile, find_profile
 from infrablend.core.capture import Capture
 from infrablend.core.format_table import WrittenName
+from infrablend.core.motion_kinds import MotionKind
 from infrablend.core.scene import LOW_EMISSIVITY
 from infrablend.core.strict_model import Strict, in_order, range_of
 from infrablend.core.surface_kinds import SurfaceKind
@@ -407,6 +408,17 @@ class Align(Strict):
     """Align objects in pictures of this time of day only; in all by default."""
 
 
+class Motion(Strict):
+    """How an object moves through a sequence. Each sequence has its own objects, each of them a track."""
+
+    kind: MotionKind
+    """`still`; on the ground `walk`, `graze`, `run` or `drive`, around what does not suit the model; in the air
+    `hover`, `fly` along curves, `flock` with all others of this entry, or `followed`: the camera holds the object near
+    the middle of the picture, however it turns."""
+    speed_m_s: range_of(0, 100) | None = None  # type: ignore[valid-type]
+    """Range of the speed, m/s; one value per object. By default that of the kind: people walk at 0.8 to 1.6."""
+
+
 CLASS_NAME = (
     r"^[^\s\x00-\x1f\x7f-\x9f\uFFFE\uFFFF]"
     r"([^\x00-\x1f\x7f-\x9f\u2028\u2029\uFFFE\uFFFF]*[^\s\x00-\x1f\x7f-\x9f\uFFFE\uFFFF])?$"
@@ -482,6 +494,10 @@ class MetricObject(ObjectKind):
     align: Align | None = None
     """Models that stand: headings along one direction per picture, e.g. `{share: 0.85, along: lines}`; by default all
     headings in `yaw_deg` are as likely."""
+    motion: Motion | None = None
+    """Movement through sequences of pictures, such as `{kind: walk}`. With it in any entry, the objects of a recipe are
+    drawn once for each sequence and keep their shapes, temperatures and tracks through all of its frames; entries
+    without it stay where they are. By default each picture has objects of its own."""
 
 
 Object = PaperObject | MetricObject
@@ -1164,6 +1180,11 @@ class _Sections(Strict):
         if self.overlay.flat and not isinstance(getattr(self, "sensor", None), NoSensor):
             raise ValueError("overlay.flat needs sensor.profile: off")
         return self
+
+    @property
+    def in_sequences(self) -> bool:
+        """Whether objects are those of whole sequences, and not of single pictures."""
+        return any(getattr(kind, "motion", None) is not None for kind in getattr(self, "objects", ()))
 
     @property
     def samples(self) -> int:

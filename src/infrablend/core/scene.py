@@ -77,7 +77,8 @@ class ObjectSpec:
         kind: Number of the recipe's entry, from 0.
         visible_aim: Visible share that structures of the background should leave; None for an object in front of them.
         shaded: Whether the sun's rays do not reach the object, by day.
-        by_hand: Whether the recipe states the object's place; it is then not moved, and not left out for being faint.
+        by_hand: Whether the recipe states the object's place.
+        track: Number of the object in its sequence; None in single pictures.
     """
 
     model: str
@@ -91,6 +92,12 @@ class ObjectSpec:
     visible_aim: float | None = None
     shaded: bool = False
     by_hand: bool = False
+    track: int | None = None
+
+    @property
+    def stays(self) -> bool:
+        """Whether the object is not moved, and not left out for being faint: its place was stated or decided before."""
+        return self.by_hand or self.track is not None
 
 
 @dataclass(frozen=True)
@@ -225,6 +232,8 @@ class SceneSpec:
         for o in data["objects"]:
             if not o["by_hand"]:
                 del o["by_hand"]
+            if o["track"] is None:
+                del o["track"]
         return data
 
     @classmethod

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import importlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.files import replace_atomically
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
 from infrablend.formats.flight_log import MAX_LOG_BYTES
 from infrablend.formats.images import grey_of_rgb
@@ -270,6 +272,38 @@ class Video:
             (self.turned, Problem(where, "video-turned", turned, "no rotation", severity="warning")),
         )
         return [problem for there, problem in faults if there]
+
+
+def write_video(path: Path, pictures: Iterable[NDArray[np.uint8] | NDArray[np.uint16]], rate: float) -> None:
+    """Write (h, w) grey pictures as an H.264 video that browsers play; the same pictures give the same bytes.
+
+    Pictures of another size than the first are scaled to it; 16-bit ones show their own range.
+
+    Raises:
+        MissingDependencyError: PyAV is not installed.
+        OutputError: The file cannot be written.
+    """
+    av = require_av()
+    with replace_atomically(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=Fraction(rate).limit_denominator(1001))
+        # One thread, so that the bytes do not depend on the machine's cores.
+        stream.options = {"crf": "18", "preset": "veryfast", "threads": "1"}
+        stream.pix_fmt = "yuv420p"
+        for pixels in pictures:
+            shown = _eight_bit(pixels)
+            if not stream.codec_context.is_open:
+                stream.width, stream.height = (n // 2 * 2 for n in shown.shape[::-1])  # 4:2:0 needs even sizes
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(shown), format="gray")
+            frame = frame.reformat(stream.width, stream.height, "yuv420p")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def _eight_bit(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.uint8]:
+    if pixels.dtype == np.uint8:
+        return np.asarray(pixels, np.uint8)
+    low, high = (float(v) for v in np.percentile(pixels, [0.1, 99.9]))
+    return np.asarray(np.clip((pixels - low) * (255 / max(high - low, 1)), 0, 255), np.uint8)
 
 
 def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:

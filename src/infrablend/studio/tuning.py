@@ -24,7 +24,7 @@ from infrablend.errors import ArgumentError, DatasetError, OutputError
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_words, how_visible
-from infrablend.pipeline.plans.planning import with_scale
+from infrablend.pipeline.plans.planning import reading_for
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
@@ -135,7 +135,7 @@ class Tuning:
         self._trials = Trials(request)
         try:
             start = read_recipe(request.recipe).recipe
-            dataset = detection.read(request.data, with_scale(request.reading, start))
+            dataset = detection.read(request.data, reading_for(start, request.reading, request.data))
             self.backgrounds: tuple[ImageRecord, ...] = dataset.images
             self.ignored = frozenset(c.name for c in dataset.categories if c.ignore)
         except BaseException:

@@ -58,7 +58,7 @@ def scene(gain_k, people=0, cars=0, seed=0, ground=110.0):
 
 def mapped(picture, inserts, labels, time="night", seed=0, levels=LEVELS, settings=None):
     backdrop = Backdrop(picture, labels, time, levels)
-    return local_mapping(backdrop, inserts, WEATHER, settings or LocalSettings(), np.random.default_rng(seed))
+    return local_mapping(backdrop, inserts, WEATHER, settings or LocalSettings(), np.random.default_rng(seed))[:2]
 
 
 def gains(picture, labels):
@@ -326,7 +326,7 @@ UP = camera(-np.degrees(np.arctan(62 / 752.8)))
 
 def in_front_of_sky(picture, inserts, settings=None, seed=0, seen=UP, labels=(), time=None):
     backdrop = Backdrop(picture, labels, time, (0.0, 255.0))
-    return local_mapping(backdrop, inserts, WEATHER, settings or LocalSettings(), np.random.default_rng(seed), seen)
+    return local_mapping(backdrop, inserts, WEATHER, settings or LocalSettings(), np.random.default_rng(seed), seen)[:2]
 
 
 def sky_picture(row=190, sky=97.0, land=230.0):

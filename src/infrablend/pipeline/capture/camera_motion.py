@@ -142,7 +142,7 @@ def write_motion(
             write_json(space.folder / f"{name}.json", facts)
             write_text(space.folder / f"{name}.html", motion_page(facts))
             states[sequence] = facts["states"]
-            problems += _problems(motion)
+            problems += motion_problems(motion)
         report = MotionReport(out, states, tuple(problems))
         space.finish({"sequences": states, "version": VERSION})
     return report
@@ -258,7 +258,7 @@ def _view(image: ImageRecord, written: Written, low: float, high: float) -> View
     return View(shown.grey, blocked | boxes_mask(grown, blocked.shape))
 
 
-def _problems(motion: SequenceMotion) -> Iterator[Problem]:
+def motion_problems(motion: SequenceMotion) -> Iterator[Problem]:
     """Yield warnings for frames that are not known, and for spans that cannot be related to each other."""
     where = f"sequence {motion.name}"
     lost = [n for n, m in zip(motion.frames, motion.moments, strict=True) if not m.known]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +20,15 @@ from numpy.typing import NDArray
 from infrablend.annotation.labels import LabelReport, annotate
 from infrablend.annotation.merge import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
-from infrablend.compositing.mapping import GreyImage, GreyMapping, grey_unit, measure_levels
+from infrablend.compositing.mapping import GreyImage, grey_unit, measure_levels
 from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.other_camera import OtherCamera
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
+from infrablend.config.recipe import PaperRecipe
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.masks import Mask
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rng import integer_seed, stream
@@ -42,7 +44,7 @@ from infrablend.pipeline.compose.inserts import (
     measure_inserts,
     with_seen_box,
 )
-from infrablend.pipeline.compose.looks import make_look
+from infrablend.pipeline.compose.looks import Match, make_look
 from infrablend.pipeline.compose.occlusion import (
     Cover,
     behind_front,
@@ -51,6 +53,7 @@ from infrablend.pipeline.compose.occlusion import (
     occlusion_facts,
     too_hidden,
 )
+from infrablend.pipeline.compose.sequences import Anchored, Sequences, Take
 from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.backgrounds import background_facts
 from infrablend.pipeline.plans.plan import PlannedFrame
@@ -82,20 +85,22 @@ class Picture:
 
     Attributes:
         scene: The scene.
-        mapping: From radiance to grey levels.
+        match: From radiance to grey levels.
         rendered: The rendered scene.
         pixels: (h, w) grey levels.
         inserts: Objects with a label.
         report: What became of the others.
+        sensor: The camera that was imitated; None for none.
         facts: Facts for the frame's record.
     """
 
     scene: PlacedScene
-    mapping: GreyMapping
+    match: Match
     rendered: RenderResult
     pixels: GreyImage
     inserts: Sequence[MeasuredInsert]
     report: LabelReport
+    sensor: Sensor | None
     facts: Mapping[str, Any]
 
 
@@ -134,6 +139,9 @@ class FrameComposer:
         self._sampler = settings.extensions.make_sampler(self._recipe, self._models, settings.seed)
         self._look = make_look(self._recipe, settings)
         self._renderer = renderer
+        self._sequences: Sequences | None = None
+        if self._recipe.in_sequences and not isinstance(self._recipe, PaperRecipe):
+            self._sequences = Sequences(settings, self._recipe, self._models, self._settle)
 
     def compose(self, frame: PlannedFrame) -> ComposedFrame:
         """Return the picture and the record of a frame.
@@ -144,8 +152,39 @@ class FrameComposer:
         """
         if frame.configuration is None:
             return self._unchanged(frame)
+        canvas, picture = self._picture(frame)
+
+        # Labels, file and record.
+        labels = self._labels(picture, canvas)
+        pixels, camera = self._retaken(picture.pixels, canvas.background, frame.frame_id)
+        image_bytes = encode_image(pixels, canvas.background, self._recipe.output.image)
+        made = {"scene": picture.scene.spec, "mapping": picture.match.mapping.to_json()}
+        made["facts"] = {**picture.facts, **camera}
+        record = self._record(frame, canvas.background, labels, image_bytes, made)
+        return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
+
+    def _picture(self, frame: PlannedFrame) -> tuple[Canvas, Picture]:
+        """Return a frame's background, and the picture with the objects of its sequence, or with its own."""
+        if self._sequences is None:
+            return self._own_picture(frame)
+        canvas = self._canvas(frame, self._load(frame))
+        take = self._sequences.take(frame)
+        if take is None:
+            lost = frame.background.capture.sequence in self._settings.sequences
+            return self._own_picture(frame, left_out="camera_lost" if lost else None)
+        picture = self._draw(take.scene, canvas, FirstContrasts(take.scene), Unseen(take.scene), take)
+        assert isinstance(picture, Picture), "tracks are never moved"
+        return canvas, picture
+
+    def _own_picture(self, frame: PlannedFrame, left_out: str | None = None) -> tuple[Canvas, Picture]:
+        """Return a frame's background, and the picture with objects that are drawn for it alone.
+
+        `left_out` is the reason why it gets none after all.
+        """
         # The objects, their places and temperatures.
         canvas, scene = self._arrange(frame)
+        if left_out is not None:
+            scene = scene.without(range(len(scene.objects)), left_out)
 
         # Objects that nobody can see in the finished picture are moved, or left out in the end.
         first, moves = FirstContrasts(scene), 0
@@ -154,15 +193,14 @@ class FrameComposer:
             moves += 1
             scene = self._redraw(picture, canvas.site, moves)
             picture = self._draw(scene, canvas, first, picture)
+        if moves and first.found:
+            picture = replace(picture, facts={**picture.facts, "contrast_first": first.found})
+        return canvas, picture
 
-        # Labels, file and record.
-        labels = self._labels(picture, canvas)
-        pixels, camera = self._retaken(picture.pixels, canvas.background, frame.frame_id)
-        image_bytes = encode_image(pixels, canvas.background, self._recipe.output.image)
-        facts = {**picture.facts, **camera, **({"contrast_first": first.found} if moves and first.found else {})}
-        made = {"scene": picture.scene.spec, "mapping": picture.mapping.to_json(), "facts": facts}
-        record = self._record(frame, canvas.background, labels, image_bytes, made)
-        return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
+    def _settle(self, frame: PlannedFrame) -> Anchored:
+        """Draw the objects of an anchor of a sequence."""
+        canvas, picture = self._own_picture(frame)
+        return Anchored(picture.scene, canvas.site, picture.match, picture.sensor)
 
     def place(self, frame: PlannedFrame) -> FrameRecord:
         """Return the record of a frame whose objects have their places, with their boxes; nothing is drawn.
@@ -177,11 +215,14 @@ class FrameComposer:
 
     def _arrange(self, frame: PlannedFrame) -> tuple[Canvas, PlacedScene]:
         """Return what is known of a frame's background, and the scene whose objects have places there."""
-        background = self._settings.extensions.load(frame.background)
-        self._look.check(frame, background)
-        canvas = self._canvas(frame, background)
+        canvas = self._canvas(frame, self._load(frame))
         scene = self._sampler.sample(canvas.key, canvas.site)
         return canvas, drop_barely_visible(scene, self._recipe.placement.min_visibility)
+
+    def _load(self, frame: PlannedFrame) -> Background:
+        background = self._settings.extensions.load(frame.background)
+        self._look.check(frame, background)
+        return background
 
     def _unchanged(self, frame: PlannedFrame) -> ComposedFrame:
         """Return a background as a frame; the image is a byte-for-byte copy unless the recipe changes it."""
@@ -240,23 +281,30 @@ class FrameComposer:
             return 1.0 if background.bit_depth == 8 else grey_unit(pixels, measure_levels([pixels]))
         return grey_unit(pixels, levels)
 
-    def _draw(self, scene: PlacedScene, canvas: Canvas, first: FirstContrasts, before: Unseen) -> Picture | Unseen:
+    def _draw(
+        self, scene: PlacedScene, canvas: Canvas, first: FirstContrasts, before: Unseen, take: Take | None = None
+    ) -> Picture | Unseen:
         """Draw a scene over its background, unless some of its objects cannot be seen.
 
         `first` collects contrasts. `before` is the last attempt: its facts of matching count, also those of objects
-        that have been left out since, and its sensor serves again.
+        that have been left out since, and its sensor serves again. With a `take`, levels and sensor are those of the
+        sequence.
         """
         recipe, ground = self._recipe, canvas.background.pixels
-        match = self._look.match(scene, canvas.frame, canvas.background)
+        match = self._match(scene, canvas, take)
         scene, matching = match.scene, match.facts or before.matching
         if faint := movable(scene, match.faint):
             first.add(scene, {k: {"object": k, "changed": round(match.faint[k], 2), "expected": True} for k in faint})
             return Unseen(scene, faint, (), matching, before.sensor)
-        sensor = self._sensor(scene, canvas.background, match.mapping.scale, before.sensor)
+        known = before.sensor if take is None else take.sensor
+        sensor = self._sensor(scene, canvas.background, match.mapping.scale, known)
         rendered = self._renderer.render(scene)
         occluders = {} if canvas.cover is None else canvas.cover.find(scene)
         front = front_of(occluders, None if canvas.cover is None else canvas.cover.scenery, rendered)
         pixels = self._look.paint(match, rendered, ground, sensor, front)
+        written = None if take is None else covered_text(take.written, pixels, ground)
+        if written is not None:
+            pixels = np.where(written, ground, pixels)
 
         seen = behind_front(rendered, front, occluders)
         labels, report = label_objects(scene, rendered, seen, occluders, recipe.labels)
@@ -273,8 +321,17 @@ class FrameComposer:
             **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
             **({} if sensor is None else {"sensor": sensor.to_json()}),
             **({} if canvas.cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
+            **({} if written is None else {"written": Mask.from_array(written).to_coco()}),
         }
-        return Picture(scene, match.mapping, rendered, pixels, inserts, report, facts)
+        return Picture(scene, match, rendered, pixels, inserts, report, sensor, facts)
+
+    def _match(self, scene: PlacedScene, canvas: Canvas, take: Take | None) -> Match:
+        """Return the map to grey levels: that of a frozen picture is that of the picture which it shows."""
+        if take is None:
+            return self._look.match(scene, canvas.frame, canvas.background)
+        frozen = take.shown.background_id != canvas.frame.background_id
+        background = self._load(take.shown) if frozen else canvas.background
+        return self._look.match(scene, take.shown, background, take.earlier)
 
     def _redraw(self, unseen: Unseen, site: Site, attempt: int) -> PlacedScene:
         """Return a scene whose unseen objects are at other places, or left out if the recipe moves them no more."""
@@ -346,8 +403,18 @@ class FrameComposer:
 
 
 def movable(scene: PlacedScene, numbers: Iterable[int]) -> list[int]:
-    """Return the numbers of those objects that are not placed by hand, sorted."""
-    return sorted(k for k in numbers if not scene.objects[k].spec.by_hand)
+    """Return the numbers of those objects whose places are not fixed, sorted."""
+    return sorted(k for k in numbers if not scene.objects[k].spec.stays)
+
+
+def covered_text(
+    written: NDArray[np.bool_] | None, picture: GreyImage, background: GreyImage
+) -> NDArray[np.bool_] | None:
+    """Return the (h, w) mask of text that a picture changes; None for none."""
+    if written is None or written.shape != picture.shape:
+        return None
+    covered = written & (picture != background)
+    return covered if covered.any() else None
 
 
 def drop_barely_visible(scene: PlacedScene, min_visibility: float) -> PlacedScene:

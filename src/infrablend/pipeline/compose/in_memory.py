@@ -28,7 +28,7 @@ from infrablend.pipeline.compose.pool import FrameWorkers
 from infrablend.pipeline.compose.settings import FrameSettings, settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame
-from infrablend.pipeline.plans.planning import make_plan, with_scale
+from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 
@@ -127,7 +127,7 @@ class Frames:
         if isinstance(source, BackgroundSource):
             dataset = source.dataset()
         else:
-            dataset = detection.read(source, with_scale(request.reading, loaded.recipe))
+            dataset = detection.read(source, reading_for(loaded.recipe, request.reading, source))
         self._plan = make_plan(
             loaded.recipe, dataset, request.seed, splits=request.reading.splits, selection=request.selection,
             recipe_warnings=loaded.warnings,

@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from infrablend.compositing.contrast import Least, real_least
 from infrablend.compositing.gain import Backdrop, GainPrior, SharePrior
-from infrablend.compositing.local import LocalSettings, match_locally
+from infrablend.compositing.local import LocalSettings, Settled, match_locally
 from infrablend.compositing.mapping import GreyImage, GreyMapping, percentile_mapping
 from infrablend.compositing.occlusion import Share
 from infrablend.compositing.picture import overlay
@@ -46,12 +46,29 @@ class Match:
         mapping: From radiance to the background's grey levels.
         facts: Estimates made on the way, for the frame's record.
         faint: Expected contrast, 8-bit levels, of the objects that are certainly too faint, before rendering.
+        settled: What the map follows from, for other frames of a sequence; only with the physical look.
     """
 
     scene: PlacedScene
     mapping: GreyMapping
     facts: Mapping[str, Any] = field(default_factory=dict)
     faint: Mapping[int, float] = field(default_factory=dict)
+    settled: Settled | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Earlier:
+    """The match of another frame of a sequence, and what the camera has done to its levels since.
+
+    Attributes:
+        match: That match.
+        gain: Level of this frame per level of that one.
+        offset: Level of this frame where that has 0.
+    """
+
+    match: Match
+    gain: float
+    offset: float
 
 
 class ArtisticLook:
@@ -70,8 +87,14 @@ class ArtisticLook:
             DatasetError: The background cannot be used.
         """
 
-    def match(self, scene: PlacedScene, frame: PlannedFrame, background: Background) -> Match:
-        """Choose the grey levels of a scene."""
+    def match(
+        self, scene: PlacedScene, frame: PlannedFrame, background: Background, earlier: Earlier | None = None
+    ) -> Match:
+        """Choose the grey levels of a scene, or follow those of the sequence."""
+        if earlier is not None:
+            known = earlier.match.mapping
+            dark, bright = (earlier.gain * v + earlier.offset for v in (known.dark, known.bright))
+            return Match(scene, replace(known, dark=dark, bright=bright))
         return Match(scene, percentile_mapping(background.pixels, self._recipe.matching.percentiles))
 
     def paint(
@@ -112,7 +135,9 @@ class PhysicalLook(ArtisticLook):
         """Refuse a picture with grey levels that do not follow temperature."""
         require_thermal_levels(background)
 
-    def match(self, scene: PlacedScene, frame: PlannedFrame, background: Background) -> Match:
+    def match(
+        self, scene: PlacedScene, frame: PlannedFrame, background: Background, earlier: Earlier | None = None
+    ) -> Match:
         """Match each object to the ground, the sky or the skyline around it."""
         if not scene.objects:
             return super().match(scene, frame, background)
@@ -122,7 +147,7 @@ class PhysicalLook(ArtisticLook):
         # The same stream at each attempt, so that a moved object does not influence the gain.
         rng = stream(self._settings.seed, frame.frame_id, "matching")
         settings = local_settings(self._matching, source.capture.time_of_day, self._headroom)
-        found = match_locally(scene, backdrop, settings, rng)
+        found = match_locally(scene, backdrop, settings, rng, self._settled(earlier))
         facts = {"matching": found.facts}
         height_at_limit = scene.spec.view is not None and scene.spec.view.at_limit
         if (found.untrusted or height_at_limit) and self._matching.on_untrusted == "skip":
@@ -133,7 +158,13 @@ class PhysicalLook(ArtisticLook):
             least = least_contrast(self._recipe, placed.spec.category, source.capture.time_of_day)
             if least is not None and contrast < least.change * backdrop.grey_unit:
                 faint[k] = contrast / backdrop.grey_unit
-        return Match(scene, found.mapping, facts, faint)
+        return Match(scene, found.mapping, facts, faint, found.settled)
+
+    def _settled(self, earlier: Earlier | None) -> Settled | None:
+        """Return the map of the sequence as it is in a frame."""
+        if earlier is None or earlier.match.settled is None:
+            return None
+        return earlier.match.settled.through(earlier.gain, earlier.offset)
 
 
 class RadiometricLook(ArtisticLook):
@@ -144,7 +175,9 @@ class RadiometricLook(ArtisticLook):
         scale = frame.as_read.capture.scale
         require_temperatures(background, scale, is_ground(frame.background, self._recipe))
 
-    def match(self, scene: PlacedScene, frame: PlannedFrame, background: Background) -> Match:
+    def match(
+        self, scene: PlacedScene, frame: PlannedFrame, background: Background, earlier: Earlier | None = None
+    ) -> Match:
         """Give the scene the ground of its picture, and its objects the air in front of them."""
         scale = frame.as_read.capture.scale
         if not scene.objects or scale is None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, Extensions
 from infrablend.pipeline.plans.labelled_ground import labelled_ground
-from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.plans.plan import PlannedSequence, RunPlan
 from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
 from infrablend.places.labelled_ground import LabelledGround
 
@@ -30,6 +30,7 @@ class FrameSettings:
         run: Identity of the run, for the records of its frames.
         models: Digests of the recipe's own models: changed models are loaded again.
         labelled_ground: On which kinds of ground the dataset's labelled objects are.
+        sequences: Sequences by name, if the recipe's objects move through them.
     """
 
     out: Path | None
@@ -43,6 +44,7 @@ class FrameSettings:
     run: str = ""
     models: Mapping[str, Any] = field(default_factory=dict)
     labelled_ground: LabelledGround = field(default_factory=dict)
+    sequences: Mapping[str, PlannedSequence] = field(default_factory=dict)
 
 
 def settings_for(
@@ -65,4 +67,5 @@ def settings_for(
         run=plan.run,
         models=plan.key.get("models", {}),
         labelled_ground=labelled_ground(plan, extensions.load),
+        sequences=plan.sequences,
     )

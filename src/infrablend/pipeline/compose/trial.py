@@ -28,7 +28,7 @@ from infrablend.pipeline.compose.pool import FrameWorkers
 from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.plans.planning import make_plan, with_scale
+from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.request import ONE_WORKER, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 from infrablend.places.labelled_ground import LabelledGround
@@ -168,7 +168,7 @@ class Trials:
         request = self._request
         loaded = read_recipe(request.recipe, request.settings)
         self._recipe = loaded.recipe
-        reading = with_scale(request.reading, loaded.recipe)
+        reading = reading_for(loaded.recipe, request.reading, request.data)
         if self._read is None or self._read[0] != reading:
             self._read = reading, detection.read(request.data, reading)
         dataset = self._read[1]

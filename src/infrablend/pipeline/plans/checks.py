@@ -14,6 +14,7 @@ from infrablend.core.camera import fov_of_width
 from infrablend.core.class_names import differ_in_form
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE
+from infrablend.core.motion_kinds import IN_AIR, ON_GROUND
 from infrablend.core.rng import stream
 from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
@@ -56,6 +57,24 @@ def require_options(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
             problems.append(Problem(f"objects.{i}.options", "recipe-value", message))
     if problems:
         raise RecipeError(f"recipe {recipe.name}: options that its models do not accept", problems)
+
+
+def require_movable(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
+    """Check that each kind of movement is one of its model: on the ground or in the air.
+
+    Raises:
+        RecipeError: Some are not; the message names them.
+    """
+    problems = []
+    for n, kind in enumerate(recipe.objects):
+        motion = getattr(kind, "motion", None)
+        possible = ON_GROUND if models[kind.model].stands else IN_AIR
+        if motion is not None and motion.kind not in possible:
+            where = "stands on the ground" if models[kind.model].stands else "flies"
+            found, expected = f"found {motion.kind}, but {kind.model} {where}", ", ".join(possible)
+            problems.append(Problem(f"objects.{n}.motion.kind", "recipe-value", found, expected))
+    if problems:
+        raise RecipeError(f"recipe {recipe.name}: movements that its models do not have", problems)
 
 
 def without_effect(recipe: Recipe, models: Mapping[str, ObjectModel]) -> list[Problem]:

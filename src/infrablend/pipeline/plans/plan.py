@@ -12,6 +12,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.errors import Problem
 from infrablend.pipeline.plans.shard import Shard
 from infrablend.sampling.site import FrameKey
+from infrablend.sampling.tracks import Footage
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +61,23 @@ class PlannedFrame:
 
 
 @dataclass(frozen=True, eq=False)
+class PlannedSequence:
+    """One sequence of a run whose objects move.
+
+    Attributes:
+        name: Name of the sequence.
+        frames: All of its frames, whichever are made, in their order.
+        footage: How camera and time go on.
+        first_track: Number of its first track; the source's own are smaller.
+    """
+
+    name: str
+    frames: tuple[PlannedFrame, ...]
+    footage: Footage
+    first_track: int
+
+
+@dataclass(frozen=True, eq=False)
 class RunPlan:
     """All decisions made before the first frame.
 
@@ -81,6 +99,7 @@ class RunPlan:
         shard: Shard that `frames` belongs to; None for a whole run.
         run: Identity of the run, in the records of its frames: a digest of recipe and seed. Shards and parts of a run
             have that of the whole.
+        sequences: Sequences by name, if the recipe's objects move through them.
     """
 
     recipe: Recipe
@@ -98,6 +117,7 @@ class RunPlan:
     levels: tuple[float, float] | None = None
     shard: Shard | None = None
     run: str = ""
+    sequences: Mapping[str, PlannedSequence] = field(default_factory=dict)
 
     @property
     def needs_levels(self) -> bool:

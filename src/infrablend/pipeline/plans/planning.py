@@ -13,11 +13,14 @@ from infrablend.annotation.classes import ignored_turned_objects, rename_classes
 from infrablend.assets.user_model import description_digest, is_description
 from infrablend.config.recipe import NOT_IN_KEY, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
-from infrablend.core.file_names import distinct_names, fit_name
+from infrablend.core.file_names import distinct_names, file_name, fit_name
 from infrablend.core.files import sha256_of_json
+from infrablend.core.format_table import find_format
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 from infrablend.formats.temperatures import OPTIONS
+from infrablend.pipeline.capture.camera_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.datasets.content import fingerprint
 from infrablend.pipeline.plans.checks import (
     data_warnings,
@@ -26,6 +29,7 @@ from infrablend.pipeline.plans.checks import (
     require_distinct_classes,
     require_ids,
     require_loosened,
+    require_movable,
     require_options,
     require_pitch_of_pixels,
     unknown_by_hand,
@@ -34,8 +38,9 @@ from infrablend.pipeline.plans.checks import (
 )
 from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
-from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
+from infrablend.pipeline.plans.sequences import plan_sequences
 from infrablend.places.surfaces import model_version
 from infrablend.sampling.scene import require_parts
 
@@ -69,7 +74,7 @@ def make_plan(
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
     require_distinct_classes(recipe, classes, renamed)
 
-    names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
+    names = frame_names(renamed.images, recipe)
     images, chosen = selection.backgrounds(renamed.images, seed), None
     if selection.frames is not None:
         chosen = find_frames(selection.frames, renamed.images, names)
@@ -88,7 +93,7 @@ def make_plan(
         drawn = {image for image, _ in chosen}
         usable = [image for image in usable if id(image) in drawn]
         recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
-        names = frame_names(renamed.images, recipe.output.originals, recipe.configurations)
+        names = frame_names(renamed.images, recipe)
     problems += data_warnings(recipe, usable, dataset.root) + without_mask(recipe, usable, renamed.images)
     problems += unknown_by_hand(recipe, renamed.images)
     require_ids(recipe, usable)
@@ -101,6 +106,11 @@ def make_plan(
         for k in _configurations(recipe.output.originals, recipe.configurations)
         if chosen is None or (id(image), k) in chosen
     ]
+    sequences: dict[str, PlannedSequence] = {}
+    if recipe.in_sequences:
+        require_movable(recipe, models)
+        sequences, unknown = plan_sequences(renamed, as_read, usable)
+        problems += unknown
     used = replace(renamed, images=tuple(usable))
     categories = _with_new(renamed.categories, classes)
     key = _key(recipe, seed, used) | _selected(selection, frames)
@@ -117,6 +127,7 @@ def make_plan(
         ignored=tuple(c.name for c in dataset.categories if c.ignore),
         sample=renamed.images[:: max(1, len(renamed.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
         run=sha256_of_json([{**key["recipe"], "description": None}, seed])[:16],
+        sequences=sequences,
     )
 
 
@@ -145,6 +156,8 @@ def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
     }
     if recipe.placement.surfaces is not None:
         key["places"] = model_version()
+    if recipe.in_sequences:
+        key["motion"] = MOTION_VERSION
     if own := {o.model: description_digest(Path(o.model)) for o in recipe.objects if is_description(o.model)}:
         key["models"] = own
     return key
@@ -155,25 +168,44 @@ def _configurations(originals: bool, count: int) -> list[int | None]:
     return [*([None] if originals else []), *range(count)]
 
 
-def frame_names(images: Sequence[ImageRecord], originals: bool, count: int) -> dict[tuple[int, int | None], str]:
+def frame_names(images: Sequence[ImageRecord], recipe: Recipe) -> dict[tuple[int, int | None], str]:
     """Return the name of every frame by `id(image)` and configuration; names are unique in each split.
+
+    Frames of sequences have the name of their sequence and six digits, if objects move through them.
 
     Backgrounds whose ids look like names of frames (`a` and `a_c0`, when earlier output is used as input), or differ in
     case alone, would otherwise share files. Unchanged backgrounds keep their name, and of other equal names the first
     frame keeps it. The names depend on all backgrounds of the split, so that `--limit` does not change them.
     """
     names: dict[tuple[int, int | None], str] = {}
+    originals, count = recipe.output.originals, recipe.configurations
+
+    def name_of(i: ImageRecord, k: int | None) -> str:
+        name, c = fit_name(i.id), i.capture
+        if recipe.in_sequences and c.sequence is not None and c.frame is not None:
+            name = fit_name(f"{file_name(c.sequence)}_{c.frame:06d}")
+            if count == 1 and not originals:
+                return name
+        return name if k is None else f"{name}_c{k}"
+
     for split in dict.fromkeys(i.split for i in images):
         of_split = [i for i in images if i.split == split]
         frames = [(i, k) for k in _configurations(originals, 0) for i in of_split]
         frames += [(i, k) for i in of_split for k in range(count)]
-        found = distinct_names([fit_name(i.id) if k is None else f"{fit_name(i.id)}_c{k}" for i, k in frames])
+        found = distinct_names([name_of(i, k) for i, k in frames])
         names |= {(id(i), k): name for (i, k), name in zip(frames, found, strict=True)}
     return names
 
 
-def with_scale(reading: Reading, recipe: Recipe) -> Reading:
-    """Return the reading with the recipe's temperature scale, unless its options state one."""
+def reading_for(recipe: Recipe, reading: Reading, root: Path) -> Reading:
+    """Return how to read backgrounds for a recipe: with its temperature scale, and with every frame for its tracks.
+
+    What the options of the reading state comes first.
+    """
+    if recipe.in_sequences and "every" not in reading.options:
+        name = reading.format or detection.detect(root).format
+        if name is not None and "every" in detection.reader_options(find_format(name)):
+            reading = replace(reading, options={**reading.options, "every": "1"})
     stated = {k: str(v) for k, v in recipe.data.model_dump().items() if v is not None}
     if not stated or any(name in reading.options for name in OPTIONS):
         return reading

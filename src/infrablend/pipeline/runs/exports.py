@@ -30,6 +30,7 @@ from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.runs.card import run_card
 from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
+from infrablend.pipeline.runs.track_files import with_own_sequence, write_tracks
 from infrablend.pipeline.runs.warnings import (
     absent_warnings,
     air_warnings,
@@ -74,12 +75,15 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     for record in ledger.records(f.frame_id for f in frames):
         records.append(record)
     loosened, looseness = 0, Looseness.of_labels(plan.recipe.labels)
+    several = bool(plan.sequences) and (plan.recipe.configurations > 1 or plan.recipe.output.originals)
 
     def labelled() -> Iterator[ImageRecord]:
         nonlocal loosened
         for frame, record in zip(frames, records, strict=True):
             # The records keep the exact boxes.
             image, count = labelled_image(frame, record, folder.image(record.image), looseness)
+            if several:
+                image = with_own_sequence(image, frame.configuration)
             loosened += count
             yield image
 
@@ -99,6 +103,8 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     problems += beside.problems
     if plan.recipe.output.agc is not None and images:
         problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
+    if plan.sequences and images:
+        problems += write_tracks(folder.root, images, plan.categories)
     problems += frame_warnings(records)
     finished = summarize(plan, records, images)
     differing = any(held != finished.counts["labels"] for held in labels.values())

@@ -21,7 +21,7 @@ from infrablend.pipeline.plans.checks import HEIGHT_REPLACED, LENS_REPLACED, PIT
 from infrablend.pipeline.plans.estimate import estimate_run
 from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.pipeline.plans.planning import make_plan, with_scale
+from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.runs.forecast import forecast_objects
@@ -122,7 +122,8 @@ def prepare_run(request: RunRequest) -> RunPlan:
         require_packed(loaded.recipe, request.out)
     if request.out is not None and address_of(request.out) is None and address_of(request.data) is None:
         require_apart(request.data, request.out)
-    dataset = detection.read(local_folder(request.data), with_scale(request.reading, loaded.recipe))
+    root = local_folder(request.data)
+    dataset = detection.read(root, reading_for(loaded.recipe, request.reading, root))
     plan = make_plan(
         loaded.recipe,
         dataset,

@@ -17,7 +17,7 @@ from infrablend.errors import ArgumentError, OutputError, Problem
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.pipeline.plans.planning import make_plan, with_scale
+from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.selection import FrameSelection
 from infrablend.storage.mirror import local_folder
 
@@ -114,7 +114,8 @@ class RecordedRun:
         Raises:
             InfraBlendError: The backgrounds cannot be read.
         """
-        dataset = detection.read(local_folder(data or self.data), with_scale(self.reading, self.recipe))
+        root = local_folder(data or self.data)
+        dataset = detection.read(root, reading_for(self.recipe, self.reading, root))
         plan = make_plan(
             self.recipe, dataset, self.seed, splits=self.reading.splits, selection=self.selection,
             recipe_warnings=self.warnings,

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from infrablend.compositing.mapping import GreyMapping
 from infrablend.compositing.other_camera import OtherCamera
 from infrablend.compositing.picture import overlay
@@ -18,6 +20,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.machine import take_core
+from infrablend.core.masks import Mask
 from infrablend.core.output import require_outside_datasets, require_replaceable
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
@@ -139,6 +142,8 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
             scene.spec.motion_px,
             recorded_front(record.facts, background.pixels, rendered),
         )
+        if (text := record.facts.get("written")) is not None:
+            pixels = np.where(Mask.from_coco(text, pixels.shape).to_array(), background.pixels, pixels)
         if (known := record.facts.get("camera")) is not None:
             pixels = OtherCamera.from_json(known).take(pixels)
         lossless = job.out.suffix.lower() == ".png"

@@ -1,0 +1,252 @@
+"""The objects of sequences: drawn once for each, and carried to every frame.
+
+A sequence is populated frame by frame: where a frame, an anchor, shows enough ground or sky that no anchor before it
+has shown, its objects are drawn as those of any picture, with all checks of places and contrast. Those in what earlier
+anchors have shown are left out again: these have populated it. From then on each object is a track
+(`sampling.tracks`), with the weather, the map to grey levels and the sensor of the first anchor of its span.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.assets.model import ObjectModel
+from infrablend.compositing.sensor import Sensor
+from infrablend.config.recipe import MetricRecipe, Motion
+from infrablend.config.sensor_profile import find_profile
+from infrablend.core.mesh import FloatArray
+from infrablend.core.placed import PlacedObject, PlacedScene
+from infrablend.core.rng import integer_seed, stream
+from infrablend.errors import DatasetError
+from infrablend.formats.paint_out import Shown, find_written
+from infrablend.motion.paths import Fits
+from infrablend.motion.shift import moved
+from infrablend.pipeline.compose.looks import Earlier, Match
+from infrablend.pipeline.compose.settings import FrameSettings
+from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence
+from infrablend.sampling.placement import PlacementRequest
+from infrablend.sampling.site import Site
+from infrablend.sampling.suitable_ground import suitable_ground
+from infrablend.sampling.tracks import (
+    Footage,
+    Track,
+    camera_in,
+    find_track,
+    objects_in,
+    scene_in,
+    velocity_px_s,
+)
+
+# A frame is an anchor if less than this share of it has been shown by those before; points across a picture.
+_SHOWN, _POINTS = 0.5, 9
+# Frames in which text and reticle are looked for.
+_SAMPLES = 12
+# How well ground has to suit, of the place where an object was put.
+_NEARLY = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Anchored:
+    """An anchor: a frame whose objects were drawn for it alone.
+
+    Attributes:
+        scene: Its scene.
+        site: Its background as placement sees it.
+        match: Its map to grey levels.
+        sensor: Its sensor; None for no imitation, or without objects.
+    """
+
+    scene: PlacedScene
+    site: Site
+    match: Match
+    sensor: Sensor | None
+
+
+@dataclass(frozen=True, eq=False)
+class Take:
+    """What a frame of a sequence shows.
+
+    Attributes:
+        scene: The objects of the sequence that are in the picture.
+        shown: The frame whose picture it shows: one before it if the picture is frozen.
+        earlier: The map of the sequence to grey levels; None without objects.
+        sensor: The sensor of the sequence.
+        written: (h, w) mask of text and reticle, which stay in front; None without any.
+    """
+
+    scene: PlacedScene
+    shown: PlannedFrame
+    earlier: Earlier | None
+    sensor: Sensor | None
+    written: NDArray[np.bool_] | None
+
+
+@dataclass(eq=False)
+class _Span:
+    """The tracks of a span, with the anchor that they share their look with."""
+
+    tracks: list[Track] = field(default_factory=list)
+    first: tuple[int, Anchored] | None = None
+
+
+class Sequences:
+    """The sequences of a run, each populated when the first of its frames is made."""
+
+    def __init__(
+        self,
+        settings: FrameSettings,
+        recipe: MetricRecipe,
+        models: Mapping[str, ObjectModel],
+        settle: Callable[[PlannedFrame], Anchored],
+    ) -> None:
+        """Keep what sequences are populated with; `settle` draws the objects of one frame."""
+        self._settings, self._recipe, self._models, self._settle = settings, recipe, models, settle
+        self._spans = functools.lru_cache(maxsize=4)(self._populate)
+        self._text = functools.lru_cache(maxsize=4)(self._written)
+
+    def take(self, frame: PlannedFrame) -> Take | None:
+        """Return what a frame shows; None if it is no part of a sequence, or nothing is known of its camera."""
+        sequence = self._settings.sequences.get(frame.background.capture.sequence or "")
+        if sequence is None or frame.configuration is None:
+            return None
+        n = next((k for k, f in enumerate(sequence.frames) if f.background_id == frame.background_id), None)
+        if n is None or not sequence.footage.moments[n].known:
+            return None
+        span = self._spans(sequence.name, frame.configuration)[sequence.footage.moments[n].span]
+        if span.first is None:
+            return None
+        anchor, anchored = span.first
+        footage, m = sequence.footage, sequence.footage.shown(n)
+        shown = replace(sequence.frames[m], configuration=frame.configuration)
+        camera, view = camera_in(anchored.scene.spec, footage, anchor, m, self._pitch_rad(sequence, span, m))
+        models = [self._models[t.placed.spec.model] for t in span.tracks]
+        objects = objects_in(span.tracks, models, footage, m, camera, view)
+        in_view = {o.spec.track for o in objects}
+        motion_px = self._motion_px([t for t in span.tracks if t.number in in_view], footage, m)
+        key = (frame.frame_id, frame.background.id, frame.configuration)
+        seed = integer_seed(self._settings.seed, shown.key(footage.size_wh).frame_id, "render")
+        scene = scene_in(anchored.scene, key, objects, camera, view, seed, motion_px)
+        earlier = Earlier(anchored.match, *footage.levels(anchor, m)) if objects else None
+        return Take(scene, shown, earlier, self._sensor_of(anchored, shown, footage), self._text(sequence.name))
+
+    def _sensor_of(self, anchored: Anchored, shown: PlannedFrame, footage: Footage) -> Sensor | None:
+        if anchored.sensor is None:
+            return None
+        seed = integer_seed(self._settings.seed, shown.key(footage.size_wh).frame_id, "sensor")
+        return replace(anchored.sensor, noise_seed=seed)
+
+    def _motion_px(self, tracks: list[Track], footage: Footage, n: int) -> tuple[float, float]:
+        """Return the motion tail of the objects: it stretches to where they come from."""
+        sensor = self._recipe.sensor
+        if sensor.profile == "off" or not tracks:
+            return 0.0, 0.0
+        tail_s = find_profile(sensor.profile_at(None)).time_constant_s
+        right, down = velocity_px_s(tracks, footage, n)
+        return -right * tail_s, -down * tail_s
+
+    def _pitch_rad(self, sequence: PlannedSequence, span: _Span, n: int) -> float | None:
+        """Return the pitch of a frame; None if it follows from the shift of the picture, as for cameras on a mast."""
+        assert span.first is not None
+        anchor, anchored = span.first
+        before = anchored.scene.spec.camera.pitch_rad
+        then, now = (sequence.frames[k].background.capture.pitch_deg for k in (anchor, n))
+        if then is not None and now is not None and then != now:
+            return before + float(np.radians(now - then))
+        return before if all(t.stands for t in span.tracks) else None
+
+    def _populate(self, name: str, configuration: int) -> Mapping[int, _Span]:
+        """Return the tracks of a sequence by span."""
+        sequence = self._settings.sequences[name]
+        footage, spans = sequence.footage, dict[int, _Span]()
+        number, anchors = sequence.first_track, list[int]()
+        for n, moment in enumerate(footage.moments):
+            if not moment.known or footage.shown(n) != n or moment.state == "bridged":
+                continue
+            span = spans.setdefault(moment.span, _Span())
+            before = [a for a in anchors if footage.moments[a].span == moment.span]
+            if before and (self._all_followed or self._shown(footage, n, before) >= _SHOWN):
+                continue
+            try:
+                anchored = self._settle(replace(sequence.frames[n], configuration=configuration))
+            except DatasetError:  # reported where the frame itself is made
+                continue
+            anchors.append(n)
+            for k, placed in enumerate(anchored.scene.objects):
+                middle = (placed.box_xyxy[:2] + placed.box_xyxy[2:]) / 2
+                motion = self._motion_of(placed)
+                if before and (motion.kind == "followed" or _is_shown(footage, middle, n, before)):
+                    continue
+                if span.first is None:
+                    span.first = n, anchored
+                purpose = f"kind {placed.spec.kind}" if motion.kind == "flock" else f"object {n} {k}"
+                rng = stream(self._settings.seed, name, configuration, "track", purpose)
+                placed = _in_air(placed, _air_k(spans) - anchored.scene.spec.ambient_k)
+                assert anchored.scene.spec.view is not None
+                model, fits = self._models[placed.spec.model], self._fits(placed, anchored.site)
+                view = anchored.scene.spec.view
+                span.tracks.append(find_track(number, placed, model, motion, view, n, footage, rng, fits))
+                number += 1
+        return spans
+
+    @property
+    def _all_followed(self) -> bool:
+        return all(o.motion is not None and o.motion.kind == "followed" for o in self._recipe.objects)
+
+    def _motion_of(self, placed: PlacedObject) -> Motion:
+        return self._recipe.objects[placed.spec.kind].motion or Motion(kind="still")
+
+    def _shown(self, footage: Footage, n: int, anchors: list[int]) -> float:
+        """Return the share of a frame that anchors have shown."""
+        w, h = footage.size_wh
+        x, y = np.meshgrid(np.linspace(0.05, 0.95, _POINTS) * w, np.linspace(0.05, 0.95, _POINTS) * h)
+        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        return float(np.mean([_is_shown(footage, p, n, anchors) for p in points]))
+
+    def _fits(self, placed: PlacedObject, site: Site) -> Fits:
+        """Return whether an object may go to a place; what its anchor does not show is open to it."""
+        kind, model, spec = self._recipe.objects[placed.spec.kind], self._models[placed.spec.model], placed.spec
+        request = PlacementRequest(kind, model, spec.params, placed.mesh, spec.scale)
+        ground = suitable_ground(self._recipe.placement.surfaces, site, request)
+        if ground is None:
+            return lambda x, y: True
+        camera, z = placed.camera, spec.position_m[2]
+        at_start, _ = camera.project(np.array([spec.position_m]))
+        least = _NEARLY * float(ground.at(at_start)[0])
+
+        def fits(x: float, y: float) -> bool:
+            xy, depth_m = camera.project(np.array([[x, y, z]]))
+            inside = depth_m[0] > 0 and (xy[0] >= 0).all() and (xy[0] < camera.size_wh).all()
+            return not inside or float(ground.at(xy)[0]) >= least
+
+        return fits
+
+    def _written(self, name: str) -> NDArray[np.bool_] | None:
+        """Return where text and reticle are in a sequence."""
+        frames = self._settings.sequences[name].frames
+        chosen = np.unique(np.linspace(0, len(frames) - 1, _SAMPLES).round().astype(int))
+        pixels = [self._settings.extensions.load(frames[k].background).pixels for k in chosen]
+        same = [p for p in pixels if p.shape == pixels[0].shape]
+        strokes = find_written([Shown(p, None) for p in same]).strokes
+        return strokes if strokes.any() else None
+
+
+def _is_shown(footage: Footage, xy: FloatArray, n: int, anchors: list[int]) -> bool:
+    """Return whether one of some anchors shows what is at a position of a frame."""
+    places = [moved(xy[None], footage.from_to(n, a))[0] for a in anchors]
+    return any((p >= 0).all() and (p < footage.size_wh).all() for p in places)
+
+
+def _air_k(spans: Mapping[int, _Span]) -> float:
+    """Return the air temperature of a sequence: that of its first anchor with objects."""
+    return next(s.first[1].scene.spec.ambient_k for s in spans.values() if s.first is not None)
+
+
+def _in_air(placed: PlacedObject, warmer_k: float) -> PlacedObject:
+    """Return an object whose parts are as much above air that is `warmer_k` as they were above their own."""
+    parts = {k: replace(p, temperature_k=p.temperature_k + warmer_k) for k, p in placed.spec.parts.items()}
+    return replace(placed, spec=replace(placed.spec, parts=parts))

@@ -1,0 +1,64 @@
+"""The sequences of a run whose objects move: their frames, how the camera moves, and when each frame was taken."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.mesh import FloatArray
+from infrablend.errors import Problem
+from infrablend.pipeline.capture.camera_motion import find_motion, motion_problems, sequences_of
+from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence
+from infrablend.sampling.tracks import Footage
+
+log = logging.getLogger(__name__)
+
+# Frames per second of sequences that do not state when their frames were taken.
+_RATE = 25.0
+
+
+def plan_sequences(
+    dataset: Dataset, as_read: Mapping[int, ImageRecord], used: Sequence[ImageRecord]
+) -> tuple[dict[str, PlannedSequence], list[Problem]]:
+    """Return the sequences that some used pictures belong to, by name, and what is not known of them.
+
+    Args:
+        dataset: All pictures: what a frame shows must not depend on the choice of frames.
+        as_read: The same with the source's own names of classes, by `id`.
+        used: Pictures that a run uses.
+
+    Raises:
+        DatasetError: No picture belongs to a sequence, or a picture cannot be read.
+    """
+    of_use = {(i.split, i.id) for i in used}
+    found, problems = {}, []
+    for name, images in sequences_of(dataset).items():
+        if not any((i.split, i.id) in of_use for i in images):
+            continue
+        log.info("sequence %s: following the camera through %d frames", name, len(images))
+        motion = find_motion(name, images)
+        times = _times_s(images)
+        if times is None:
+            text, todo = f"no time stamps; {_RATE:g} frames per second are assumed", "a table with time_s"
+            problems.append(Problem(f"sequence {name}", "frame-rate", text, "seconds of each frame", todo, "warning"))
+            times = np.array([(i.capture.frame or 0) / _RATE for i in images])
+        problems += motion_problems(motion)
+        frames = tuple(PlannedFrame(i, 0, as_read[id(i)], i.id) for i in images)
+        ids = [i.track_id for image in images for i in image.instances if isinstance(i.track_id, int)]
+        footage = Footage(motion.moments, times, motion.size_wh)
+        found[name] = PlannedSequence(name, frames, footage, max(ids, default=0) + 1)
+    single = sum(i.capture.sequence is None or i.capture.frame is None for i in used)
+    if single:
+        text = f"{single} picture(s) of no sequence get objects of their own, without tracks"
+        problems.append(Problem("pictures", "no-sequence", text, "clips or numbered frames", severity="warning"))
+    return found, problems
+
+
+def _times_s(images: Sequence[ImageRecord]) -> FloatArray | None:
+    """Return the seconds of the frames; None unless all are known and in order."""
+    times = [i.extra.get("time_s") for i in images]
+    known = np.array([t for t in times if t is not None], np.float64)
+    return known if len(known) == len(times) and (np.diff(known) > 0).all() else None

@@ -1,0 +1,299 @@
+"""Carries placed objects through a sequence: each keeps its place in the world while camera and object move.
+
+An object is placed in one frame, its anchor, as in any picture. In another frame it is where the camera's motion moves
+that place in the picture, after what the object itself has moved since: on the ground by the ground plane of its
+anchor, in the air by direction and distance. It has the size that the background there has. A track is therefore as
+steady against the background as the estimate of the camera's motion, and no frame depends on another one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from infrablend.assets.model import ObjectModel, Params
+from infrablend.config.recipe import Motion
+from infrablend.core.camera import CameraSpec
+from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
+from infrablend.core.mesh import FloatArray
+from infrablend.core.motion_kinds import SPEED_M_S
+from infrablend.core.placed import PlacedObject, PlacedScene
+from infrablend.core.scene import ObjectSpec, SceneSpec, View
+from infrablend.motion.paths import Fits, Path, find_path, sway
+from infrablend.motion.sequence import Moment
+from infrablend.motion.shift import Matrix, moved
+
+# Length of the step that shows an object's heading on the ground, metres.
+_HEADING_M = 0.5
+# A followed drone is within this share of the picture's half about its middle; how fast the operator's corrections of
+# the camera are smoothed out of its path, and how much its distance varies, over periods of so many seconds.
+_WANDER, _STEADY_S, _NEARER, _NEARER_S = 0.45, 1.0, 0.12, (20.0, 60.0)
+# Periods of its wander in the picture, of its heading and of its attitude, seconds; their sizes, radians.
+_WANDER_S, _TURN_S, _LEAN_S = (6.0, 25.0), (8.0, 30.0), (2.0, 8.0)
+_TURN, _LEAN = 0.7, math.radians(7)
+# Azimuth has no meaning for a camera that looks straight down.
+_LEAST_COS = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Footage:
+    """How camera and time go on through a sequence, frame by frame.
+
+    Attributes:
+        moments: What is known of the camera in each frame.
+        times_s: (n,) seconds of the frames, ascending.
+        size_wh: Size of the pictures.
+    """
+
+    moments: Sequence[Moment]
+    times_s: FloatArray
+    size_wh: tuple[int, int]
+
+    def shown(self, n: int) -> int:
+        """Return the frame whose picture frame `n` shows: one before it if the picture is frozen."""
+        while n > 0 and self.moments[n].state == "frozen":
+            n -= 1
+        return n
+
+    def of_span(self, n: int) -> list[int]:
+        """Return the frames that can be related to a frame, itself among them."""
+        return [k for k, m in enumerate(self.moments) if m.known and m.span == self.moments[n].span]
+
+    def from_to(self, first: int, second: int) -> Matrix:
+        """Return the (3, 3) matrix from pixels of one frame to those of another one of its span."""
+        matrix = np.linalg.inv(self.moments[second].to_first) @ self.moments[first].to_first
+        return np.asarray(matrix / matrix[2, 2])
+
+    def levels(self, first: int, second: int) -> tuple[float, float]:
+        """Return gain and offset from levels of one frame to those of another one of its span."""
+        a, b = self.moments[first], self.moments[second]
+        return b.gain / a.gain, b.offset - b.gain / a.gain * a.offset
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One object throughout a span of a sequence.
+
+    Attributes:
+        number: Number of the track in its sequence, from 1.
+        placed: The object in its anchor.
+        stands: Whether it stands on the ground.
+        view: The ground below the anchor's camera.
+        anchor: Number of the anchor's frame in the sequence.
+        xy_px: (n, 2) its origin in the anchor's picture at the time of each frame; NaN where it is in no picture.
+        ahead_px: (n, 2) a point of the ground in front of it; for objects in the air unused.
+        range_m: (n,) distance from the anchor's camera.
+        path: Its attitude at the time of each frame.
+    """
+
+    number: int
+    placed: PlacedObject
+    stands: bool
+    view: View
+    anchor: int
+    xy_px: FloatArray
+    ahead_px: FloatArray
+    range_m: FloatArray
+    path: Path
+
+
+def find_track(
+    number: int, placed: PlacedObject, model: ObjectModel, motion: Motion, view: View, anchor: int, footage: Footage,
+    rng: np.random.Generator, fits: Fits,
+) -> Track:  # fmt: skip
+    """Return the track of an object that was placed in a frame, its anchor; see `Track`."""
+    camera, spec = placed.camera, placed.spec
+    times = footage.times_s - footage.times_s[anchor]
+    low, high = motion.speed_m_s or SPEED_M_S[motion.kind]
+    speed = low + (high - low) * float(rng.random())
+    if motion.kind == "followed":
+        return _followed(number, placed, view, anchor, footage, rng)
+    start = (*spec.position_m, spec.yaw_rad)
+    path = find_path(motion.kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
+    heading = np.stack([np.cos(path.yaw_rad), np.sin(path.yaw_rad), np.zeros(len(times))], axis=1)
+    xy, _ = camera.project(path.place_m)
+    ahead, _ = camera.project(path.place_m + _HEADING_M * heading)
+    away = np.linalg.norm(path.place_m - camera.position_m, axis=1)
+    return Track(number, placed, model.stands, view, anchor, xy, ahead, away, path)
+
+
+def _followed(
+    number: int, placed: PlacedObject, view: View, anchor: int, footage: Footage, rng: np.random.Generator
+) -> Track:
+    """Return the track of a drone that the camera follows: about the middle of the picture, in all of its span."""
+    times, middle = footage.times_s, np.array([footage.size_wh]) / 2
+    span = footage.of_span(anchor)
+    centres = np.full((len(times), 2), np.nan)
+    for n in span:
+        centres[n] = moved(middle, footage.from_to(n, anchor))[0]
+    steady = np.stack([np.interp(times, times[span], _smoothed(centres[span, k], times[span])) for k in (0, 1)], axis=1)
+    reach = _WANDER * min(footage.size_wh) / 2
+    wander = np.stack([sway(times, reach, _WANDER_S, rng) for _ in range(2)], axis=1)
+    away = placed.range_m * np.exp(sway(times, _NEARER, _NEARER_S, rng))
+    yaw = placed.spec.yaw_rad + sway(times, _TURN, _TURN_S, rng)
+    lean, bank = (sway(times, _LEAN, _LEAN_S, rng) for _ in range(2))
+    path = Path(times, np.zeros((len(times), 3)), yaw, lean, bank, np.zeros(len(times)))
+    return Track(number, placed, False, view, anchor, steady + wander, steady, away, path)
+
+
+def _smoothed(values: FloatArray, times_s: FloatArray) -> FloatArray:
+    """Return values without what is faster than `_STEADY_S`: at each time, that of the line through those around it.
+
+    A line follows an even pan without a lag, at the ends too.
+    """
+    found = np.empty_like(values)
+    for k, time in enumerate(times_s):
+        low, high = np.searchsorted(times_s, (time - 4 * _STEADY_S, time + 4 * _STEADY_S))
+        off = times_s[low:high] - time
+        weight = np.exp(-((off / _STEADY_S) ** 2) / 2)
+        w, wx, wxx = weight.sum(), weight @ off, weight @ off**2
+        y, xy = weight @ values[low:high], (weight * off) @ values[low:high]
+        spread = w * wxx - wx**2
+        found[k] = (wxx * y - wx * xy) / spread if spread > 1e-9 else y / w
+    return found
+
+
+def camera_in(
+    spec: SceneSpec, footage: Footage, anchor: int, n: int, pitch_rad: float | None
+) -> tuple[CameraSpec, View]:
+    """Return the camera of a frame, and the ground below it: that of an anchor of its span, turned and zoomed.
+
+    Args:
+        spec: The anchor's scene.
+        footage: The sequence.
+        anchor: The anchor's frame.
+        n: The frame.
+        pitch_rad: Its pitch; None to take a shift of the picture for a turn of the camera, as on a mast.
+    """
+    assert spec.view is not None
+    matrix = footage.from_to(anchor, n)
+    middle = np.array([footage.size_wh]) / 2
+    turn, zoom = _turn_and_zoom(matrix, moved(middle, footage.from_to(n, anchor))[0])
+    pitch = spec.camera.pitch_rad + _turned(spec.camera, footage, anchor, n)[1] if pitch_rad is None else pitch_rad
+    camera = replace(
+        spec.camera,
+        pitch_rad=min(max(pitch, -math.pi / 2), math.pi / 2),
+        roll_rad=spec.camera.roll_rad - turn,
+        focal_length_mm=spec.camera.focal_length_mm * zoom,
+    )
+    camera = at_height(camera, spec.view.camera_height_m)
+    return camera, replace(spec.view, ground_z_m=ground_z_m(camera, spec.view.camera_height_m))
+
+
+def _turn_and_zoom(matrix: Matrix, xy: FloatArray) -> tuple[float, float]:
+    """Return by how much a matrix turns (clockwise in the picture) and enlarges what is around a position."""
+    place = moved(np.array([xy, xy + (1, 0), xy + (0, 1)]), matrix)
+    across, down = place[1] - place[0], place[2] - place[0]
+    return math.atan2(across[1], across[0]), math.sqrt(abs(across[0] * down[1] - across[1] * down[0]))
+
+
+def _turned(camera: CameraSpec, footage: Footage, anchor: int, n: int) -> tuple[float, float]:
+    """Return by which angles a camera that only turns has turned since its anchor: to the right and down, radians."""
+    middle = np.array([footage.size_wh]) / 2
+    right, down = (moved(middle, footage.from_to(n, anchor)) - middle)[0] / camera.focal_px
+    c, s = math.cos(camera.roll_rad), math.sin(camera.roll_rad)
+    right, down = c * right - s * down, s * right + c * down
+    return right / max(math.cos(camera.pitch_rad), _LEAST_COS), down
+
+
+def objects_in(
+    tracks: Sequence[Track], models: Sequence[ObjectModel], footage: Footage, n: int, camera: CameraSpec, view: View
+) -> list[PlacedObject]:
+    """Return the objects in a frame's picture, in the order of their tracks; `models` has that of each track."""
+    found = []
+    for track, model in zip(tracks, models, strict=True):
+        if (spec := _spec_in(track, footage, n, camera, view)) is None:
+            continue
+        params = _moving(spec.params, track, n)
+        mesh = track.placed.mesh if params == track.placed.spec.params else model.build(params)
+        placed = PlacedObject(replace(spec, params=params), mesh, camera, track.placed.sun)
+        if (placed.depth_m > 0).all() and _in_picture(placed.box_xyxy, camera.size_wh):
+            found.append(placed)
+    return found
+
+
+def _spec_in(track: Track, footage: Footage, n: int, camera: CameraSpec, view: View) -> ObjectSpec | None:
+    """Return an object where it is in a frame; None where that is no place in front of the camera."""
+    xy, before = track.xy_px[n], track.placed.camera
+    if not np.isfinite(xy).all():
+        return None
+    matrix, spec = footage.from_to(track.anchor, n), track.placed.spec
+    u, v = (float(c) for c in moved(xy[None], matrix)[0])
+    _, zoom = _turn_and_zoom(matrix, xy)
+    if not track.stands:
+        away = float(track.range_m[n]) * camera.focal_px / (before.focal_px * zoom)
+        x, y, z = (float(c) for c in camera.position_m + away * pixel_ray(camera, u, v))
+        pan, _ = _turned(before, footage, track.anchor, n)
+        return replace(spec, position_m=(x, y, z), yaw_rad=float(track.path.yaw_rad[n]) + pan, track=track.number)
+    below = ground_point(camera, u, v, view.ground_z_m)
+    u, v = (float(c) for c in moved(track.ahead_px[n][None], matrix)[0])
+    ahead = ground_point(camera, u, v, view.ground_z_m)
+    if below is None or ahead is None:
+        return None
+    yaw = math.atan2(ahead[1] - below[1], ahead[0] - below[0])
+    # The background shows how large things are there; a camera that moves on is not quite where its anchor was.
+    has = camera.focal_px / float(np.linalg.norm(below - camera.position_m))
+    scale = spec.scale * before.focal_px / float(track.range_m[n]) * zoom / has
+    x, y = float(below[0]), float(below[1])
+    z = view.ground_z_m + spec.position_m[2] - track.view.ground_z_m
+    return replace(spec, position_m=(x, y, z), yaw_rad=yaw, scale=scale, track=track.number)
+
+
+def _moving(params: Params, track: Track, n: int) -> Params:
+    """Return the parameters of an object in a frame: those of its attitude change with its path."""
+    lean, bank = math.degrees(track.path.lean_rad[n]), math.degrees(track.path.bank_rad[n])
+    found = dict(params)
+    if "lean_deg" in found:
+        found["lean_deg"] = round(lean, 3)
+    if "bank_deg" in found:
+        found["bank_deg"] = round(bank, 3)
+    return found
+
+
+def _in_picture(box_xyxy: FloatArray, size_wh: tuple[int, int]) -> bool:
+    return bool((box_xyxy[2:] > 0).all() and (box_xyxy[:2] < size_wh).all())
+
+
+def velocity_px_s(tracks: Sequence[Track], footage: Footage, n: int) -> tuple[float, float]:
+    """Return the mean velocity (right, down) of objects in the picture at a frame, px/s; 0 for a frame alone."""
+    of_span = [k for k in footage.of_span(n) if footage.shown(k) == k]
+    at = of_span.index(n)
+    a, b = of_span[max(at - 1, 0)], of_span[min(at + 1, len(of_span) - 1)]
+    seconds = footage.times_s[b] - footage.times_s[a]
+
+    def places(k: int) -> FloatArray:
+        return np.array([moved(t.xy_px[k][None], footage.from_to(t.anchor, k))[0] for t in tracks])
+
+    shifts = (places(b) - places(a)).reshape(-1, 2)
+    shifts = shifts[np.isfinite(shifts).all(axis=1)]
+    if not len(shifts) or seconds <= 0:
+        return 0.0, 0.0
+    right, down = shifts.mean(axis=0) / seconds
+    return float(right), float(down)
+
+
+def scene_in(
+    first: PlacedScene, frame: tuple[str, str, int], objects: Sequence[PlacedObject], camera: CameraSpec, view: View,
+    render_seed: int, motion_px: tuple[float, float],
+) -> PlacedScene:  # fmt: skip
+    """Return the scene of a frame with the weather and the look of the sequence's first anchor.
+
+    `frame` is its id, the background's id and the configuration.
+    """
+    frame_id, background_id, configuration = frame
+    spec = replace(
+        first.spec,
+        frame_id=frame_id,
+        background_id=background_id,
+        configuration=configuration,
+        camera=camera,
+        objects=tuple(o.spec for o in objects),
+        render_seed=render_seed,
+        motion_px=motion_px,
+        view=view,
+        draws={**first.spec.draws, "wanted": len(objects)},
+    )
+    return PlacedScene(spec, tuple(objects))
