@@ -155,6 +155,7 @@ FACT = {
     "sequence": "flight 1",
     "captured": "2021-01-31T08:30:00+01:00",
     "frame": 12,
+    "time_s": 0.48,
     "camera": "DJI M3T",
 }
 

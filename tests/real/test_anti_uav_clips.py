@@ -64,7 +64,7 @@ def test_clips_are_also_read_alone_and_without_their_labels(real_data: Path, tmp
     assert all(a.instances[0].equals(b.instances[0]) for a, b in zip(alone.images, labelled, strict=True))
     shutil.copy(folder / "4.avi", tmp_path / "copy.avi")
     bare = detection.read(tmp_path / "copy.avi", Reading(options={"every": "100"}))
-    assert (bare.format, bare.problems) == ("videos", ()) and [i.extra["time_s"] for i in bare.images][1:3] == [4, 8]
+    assert (bare.format, bare.problems) == ("videos", ()) and [i.capture.time_s for i in bare.images][1:3] == [4, 8]
     assert all(
         np.array_equal(load_background(a.path).pixels, load_background(b.path).pixels)
         for a, b in zip(bare.images, labelled, strict=True)

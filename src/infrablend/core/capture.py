@@ -94,6 +94,7 @@ class Capture:
         sequence: Flight or clip of the picture.
         captured: Date or time of capture, ISO 8601.
         frame: Number of the picture in its sequence, at least 0.
+        time_s: Second of the picture in its sequence, from the start of that.
         camera: Maker and model of the camera, from the picture's header.
         radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air. Each format
             has its own form for it.
@@ -112,6 +113,9 @@ class Capture:
     frame: int | None = field(
         default=None, metadata={"fact": Fact(_frame_number, "a whole number from 0", "sequence", type=int)}
     )
+    time_s: float | None = field(
+        default=None, metadata={"fact": replace(_number(0, 1e7, "seconds"), field="sequence")}
+    )  # fmt: skip
     camera: str | None = field(default=None, metadata={"fact": Fact(_text, "a name")})
     radiometry: Radiometry | None = None
 

@@ -186,7 +186,7 @@ FORMATS: tuple[Format, ...] = (
         Writer(
             "birdsai", "BIRDSAI: one CSV of tracks per sequence",
             _set("obb masks ignore visibility occlusion truncated difficult inserted temperature"),
-            takes=_set("dont_care pictures"), facts=_VIEW | {"sequence", "captured", "frame"},
+            takes=_set("dont_care pictures"), facts=_VIEW | {"sequence", "captured", "frame", "time_s"},
         ),
     )),
     Format("mot", "MOTChallenge: one text of tracks per sequence of frames", (

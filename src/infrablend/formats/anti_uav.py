@@ -271,7 +271,7 @@ def _read_sequence(
         text = f"{len(exist)} flags and {len(boxes)} boxes; frames after the shorter list are left out"
         found.warn(where, "annotation-length", text, "one of each per frame")
     labelled = len(boxes) if exist is None else min(len(boxes), len(exist))
-    frames, total = _frames(found, sequence, labelled, step)
+    frames, total, times = _frames(found, sequence, labelled, step)
     found.counts["unlabelled"] += max(total - labelled, 0)
     found.counts["without_picture"] += max(labelled - total, 0)
     if total != labelled:
@@ -294,7 +294,8 @@ def _read_sequence(
             continue
         found.counts["frames"] += 1
         instances = _instance(found, box, flag, size_wh, here)
-        capture = replace(view, sequence=sequence.name, captured=captured, frame=number)
+        time_s = times[number] if number < len(times) else None
+        capture = replace(view, sequence=sequence.name, captured=captured, frame=number, time_s=time_s)
         name = f"{sequence.name}/{sequence.kind}/{path.name}"
         records.append(ImageRecord("", path, split, size_wh, instances, capture, extra=extra, file_name=name))
     return _painted(found, sequence, records, islice(boxes, labelled), exist) if paint else records
@@ -350,26 +351,24 @@ def _where(rect: Any, flag: Any, size_wh: tuple[int, int]) -> FloatArray | None:
 
 def _frames(
     found: Findings, sequence: _Sequence, labelled: int, step: int | None
-) -> tuple[Mapping[int, Path], int]:  # fmt: skip
-    """Return the frames to read by number, and the number of frames that the sequence has."""
+) -> tuple[Mapping[int, Path], int, Sequence[float]]:  # fmt: skip
+    """Return the frames to read by number, the number of frames that the sequence has, and their seconds if known."""
     names = sorted(p for p in sequence.pictures.iterdir() if is_picture_name(p.name) and p.is_file())
     if names or sequence.video is None:
-        return {n: names[n] for n in range(0, min(len(names), labelled), step or _PICTURE_STEP)}, len(names)
-    total = labelled
-    if sequence.label.suffix == _TEXT:
-        counted = found.video_length(sequence.video)
-        if counted is None:
-            return {}, 0
-        total = counted
+        return {n: names[n] for n in range(0, min(len(names), labelled), step or _PICTURE_STEP)}, len(names), ()
+    times = found.video_times(sequence.video)
+    if times is None:
+        return {}, 0, ()
+    total = len(times) if sequence.label.suffix == _TEXT else labelled
     numbers = range(0, min(labelled, total), step or _VIDEO_STEP)
     frames = found.video_frames(sequence.video, numbers)
     if frames is None:
-        return {}, 0
+        return {}, 0, ()
     lost = len(numbers) - len(frames)
     if lost:
         text = f"{lost} of {len(numbers)} frame(s) that cannot be decoded, left out"
         found.add(found.place(sequence.video), "frames-lost", text, "an intact video", "fetch the file again")
-    return frames, total
+    return frames, total, times
 
 
 def _instance(found: Findings, rect: Any, exist: Any, size_wh: tuple[int, int], where: str) -> tuple[Instance, ...]:

@@ -199,8 +199,8 @@ def _frame_record(state: _Reading, flight: _Flight, frame: Any, where: str) -> I
     instances = tuple(_instances(state, given, size_wh, where))
     number = to_int(entry.get("frame_idx"))
     pose = state.poses.get(flight.key, {}).get(-1 if number is None else number)
-    pitch, captured = (STRAIGHT_DOWN_DEG, None) if pose is None else (pose.pitch_deg, pose.captured)
-    capture = Capture(pitch_deg=pitch, sequence=flight.key, captured=captured or flight.captured, frame=number)
+    posed = Capture(pitch_deg=STRAIGHT_DOWN_DEG) if pose is None else pose.capture
+    capture = posed.over(Capture(sequence=flight.key, captured=flight.captured, frame=number))
     return ImageRecord("", path, flight.split, size_wh, instances, capture, file_name=name)
 
 

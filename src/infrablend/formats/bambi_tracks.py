@@ -102,10 +102,16 @@ class Flights(Findings):
 
 @dataclass(frozen=True)
 class Pose:
-    """Camera of one frame: degrees below the horizon, and the local time, ISO 8601."""
+    """Camera of one frame: degrees below the horizon, the local time, ISO 8601, and the second in the flight."""
 
     pitch_deg: float
     captured: str | None
+    time_s: float | None
+
+    @property
+    def capture(self) -> Capture:
+        """What it says of its picture."""
+        return Capture(pitch_deg=self.pitch_deg, captured=self.captured, time_s=self.time_s)
 
 
 @dataclass(frozen=True)
@@ -265,14 +271,24 @@ def _poses(found: Findings, path: Path | None) -> dict[int, Pose]:
         found.add(found.place(path), "annotation-layout", "no list of images", expected, "fetch it again")
         return {}
     poses = {}
+    start: datetime | None = None  # of entry 0, which is frame 0
     for k, entry in enumerate(images):
         values = entry if isinstance(entry, dict) else {}
         rotation = values.get("rotation")
         tilt = values.get("pitch", rotation[0] if isinstance(rotation, list) and rotation else None)
         degrees, when = to_number(tilt), to_time(values.get("timestamp"))
+        start = when if k == 0 else start
         if degrees is not None:
-            poses[k] = Pose(pitch_of_tilt(degrees), when.isoformat() if when else None)
+            captured = when.isoformat() if when else None
+            poses[k] = Pose(pitch_of_tilt(degrees), captured, _seconds(start, when))
     return poses
+
+
+def _seconds(start: datetime | None, when: datetime | None) -> float | None:
+    """Return the seconds between two times; None if they cannot be compared or are in the wrong order."""
+    if start is None or when is None or (start.tzinfo is None) != (when.tzinfo is None):
+        return None
+    return Capture.from_json({"time_s": (when - start).total_seconds()}, strict=False).time_s
 
 
 def _add(
@@ -281,10 +297,9 @@ def _add(
 ) -> None:  # fmt: skip
     found.counts["frames"] += 1
     found.counts["without_pose"] += pose is None
-    pitch = STRAIGHT_DOWN_DEG if pose is None else pose.pitch_deg
+    posed = Capture(pitch_deg=STRAIGHT_DOWN_DEG) if pose is None else pose.capture
     day = None if start is None else start.date().isoformat()
-    captured = day if pose is None or pose.captured is None else pose.captured
-    capture = Capture(pitch_deg=pitch, sequence=flight, captured=captured, frame=number)
+    capture = posed.over(Capture(sequence=flight, captured=day, frame=number))
     name = f"{flight}_{number}{path.suffix}"
     found.records.append(ImageRecord("", path, split, size_wh, instances, capture, file_name=name))
 

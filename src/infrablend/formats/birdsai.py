@@ -36,7 +36,7 @@ from infrablend.formats.box_checks import edges_of_xywh, snap_edges
 from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.pictures import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
-from infrablend.formats.sequences import plain_id
+from infrablend.formats.sequences import NAMES_COLUMNS, NAMES_FILE, is_unsaid, name_cells, plain_id, with_names
 from infrablend.formats.values import csv_text, number_text, to_floats, to_int
 
 NAME = "birdsai"
@@ -62,8 +62,6 @@ _FRAME = re.compile(r"(\d{10}_\d{10})_(\d{10})", re.ASCII)
 _COLUMNS = "frame, object, x, y, w, h, class, species, occlusion, noise"
 _SPECIES_FILE = "species.csv"
 _SPECIES_COLUMNS = ("species", "name", "ignore")
-_NAMES_FILE = "names.csv"
-_NAMES_COLUMNS = ("file", "name", "sequence", "captured")
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
@@ -202,7 +200,6 @@ def read(
     wanted = check_splits(splits)
     reading = _Reading(root, by_class=category == "class", drop_noise=noise == "drop")
     further = _further_species(reading)
-    renamed = _read_names(reading)
     reading.names = {**SPECIES, **{k: c.name for k, c in further.items()}, -1: UNKNOWN.name}
     records: list[ImageRecord] = []
     parts = _parts(root)
@@ -224,7 +221,7 @@ def read(
     categories = CLASSES if reading.by_class else (*CATEGORIES, *further.values())
     if not any(part.tables for part in parts):
         categories = ()  # bare frames have no classes
-    records = [_renamed(r, renamed.get(reading.place(r.path))) for r in records]
+    records = with_names(reading, records)
     return reading.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
@@ -240,19 +237,6 @@ def _further_species(reading: _Reading) -> dict[int, Category]:
             expected = f"a new number above {UNKNOWN.id}, a new name, and 1 for a class to ignore"
             reading.add(f"{_SPECIES_FILE}: line {n}", "species-malformed", repr(row)[:80], expected)
     return further
-
-
-def _read_names(reading: _Reading) -> dict[str, tuple[str, str]]:
-    """Return sequence and date by picture from `names.csv`, which our writer adds if it changed names."""
-    rows = [row for row in reading.own_table(_NAMES_FILE, _NAMES_COLUMNS) if len(row) == len(_NAMES_COLUMNS)]
-    return {file: (sequence, captured) for file, _, sequence, captured in rows[1:]}
-
-
-def _renamed(record: ImageRecord, said: tuple[str, str] | None) -> ImageRecord:
-    if said is None:
-        return record
-    sequence, captured = said
-    return replace(record, capture=replace(record.capture, sequence=sequence or None, captured=captured or None))
 
 
 def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabelled: str) -> list[ImageRecord]:
@@ -392,10 +376,10 @@ def write(
     """Write `<Split>Real/annotations/<sequence>.csv`, and link the pictures as `<Split>Real/images/<sequence>/...`.
 
     Sequences and frames keep their numbers if these are unique and in BIRDSAI's form. Otherwise they are numbered, and
-    `names.csv` lists the original names, from which `read` takes sequence and date. Coordinates have up to eight
-    decimals. Categories that BIRDSAI does not have get new species numbers, listed in `species.csv`; their class is
-    human or animal. Pitch, altitude and time of day are written to `metadata.csv`. Validation pictures go to `ValReal`,
-    which BIRDSAI itself does not have.
+    `names.csv` lists the original names, from which `read` takes sequence, number, date and time. Coordinates have up
+    to eight decimals. Categories that BIRDSAI does not have get new species numbers, listed in `species.csv`; their
+    class is human or animal. Pitch, altitude and time of day are written to `metadata.csv`. Validation pictures go to
+    `ValReal`, which BIRDSAI itself does not have.
 
     The pictures' sizes may be unknown. Regions to ignore are dropped, or kept as objects with a species of their own.
 
@@ -440,15 +424,15 @@ def write(
         if pictures:
             files.append(link_or_copy(image.path, out / name))
         losses["name_changed"] += base != image.name
-        if base != image.name or image.capture.sequence != sequence or image.capture.captured is not None:
-            renamed.append((name, image.name, image.capture.sequence or "", image.capture.captured or ""))
+        if is_unsaid(image, base, Capture(sequence=sequence, frame=frame)):
+            renamed.append(name_cells(image, name))
         facts = (image.capture.pitch_deg, image.capture.altitude_m, image.capture.time_of_day)
         if any(v is not None for v in facts):
             known.append((name, *("" if v is None else v for v in facts)))
     ignore = {c.name: int(c.ignore) for c in categories}
     further = [(k, n, ignore[n]) for n, (_, k) in species.items() if k > UNKNOWN.id and n not in ignored]
     tables = (
-        (_NAMES_FILE, _NAMES_COLUMNS, renamed),
+        (NAMES_FILE, NAMES_COLUMNS, renamed),
         ("metadata.csv", ("file", "pitch_deg", "altitude_m", "time_of_day"), known),
         (_SPECIES_FILE, _SPECIES_COLUMNS, further),
     )

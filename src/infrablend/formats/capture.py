@@ -20,9 +20,9 @@ from infrablend.formats.values import to_time
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _KEYS = ("file", "file_name", "stem", "sequence")
 # Columns that `infrablend frames` writes for people and other programs.
-UNREAD = ("time_s", "yaw_deg", "latitude_deg", "longitude_deg")
+UNREAD = ("yaw_deg", "latitude_deg", "longitude_deg")
 # Facts that a row for a whole sequence cannot state, because they are those of one picture.
-_OF_PICTURE = ("sequence", "captured", "frame")
+_OF_PICTURE = ("sequence", "captured", "frame", "time_s")
 SURPLUS = "\0"
 """Key of the cells of a row beyond the last column."""
 # HIT-UAV's grammar T_HHH_AA_W_NNNNN, open for other heights and angles, plus our own suffix for a configuration.

@@ -55,7 +55,7 @@ from infrablend.formats.sequences import (
     is_labelled,
     places_of,
     plain_id,
-    read_names,
+    with_names,
     write_pictures,
 )
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
@@ -297,8 +297,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
             todo = 'export the task as "CVAT for images 1.1" or "CVAT for video 1.1"'
             found.warn(path.name, "annotation-layout", text, "one or the other", todo)
     found.problems += annotated_twice(twice)
-    renamed = read_names(found)
-    listed = [replace(r, capture=renamed.get(found.place(r.path), r.capture)) for r in records.values()]
+    listed = with_names(found, records.values())
     names |= dict.fromkeys(i.category for r in listed for i in r.instances)
     return found.dataset(
         NAME, listed, named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted

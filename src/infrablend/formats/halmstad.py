@@ -129,9 +129,10 @@ def _read_clip(found: Findings, clip: str, path: Path, step: int, decoder: Any) 
         found.problems.append(problem)
         found.counts["undecoded"] += 1
         return []
-    total = found.video_length(path)
-    if total is None:
+    times = found.video_times(path)
+    if times is None:
         return []
+    total = len(times)
     frames = found.video_frames(path, range(0, min(total, len(boxes)), step))
     if frames is None:
         return []
@@ -155,6 +156,7 @@ def _read_clip(found: Findings, clip: str, path: Path, step: int, decoder: Any) 
             if box is not None:
                 found.counts["read"] += 1
                 instances = (Instance(category, box, track_id=0),)
-        capture, name = Capture(sequence=clip, frame=number), f"{clip}/{clip}_{number:05d}.png"
+        capture = Capture(sequence=clip, frame=number, time_s=times[number])
+        name = f"{clip}/{clip}_{number:05d}.png"
         records.append(ImageRecord("", picture, "train", size_wh, instances, capture, file_name=name))
     return records

@@ -31,7 +31,7 @@ LOSSES: Mapping[str, str] = {
     "telemetry_dropped": "pitch, roll, altitude, its origin, field of view, camera or time of day: the format lacks it",
     "inserted_dropped": "mark of an inserted object: the format holds none, so the object looks like an original",
     "not_finite_dropped": "number that is not finite, written as null",
-    "sequence_dropped": "sequence, date or number of a picture: the format holds none, or not this text",
+    "sequence_dropped": "sequence, date, number or second of a picture: the format holds none, or not this text",
     "temperature_dropped": "temperature scale of a 16-bit picture: the format holds none; its levels become counts",
     "class_unfit": "object of a class that the format does not have, written as the nearest one or under a new number",
     "track_made": "object without a track, or the second of one in a picture, which got a new one: tracks are required",

@@ -15,7 +15,7 @@ import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -47,7 +47,9 @@ from infrablend.formats.sequences import (
     is_labelled,
     places_of,
     plain_id,
-    read_names,
+    rate_of,
+    second_of,
+    with_names,
     write_pictures,
 )
 from infrablend.formats.values import csv_text, number_text, to_floats, to_int, to_number, to_share
@@ -71,6 +73,8 @@ _CHALLENGE = re.compile(r"(?:2D)?MOT-?(?:20)?(?:15|16|17|20)(?!\d)", re.IGNORECA
 _NUMBER = re.compile(r"\d{1,12}", re.ASCII)
 # Trackers read it; few datasets say it, and MOTChallenge's own value is mostly this.
 _FRAME_RATE = 30.0
+# Field of our own that says which rate nobody knows; at the end, because some trackers find fields by their neighbours.
+_ASSUMED = "assumedFrameRate"
 _TRACKS_FILE, _TRACKS_COLUMNS = "tracks.csv", ("sequence", "id", "category", "track_id")
 
 
@@ -163,14 +167,13 @@ def read(
     wanted = check_splits(splits)
     reading = _Reading(root, origin=int(origin), by_order=frames == "order", numbers={}, originals={})
     reading.originals = _read_tracks(reading)
-    renamed = read_names(reading)
     records: list[ImageRecord] = []
     for folder in _sequences(root):
         split = _split_of(root, folder)
         if split in wanted:
             reading.counts["sequences"] += 1
             records += _read_sequence(reading, folder, split, unlabelled)
-    records = [replace(r, capture=renamed.get(reading.place(r.path), r.capture)) for r in records]
+    records = with_names(reading, records)
     keys = ("sequences", "rows", "read", "ignored", "without_picture", "unlabelled", "without_seqinfo")
     notes = {"labels": NAME, "origin": int(origin), "frames": frames, "rows": reading.rows(*keys)}
     numbered = sorted((number, name) for name, number in reading.numbers.items())
@@ -214,13 +217,16 @@ def _read_sequence(reading: _Reading, folder: Path, split: Split, unlabelled: st
         if unlabelled == "drop":
             return []
     rate = to_number(info.get("framerate"))
-    extra = ({} if labelled else {"labelled": False}) | ({"frame_rate": rate} if rate and rate > 0 else {})
+    if rate is not None and (rate <= 0 or rate == to_number(info.get(_ASSUMED.lower()))):
+        rate = None
+    extra = ({} if labelled else {"labelled": False}) | ({} if rate is None else {"frame_rate": rate})
     records: list[ImageRecord] = []
     for number, path in pictures.items():
         size_wh = reading.size(path, reading.place(path))
         if size_wh is not None:
             instances = _instances(reading, of_frame[number], size_wh, where)
-            capture, name = Capture(sequence=sequence, frame=number - 1), f"{sequence}/{path.name}"
+            capture = Capture(sequence=sequence, frame=number - 1, time_s=second_of(number - 1, rate))
+            name = f"{sequence}/{path.name}"
             records.append(ImageRecord("", path, split, size_wh, instances, capture, extra=extra, file_name=name))
     _compare_info(reading, info, pictures, records, reading.place(folder / _INFO))
     return records
@@ -405,20 +411,23 @@ def write(
     files: list[Path] = []
     problems: list[Problem] = []
     changed: list[tuple[str, int, str, int | str]] = []
+    rates: dict[str, float | None] = {}
     for folder, group in by_sequence(places).items():
-        sequence = Frames(ordered, group)
-        files.append(write_text(out / folder / _INFO, _info(folder, sequence, places[group[-1]].number + 1, problems)))
+        sequence, sequence_numbers = Frames(ordered, group), [places[n].number for n in group]
+        rates[folder] = _rate(folder, sequence, sequence_numbers, problems)
+        info = _info(folder, sequence, sequence_numbers[-1] + 1, rates[folder], problems)
+        files.append(write_text(out / folder / _INFO, info))
         if not any(is_labelled(image) for image in sequence):
             continue  # as in the test parts of MOTChallenge
         losses["unlabelled_unsaid"] += sum(not is_labelled(image) for image in sequence)
         tracks = Tracks(sequence, 1)
         changed += [(folder, number, *key) for key, number in tracks.changed.items()]
-        lines = _lines(sequence, [places[n].number + 1 for n in group], tracks, numbers, ignored, losses)
+        lines = _lines(sequence, [n + 1 for n in sequence_numbers], tracks, numbers, ignored, losses)
         files.append(write_chunks(out / folder / _GT, lines))
         files.append(write_text(out / folder / "gt" / _LABELS, "".join(f"{name}\n" for name in names)))
     if changed:
         files.append(write_text(out / _TRACKS_FILE, csv_text(_TRACKS_COLUMNS, changed)))
-    files += write_pictures(out, ordered, places, _path_of, losses, pictures)
+    files += write_pictures(out, ordered, places, _path_of, losses, pictures, rates)
     return Written.of(files, losses, problems)
 
 
@@ -442,7 +451,22 @@ def _lines(
             yield _line(frame, track, o, int(not o.is_crowd and o.category not in ignored), numbers[o.category], losses)
 
 
-def _info(folder: str, sequence: Frames, last: int, problems: list[Problem]) -> str:
+def _rate(folder: str, sequence: Frames, numbers: Sequence[int], problems: list[Problem]) -> float | None:
+    """Return the frames per second; None, with a warning, if nothing says it, and a warning if it varies."""
+    stated = (to_number(image.extra.get("frame_rate")) for image in sequence)
+    first = next((r for r in stated if r is not None and r > 0), None)
+    rate, varies = rate_of((image.capture.time_s for image in sequence), numbers, first)
+    where, expected = f"{folder}/{_INFO}", "frames per second"
+    if rate is None:
+        found, todo = f"frame rate unknown; {_FRAME_RATE:g} is stated", "correct frameRate before you use a tracker"
+        problems.append(Problem(where, "frame-rate", found, expected, todo, "warning"))
+    elif varies:
+        found = f"steps of {varies}; the rate of the median step, {number_text(rate)}, is stated"
+        problems.append(Problem(where, "frame-rate", found, expected, "names.csv has each time", "warning"))
+    return rate
+
+
+def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems: list[Problem]) -> str:
     """Return the text of `seqinfo.ini`; what one sequence cannot state of several pictures is a warning."""
     sizes = Counter(require_size(image) for image in sequence)
     suffixes = Counter(PurePosixPath(image.name).suffix for image in sequence)
@@ -455,11 +479,6 @@ def _info(folder: str, sequence: Frames, last: int, problems: list[Problem]) -> 
     if last > len(sequence):
         found = f"{len(sequence)} picture(s) numbered up to {last}; trackers may expect each number"
         problems.append(Problem(where, "frames-missing", found, "all frames of a sequence", "", "warning"))
-    rates = (to_number(image.extra.get("frame_rate")) for image in sequence)
-    rate = next((r for r in rates if r is not None and r > 0), None)
-    if rate is None:
-        found, todo = f"frame rate unknown; {_FRAME_RATE:g} is stated", "correct frameRate before you use a tracker"
-        problems.append(Problem(where, "frame-rate", found, "frames per second", todo, "warning"))
     fields: dict[str, Any] = {
         "name": folder.partition("/")[2],
         "imDir": _PICTURES,
@@ -468,6 +487,7 @@ def _info(folder: str, sequence: Frames, last: int, problems: list[Problem]) -> 
         "imWidth": size_wh[0],
         "imHeight": size_wh[1],
         "imExt": suffix,
+        **({_ASSUMED: number_text(_FRAME_RATE)} if rate is None else {}),
     }
     return "[Sequence]\n" + "".join(f"{k}={v}\n" for k, v in fields.items())
 

@@ -140,10 +140,10 @@ class Findings:
         self.add_all(problems, self.place(path))
         return frames
 
-    def video_length(self, path: Path) -> int | None:
-        """Return the number of frames of a video; None, with problems, if it is unreadable."""
+    def video_times(self, path: Path) -> Sequence[float] | None:
+        """Return the second of each frame of a video, from the first; None, with problems, if it is unreadable."""
         try:
-            return len(Video(path).timeline.times_s)
+            return Video(path).timeline.seconds
         except DatasetError as error:
             self.add_all(error.problems, self.place(path))
             return None

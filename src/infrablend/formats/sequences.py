@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
 from pathlib import Path
+from statistics import median_low
+from types import MappingProxyType
+from typing import Any
 
 from infrablend.core.capture import FACTS, Capture
 from infrablend.core.dataset import ImageRecord, Instance, Split
@@ -18,9 +21,14 @@ from infrablend.formats.records import Findings
 from infrablend.formats.values import csv_text, to_int
 
 NAMES_FILE = "names.csv"
-_NAMES_COLUMNS = ("file", "name", "sequence", "frame", "captured")
+NAMES_COLUMNS = ("file", "name", "sequence", "frame", "captured", "time_s")
+_NAMES_FACTS = NAMES_COLUMNS[2:]
 _TABLE_FACTS = tuple(name for name, fact in FACTS.items() if fact.field == "telemetry")
 _UNNAMED = "pictures"
+# Time stamps are kept to this.
+_MICROSECOND = 1e-6
+# Steps between pictures are equal if they differ by at most this: some containers count milliseconds.
+_SAME_S = 2e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +110,9 @@ def write_pictures(
     path_of: Callable[[ImageRecord, Place], str],
     losses: Counter[str],
     link: bool,
+    rates: Mapping[str, float | None] = MappingProxyType({}),
 ) -> Iterator[Path]:
-    """Link the pictures; write `names.csv` with what `read_names` restores, and `metadata.csv` with pitch and the like.
+    """Link the pictures; write `names.csv` with what `with_names` restores, and `metadata.csv` with pitch and the like.
 
     Args:
         out: Folder of the dataset.
@@ -112,7 +121,14 @@ def write_pictures(
         path_of: Returns the path of a picture below the folder.
         losses: Counts what changed, and what a table cannot hold.
         link: Whether to link the pictures.
+        rates: Pictures per second from which readers find out the times, by the folders of sequences.
     """
+
+    def unsaid(image: ImageRecord, place: Place, path: str) -> bool:
+        time_s = second_of(place.number, rates.get(place.folder))
+        found_out = Capture(sequence=place.sequence, frame=place.number, time_s=time_s)
+        return is_unsaid(image, _base(place, path), found_out)
+
     renamed = known = 0
     for image, place in zip(images, places, strict=True):
         path, facts = path_of(image, place), _telemetry(image)
@@ -121,8 +137,11 @@ def write_pictures(
         losses["name_changed"] += _base(place, path) != image.name
         losses["sequence_made"] += image.capture.sequence is None or image.capture.frame != place.number
         losses["telemetry_dropped"] += not all(fits_table(*fact) for fact in facts.items())
-        renamed += _is_renamed(image, place, path)
+        renamed += unsaid(image, place, path)
         known += bool(facts)
+
+    def name_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
+        return name_cells(image, path) if unsaid(image, place, path) else None
 
     def rows(row: Callable[[ImageRecord, Place, str], Sequence[object] | None]) -> Iterator[str]:
         for image, place in zip(images, places, strict=True):
@@ -131,7 +150,7 @@ def write_pictures(
                 yield csv_text(cells, ())
 
     if renamed:
-        yield write_chunks(out / NAMES_FILE, chain([csv_text(_NAMES_COLUMNS, ())], rows(_name_row)))
+        yield write_chunks(out / NAMES_FILE, chain([csv_text(NAMES_COLUMNS, ())], rows(name_row)))
     if known:
         yield write_chunks(out / "metadata.csv", chain([csv_text(("file", *_TABLE_FACTS), ())], rows(_fact_row)))
 
@@ -145,15 +164,16 @@ def _telemetry(image: ImageRecord) -> dict[str, object]:
     return {k: v for k, v in image.capture.to_json().items() if k in _TABLE_FACTS}
 
 
-def _is_renamed(image: ImageRecord, place: Place, path: str) -> bool:
-    """Return whether a reader would not find out the name, sequence, number or date of a picture."""
-    said = (image.capture.sequence, image.capture.frame, image.capture.captured)
-    return _base(place, path) != image.name or said != (place.sequence, place.number, None)
+def is_unsaid(image: ImageRecord, name: str, found_out: Capture) -> bool:
+    """Return whether `names.csv` has to list a picture: a reader would find out another name, or other facts."""
+    known = replace(found_out, time_s=None) if image.capture.time_s is None else found_out
+    return name != image.name or any(getattr(image.capture, k) != getattr(known, k) for k in _NAMES_FACTS)
 
 
-def _name_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
-    said = (image.capture.sequence, image.capture.frame, image.capture.captured)
-    return (path, image.name, *("" if v is None else v for v in said)) if _is_renamed(image, place, path) else None
+def name_cells(image: ImageRecord, path: str) -> Sequence[object]:
+    """Return the row of a picture in `names.csv`."""
+    facts = (getattr(image.capture, k) for k in _NAMES_FACTS)
+    return (path, image.name, *("" if v is None else v for v in facts))
 
 
 def _fact_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
@@ -161,14 +181,49 @@ def _fact_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] |
     return (path, *(facts.get(k, "") for k in _TABLE_FACTS)) if _telemetry(image) else None
 
 
-def read_names(found: Findings) -> dict[str, Capture]:
-    """Return sequence, frame and date by picture from `names.csv`, which our writers add if they changed them."""
-    rows = [r for r in found.own_table(NAMES_FILE, _NAMES_COLUMNS)[1:] if len(r) == len(_NAMES_COLUMNS)]
-    facts = ("sequence", "frame", "captured")
-    return {
-        file: Capture.from_json({k: v or None for k, v in zip(facts, values, strict=True)}, strict=False)
-        for file, _, *values in rows
-    }
+def with_names(found: Findings, records: Iterable[ImageRecord]) -> list[ImageRecord]:
+    """Return the records with what `names.csv` says of them, which our writers add where files cannot say it."""
+    titles, *rows = found.own_table(NAMES_FILE, NAMES_COLUMNS) or [[]]
+    said: dict[str, dict[str, Any]] = {}
+    for cells in rows if tuple(titles[:2]) == NAMES_COLUMNS[:2] else ():
+        if len(cells) == len(titles):
+            row = {k: v or None for k, v in zip(titles, cells, strict=True)}
+            facts = Capture.from_json({k: row.get(k) for k in _NAMES_FACTS}, strict=False)
+            # A time that it does not state follows from the rate, which somebody may have corrected.
+            said[cells[0]] = {k: getattr(facts, k) for k in _NAMES_FACTS if row.get(k) or (k in row and k != "time_s")}
+    return [replace(r, capture=replace(r.capture, **said.get(found.place(r.path), {}))) for r in records]
+
+
+# -- times -----------------------------------------------------------------------------------------------------
+
+
+def second_of(number: int, rate: float | None) -> float | None:
+    """Return the second of a picture by its number from 0 and the rate of its sequence; None if that is unknown."""
+    if rate is None or rate <= 0:
+        return None
+    return Capture.from_json({"time_s": round(number / rate, 6)}, strict=False).time_s
+
+
+def rate_of(
+    times_s: Iterable[float | None], numbers: Iterable[int], stated: float | None
+) -> tuple[float | None, str]:  # fmt: skip
+    """Return the pictures per second of a sequence, and how its steps vary, in words.
+
+    The rate is that of the median step between pictures whose times are known, in as few digits as these need. Without
+    such steps, and where it agrees with them, it is the one that was stated.
+    """
+    known = [(n, t) for n, t in zip(numbers, times_s, strict=True) if t is not None]
+    steps = [((b - a) / (n - m), n - m) for (m, a), (n, b) in pairwise(known) if b > a]
+    if not steps:
+        return stated, ""
+    median = median_low(s for s, _ in steps)
+    usual = [(s, n) for s, n in steps if n * abs(s - median) <= _SAME_S]
+    step = sum(s * n for s, n in usual) / sum(n for _, n in usual)
+    shortest, longest = min(steps)[0], max(steps)[0]
+    varies = "" if len(usual) == len(steps) else f"{shortest:.6g} to {longest:.6g} s from one number to the next"
+    rates = [r for r in (stated, *(float(f"{1 / step:.{digits}g}") for digits in range(2, 17))) if r]
+    near = [r for r in rates if abs(1 / r - step) <= _MICROSECOND]
+    return next((r for r in near if all(second_of(n, r) == t for n, t in known)), near[0]), varies
 
 
 # -- tracks ----------------------------------------------------------------------------------------------------

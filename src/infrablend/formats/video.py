@@ -84,6 +84,11 @@ class Timeline:
     repeated: int = 0
 
     @property
+    def seconds(self) -> list[float]:
+        """Times of all frames to the microsecond, as in `Capture.time_s`."""
+        return [round(t, 6) for t in self.times_s.tolist()]
+
+    @property
     def duration_s(self) -> float:
         """Time of the last frame."""
         return float(self.times_s[-1]) if self.times_s.size else 0.0

@@ -75,8 +75,8 @@ def read(
 ) -> Dataset:  # fmt: skip
     """Read frames of all clips, as PNG files in the cache; what is outside of the folders of splits is train.
 
-    Each record has the second of the frame in its clip as `time_s` in `extra`. Pitch, height and time of capture are
-    those of the subtitles beside or in the clip; without a clock in these, the time is that of the container.
+    Pitch, height and time of capture are those of the subtitles beside or in the clip; without a clock in these, the
+    time is that of the container. `Capture.time_s` is the container's, too.
 
     Raises:
         DatasetError: An option has a wrong value, or no frame can be read.
@@ -128,7 +128,7 @@ def _read_clip(found: Findings, clip: _Clip, step: int) -> list[ImageRecord]:
         found.counts["unread"] += 1
         found.add_all(error.problems, clip.where)
         return []
-    times = video.timeline.times_s
+    times = video.timeline.seconds
     numbers = range(0, len(times), step)
     frames = found.video_frames(clip.path, numbers) or {}
     if lost := len(numbers) - len(frames):
@@ -142,8 +142,8 @@ def _read_clip(found: Findings, clip: _Clip, step: int) -> list[ImageRecord]:
     return [
         ImageRecord(
             "", path, clip.split, video.size_wh, (),
-            replace(captures.get(n, UNKNOWN), sequence=clip.sequence, frame=n),
-            extra={"time_s": round(float(times[n]), 3)}, file_name=f"{clip.sequence}/{clip.sequence}_{n:06d}.png",
+            replace(captures.get(n, UNKNOWN), sequence=clip.sequence, frame=n, time_s=times[n]),
+            file_name=f"{clip.sequence}/{clip.sequence}_{n:06d}.png",
         )
         for n, path in frames.items()
     ]  # fmt: skip

@@ -11,7 +11,8 @@ from infrablend.core.temperature import Radiometry, TemperatureScale
 
 ALL = {
     "pitch_deg": 35.5, "altitude_m": 80.0, "time_of_day": "night", "hfov_deg": 33.0, "roll_deg": -7.5,
-    "altitude_from": "laser", "sequence": "flight 1", "captured": "2021-01-31T08:30", "frame": 12, "camera": "DJI M3T",
+    "altitude_from": "laser", "sequence": "flight 1", "captured": "2021-01-31T08:30", "frame": 12, "time_s": 0.48,
+    "camera": "DJI M3T",
 }  # fmt: skip
 
 
@@ -29,6 +30,7 @@ def test_every_fact_comes_back_and_unknown_ones_are_left_out() -> None:
         ("pitch_deg", 91), ("pitch_deg", True), ("pitch_deg", [1]), ("altitude_m", -1), ("altitude_m", float("nan")),
         ("hfov_deg", 0), ("roll_deg", "x"), ("time_of_day", "noon"), ("altitude_from", "barometer"), ("sequence", ""),
         ("captured", 3), ("frame", 1.5), ("frame", -1), ("frame", float("inf")), ("camera", {}),
+        ("time_s", -0.04), ("time_s", 1e8),
     ],
 )  # fmt: skip
 def test_a_value_that_is_no_such_fact_is_refused_or_unknown(fact: str, value: object) -> None:

@@ -129,10 +129,24 @@ def test_published_tracks_give_species_poses_and_times(tmp_path: Path) -> None:
     deer, boar = d.images[0].instances
     assert (deer.category, deer.track_id, deer.extra["age"], deer.extra["interpolated"]) == ("red deer", 1, 2.0, False)
     assert boar.box_xyxy.tolist() == [30, 20, 39, 27] and boar.extra["interpolated"] is True
-    assert d.images[0].capture.captured == "2024-03-22T10:47:03"
+    assert [(i.capture.captured, i.capture.time_s) for i in d.images[:2]] == [
+        ("2024-03-22T10:47:03", 3.0), ("2024-03-22T10:47:04", 4.0),
+    ]  # fmt: skip
     assert d.notes["rows"] == {
         "flights": 2, "frames": 4, "objects": 6, "read": 4, "no_animal": 2, "interpolated_frames": 0, "without_pose": 0,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("first", ["2024-03-22T10:47:00+01:00", "2024-03-22T10:47:08", None])
+def test_times_without_a_usable_first_one_give_no_seconds(first: str | None, tmp_path: Path) -> None:
+    root = SAMPLES["bambi:tracks"](tmp_path)
+    path = root / "7" / "7_matched_poses.json"
+    top = json.loads(path.read_text())
+    top["images"][0]["timestamp"] = first
+    path.write_text(json.dumps(top))
+    assert [(i.capture.captured, i.capture.time_s) for i in detection.read(root).images[:2]] == [
+        ("2024-03-22T10:47:03", None), ("2024-03-22T10:47:04", None),
+    ]  # fmt: skip
 
 
 def test_frames_with_interpolated_boxes_alone_are_read_on_request(tmp_path: Path) -> None:

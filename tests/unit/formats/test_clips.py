@@ -82,6 +82,7 @@ def test_clips_are_read(tmp_path: Path, suffix: str, between: str) -> None:
     assert [(i.capture.sequence, i.capture.frame, i.capture.hfov_deg, i.capture.pitch_deg) for i in d.images] == [
         ("4", k, 0.5, -3.6) for k in (0, 20, 40)
     ]
+    assert [i.capture.time_s for i in d.images] == [0, 2, 4]  # ten frames per second
     assert {(i.size_wh, i.split, i.instances[0].track_id, i.instances[0].category) for i in d.images} == {
         (SIZE_WH, "train", 0, "drone")
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -82,19 +83,72 @@ def test_a_round_trip_keeps_ids_frames_and_boxes(tmp_path: Path) -> None:
     assert (folder / "gt" / "labels.txt").read_text() == "drone\nbird\nDontCare\n"
     assert (folder / "seqinfo.ini").read_text() == (
         "[Sequence]\nname=clip\nimDir=img1\nframeRate=30\nseqLength=3\nimWidth=64\nimHeight=48\nimExt=.png\n"
+        "assumedFrameRate=30\n"
     )
+    assert {i.capture.time_s for i in again.images} == {None}  # nobody knows it
     assert written.losses == {"name_changed": 3} and [p.code for p in written.problems] == ["frame-rate"]
     assert not (tmp_path / "out" / "tracks.csv").exists()
     for before, after in zip(images, again.images, strict=True):
         assert (after.capture.sequence, after.capture.frame) == ("clip", before.capture.frame)
         assert all(a.equals(b) for a, b in zip(before.instances, after.instances, strict=True))
     # What was read is written again with the same bytes, and the frame rate that somebody corrected.
-    (folder / "seqinfo.ini").write_text((folder / "seqinfo.ini").read_text().replace("30", "12.5"))
+    (folder / "seqinfo.ini").write_text((folder / "seqinfo.ini").read_text().replace("eRate=30\ns", "eRate=12.5\ns"))
     source = detection.read(tmp_path / "out")
+    assert [i.capture.time_s for i in source.images] == [0, 0.08, 0.16]
     written = writing.write("native", tmp_path / "again", source.images, source.categories, source=source)
     assert written.losses == {} and written.problems == ()
+    (folder / "seqinfo.ini").write_text((folder / "seqinfo.ini").read_text().removesuffix("assumedFrameRate=30\n"))
     for path in (p for p in folder.rglob("*") if p.is_file()):
         assert (tmp_path / "again" / path.relative_to(tmp_path / "out")).read_bytes() == path.read_bytes()
+
+
+def timed(folder: Path, times: Mapping[int, float | None]) -> list[ImageRecord]:
+    return [image(folder, f"{n}.png", drone(1), sequence="s", frame=n, time_s=t) for n, t in times.items()]
+
+
+@pytest.mark.parametrize(
+    ("times", "rate", "problems", "listed"),
+    [
+        ({n: round(n / 25, 6) for n in range(4)}, "25", [], False),
+        ({n: round(n * 1.001 / 30, 6) for n in range(0, 90, 30)}, "29.97003", ["frames-missing"], False),
+        ({n: round(n / 30, 3) for n in range(31)}, "30", [], True),  # as Matroska has them
+        ({0: 0.0, 1: 40.0, 2: 80.0}, "0.025", [], False),
+        ({0: 5.0, 1: 5.1, 2: 5.2}, "10", [], True),  # the clip began before the first number
+        ({0: 0.0, 1: 0.04, 2: 7.0, 3: 7.04}, "25", ["frame-rate"], True),
+        ({0: 0.0, 1: 0.5, 2: 0.75, 3: 1.0}, "4", ["frame-rate"], True),
+        ({0: 0.0, 1: 0.0}, "30", ["frame-rate"], True),
+        ({3: 0.12}, "30", ["frames-missing", "frame-rate"], True),
+    ],
+)
+def test_time_stamps_give_the_rate_and_come_back(
+    times: dict[int, float | None], rate: str, problems: list[str], listed: bool, tmp_path: Path
+) -> None:
+    """Of varying steps the median counts, with a warning; `names.csv` has each time that does not follow from it."""
+    written, again = converted(timed(tmp_path, times), tmp_path / "out")
+    assert f"frameRate={rate}\n" in (tmp_path / "out/train/s/seqinfo.ini").read_text()
+    assert sorted(p.code for p in written.problems) == sorted(problems)
+    assert {i.capture.frame: i.capture.time_s for i in again.images} == times
+    moved = tmp_path / "out" / "names.csv"
+    assert moved.read_text().startswith("file,name,sequence,frame,captured,time_s\n")
+    source = replace(again, images=tuple(replace(i, file_name=i.name) for i in again.images))
+    writing.write("mot", tmp_path / "again", source.images, source.categories)
+    assert (tmp_path / "again" / "names.csv").exists() == listed
+    assert (tmp_path / "again/train/s/seqinfo.ini").read_bytes() == (tmp_path / "out/train/s/seqinfo.ini").read_bytes()
+
+
+def test_an_unknown_time_follows_from_the_rate_that_others_state(tmp_path: Path) -> None:
+    _, again = converted(timed(tmp_path, {0: 0.0, 1: None, 2: 0.5}), tmp_path / "out")
+    assert [i.capture.time_s for i in again.images] == [0, 0.25, 0.5]
+
+
+def test_names_of_an_earlier_version_leave_the_times(tmp_path: Path) -> None:
+    root = sequence(tmp_path, "1,1,1,1,10,8,1,1,1\n", info="[Sequence]\nframeRate=25\n")
+    (root / "names.csv").write_text("file,name,sequence,frame,captured\na/img1/000003.png,x.png,b,7,2024-05-01\n")
+    assert [i.capture for i in detection.read(root).images] == [
+        Capture(sequence="a", frame=0, time_s=0.0),
+        Capture(sequence="a", frame=1, time_s=0.04),
+        Capture(sequence="b", frame=7, captured="2024-05-01", time_s=0.08),
+    ]
 
 
 def test_ids_that_do_not_fit_are_renumbered_and_recorded(tmp_path: Path) -> None:
@@ -170,8 +224,8 @@ def test_two_sizes_and_types_in_a_sequence_are_kept_and_named(tmp_path: Path) ->
         image(tmp_path, "c.png", drone(1), sequence="s", frame=2),
     ]
     written, again = converted(images, tmp_path / "out")
-    assert [p.code for p in written.problems] == ["image-size", "frame-rate"]
-    assert ".jpg, .png, 32x24 px, 64x48 px" in written.problems[0].found
+    assert [p.code for p in written.problems] == ["frame-rate", "image-size"]
+    assert ".jpg, .png, 32x24 px, 64x48 px" in written.problems[1].found
     assert [i.size_wh for i in again.images] == [(64, 48), (32, 24), (64, 48)]
     assert codes(again, "warning") == ["image-size"]
 

@@ -39,7 +39,7 @@ def anti_uav_video(root: Path, frames: int = 60, **label: Any) -> Path:
 def test_frames_of_thermal_videos_are_read(tmp_path: Path) -> None:
     d = detection.read(anti_uav_video(tmp_path))
     assert d.format == "anti-uav" and d.problems == ()
-    assert [i.capture.frame for i in d.images] == [0, 25, 50]
+    assert [(i.capture.frame, i.capture.time_s) for i in d.images] == [(0, 0), (25, 2.5), (50, 5)]
     assert {(i.capture.sequence, i.capture.captured, i.split, i.size_wh) for i in d.images} == {
         ("20190925_101846_1_1", "2019-09-25", "train", (64, 48))
     }
@@ -139,6 +139,7 @@ def halmstad(root: Path, clip: str = "IR_DRONE_001", frames: int = 61, boxes: li
 def test_halmstad_boxes_count_from_one(tmp_path: Path) -> None:
     d = detection.read(halmstad(halmstad(tmp_path), "IR_HELICOPTER_010"))
     assert d.format == "halmstad" and d.problems == ()
+    assert [i.capture.time_s for i in d.images] == [k / 10 for i in d.images if (k := i.capture.frame) is not None]
     assert [(i.capture.sequence, i.capture.frame, len(i.instances)) for i in d.images] == [
         (clip, frame, count)
         for clip in ("IR_DRONE_001", "IR_HELICOPTER_010")

@@ -54,7 +54,7 @@ def write_two_sizes(path: Path, first: int, second: int) -> Path:
 def test_a_video_is_a_sequence(tmp_path: Path, suffix: str) -> None:
     d = read(write_video(tmp_path / f"a{suffix}", frames=7), 3)
     assert (d.format, d.problems, d.categories) == ("videos", (), ())
-    assert [(i.capture.sequence, i.capture.frame, i.extra["time_s"]) for i in d.images] == [
+    assert [(i.capture.sequence, i.capture.frame, i.capture.time_s) for i in d.images] == [
         ("a", 0, 0.0), ("a", 3, 0.3), ("a", 6, 0.6),
     ]  # fmt: skip
     assert {(i.split, i.size_wh, i.instances, i.capture.captured) for i in d.images} == {("train", (64, 48), (), None)}
@@ -208,7 +208,7 @@ def test_frames_of_another_size_are_counted(tmp_path: Path) -> None:
 def test_the_times_of_a_varying_rate_are_kept(tmp_path: Path) -> None:
     d = read(write_video(tmp_path / "a.mkv", frames=4, times_ms=[0, 40, 900, 2000]))
     assert codes(d) == ["video-rate"]
-    assert [i.extra["time_s"] for i in d.images] == [0.0, 0.04, 0.9, 2.0]
+    assert [i.capture.time_s for i in d.images] == [0.0, 0.04, 0.9, 2.0]
 
 
 def test_colours_of_a_palette_are_said_once_per_clip(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def test_runs_cameras_and_splits(tmp_path: Path) -> None:
     frame(tmp_path, f"test/{RUN}_flir", "0002.50", None)
     d = detection.read(tmp_path)
     assert d.format == "wit-uas" and [p.code for p in d.problems] == ["label-missing"]
-    assert [(i.split, i.extra["sensor"], i.extra["time_s"]) for i in d.images] == [
+    assert [(i.split, i.extra["sensor"], i.capture.time_s) for i in d.images] == [
         ("train", "flir", 1.0), ("val", "seek", 1.0), ("test", "flir", 2.5),
     ]  # fmt: skip
     assert {(i.capture.sequence, i.capture.captured) for i in d.images} == {("2022-04-27-10-00-00", "2022-05-11")}

@@ -37,7 +37,8 @@ def test_frames_and_telemetry_agree(tmp_path: Path) -> None:
     text = done(flight(tmp_path), "--every", "1.5s", "--out", out, "--time", "day", "--hfov", "48.5")
     assert "matched by frame numbers" in text and "missing" not in text and "no " not in text
     table = rows(out)
-    assert [int(r["frame"]) for r in table] == [0, 15, 30, 45]
+    assert [(int(r["frame"]), r["time_s"]) for r in table] == [(0, "0"), (15, "1.5"), (30, "3"), (45, "4.5")]
+    assert [i.capture.time_s for i in detection.read(out).images] == [0, 1.5, 3, 4.5]
     assert [float(r["altitude_m"]) for r in table] == [10.0, 11.5, 13.0, 14.5]
     assert {r["pitch_deg"] for r in table} == {"60.000"} and {r["time_of_day"] for r in table} == {"day"}
     assert {r["hfov_deg"] for r in table} == {"48.5"}

@@ -12,6 +12,7 @@ from typing import Any
 from infrablend.errors import Problem
 from infrablend.formats.flight import FOR_ALL
 from infrablend.formats.flight_log import FIELDS, Coverage, Sampled
+from infrablend.formats.values import number_text
 from infrablend.formats.video_log import log_problems, rate_problems, telemetry_of, value_text
 from infrablend.pipeline.capture.clips import ClipPlan, FlightFacts
 
@@ -53,7 +54,7 @@ def telemetry_rows(
     for k, frame in enumerate(written):
         row = {
             "file": frame.path, "sequence": plan.sequence, "time_of_day": flight.time_of_day or "",
-            "frame": str(frame.number), "time_s": f"{frame.time_s:.3f}",
+            "frame": str(frame.number), "time_s": number_text(round(frame.time_s, 6)),
             "hfov_deg": "" if flight.hfov_deg is None else f"{flight.hfov_deg:g}",
         }  # fmt: skip
         if sampled is not None:
