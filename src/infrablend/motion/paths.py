@@ -99,10 +99,11 @@ def find_path(
     if kind == "still":
         return _still(start, before, after)
     if kind in _GAITS:
-        there = _march(kind, start, speed_m_s, after, np.random.Generator(np.random.PCG64(rng.integers(2**63))), fits)
+        ahead, past = _branch(rng), _branch(rng)
+        there = _march(kind, start, speed_m_s, after, ahead, fits)
         x, y, z, yaw = start
         turned = (x, y, z, yaw + math.pi)
-        back = _march(kind, turned, speed_m_s, before, np.random.Generator(np.random.PCG64(rng.integers(2**63))), fits)
+        back = _march(kind, turned, speed_m_s, before, past, fits)
         return _joined(back, there)
     if kind in ("fly", "flock"):
         return _flight(kind, start, speed_m_s, before, after, rng)
@@ -118,6 +119,11 @@ def sway(times_s: FloatArray, size: float, periods_s: tuple[float, float], rng: 
     shares = np.array([0.5, 0.3, 0.2])
     waves = np.sin(2 * np.pi * times_s[:, None] / periods + phases)
     return np.asarray(size * (waves * shares).sum(axis=1))
+
+
+def _branch(rng: np.random.Generator) -> np.random.Generator:
+    """Return a stream of its own, which one number of another stream starts."""
+    return np.random.Generator(np.random.PCG64(int(rng.integers(2**63))))
 
 
 def _grid(before: int, after: int) -> FloatArray:
@@ -141,8 +147,9 @@ def _march(
     """Step forwards over the ground, around what is in the way, or to a stop before it."""
     gait = _GAITS[kind]
     x, y, z, yaw = start
+    of_meals = _branch(rng)  # a stream of its own: neither depends on how long the other one is
     wander = gait.wander * math.sqrt(STEP_S) * rng.standard_normal(count)
-    moves = _appetite(count, rng) if kind == "graze" else np.ones(count)
+    moves = _appetite(count, of_meals) if kind == "graze" else np.ones(count)
     v, turn_to, way = speed * moves[0], 0.0, 0.0
     rows = [(x, y, yaw, way)]
     for k in range(count):
@@ -233,8 +240,7 @@ def _hover(
 ) -> Path:
     """Drift a little to and fro, and lean against the wind."""
     times = _grid(before, after)
-    # Three waves of this size have about this mean speed.
-    size = speed * math.sqrt(_HOVER_S[0] * _HOVER_S[1]) / (2 * math.pi) * 2
+    size = speed * _HOVER_S[0] / (2 * math.pi)  # the fastest waves have this speed
     place = np.stack([sway(times, s, _HOVER_S, rng) for s in (size, size, size / 2)], axis=1)
     place += np.array(start[:3]) - place[before]
     yaw = sway(times, 0.15, _WANDER_S, rng)

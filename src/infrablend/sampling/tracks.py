@@ -32,8 +32,8 @@ _HEADING_M = 0.5
 # the camera are smoothed out of its path, and how much its distance varies, over periods of so many seconds.
 _WANDER, _STEADY_S, _NEARER, _NEARER_S = 0.45, 1.0, 0.12, (20.0, 60.0)
 # Periods of its wander in the picture, of its heading and of its attitude, seconds; their sizes, radians.
-_WANDER_S, _TURN_S, _LEAN_S = (6.0, 25.0), (8.0, 30.0), (2.0, 8.0)
-_TURN, _LEAN = 0.7, math.radians(7)
+_WANDER_S, _TURN_S, _LEAN_S = (6.0, 25.0), (8.0, 30.0), (3.0, 12.0)
+_TURN, _LEAN = 0.7, math.radians(5)
 # Azimuth has no meaning for a camera that looks straight down.
 _LEAST_COS = 0.3
 

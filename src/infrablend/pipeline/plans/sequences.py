@@ -59,6 +59,6 @@ def plan_sequences(
 
 def _times_s(images: Sequence[ImageRecord]) -> FloatArray | None:
     """Return the seconds of the frames; None unless all are known and in order."""
-    times = [i.extra.get("time_s") for i in images]
+    times = [i.capture.time_s for i in images]
     known = np.array([t for t in times if t is not None], np.float64)
     return known if len(known) == len(times) and (np.diff(known) > 0).all() else None
