@@ -167,11 +167,11 @@ class FrameComposer:
         """Return a frame's background, and the picture with the objects of its sequence, or with its own."""
         if self._sequences is None:
             return self._own_picture(frame)
-        canvas = self._canvas(frame, self._load(frame))
         take = self._sequences.take(frame)
         if take is None:
             lost = frame.background.capture.sequence in self._settings.sequences
             return self._own_picture(frame, left_out="camera_lost" if lost else None)
+        canvas = self._canvas(frame, self._load(frame))
         picture = self._draw(take.scene, canvas, FirstContrasts(take.scene), Unseen(take.scene), take)
         assert isinstance(picture, Picture), "tracks are never moved"
         return canvas, picture
@@ -182,8 +182,11 @@ class FrameComposer:
         `left_out` is the reason why it gets none after all.
         """
         # The objects, their places and temperatures.
-        canvas, scene = self._arrange(frame)
-        if left_out is not None:
+        if left_out is None:
+            canvas, scene = self._arrange(frame)
+        else:  # whatever its grey levels are
+            canvas = self._canvas(frame, self._settings.extensions.load(frame.background))
+            scene = self._sampler.sample(canvas.key, canvas.site)
             scene = scene.without(range(len(scene.objects)), left_out)
 
         # Objects that nobody can see in the finished picture are moved, or left out in the end.

@@ -1,0 +1,139 @@
+"""Objects that move through sequences: tracks, frozen pictures, cuts, levels, and the same bytes in any order."""
+
+import json
+from itertools import pairwise
+
+import cv2
+import numpy as np
+import pytest
+
+from infrablend import api
+from infrablend.errors import DatasetError, RecipeError
+from tests.unit.motion.test_sequence import frame, path, scene
+
+STATED = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 40}", "camera.roll_deg=[0, 0]"]
+MOVING = ["objects.0.motion={kind: walk}", "objects.0.count=3", "placement.where=anywhere", "output.image=png"]
+SETTINGS = [*STATED, *MOVING, "placement.max_relief_grey=0", "placement.min_contrast=off"]
+FROZEN, CUT, LOST = 5, 12, 15
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
+
+
+@pytest.fixture
+def data(tmp_path):
+    """Return a clip of a camera that pans: frozen in one frame, then another scene, in the end an empty sky."""
+    folder = tmp_path / "data"
+    folder.mkdir()
+    pictures = [frame(scene(), at, seed=k)[0].grey for k, at in enumerate(path(CUT, (4.0, 0.5)))]
+    pictures[FROZEN] = pictures[FROZEN - 1]
+    pictures += [frame(scene(5), at, seed=40 + k)[0].grey for k, at in enumerate(path(LOST - CUT, (4.0, 0.5)))]
+    pictures += [np.full_like(pictures[0], 100)] * 2
+    for k, grey in enumerate(pictures):
+        cv2.imwrite(str(folder / f"clip_{k:03}.png"), grey)
+    return folder
+
+
+def generate(data, out, *, settings=(), **kwargs):
+    kwargs = {"execution": api.Execution(renderer="flat", in_process=True)} | kwargs
+    return api.generate("deer-above", data, out, settings=[*SETTINGS, *settings], **kwargs)
+
+
+def labels(out):
+    """Return the boxes of the tracks in each picture, by name."""
+    coco = json.loads((out / "coco" / "train.json").read_text())
+    found = {i["file_name"]: {} for i in coco["images"]}
+    names = {i["id"]: i["file_name"] for i in coco["images"]}
+    for a in coco["annotations"]:
+        found[names[a["image_id"]]][a["track_id"]] = a["bbox"]
+    return dict(sorted(found.items()))
+
+
+def test_each_object_is_one_track_in_its_span_and_none_is_in_what_is_not_known(data, tmp_path):
+    report = generate(data, tmp_path / "run")
+    frames = list(labels(tmp_path / "run").values())
+    assert len(frames) == 17 and report.counts["images"] == 17
+    assert set(frames[0]) == {1, 2, 3}
+    first = {t for f in frames[:CUT] for t in f}
+    second = {t for f in frames[CUT:LOST] for t in f}
+    assert second and not first & second
+    assert frames[LOST] == frames[LOST + 1] == {}
+    assert report.counts["frames_without_object_because"]["camera_lost"] == 2
+    codes = {p.code for p in report.problems}
+    assert {"motion-cut", "motion-lost", "frame-rate"} <= codes
+
+
+def test_a_box_goes_with_the_background_and_hardly_changes_its_size(data, tmp_path):
+    generate(data, tmp_path / "run", settings=["objects.0.motion={kind: still}"])
+    frames = list(labels(tmp_path / "run").values())
+    for a, b in pairwise(frames[:FROZEN]):
+        for track in a.keys() & b.keys():
+            (x0, y0, w0, h0), (x1, y1, w1, h1) = a[track], b[track]
+            if min(x0, y0, x1, y1) > 0 and x0 + w0 < 320 and x1 + w1 < 320 and y0 + h0 < 256 and y1 + h1 < 256:
+                assert x1 + w1 / 2 - x0 - w0 / 2 == pytest.approx(-4.0, abs=0.3)
+                assert (w1 / w0, h1 / h0) == (pytest.approx(1, abs=0.02), pytest.approx(1, abs=0.02))
+
+
+def test_a_frozen_picture_freezes_what_is_inserted(data, tmp_path):
+    generate(data, tmp_path / "run", settings=["objects.0.motion={kind: run}"])
+    frames = labels(tmp_path / "run")
+    before, frozen, after = (frames[f"clip_{n:06d}.png"] for n in (FROZEN - 1, FROZEN, FROZEN + 1))
+    assert before == frozen != after
+    pictures = [cv2.imread(str(tmp_path / "run" / "images" / "train" / f"clip_{n:06d}.png"), -1) for n in (4, 5)]
+    np.testing.assert_array_equal(*pictures)
+
+
+def test_frames_alone_are_those_of_the_whole_run_and_workers_do_not_matter(data, tmp_path):
+    generate(data, tmp_path / "run")
+    chosen = ["train/clip_000008", "train/clip_000003", "train/clip_000013"]
+    generate(data, tmp_path / "some", selection=api.FrameSelection(frames=chosen))
+    two = api.Execution(renderer="flat", workers=2)
+    generate(data, tmp_path / "two", execution=two)
+    pictures = sorted(p.relative_to(tmp_path / "run") for p in (tmp_path / "run" / "images").rglob("*.png"))
+    assert len(pictures) == 17
+    for name in pictures:
+        assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+    for name in chosen:
+        picture = f"images/{name}.png"
+        assert (tmp_path / "some" / picture).read_bytes() == (tmp_path / "run" / picture).read_bytes()
+    for name in ("tracks/train/clip/gt/gt.txt", "video/train/clip.mp4"):
+        assert (tmp_path / "two" / name).read_bytes() == (tmp_path / "run" / name).read_bytes()
+
+
+def test_a_frame_is_rendered_again_from_its_record(data, tmp_path):
+    generate(data, tmp_path / "run")
+    name = "train/clip_000007"
+    api.rerender(tmp_path / "run", name, tmp_path / "again.png")
+    assert (tmp_path / "again.png").read_bytes() == (tmp_path / "run" / "images" / f"{name}.png").read_bytes()
+
+
+def test_tracks_go_to_motchallenge_and_come_back(data, tmp_path):
+    generate(data, tmp_path / "run")
+    lines = (tmp_path / "run" / "tracks" / "train" / "clip" / "gt" / "gt.txt").read_text().splitlines()
+    boxes = labels(tmp_path / "run")
+    assert len(lines) == sum(len(f) for f in boxes.values())
+    for line in lines:
+        number, track, *box = line.split(",")[:6]
+        np.testing.assert_allclose(
+            np.array(box, float) - (1, 1, 0, 0), boxes[f"clip_{int(number) - 1:06d}.png"][int(track)], atol=1e-3
+        )
+
+
+def test_two_configurations_are_two_sequences(data, tmp_path):
+    generate(data, tmp_path / "run", settings=["configurations=2"])
+    tracks = sorted(p.name for p in (tmp_path / "run" / "tracks" / "train").iterdir())
+    assert tracks == ["clip_c0", "clip_c1"]
+    assert len(labels(tmp_path / "run")) == 34
+
+
+def test_a_movement_that_a_model_does_not_have_and_data_without_sequences_are_refused(data, tmp_path):
+    with pytest.raises(RecipeError) as error:
+        generate(data, tmp_path / "run", settings=["objects.0.motion={kind: hover}"])
+    assert "still, walk, graze, run, drive" in str(error.value)
+    for k, picture in enumerate(sorted(data.iterdir())):
+        picture.rename(data / f"{'abcdefghijklmnopqrstu'[k]}.png")
+    with pytest.raises(DatasetError, match="no picture has a sequence"):
+        generate(data, tmp_path / "run")
