@@ -122,12 +122,15 @@ def test_all_that_does_not_count_is_counted_and_said(calls: list[list[str]], tmp
         picture("a", 5, ("drone", 1, 100.0), name="z_again.png"),
         picture("d", 3, ("drone", 1, 100.0), ("drone", None, 200.0), ("drone", 1, 300.0)),
         picture("d", 8, ("drone", 1, 100.0), ("bird", None, 200.0)),
+        replace(picture("d", 9), extra={"labelled": False}),
+        replace(picture("e", 1), extra={"labelled": False}),
     ]
     report = run(tmp_path / "out", dataset(*images))
     facts = report.metrics["tracks"]
     assert facts["counts"] == {
         "classes_without_tracks": 1, "numbers_missing": 4, "objects_repeated": 1, "objects_without_track": 2,
-        "pictures": 26, "pictures_of_same_number": 1, "pictures_without_number": 2, "pictures_without_sequence": 1,
+        "pictures": 26, "pictures_not_labelled": 2, "pictures_of_same_number": 1, "pictures_without_number": 2,
+        "pictures_without_sequence": 1,
         "sequences": 3, "sequences_without_numbers": 1,
     }  # fmt: skip
     assert sorted(said(report)) == sorted(
@@ -135,7 +138,7 @@ def test_all_that_does_not_count_is_counted_and_said(calls: list[list[str]], tmp
         + ["class-without-tracks"]
     )
     assert said(report)["numbers-missing"].startswith("4 numbers are missing within sequences")
-    assert calls[-1] == ["d_3.png", "d_8.png"]
+    assert calls[-1] == ["d_3.png", "d_8.png", "d_9.png"]
     row = facts["classes"]["drone"]
     assert (row["tracks"], row["objects"], row["mota"]) == (5, 50, 1)
 

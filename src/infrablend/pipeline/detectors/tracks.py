@@ -11,6 +11,7 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError, Problem
 from infrablend.evaluation.tracks import MATCH_IOU, Followed, only_tracked, track_figures
 from infrablend.evaluation.truth import Case, Truth
+from infrablend.formats.sequences import is_labelled
 from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
 from infrablend.training.tracking import follow, tracker_settings
 
@@ -19,7 +20,9 @@ _SAID = {
     "pictures_without_number": "pictures without a number in their sequence are left out of the tracks",
     "sequences_without_numbers": "sequences without any numbered picture are left out of the tracks",
     "pictures_of_same_number": "pictures are left out of the tracks: others have their sequence and number",
-    "numbers_missing": "numbers are missing within sequences: the tracker takes the pictures beside them as neighbours",
+    "pictures_not_labelled": "pictures in sequences have no labels: the tracker sees them, but they do not count",
+    "numbers_missing": "numbers are missing within sequences: the tracker takes the pictures beside them as neighbours "
+    "(of videos, --read every=1 reads all)",
     "objects_without_track": "objects in sequences have no track: detections of them are neither right nor wrong",
     "objects_repeated": "objects have the track of another one in their picture: detections of them do not count",
 }
@@ -31,7 +34,7 @@ class Sequences:
 
     Attributes:
         pictures: By name, the indices of the images of each sequence, in order.
-        labels: Labels for tracks, by the index of the image.
+        labels: Labels for tracks, by the index of the image; of labelled images only.
         counts: What there is, and what is left out.
     """
 
@@ -51,6 +54,9 @@ def find_sequences(case: Case, problems: list[Problem]) -> Sequences:
     counts["numbers_missing"] = sum(max(of) - min(of) + 1 - len(of) for of in numbered.values())
     labels = {}
     for k in (k for of in pictures.values() for k in of):
+        if not is_labelled(case.images[k]):
+            counts["pictures_not_labelled"] += 1
+            continue
         labels[k], without, repeated = only_tracked(case.labels[k])
         counts["objects_without_track"] += without
         counts["objects_repeated"] += repeated
@@ -69,6 +75,7 @@ def find_sequences(case: Case, problems: list[Problem]) -> Sequences:
     if absent:
         found = f"no labelled track of {', '.join(absent)}: no figures of tracks"
         problems.append(Problem("tracks", "class-without-tracks", found, severity="warning"))
+    pictures = {name: of for name, of in pictures.items() if not labels.keys().isdisjoint(of)}
     counts |= {"sequences": len(pictures), "pictures": len(labels), "classes_without_tracks": len(absent)}
     return Sequences(pictures, labels, {k: n for k, n in sorted(counts.items()) if n})
 
@@ -97,14 +104,11 @@ def track_facts(
 ) -> dict[str, Any]:
     """Run the tracker on the detections of each sequence, and return the figures as in `evaluation.json`."""
     used = tracker_settings(settings.tracker)
-    followed = [
-        Followed(
-            name,
-            [sequences.labels[k] for k in which],
-            follow([case.images[k] for k in which], [case.found[k] for k in which], used),
-        )
-        for name, which in sequences.pictures.items()
-    ]
+    followed = []
+    for name, which in sequences.pictures.items():
+        found = follow([case.images[k] for k in which], [case.found[k] for k in which], used)
+        known = [(sequences.labels[k], of) for k, of in zip(which, found, strict=True) if k in sequences.labels]
+        followed.append(Followed(name, *zip(*known, strict=True)))
     rows = track_figures(followed, case.classes, case.task, settings.bootstrap, settings.seed)
     if not any(len(ids) for s in followed for _, ids in s.found):
         problems.append(Problem("tracks", "tracks-none", "the tracker found no track", severity="warning"))
