@@ -139,8 +139,8 @@ def test_the_page_on_dependencies_lists_those_of_the_project() -> None:
     assert listed("## At run time", 0) == required(project["dependencies"])
     assert listed("## Extras", 0) == set(project["optional-dependencies"])
     for row in table_rows(page, "## Extras"):
-        extra, package = (re.findall(r"`([^`]+)`", cell)[0] for cell in row[:2])
-        assert required(project["optional-dependencies"][extra]) == {package}
+        (extra,), packages = (re.findall(r"`([^`]+)`", cell.partition(", with ")[0]) for cell in row[:2])
+        assert required(project["optional-dependencies"][extra]) == set(packages)
     development = page.read_text("utf-8").partition("## For development\n")[2].partition("\n## ")[0]
     named = {name.lower() for name in re.findall(r"`([^`]+)`", development.partition("; ")[0])}
     assert named == required(PYPROJECT["dependency-groups"]["dev"])

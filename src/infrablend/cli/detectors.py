@@ -141,6 +141,9 @@ def _evaluation(report: EvaluationReport) -> list[str]:
     blocks.append(f"{page.target_title(targets)}:\n" + grid(page.TARGET_HEAD, page.target_rows(targets)))
     if alarms["pictures"]:
         blocks.append(f"{page.alarm_title(alarms)}:\n" + grid(*page.alarm_table(alarms)))
+    if tracks := metrics.get("tracks"):
+        rows = page.track_rows(tracks, measures=["hota"])
+        blocks.append(f"{page.track_title(tracks)}:\n" + grid([*page.TRACK_HEAD, "HOTA, interval"], rows))
     if metrics["ultralytics"]:
         blocks.append("by Ultralytics' own code:\n" + grid(page.HEAD, page.table_rows(metrics["ultralytics"])))
     if metrics["paired"]:

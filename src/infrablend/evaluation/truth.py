@@ -31,6 +31,7 @@ class Truth:
         ignore: (g,) mask of the regions to ignore: detections in them are neither hits nor false positives.
         corners_xy: (g, 4, 2) corners if oriented boxes are compared; else None.
         masks: g masks if masks are compared; else None.
+        track_ids: Ids of the objects throughout their sequence; None where there is none.
     """
 
     key: str
@@ -40,6 +41,7 @@ class Truth:
     ignore: NDArray[np.bool_]
     corners_xy: FloatArray | None = None
     masks: tuple[Mask, ...] | None = None
+    track_ids: tuple[int | str | None, ...] = ()
 
     def regions_of(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mark the (n, g) regions that ignore detections of (n,) classes: those of no class, and crowds of the same."""
@@ -161,6 +163,7 @@ def _truth(key: str, size_wh: tuple[int, int], objects: Sequence[tuple[Instance,
         np.array([ignore for _, _, ignore in objects], np.bool_),
         np.array(corners, np.float64).reshape(-1, 4, 2) if task == "obb" else None,
         tuple(_box_mask(i, size_wh) if i.mask is None else i.mask for i in instances) if task == "segment" else None,
+        tuple(i.track_id for i in instances),
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.evaluation.tracks import MEASURES as TRACK_MEASURES
 from infrablend.report.figures import decimals, interval, plot_text, png_bytes
 from infrablend.report.page import render_page
 
@@ -14,6 +15,7 @@ COLUMNS = ("images", "instances", "p", "r", "map50", "map50_95")
 HEAD = ("class", "images", "instances", "P", "R", "mAP50", "mAP50-95")
 _COLOURS = ("#1b1b1b", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#9a9a9a")
 FOUND_HEAD = ("image", "class", "box, px", "rank", "score", "IoU")
+TRACK_HEAD = ("class", "sequences", "tracks", "found", "HOTA", "DetA", "AssA", "MOTA", "IDF1", "switches")
 TARGET_HEAD = ("class", "objects", "found", "named", "others called")
 STRATA = {
     "size": "longer side, px",
@@ -69,6 +71,22 @@ def target_rows(targets: Mapping[str, Any]) -> list[list[str]]:
         if of["objects"]:
             rows.append([name, *(decimals(of[k]) for k in ("objects", "found", "named")), called])
     return rows
+
+
+def track_title(tracks: Mapping[str, Any]) -> str:
+    """Return what was tracked, and with what, in words."""
+    counts = tracks["counts"]
+    where = f"{counts['pictures']} pictures of {counts['sequences']} sequences"
+    return f"Tracks by {tracks['tracker']['tracker_type']} in {where}"
+
+
+def track_rows(tracks: Mapping[str, Any], *, measures: Sequence[str] = ()) -> list[list[str]]:
+    """Return the figures of tracks by class as text, and the intervals of some measures."""
+    keys = ("sequences", "tracks", "found", *TRACK_MEASURES)
+    return [
+        [name, *(decimals(row[k]) for k in keys), *(class_interval(row["ci"], m) for m in measures)]
+        for name, row in tracks["classes"].items()
+    ]
 
 
 def alarm_title(alarms: Mapping[str, Any]) -> str:
@@ -169,6 +187,7 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
     """Return the HTML page with the plots of `draw_plots`; the same facts give the same bytes."""
     detector = {key: value for key, value in facts["detector"].items() if key != "classes"}
     classes, listed, paired = facts["classes"], facts.get("first_detections"), facts["paired"]
+    tracks = facts.get("tracks")
     return render_page(
         "evaluation",
         title="Evaluation",
@@ -181,6 +200,13 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
         ],
         as_one=as_one_text(classes["all"]),
         targets=(target_title(facts["targets"]), list(TARGET_HEAD), target_rows(facts["targets"])),
+        tracks=(
+            track_title(tracks),
+            [*TRACK_HEAD, *(f"{h}, interval" for h in TRACK_HEAD[4:])],
+            track_rows(tracks, measures=TRACK_MEASURES),
+        )
+        if tracks
+        else None,
         alarms=(alarm_title(facts["false_alarms"]), *alarm_table(facts["false_alarms"]))
         if facts["false_alarms"]["pictures"]
         else None,

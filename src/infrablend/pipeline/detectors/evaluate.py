@@ -41,7 +41,9 @@ from infrablend.formats.images import load_background
 from infrablend.formats.pictures import with_sizes
 from infrablend.pipeline.detectors.detection_source import PREDICTIONS, DetectionSource, choose_task
 from infrablend.pipeline.detectors.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
+from infrablend.pipeline.detectors.tracks import find_sequences, track_facts
 from infrablend.report.evaluation import draw_plots, evaluation_page
+from infrablend.training.tracking import require_trackers
 from infrablend.training.weights import missing_packages
 
 log = logging.getLogger(__name__)
@@ -90,12 +92,15 @@ def evaluate_detector(
 ) -> EvaluationReport:
     """Evaluate weights or saved detections on a split; see `infrablend.api.evaluate`."""
     started = time.monotonic()
+    if settings.tracks:
+        require_trackers()
     rival = None if against is None else (against, *read_evaluation(against))
     problems: list[Problem] = []
     with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
         source = DetectionSource(weights, device, problems)
         split = settings.split or _default_split(dataset, problems)
         case, numbers, groups, counts = _prepare(dataset, split, source, settings, problems)
+        sequences = find_sequences(case, problems) if settings.tracks else None
         facts: dict[str, Any] = {
             "infrablend": __version__,
             "dataset": {
@@ -127,6 +132,8 @@ def evaluate_detector(
         counts |= {"detections_of_other_classes": foreign} if foreign else {}
         if settings.list_first:
             facts["first_detections"] = list_found(case, settings.list_first, settings.list_iou)
+        if sequences is not None:
+            facts["tracks"] = track_facts(case, sequences, settings, problems)
         bodies = measure_bodies(case, counts, problems) if settings.by_body else None
         metrics, matches = figures(case, groups, settings.bootstrap, settings.seed, bodies)
         stored = StoredMatches(case.classes, matches, groups)

@@ -10,6 +10,7 @@ from infrablend.core.arguments import require_names
 from infrablend.core.dataset import SPLITS
 from infrablend.errors import DatasetError
 from infrablend.evaluation.detections import Task
+from infrablend.training.tracking import Tracker
 
 Group = Literal["image", "sequence", "date", "gap"]
 
@@ -30,6 +31,8 @@ class EvaluationSettings:
         list_first: List which objects are found among the N detections with the highest scores; 0: no list.
         list_iou: Least overlap to be listed as found.
         by_body: Measure what the pictures show of the objects, and give AP by its size from 2 px.
+        tracks: Run a tracker on the sequences, and compare with the labelled tracks: HOTA, MOTA, IDF1.
+        tracker: Tracker of `--tracks`, with Ultralytics' default settings.
 
     Raises:
         ArgumentError: `classes` is no list of names.
@@ -47,6 +50,8 @@ class EvaluationSettings:
     list_first: int = 0
     list_iou: float = 0.3
     by_body: bool = False
+    tracks: bool = False
+    tracker: Tracker = "bytetrack"
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)
@@ -54,6 +59,8 @@ class EvaluationSettings:
             raise DatasetError(f"split: found {self.split!r}, expected one of {', '.join(SPLITS)}")
         if self.group not in get_args(Group):
             raise DatasetError(f"group: found {self.group!r}, expected one of {', '.join(get_args(Group))}")
+        if self.tracker not in get_args(Tracker):
+            raise DatasetError(f"tracker: found {self.tracker!r}, expected one of {', '.join(get_args(Tracker))}")
         if self.bootstrap < 0 or (self.image_size or 0) < 0 or self.list_first < 0:
             raise DatasetError("bootstrap, image_size and list_first: expected numbers of at least 0")
         if not 0 < self.list_iou <= 1:
