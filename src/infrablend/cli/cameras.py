@@ -274,8 +274,11 @@ def world(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset folder to write.")],
     count: Annotated[int, typer.Option(min=1, help="Number of images.")] = 12,
     layout: Annotated[
-        Literal["hit-uav", "monet", "radiometric", "dji", "flir"],
-        typer.Option(help="Dataset or camera whose files to copy; radiometric: 16-bit centikelvin."),
+        Literal["hit-uav", "monet", "radiometric", "dji", "flir", "flight"],
+        typer.Option(
+            help="Dataset or camera whose files to copy; radiometric: 16-bit centikelvin; flight: one sequence over one "
+            "scene, with tracks."
+        ),
     ] = "hit-uav",
     seed: SeedOption = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier world in DIR.")] = False,

@@ -22,6 +22,7 @@ from infrablend.engine.programs import find_blender
 from infrablend.engine.renderer import camera_message, channel
 from infrablend.world.buildings import building
 from infrablend.world.fixtures import TREE_KINDS, furniture, tree_matrix, tree_prototype
+from infrablend.world.flight import Flight, begin_flight, flight_frame
 from infrablend.world.frame_files import FinishedFrame, make_frame
 from infrablend.world.ground import ground_kelvin, ground_surfaces
 from infrablend.world.labels import Label, VisibleSamples, label_object
@@ -169,10 +170,15 @@ class WorldWorker:
         """Start Blender; images go to `folder`/<split>/."""
         self._seed, self._folder = seed, folder
         self._renderer = WorldRenderer()
+        self._flight: Flight | None = None
 
     def __call__(self, task: Task) -> FinishedFrame:
         """Render the `FrameFacts` in the payload of a task."""
-        return make_frame(task.payload, self._seed, self._renderer, self._folder)
+        if not task.payload.flight:
+            return make_frame(task.payload, self._seed, self._renderer, self._folder)
+        if self._flight is None:
+            self._flight = begin_flight(task.payload, self._seed, self._renderer)
+        return flight_frame(self._flight, task.payload, self._folder)
 
     def close(self) -> None:
         """End Blender's process."""

@@ -1,4 +1,7 @@
-"""Writes the virtual world as a background dataset: HIT-UAV, MONET, temperatures or camera files, and `world.json`."""
+"""Writes the virtual world as a background dataset: HIT-UAV, MONET, MOTChallenge, temperatures or camera files.
+
+`world.json` lists what each frame shows.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import link_or_copy
 from infrablend.core.workspace import WORLD_FILE, replacing, workspace
-from infrablend.formats import coco, hit_uav, monet
+from infrablend.formats import coco, hit_uav, monet, mot
 from infrablend.formats.rjpeg.writing import MAKERS
 from infrablend.world.frame_files import FinishedFrame
 from infrablend.world.frames import MONET_CATEGORIES, FrameFacts, Layout, plan_frames
@@ -38,6 +41,8 @@ class WorldRequest:
             `radiometric`: the frames of `hit-uav` as 16-bit TIFF in centikelvin, with COCO labels that state the scale,
             the air and the camera.
             `dji`, `flir`: the radiometric JPEG files of one flight as they come off the card, without labels.
+            `flight`: 640x512 PNG of one flight over one scene, a sequence of 25 frames per second with the tracks of
+            people, cars and bicycles in MOTChallenge's layout, and telemetry in `metadata.csv`.
 
     Raises:
         ArgumentError: There is no such layout.
@@ -87,6 +92,8 @@ def write_world(
 def _write(out: Path, layout: Layout, images: Sequence[ImageRecord]) -> None:
     if layout == "monet":
         monet.write(out, images, MONET_CATEGORIES, extra=_MONET_TOP)
+    elif layout == "flight":
+        mot.write(out, images, [c for c in hit_uav.CATEGORIES if not c.ignore])
     elif layout in MAKERS:
         for image in images:
             link_or_copy(image.path, out / image.path.name)

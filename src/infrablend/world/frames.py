@@ -17,7 +17,7 @@ from infrablend.formats.rjpeg.writing import MAKERS, Maker
 from infrablend.world.plan import PlaceKind
 from infrablend.world.setting import SIZE_WH
 
-Layout = Literal["hit-uav", "monet", "radiometric", "dji", "flir"]
+Layout = Literal["hit-uav", "monet", "radiometric", "dji", "flir", "flight"]
 
 PITCHES_DEG = (30, 40, 50, 60, 70, 80, 90)
 ALTITUDES_M = (60, 70, 80, 90, 100, 110, 120, 130)
@@ -40,7 +40,10 @@ SEQUENCES: tuple[tuple[Split, str, bool], ...] = (
 )
 # One frame in ten of this sequence has lost its telemetry.
 _LOSSY, _LOST = "runway_04", 1
-_FPS = 25
+FPS = 25
+# A flight is at one height, over one of these places, which have people and room for animals.
+FLIGHT_ALTITUDE_M = 80.0
+FLIGHT_KINDS: tuple[PlaceKind, ...] = ("dirtroad", "park", "street")
 
 
 @dataclass(frozen=True)
@@ -52,11 +55,12 @@ class FrameFacts:
         split, pitch_deg, altitude_m, time_of_day: As in `ImageRecord`.
         kind: Kind of place; None draws one.
         size_wh: Size of the image in pixels.
-        sequence: Name of the MONET sequence; None in HIT-UAV's layout.
+        sequence: Name of the MONET sequence or of the flight; None in HIT-UAV's layout.
         index: Number of the frame in its sequence, from 0.
         telemetry: Whether the annotation contains telemetry.
         radiometric: Whether the image stores temperatures.
         maker: Maker of the camera whose radiometric JPEG files to write; None for the layouts of datasets.
+        flight: Whether all frames are of one flight over one scene.
     """
 
     number: int
@@ -71,10 +75,16 @@ class FrameFacts:
     telemetry: bool = True
     radiometric: bool = False
     maker: Maker | None = None
+    flight: bool = False
 
     @property
     def name(self) -> str:
-        """File name: `T_HHH_AA_W_NNNNN.jpg` (or `.tiff`), `<sequence>/lwir/imageNNNNN.png`, or that of a camera."""
+        """File name: `T_HHH_AA_W_NNNNN.jpg` (or `.tiff`), `<sequence>/lwir/imageNNNNN.png`, or that of a camera.
+
+        Pictures of a flight are `<sequence>/NNNNNN.png`, from 1 on.
+        """
+        if self.flight:
+            return f"{self.sequence}/{self.index + 1:06d}.png"
         if self.maker is not None:
             return f"DJI_{self.number + 1:04d}_T.JPG" if self.maker == "dji" else f"FLIR{self.number + 1:04d}.jpg"
         if self.sequence is not None:
@@ -87,7 +97,7 @@ def plan_frames(count: int, seed: int, layout: Layout = "hit-uav") -> tuple[Fram
     """Return the facts of `count` frames; frame k does not depend on how many follow.
 
     Pitches, altitudes and splits come in shuffled rounds, so a few frames already cover the range. The frames of a
-    camera are one flight at night.
+    camera are one flight at night, those of a flight one sequence.
 
     Raises:
         RecipeError: The number is out of range.
@@ -104,6 +114,8 @@ def plan_frames(count: int, seed: int, layout: Layout = "hit-uav") -> tuple[Fram
         pitch, altitude = _of_round(PITCHES_DEG, k, seed, "pitch"), _of_round(altitudes, k, seed, "altitude")
         if layout == "monet":
             frames.append(_of_sequence(k, seed, pitch, altitude))
+        elif layout == "flight":
+            frames.append(_of_flight(k, seed))
         elif layout in MAKERS:
             frames.append(FrameFacts(k, "train", pitch, altitude, "night", maker=layout))
         else:
@@ -135,12 +147,21 @@ def _of_sequence(number: int, seed: int, pitch_deg: float, altitude_m: float) ->
     return FrameFacts(number, split, pitch, altitude, of_day, kind, MONET_SIZE_WH, name, index, recorded)
 
 
+def _of_flight(number: int, seed: int) -> FrameFacts:
+    """Return a frame of a flight; its height varies a little around the one given."""
+    rng = stream(seed, "world", "flight", "facts")
+    of_day: TimeOfDay = "night" if rng.random() < NIGHT_SHARE else "day"
+    kind = FLIGHT_KINDS[int(rng.integers(len(FLIGHT_KINDS)))]
+    name = f"flight_{seed:03d}"
+    return FrameFacts(number, "train", 90, FLIGHT_ALTITUDE_M, of_day, kind, sequence=name, index=number, flight=True)
+
+
 def telemetry_of(frame: FrameFacts, seed: int) -> dict[str, Any]:
     """Return the telemetry of a frame in MONET's terms (gimbal pitch negative downwards); empty if it was lost."""
     if not frame.telemetry:
         return {}
     u = stream(seed, "world", "monet", frame.number, "telemetry").uniform
-    taken = datetime(2022, 6, 1, 9, tzinfo=timezone(timedelta(hours=2))) + timedelta(seconds=frame.index / _FPS)
+    taken = datetime(2022, 6, 1, 9, tzinfo=timezone(timedelta(hours=2))) + timedelta(seconds=frame.index / FPS)
     heading = u(-180, 180)
     values = {
         "alt": frame.altitude_m,

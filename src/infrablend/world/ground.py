@@ -28,6 +28,8 @@ from infrablend.world.vehicles import Vehicle
 Field = NDArray[np.float32]
 Lay = Callable[..., Field]
 LATTICE = 256
+# Rows of samples that are computed at once.
+_ROWS = 1200
 
 Fill = Callable[[NDArray[np.float64], float], None]
 
@@ -35,7 +37,15 @@ Fill = Callable[[NDArray[np.float64], float], None]
 def ground_grid(plan: WorldPlan, oversample: int) -> tuple[Field, Field]:
     """Return world x and y, each (h * oversample, w * oversample) float32, of the ground at the sub-pixel centres."""
     w, h = plan.camera.size_wh
-    j, i = np.meshgrid((np.arange(w * oversample) + 0.5) / oversample, (np.arange(h * oversample) + 0.5) / oversample)
+    columns, rows = (np.arange(n * oversample) + 0.5 for n in (w, h))
+    # In parts, because intermediate results of the map of a flight take gigabytes.
+    parts = np.split(rows, range(_ROWS, len(rows), _ROWS))
+    xy = [_ground_part(plan, columns / oversample, part / oversample) for part in parts]
+    return np.concatenate([x for x, _ in xy]), np.concatenate([y for _, y in xy])
+
+
+def _ground_part(plan: WorldPlan, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> tuple[Field, Field]:
+    j, i = np.meshgrid(columns, rows)
     xy = ground_points(plan.camera, np.stack([j.ravel(), i.ravel()], axis=1))
     return (
         np.ascontiguousarray(xy[:, 0].reshape(j.shape), np.float32),

@@ -51,6 +51,7 @@ class Label:
         visibility: Visible pixels divided by the pixels there would be without occluders and frame edges.
         truncated: Whether the frame cuts the object.
         dropped: Reason for having no label: "hidden", "small" or "outside"; "" for a labelled object.
+        outline_xy: (N, 2) convex outline of what the box is around, clockwise; None if the object has no label.
     """
 
     category: str
@@ -59,6 +60,7 @@ class Label:
     visibility: float
     truncated: bool
     dropped: str = ""
+    outline_xy: FloatArray | None = None
 
 
 def silhouette_area_px(
@@ -112,7 +114,7 @@ def label_object(
     if (box[2:] - box[:2] < 1).any():
         return Label(category, None, None, visibility, truncated, "small")
     corners = corners_of_box(box) if upright else smallest_rectangle_inside(points, (w, h))
-    return Label(category, box, corners, visibility, truncated)
+    return Label(category, box, corners, visibility, truncated, outline_xy=convex_hull(points))
 
 
 def _points_within(points_xy: FloatArray, visible: VisibleSamples) -> FloatArray:

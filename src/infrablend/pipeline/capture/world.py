@@ -33,7 +33,9 @@ def make_world(
 
     def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
         spec = WorkerSpec(WORKER, {"seed": request.seed, "folder": str(folder)})
-        pool = ProcessPool(spec, PoolSettings(workers=max(1, min(workers, len(frames)))))
+        # The scene below a flight is rendered once, which takes longer than cutting hundreds of frames from it.
+        most = 1 if request.layout == "flight" else len(frames)
+        pool = ProcessPool(spec, PoolSettings(workers=max(1, min(workers, most))))
         for result in pool.run(Task(frame.name, frame) for frame in frames):
             if result.failure is not None:
                 raise result.failure.to_exception()
