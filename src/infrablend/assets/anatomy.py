@@ -38,6 +38,14 @@ def smoothstep(x: FloatArray) -> FloatArray:
     return t * t * (3.0 - 2.0 * t)
 
 
+def spline(rows: FloatArray, at: float) -> FloatArray:
+    """Return the (C,) point at a position in [1, P - 2] on the Catmull-Rom curve through (P, C) rows, one per unit."""
+    k = min(max(int(at), 1), len(rows) - 3)
+    a, b, c, d = rows[k - 1 : k + 3]
+    t = at - k
+    return np.asarray(0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * (b - c) + d - a) * t**3))
+
+
 def joint(a: FloatArray, b: FloatArray, bones: tuple[float, float], side: FloatArray) -> FloatArray:
     """Return the joint between two bones that connect two points.
 

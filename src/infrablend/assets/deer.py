@@ -47,6 +47,7 @@ from infrablend.core.mesh import FloatArray, IntArray, Mesh
 _CHECKS = Checks("deer")
 
 POSES = ("standing", "walking", "grazing", "lying")
+DRAWN_POSES = POSES
 BUILDS = ("slender", "sturdy")
 ANTLERS = ("none", "hard", "velvet")
 ANTLER_FORMS = ("spike", "roe", "white-tailed", "red")

@@ -62,6 +62,22 @@ class Checks:
             return tuple(self.one_of(where, v, allowed) for v in value)
         return (self.one_of(where, value, allowed),)
 
+    def weighted(
+        self, where: str, value: object, allowed: Sequence[str], odds: Mapping[str, float]
+    ) -> tuple[tuple[str, ...], tuple[float, ...]]:
+        """Return the allowed values that an option names, as in `some_of`, with their odds.
+
+        A mapping of values to weights gives other odds.
+        """
+        if not isinstance(value, Mapping) or not value:
+            names = self.some_of(where, value, allowed)
+            return names, tuple(odds[n] for n in names)
+        names = tuple(self.one_of(where, v, allowed) for v in value)
+        weights = tuple(self.number(f"{where}.{n}", value[n], 0.0, 1e6) for n in names)
+        if not any(weights):
+            raise self.bad(where, value, "a weight above 0")
+        return names, weights
+
     def number(self, where: str, value: object, low: float, high: float) -> float:
         """Return the value if it is a number in [low, high]."""
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
