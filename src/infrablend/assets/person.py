@@ -29,19 +29,31 @@ import numpy as np
 
 from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, SunResponse, part_role, sun_response, warmed_by_sun
+from infrablend.assets.model import (
+    MOMENTS,
+    ObjectModel,
+    Params,
+    PartRange,
+    SunResponse,
+    moment,
+    part_role,
+    sun_response,
+    warmed_by_sun,
+)
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.person_poses import (
     ARM_PAIRS,
     ARMS,
     DRAWN_POSES,
     FOREARM,
+    GAITS,
     HIP_Z,
     NECK,
     POSES,
     SHOULDER,
     UPPER_ARM,
     VARIANTS,
+    WAVES_HZ,
     Arm,
     Arms,
     Pose,
@@ -235,7 +247,11 @@ def _arm_line(arm: Arm, sign: int, pad: float, build_name: str) -> tuple[FloatAr
     return shoulder * flip, elbow * flip, wrist * flip
 
 
-@lru_cache(maxsize=256)
+# Pieces that are kept: those of eight people at all moments of a step.
+_KEPT = 8 * MOMENTS
+
+
+@lru_cache(maxsize=_KEPT)
 def _upper(top: str, pad: float, arms: Arms, build_name: str, seated: bool, hood_down: bool, sleeves: str) -> Piece:
     """Return the jacket with sleeves, collar and any lowered hood, in the frame of the upright trunk."""
     rows = _trunk_rows(top, pad, build_name, seated)
@@ -305,7 +321,7 @@ def _upper(top: str, pad: float, arms: Arms, build_name: str, seated: bool, hood
     return _skin(Body(tuple(primitives)), CLOTH_CELL)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=_KEPT)
 def _hands(pad: float, arms: Arms, build_name: str) -> Piece | None:
     """Return the hands that are not in pockets, in the frame of the trunk: palm, four fingers and thumb each."""
     solids: list[Solid] = []
@@ -348,7 +364,7 @@ def _hands(pad: float, arms: Arms, build_name: str) -> Piece | None:
     return _one_part("hand", *solids) if solids else None
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=_KEPT)
 def _legs(pose: Pose, bottom: str, build_name: str, length: str, thick: float) -> Piece:
     """Return trousers with the hips, or stockinged legs under a skirt; short trousers end at the knee."""
     girth = _GIRTH[build_name]
@@ -386,7 +402,7 @@ def _legs(pose: Pose, bottom: str, build_name: str, length: str, thick: float) -
     return _skin(Body(tuple(primitives), floor=not pose.rests_on), CLOTH_CELL)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=_KEPT)
 def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     """Return the lower half of a coat, or a skirt: both hang from the hips around both thighs."""
     (hip, knee, _), (hip2, knee2, _) = leg_lines(pose)
@@ -412,7 +428,7 @@ def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     return _skin(Body((bar,), floor=not pose.rests_on), SKIRT_CELL)
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=2 * MOMENTS)
 def _shoes(pose: Pose) -> Piece:
     pieces = []
     for sign, foot in zip((1, -1), pose.feet, strict=True):
@@ -712,6 +728,24 @@ def _scale(p: Params) -> float:
     return float(p["height_m"] / (float(NECK[2]) - (1.0 - legs) * HIP_Z + head * top))
 
 
+def animate(params: Params, phase: float) -> dict[str, Any]:
+    """Return the parameters of a walking, running or waving person at a phase; of others, as they are."""
+    return {**params, "phase": moment(phase)} if moves(params["pose"]) else dict(params)
+
+
+def stride_m(params: Params) -> float:
+    """Return the length of two steps, 0 for people who do not walk or run."""
+    p = _checked(params)
+    if p["pose"] not in GAITS:
+        return 0.0
+    return float(GAITS[p["pose"]].stride * _proportions(p)[0] * _scale(p) * p["width_factor"])
+
+
+def cycle_hz(params: Params) -> float:
+    """Return how often arms wave per second."""
+    return WAVES_HZ if params["pose"] == "waving" else 0.0
+
+
 # Side that lies on the ground -> rotation of a standing body that puts it there, with the head towards +X.
 _RESTS = {
     "back": turn_z(math.pi) @ turn_y(-math.pi / 2),
@@ -900,4 +934,7 @@ MODEL = ObjectModel(
     build=build,
     options=OPTIONS,
     parts_for=parts_for,
+    animate=animate,
+    stride_m=stride_m,
+    cycle_hz=cycle_hz,
 )

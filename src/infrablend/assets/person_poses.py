@@ -379,7 +379,7 @@ WAVES_HZ = 1.1  # how often waving arms swing from side to side and back
 
 
 def moves(pose: str) -> bool:
-    """Return whether a pose has a phase."""
+    """Return whether people in a pose have a phase."""
     return pose in GAITS or pose == "waving"
 
 
