@@ -535,6 +535,11 @@ def write(
     files: list[Path] = []
     problems: list[Problem] = []
     rows: list[tuple[str, str, int, str, int | str, int]] = []
+    digits = max(6, len(str(len(places))))  # frames are in the order of their names
+
+    def path_of(image: ImageRecord, place: Place) -> str:
+        return f"{place.folder}/{place.number + 1:0{digits}d}{PurePosixPath(image.name).suffix}"
+
     for folder, group in by_sequence(places).items():
         sequence = Frames(ordered, group)
         missing = places[group[-1]].number + 1 - len(group)
@@ -542,7 +547,8 @@ def write(
             text = f"{len(group)} picture(s), without {missing} of the numbers up to the last; counted without gaps"
             problems.append(Problem(folder, "frames-missing", text, "all frames of a sequence", "", "warning"))
         for position, n in enumerate(group):
-            losses["frame_renumbered"] += places[n].number != position
+            numbered = ordered[n].capture.sequence is not None and ordered[n].capture.frame == places[n].number
+            losses["frame_renumbered"] += numbered and places[n].number != position
             places[n] = replace(places[n], number=position)
             require_known(ordered[n], known)
             losses["unlabelled_unsaid"] += not is_labelled(ordered[n])
@@ -559,18 +565,13 @@ def write(
             if own != folder or key != (CATEGORIES[0].name, 0):
                 rows.append((own, folder, first, *key, int(key[0] in ignored)))
             for k in range(first, last + 1) if pictures and own != folder else ():
-                path = _path_of(sequence[k], Place(split, name, k - first))
+                path = path_of(sequence[k], Place(split, name, k - first))
                 files.append(link_or_copy(sequence[k].path, out / path))
     if rows:
         files.append(write_text(out / _TARGETS_FILE, csv_text(_TARGETS_COLUMNS, rows)))
-    files += write_pictures(
-        out, ordered, places, _path_of, losses, pictures, find_out=_found_out, within="ir/"
-    )  # fmt: skip
+    files += write_pictures(out, ordered, places, path_of, losses, pictures, find_out=_found_out, within="ir/")
+    losses["sequence_made"] -= losses["frame_renumbered"]  # these had a number of their own
     return Written.of(files, losses, problems)
-
-
-def _path_of(image: ImageRecord, place: Place) -> str:
-    return f"{place.folder}/{place.number + 1:06d}{PurePosixPath(image.name).suffix}"
 
 
 def _found_out(place: Place) -> Capture:

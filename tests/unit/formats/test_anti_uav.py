@@ -147,7 +147,7 @@ def test_gaps_between_frames_are_closed_and_the_numbers_come_back(tmp_path: Path
     assert [p.name for p in sorted((tmp_path / "out" / "train" / "clip").glob("*.png"))] == [
         "000001.png", "000002.png", "000003.png",
     ]  # fmt: skip
-    assert written.losses["frame_renumbered"] == 2
+    assert written.losses == {"frame_renumbered": 2, "name_changed": 3}
     (problem,) = written.problems
     assert problem.code == "frames-missing" and "3 picture(s), without 3 of the numbers" in problem.found
     assert [i.capture.frame for i in again.images] == [0, 3, 5]
