@@ -87,6 +87,7 @@ class Track:
         ahead_px: (n, 2) a point of the ground in front of it; for objects in the air unused.
         range_m: (n,) distance from the anchor's camera.
         path: Its attitude at the time of each frame.
+        phase: Phase of its limbs in its anchor, in [0, 1).
     """
 
     number: int
@@ -98,26 +99,33 @@ class Track:
     ahead_px: FloatArray
     range_m: FloatArray
     path: Path
+    phase: float = 0.0
 
 
 def find_track(
     number: int, placed: PlacedObject, model: ObjectModel, motion: Motion, view: View, anchor: int, footage: Footage,
     rng: np.random.Generator, fits: Fits,
 ) -> Track:  # fmt: skip
-    """Return the track of an object that was placed in a frame, its anchor; see `Track`."""
+    """Return the track of an object that was placed in a frame, its anchor; see `Track`.
+
+    An individual whose pose does not walk stays where it is, whatever the motion.
+    """
     camera, spec = placed.camera, placed.spec
     times = footage.times_s - footage.times_s[anchor]
     low, high = motion.speed_m_s or SPEED_M_S[motion.kind]
-    speed = low + (high - low) * float(rng.random())
-    if motion.kind == "followed":
+    speed, phase = low + (high - low) * float(rng.random()), float(rng.random())
+    kind = motion.kind
+    if model.stands and model.stride_m is not None and model.stride_m(spec.params) == 0:
+        kind = "still"
+    if kind == "followed":
         return _followed(number, placed, view, anchor, footage, rng)
     start = (*spec.position_m, spec.yaw_rad)
-    path = find_path(motion.kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
+    path = find_path(kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
     heading = np.stack([np.cos(path.yaw_rad), np.sin(path.yaw_rad), np.zeros(len(times))], axis=1)
     xy, _ = camera.project(path.place_m)
     ahead, _ = camera.project(path.place_m + _HEADING_M * heading)
     away = np.linalg.norm(path.place_m - camera.position_m, axis=1)
-    return Track(number, placed, model.stands, view, anchor, xy, ahead, away, path)
+    return Track(number, placed, model.stands, view, anchor, xy, ahead, away, path, phase)
 
 
 def _followed(
@@ -207,7 +215,7 @@ def objects_in(
     for track, model in zip(tracks, models, strict=True):
         if (spec := _spec_in(track, footage, n, camera, view)) is None:
             continue
-        params = _moving(spec.params, track, n)
+        params = _moving(model, spec.params, track, n)
         mesh = track.placed.mesh if params == track.placed.spec.params else model.build(params)
         placed = PlacedObject(replace(spec, params=params), mesh, camera, track.placed.sun)
         if (placed.depth_m > 0).all() and _in_picture(placed.box_xyxy, camera.size_wh):
@@ -242,10 +250,16 @@ def _spec_in(track: Track, footage: Footage, n: int, camera: CameraSpec, view: V
     return replace(spec, position_m=(x, y, z), yaw_rad=yaw, scale=scale, track=track.number)
 
 
-def _moving(params: Params, track: Track, n: int) -> Params:
-    """Return the parameters of an object in a frame: those of its attitude change with its path."""
+def _moving(model: ObjectModel, params: Params, track: Track, n: int) -> Params:
+    """Return the parameters of an object in a frame: its limbs move as it goes, its attitude changes with its path."""
     lean, bank = math.degrees(track.path.lean_rad[n]), math.degrees(track.path.bank_rad[n])
     found = dict(params)
+    stride = model.stride_m(params) * track.placed.spec.scale if model.stride_m is not None else 0.0
+    cycle_hz = model.cycle_hz(params) if model.cycle_hz is not None else 0.0
+    walks = stride > 0 and bool(track.path.way_m.any())
+    if model.animate is not None and (walks or cycle_hz > 0):
+        steps = float(track.path.way_m[n]) / stride if walks else 0.0
+        found = model.animate(params, (track.phase + steps + cycle_hz * float(track.path.times_s[n])) % 1.0)
     if "lean_deg" in found:
         found["lean_deg"] = round(lean, 3)
     if "bank_deg" in found:
