@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from infrablend.assets.model import ObjectModel, Params
-from infrablend.config.recipe import Motion
+from infrablend.config.recipe import Motion, PathPoint
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
 from infrablend.core.motion_kinds import SPEED_M_S
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import ObjectSpec, SceneSpec, View
+from infrablend.errors import Problem, RecipeError
 from infrablend.motion.paths import Fits, Path, find_path, sway
 from infrablend.motion.sequence import Moment
 from infrablend.motion.shift import Matrix, moved
@@ -115,17 +116,55 @@ def find_track(
     low, high = motion.speed_m_s or SPEED_M_S[motion.kind]
     speed, phase = low + (high - low) * float(rng.random()), float(rng.random())
     kind = motion.kind
-    if model.stands and model.stride_m is not None and model.stride_m(spec.params) == 0:
+    if motion.path is None and model.stands and model.stride_m is not None and model.stride_m(spec.params) == 0:
         kind = "still"
-    if kind == "followed":
+    if kind == "followed" and motion.path is None:
         return _followed(number, placed, view, anchor, footage, rng)
     start = (*spec.position_m, spec.yaw_rad)
-    path = find_path(kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
+    if motion.path is not None:
+        path = _path_by_hand(motion.path, placed, model.stands, view, footage.times_s)
+    else:
+        path = find_path(kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
     heading = np.stack([np.cos(path.yaw_rad), np.sin(path.yaw_rad), np.zeros(len(times))], axis=1)
     xy, _ = camera.project(path.place_m)
     ahead, _ = camera.project(path.place_m + _HEADING_M * heading)
     away = np.linalg.norm(path.place_m - camera.position_m, axis=1)
     return Track(number, placed, model.stands, view, anchor, xy, ahead, away, path, phase)
+
+
+def _path_by_hand(
+    points: Sequence[PathPoint], placed: PlacedObject, stands: bool, view: View, times_s: FloatArray
+) -> Path:
+    """Return the straight lines between points.
+
+    Raises:
+        RecipeError: A point of the picture that is to be one of the ground is above the horizon.
+    """
+    camera, spec, known = placed.camera, placed.spec, []
+    for number, p in enumerate(points):
+        place: FloatArray | None
+        if p.offset_m is not None:
+            place = np.array(spec.position_m) + p.offset_m
+        elif stands:
+            place = ground_point(camera, float(p.x_px or 0), float(p.y_px or 0), view.ground_z_m)
+        else:
+            ray = pixel_ray(camera, float(p.x_px or 0), float(p.y_px or 0))
+            place = camera.position_m + (p.range_m or placed.range_m) * ray
+        if place is None:
+            where = f"objects.{spec.kind}.motion.path.{number}"
+            problem = Problem(where, "recipe-value", f"found {p.x_px:g}, {p.y_px:g}", "a point below the horizon")
+            raise RecipeError("a path that is not on the ground", [problem])
+        known.append((p.time_s, *place.tolist()))
+    found = np.array(known, np.float64)
+    place_m = np.stack([np.interp(times_s, found[:, 0], found[:, k]) for k in (1, 2, 3)], axis=1)
+    step = np.gradient(place_m, axis=0) if len(times_s) > 1 else np.zeros_like(place_m)
+    moving = np.flatnonzero(np.linalg.norm(step[:, :2], axis=1) > 1e-9)
+    yaw = np.full(len(times_s), spec.yaw_rad)
+    if len(moving):  # at rest, as when it last moved
+        headings = np.unwrap(np.arctan2(step[moving, 1], step[moving, 0]))
+        yaw = headings[np.clip(np.searchsorted(moving, np.arange(len(times_s)), side="right") - 1, 0, None)]
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place_m, axis=0), axis=1))])
+    return Path(times_s, place_m, yaw, np.zeros(len(times_s)), np.zeros(len(times_s)), way)
 
 
 def _followed(
