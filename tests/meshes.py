@@ -69,3 +69,18 @@ def check_pieces(pieces: Sequence[tuple[Any, Any, Any, Any]]) -> None:
         assert len(np.unique(key)) == len(key), part
         assert np.array_equal(np.sort(key), np.sort(back)), part
         assert signed_volume(vertices, triangles) > 0, part
+
+
+def share_inside(mesh: Mesh, part: str, others: Sequence[str]) -> float:
+    """Return the share of a part's vertices inside other parts, which together are closed: by their winding number."""
+    points = vertices_of(mesh, part)[::5]
+    wanted = [i for i, name in enumerate(mesh.part_names) if name in others]
+    t = mesh.triangles[np.isin(mesh.part_of_triangle, wanted)]
+    count = 0
+    for chunk in np.array_split(points, len(points) // 64 + 1):
+        a, b, c = (mesh.vertices_m[t[:, k]][None] - chunk[:, None] for k in range(3))
+        la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
+        ab, bc, ca = ((p * q).sum(axis=2) for p, q in ((a, b), (b, c), (c, a)))
+        angle = 2.0 * np.arctan2((a * np.cross(b, c)).sum(axis=2), la * lb * lc + ab * lc + bc * la + ca * lb)
+        count += int((angle.sum(axis=1) > 2 * np.pi).sum())
+    return count / len(points)

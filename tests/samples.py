@@ -31,7 +31,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import sha256_of
 from infrablend.core.masks import Mask
 from infrablend.core.run_folder import ShardFiles
-from infrablend.formats import coco, dota, hit_uav, masks, voc, yolo
+from infrablend.formats import anti_uav, coco, dota, hit_uav, masks, voc, yolo
 from infrablend.formats.shard_tar import TarWriter, label_text
 
 Build = Callable[[Path], Path]
@@ -138,6 +138,12 @@ def _anti_uav(folder: Path) -> Path:
         top = {"exist": [1, k], "gt_rect": [[5, 6, 12, 8], [30, 20, 9, 7] if k else []]}
         (sequence / "IR_label.json").write_text(json.dumps(top))
     return folder
+
+
+@sample("anti-uav:targets")
+def _anti_uav_targets(folder: Path) -> Path:
+    """As our writer does it: a folder for each object, and tables that put them together."""
+    return _written(folder, lambda images, names: anti_uav.write(folder, images, names))
 
 
 @sample("bambi")

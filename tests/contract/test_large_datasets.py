@@ -86,8 +86,8 @@ def test_memory_does_not_grow_with_the_number_of_images(tmp_path, monkeypatch, n
         tracemalloc.stop()
         peaks[count] = min(peak, peaks.get(count, peak))
     # A picture with 15 objects takes 9 kB in memory; some hundred bytes of names and numbers remain, and the paths
-    # of its label file and of the picture, which writers return.
-    assert (peaks[250] - peaks[50]) / 200 < 2000
+    # of its label file and of the picture, which writers return. Anti-UAV has a label file for each of the 15 objects.
+    assert (peaks[250] - peaks[50]) / 200 < 2000 * (15 if name == "anti-uav" else 1)
 
 
 @pytest.mark.parametrize("separators", [COMPACT, SPACED])

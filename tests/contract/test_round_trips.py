@@ -226,6 +226,7 @@ def test_real_labels_come_back(writer: Writer, name: str, real_data: Path, tmp_p
         "track_renumbered",
         "visibility_made",
         "sequence_made",
+        "frame_renumbered",
         "unlabelled_unsaid",
         "empty_unsaid",
     }

@@ -26,6 +26,39 @@ class Leg:
     hang: float = 0.0
 
 
+@dataclass(frozen=True)
+class Gait:
+    """One way to move on four legs, in units of the shoulder height.
+
+    Attributes:
+        stride: Distance that the body moves in one cycle, which has one step of each leg.
+        stance: Share of the cycle in which a hoof is on the ground.
+        lands: Phases at which left fore, right fore, left hind and right hind hoof land.
+        lift: Height to which hooves are lifted.
+    """
+
+    stride: float
+    stance: float
+    lands: tuple[float, float, float, float]
+    lift: float
+
+    def legs(self, phase: float) -> tuple[Leg, Leg, Leg, Leg]:
+        """Return the legs at a phase in [0, 1)."""
+        a, b, c, d = (self._leg((phase - landed) % 1.0) for landed in self.lands)
+        return a, b, c, d
+
+    def _leg(self, phase: float) -> Leg:
+        reach = 0.5 * self.stride * self.stance
+        if phase <= self.stance:
+            return Leg(reach - self.stride * phase)
+        u = (phase - self.stance) / (1.0 - self.stance)
+        # From the back to the front, at both ends as fast as the ground: hooves leave it and land without a jerk.
+        pace = self.stride * (1.0 - self.stance)
+        dx = -reach + 2.0 * reach * u * u * (3.0 - 2.0 * u) - pace * u * (1.0 - u) * (1.0 - 2.0 * u)
+        raised = math.sin(math.pi * u**0.8) ** 2
+        return Leg(dx, self.lift * raised, raised)
+
+
 def unit(v: ArrayLike) -> FloatArray:
     """Return a vector scaled to length 1."""
     a = np.asarray(v, np.float64)
@@ -36,6 +69,14 @@ def smoothstep(x: FloatArray) -> FloatArray:
     """Return a smooth ramp: 0 up to x = 0, 1 from x = 1 on."""
     t = np.clip(x, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
+
+
+def spline(rows: FloatArray, at: float) -> FloatArray:
+    """Return the (C,) point at a position in [1, P - 2] on the Catmull-Rom curve through (P, C) rows, one per unit."""
+    k = min(max(int(at), 1), len(rows) - 3)
+    a, b, c, d = rows[k - 1 : k + 3]
+    t = at - k
+    return np.asarray(0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * (b - c) + d - a) * t**3))
 
 
 def joint(a: FloatArray, b: FloatArray, bones: tuple[float, float], side: FloatArray) -> FloatArray:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -81,13 +82,35 @@ DIALS = Dials(
         "bank_deg": Number((-35.0, 35.0), (-80.0, 80.0)),
     },
 )
+# Parameter of an animated bird: the centre of its box would bob with the wings.
+_IN_BODY = "origin_in_body"
 
 
 def build_bird(params: Params) -> Mesh:
-    """Build the mesh of one bird: origin at the centre of its bounding box."""
+    """Build the mesh of one bird: origin at the centre of its bounding box, or of that of its body in an animation."""
+    params = dict(params)
+    flying = bool(params.pop(_IN_BODY, False))
     DIALS.require(params)
     attitude = shapes.attitude(float(params["climb_deg"]), float(params["bank_deg"]))
-    return assembled(build_pieces(params), (), attitude=attitude, size=float(params["size_m"]))
+    mesh = assembled(build_pieces(params), (), attitude=attitude, size=float(params["size_m"]))
+    if not flying:
+        return mesh
+    body = mesh.vertices_m[mesh.triangles[mesh.part_of_triangle == mesh.part_names.index("body")]]
+    middle = 0.5 * (body.min(axis=(0, 1)) + body.max(axis=(0, 1)))
+    return replace(mesh, vertices_m=mesh.vertices_m - middle)
+
+
+def animate(params: Params, phase: float) -> dict[str, Any]:
+    """Return the parameters of a bird at a phase of its beat: 0 is the top. Its body stays where it is."""
+    beat = {"phase_deg": 360.0 * (phase % 1.0)} if params["flight"] == "flapping" else {}
+    return {**params, **beat, _IN_BODY: True}
+
+
+def cycle_hz(params: Params) -> float:
+    """Return the wing beats per second: large birds are slower, geese fast for their size; 0 for soaring ones."""
+    if params["flight"] == "soaring":
+        return 0.0
+    return (6.0 if params["kind"] == "goose" else 4.0) / float(params["size_m"])
 
 
 def build_pieces(p: Params) -> Pieces:
@@ -178,3 +201,4 @@ MODEL = aircraft(
     "A bird in flight, flapping or soaring: songbird, pigeon, crow, gull, raptor or goose.",
     PARTS, DIALS, build_bird, parts_for, "bird",
 )  # fmt: skip
+MODEL = replace(MODEL, animate=animate, cycle_hz=cycle_hz)

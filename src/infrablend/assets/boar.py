@@ -18,13 +18,14 @@ Temperatures: docs/explanation/models.md.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from infrablend.assets.anatomy import (
+    Gait,
     Leg,
     Piece,
     feet_centre,
@@ -38,8 +39,8 @@ from infrablend.assets.anatomy import (
     withers_height,
 )
 from infrablend.assets.implicit import Body, Primitive, Tube, ellipsoid, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
-from infrablend.assets.params import Choice, Dials, Number
+from infrablend.assets.model import MOMENTS, ObjectModel, Params, PartRange, moment, part_role
+from infrablend.assets.params import Checks, Choice, Dials, Number
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
@@ -49,8 +50,10 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
     "walking": ("left-fore", "right-fore"),
     "rooting": ("ground", "step"),
     "lying": ("resting",),
+    "running": ("left-trot", "right-trot"),
 }
 POSES = tuple(VARIANTS)
+DRAWN_POSES = POSES[:4]
 BUILDS = ("yearling", "sow", "tusker")
 
 # Surface minus air. The winter coat of a boar has long bristles over dense underfur, thickest along the spine; the
@@ -89,7 +92,7 @@ _DRAWN_M = (0.5, 0.95)
 DIALS = Dials(
     "boar",
     {
-        "pose": Choice(POSES, (0.32, 0.30, 0.26, 0.12)),
+        "pose": Choice(POSES, (0.32, 0.30, 0.26, 0.12, 0.0), "by default " + ", ".join(DRAWN_POSES)),
         "variant": Choice((1, 2), (0.5, 0.5), "variant of the pose"),
         "build": Choice(BUILDS, (0.35, 0.40, 0.25)),
         "shoulder_height_m": Number(_DRAWN_M, (0.2, 1.3)),
@@ -144,6 +147,8 @@ class _Pose:
         head: Direction of the head from poll to snout.
         drop: Distance by which the trunk is lowered.
         tilt: Further distance by which the withers are lowered.
+        lying: Whether the trunk is on the ground, with the legs folded.
+        middle_x: x of the model's origin; None for the middle between the feet.
     """
 
     legs: tuple[Leg, Leg, Leg, Leg]
@@ -151,6 +156,8 @@ class _Pose:
     head: Point
     drop: float = 0.0
     tilt: float = 0.0
+    lying: bool = False
+    middle_x: float | None = None
 
 
 _STILL = Leg()
@@ -169,8 +176,28 @@ _POSES: Mapping[tuple[str, str], _Pose] = {
     ("rooting", "step"): _Pose(
         (Leg(0.13), Leg(-0.11), Leg(-0.10), Leg(0.05)), (0.630, 0, 0.480), (0.80, 0, -0.600), 0.015, 0.060
     ),
-    ("lying", "resting"): _Pose((_STILL,) * 4, (0.640, 0, 0.700), (0.92, 0, -0.39), 0.395),
+    ("lying", "resting"): _Pose((_STILL,) * 4, (0.640, 0, 0.700), (0.92, 0, -0.39), 0.395, lying=True),
 }
+_GAITS: Mapping[str, Gait] = {
+    "walking": Gait(0.70, 0.64, (0.25, 0.75, 0.0, 0.5), 0.08),
+    "running": Gait(1.25, 0.42, (0.0, 0.5, 0.5, 0.0), 0.12),  # a trot: diagonal legs together
+}
+# Head and lowered trunk of an animal in motion.
+_MOVING: Mapping[str, _Pose] = {
+    "walking": _Pose((_STILL,) * 4, (0.655, 0, 0.700), (0.86, 0, -0.51), 0.014, middle_x=-0.09),
+    "running": _Pose((_STILL,) * 4, (0.660, 0, 0.770), (0.93, 0, -0.37), 0.022, middle_x=-0.09),
+}
+
+
+def _skeleton(params: Params) -> _Pose:
+    """Return the skeleton of a variant, or that of a moving boar at its phase."""
+    pose, phase, variants = params["pose"], params.get("phase"), VARIANTS[params["pose"]]
+    number = min(params["variant"], len(variants)) - 1
+    if pose == "running" and phase is None:
+        phase = 0.5 * number
+    if phase is None:
+        return _POSES[pose, variants[number]]
+    return replace(_MOVING[pose], legs=_GAITS[pose].legs(phase))
 
 
 def _trunk(pose: _Pose, lying: bool, girth: float) -> Tube:
@@ -375,10 +402,10 @@ def _tusk(poll: FloatArray, axes: tuple[FloatArray, ...], big: float, sign: int)
 _BUILD = {"yearling": (0.88, 0.022, 1.03, 0.94), "sow": (1.0, 0.038, 1.0, 1.0), "tusker": (1.08, 0.060, 1.06, 1.10)}
 
 
-@lru_cache(maxsize=32)
-def _shape(pose_name: str, variant: str, build_name: str) -> Piece:
-    """Return the whole boar, withers at height 1, straight."""
-    pose, lying = _POSES[pose_name, variant], pose_name == "lying"
+@lru_cache(maxsize=4 * MOMENTS)
+def _shape(pose: _Pose, build_name: str) -> tuple[Piece, float]:
+    """Return the whole boar, withers at height 1, straight, and the factor that brings them there."""
+    lying = pose.lying
     girth, crest, big, sturdy = _BUILD[build_name]
     poll = np.array(pose.poll) - [0.0, 0.0, pose.drop if lying else pose.drop + pose.tilt]
     f = unit(pose.head)
@@ -405,10 +432,10 @@ def _shape(pose_name: str, variant: str, build_name: str) -> Piece:
         origin, size = np.array([0.5 * (_TRUNK[0, 0] + _TRUNK[-1, 0]), 0.0, 0.0]), 1.0
     else:
         soles = vertices[np.unique(triangles[parts == PART_NAMES.index("hoof")])]
-        origin = np.array([feet_centre(soles), 0.0, 0.0])
+        origin = np.array([feet_centre(soles) if pose.middle_x is None else pose.middle_x, 0.0, 0.0])
         # Blending, the lowered trunk and the mane change the height of the withers.
         size = 1.0 / withers_height(vertices, triangles[np.isin(parts, _BACK)], _WITHERS_X)
-    return (vertices - origin) * size, triangles, parts
+    return ((vertices - origin) * size, triangles, parts), size
 
 
 # Parts of the trunk, by height.
@@ -452,13 +479,34 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     return params
 
 
+def _require(params: Params) -> None:
+    """Check the parameters, of which only animated animals have a phase."""
+    DIALS.require({name: value for name, value in params.items() if name != "phase"})
+    if params.get("phase") is not None:
+        checks = Checks("boar")
+        checks.number("parameter phase", params["phase"], 0.0, 1.0)
+        if params["pose"] not in _GAITS:
+            raise checks.bad("parameter phase", params["phase"], f"none for a {params['pose']} boar", "Leave it out.")
+
+
+def animate(params: Params, phase: float) -> dict[str, Any]:
+    """Return the parameters of a walking or running boar at a phase; of others, as they are."""
+    return {**params, "phase": moment(phase)} if params["pose"] in _GAITS else dict(params)
+
+
+def stride_m(params: Params) -> float:
+    """Return how far a boar goes in a step of each leg, 0 for one that neither walks nor runs."""
+    _require(params)
+    if params["pose"] not in _GAITS:
+        return 0.0
+    _, size = _shape(_skeleton({**params, "phase": 0.0}), params["build"])
+    return float(_GAITS[params["pose"]].stride * size * params["length_factor"] * params["shoulder_height_m"])
+
+
 def build(params: Params) -> Mesh:
-    """Build the mesh of a boar in metres, from parameters as `sample` draws them."""
-    DIALS.require(params)
-    variants = VARIANTS[params["pose"]]
-    vertices, triangles, parts = _shape(
-        params["pose"], variants[min(params["variant"], len(variants)) - 1], params["build"]
-    )
+    """Build the mesh of a boar in metres, from parameters as `sample` draws them or `animate` returns them."""
+    _require(params)
+    (vertices, triangles, parts), _ = _shape(_skeleton(params), params["build"])
     v = _bent(vertices, float(params["bend_rad"]), float(params["head_turn_rad"]))
     triangles = triangles.copy()
     if params["mirror"]:
@@ -479,4 +527,6 @@ MODEL = ObjectModel(
     build=build,
     options=OPTIONS,
     parts_for=parts_for,
+    animate=animate,
+    stride_m=stride_m,
 )

@@ -19,13 +19,14 @@ is smooth.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from infrablend.assets.anatomy import (
+    Gait,
     Leg,
     feet_centre,
     finished,
@@ -39,14 +40,15 @@ from infrablend.assets.anatomy import (
     withers_height,
 )
 from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.model import MOMENTS, ObjectModel, Params, PartRange, moment, part_role
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
 _CHECKS = Checks("deer")
 
-POSES = ("standing", "walking", "grazing", "lying")
+POSES = ("standing", "walking", "grazing", "lying", "running")
+DRAWN_POSES = POSES[:4]
 BUILDS = ("slender", "sturdy")
 ANTLERS = ("none", "hard", "velvet")
 ANTLER_FORMS = ("spike", "roe", "white-tailed", "red")
@@ -56,9 +58,10 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
     "walking": ("left-fore", "right-hind"),
     "grazing": ("ground", "browse"),
     "lying": ("alert", "resting"),
+    "running": ("left-trot", "right-trot"),
 }
 SHOULDER_HEIGHT_M = (0.4, 1.6)
-TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6}
+TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6, "running": 0.2}
 HEAD_TURN_RAD = 0.35
 BEND_DEG = (0.0, 70.0)
 
@@ -142,6 +145,8 @@ class _Pose:
         head: Direction of the head from poll to nose.
         drop: Distance by which the trunk is lowered.
         tilt: Further distance by which the withers are lowered.
+        lying: Whether the trunk is on the ground, with the legs folded.
+        middle_x: x of the model's origin; None for the middle between the feet.
     """
 
     legs: tuple[Leg, Leg, Leg, Leg]
@@ -149,6 +154,8 @@ class _Pose:
     head: Point
     drop: float = 0.0
     tilt: float = 0.0
+    lying: bool = False
+    middle_x: float | None = None
 
 
 _STILL = Leg()
@@ -186,14 +193,33 @@ _POSES: Mapping[tuple[str, str], _Pose] = {
         0.004,
         0.01,
     ),
-    ("lying", "alert"): _Pose((_STILL,) * 4, _UPRIGHT, (0.90, 0, -0.44), 0.53),
+    ("lying", "alert"): _Pose((_STILL,) * 4, _UPRIGHT, (0.90, 0, -0.44), 0.53, lying=True),
     ("lying", "resting"): _Pose(
         (_STILL,) * 4,
         ((0.32, 0, 0.80), (0.46, 0.03, 0.84), (0.59, 0.10, 0.86), (0.68, 0.20, 0.83)),
         (0.62, 0.66, -0.42),
         0.53,
+        lying=True,
     ),
 }
+_GAITS: Mapping[str, Gait] = {
+    "walking": Gait(0.80, 0.64, (0.25, 0.75, 0.0, 0.5), 0.10),
+    "running": Gait(1.50, 0.40, (0.0, 0.5, 0.5, 0.0), 0.16),  # a trot: diagonal legs together
+}
+# Neck, head and lowered trunk of an animal in motion.
+_MOVING: Mapping[str, _Pose] = {
+    "walking": _Pose((_STILL,) * 4, _FORWARD, (0.88, 0, -0.47), 0.014, middle_x=-0.045),
+    "running": _Pose((_STILL,) * 4, _UPRIGHT, (0.90, 0, -0.44), 0.026, middle_x=-0.045),
+}
+
+
+def _skeleton(pose: str, variant: str, phase: float | None) -> _Pose:
+    """Return the skeleton of a variant, or that of a moving deer at a phase."""
+    if pose == "running" and phase is None:
+        phase = 0.5 * VARIANTS["running"].index(variant)
+    if phase is None:
+        return _POSES[pose, variant]
+    return replace(_MOVING[pose], legs=_GAITS[pose].legs(phase))
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +236,7 @@ class _Shape:
         poll: (3,) pivot of the head.
         forward: (3,) direction from poll to nose.
         side: (3,) direction to the left of the head.
+        size: Factor that brings the withers to height 1.
     """
 
     vertices: FloatArray
@@ -221,6 +248,7 @@ class _Shape:
     poll: FloatArray
     forward: FloatArray
     side: FloatArray
+    size: float
 
 
 def _leg_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, bend: float) -> FloatArray:
@@ -525,11 +553,10 @@ def _antler(
     return concatenate(pieces)
 
 
-@lru_cache(maxsize=32)
-def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
+@lru_cache(maxsize=4 * MOMENTS)
+def _body(pose: _Pose, build_name: str) -> _Shape:
     """Return body and legs: everything that is part of the implicit surface."""
-    pose = _POSES[pose_name, variant]
-    lying, sturdy = pose_name == "lying", build_name == "sturdy"
+    lying, sturdy = pose.lying, build_name == "sturdy"
     lift = np.array([0.0, 0.0, -pose.drop if lying else -pose.drop - pose.tilt])
     neck_path = np.array(pose.neck)
     if lying:
@@ -571,6 +598,8 @@ def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
     vertices, triangles, label = joined(pieces)
     if lying:
         origin = np.array([0.5 * (_TRUNK[0, 0] + _TRUNK[-1, 0]), 0.0, 0.0])
+    elif pose.middle_x is not None:
+        origin = np.array([pose.middle_x, 0.0, 0.0])
     else:
         soles = vertices[np.unique(triangles[label == PART_NAMES.index("hoof")])]
         origin = np.array([feet_centre(soles), 0.0, 0.0])
@@ -594,6 +623,7 @@ def _body(pose_name: str, variant: str, build_name: str) -> _Shape:
         (poll - origin) * size,
         frame[0],
         frame[1],
+        size,
     )
 
 
@@ -616,16 +646,13 @@ def _with_crown(shape: _Shape, antlers: str, form: str) -> _Shape:
             parts.append(np.full(len(pieces[-1][1]), PART_NAMES.index(name), np.int32))
     vertices, triangles = concatenate(pieces)
     extra = np.ones(len(vertices) - len(shape.vertices))
-    return _Shape(
-        vertices,
-        triangles,
-        np.concatenate(parts),
-        np.concatenate([shape.neck_weight, extra]),
-        np.concatenate([shape.head_weight, extra]),
-        shape.neck_pivot,
-        shape.poll,
-        shape.forward,
-        shape.side,
+    return replace(
+        shape,
+        vertices=vertices,
+        triangles=triangles,
+        parts=np.concatenate(parts),
+        neck_weight=np.concatenate([shape.neck_weight, extra]),
+        head_weight=np.concatenate([shape.head_weight, extra]),
     )
 
 
@@ -665,6 +692,7 @@ DEFAULTS: Mapping[str, Any] = {
     "spine_bend_rad": 0.0,
     "mirror": False,
     "time_of_day": "night",
+    "phase": None,
 }
 
 
@@ -686,6 +714,10 @@ def _checked(params: Params) -> dict[str, Any]:
     for name in ("neck_turn_rad", "head_turn_rad", "spine_bend_rad"):
         _CHECKS.number(f"parameter {name}", p[name], -1.2, 1.2)
     _CHECKS.flag("parameter mirror", p["mirror"])
+    if p["phase"] is not None:
+        p["phase"] = _CHECKS.number("parameter phase", p["phase"], 0.0, 1.0)
+        if pose not in _GAITS:
+            raise _CHECKS.bad("parameter phase", p["phase"], f"none for a {pose} deer", "Leave it out.")
     return p
 
 
@@ -696,6 +728,7 @@ def build(params: Params) -> Mesh:
         params: Parameters as `sample` draws them; missing ones take their value from `DEFAULTS`.
 
             pose, variant: See `VARIANTS`.
+            phase: Place in [0, 1] in the cycle of a walking or running deer, instead of the variant.
             build: `slender` or `sturdy` (wider trunk, thicker neck).
             antlers, antler_form: See `ANTLERS` and `ANTLER_FORMS`; the form is ignored without antlers.
             shoulder_height_m: Height of the withers when standing; a lying deer of that size is lower.
@@ -710,7 +743,8 @@ def build(params: Params) -> Mesh:
         ModelError: A parameter is unknown or outside its range.
     """
     p = _checked(params)
-    shape = _with_crown(_body(p["pose"], p["variant"], p["build"]), p["antlers"], p["antler_form"])
+    skeleton = _skeleton(p["pose"], p["variant"], p["phase"])
+    shape = _with_crown(_body(skeleton, p["build"]), p["antlers"], p["antler_form"])
     v = shape.vertices
     v = _rotated_about_vertical(v, shape.poll, float(p["head_turn_rad"]) * shape.head_weight)
     v = _rotated_about_vertical(v, shape.neck_pivot, float(p["neck_turn_rad"]) * shape.neck_weight)
@@ -732,8 +766,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     """
     _CHECKS.known("option", options, tuple(OPTIONS))
     u = [float(x) for x in rng.random(12)]
-    poses = _CHECKS.some_of("option pose", options.get("pose", POSES), POSES)
-    pose = pick(poses, [_POSE_ODDS[p] for p in poses], u[0])
+    pose = pick(*_CHECKS.weighted("option pose", options.get("pose", DRAWN_POSES), POSES, _POSE_ODDS), u[0])
     antlers = _antler_option(options.get("antlers"), u[1])
     height_option = options.get("shoulder_height_m", DRAWN_HEIGHT_M)
     low, high = _CHECKS.number_range("option shoulder_height_m", height_option, *SHOULDER_HEIGHT_M)
@@ -771,10 +804,13 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
 # Shoulder height: roe deer 0.65-0.75 m, white-tailed 0.8-1.0 m, red deer 1.0-1.2 m.
 DRAWN_HEIGHT_M = (0.7, 1.2)
-_POSE_ODDS = {"standing": 0.30, "walking": 0.25, "grazing": 0.30, "lying": 0.15}
+_POSE_ODDS = {"standing": 0.30, "walking": 0.25, "grazing": 0.30, "lying": 0.15, "running": 0.1}
 _ANTLER_ODDS = {"none": 0.5, "hard": 0.38, "velvet": 0.12}
 OPTIONS: Mapping[str, str] = {
-    "pose": "one of " + ", ".join(POSES) + ", or a list of several",
+    "pose": "one of "
+    + ", ".join(POSES)
+    + ", a list of several, or each with its weight; by default "
+    + ", ".join(DRAWN_POSES),
     "antlers": "true, false, none, hard or velvet; by default half of the deer have antlers",
     "antler_form": "one of " + ", ".join(ANTLER_FORMS) + ", or a list of several",
     "build": "one of " + ", ".join(BUILDS) + ", or a list of several",
@@ -794,6 +830,20 @@ def _antler_option(value: object, share: float) -> str:
     return value
 
 
+def animate(params: Params, phase: float) -> dict[str, Any]:
+    """Return the parameters of a walking or running deer at a phase; of others, as they are."""
+    return {**params, "phase": moment(phase)} if params["pose"] in _GAITS else dict(params)
+
+
+def stride_m(params: Params) -> float:
+    """Return how far a deer goes in a step of each leg, 0 for one that neither walks nor runs."""
+    p = _checked(params)
+    if p["pose"] not in _GAITS:
+        return 0.0
+    size = _body(_skeleton(p["pose"], p["variant"], 0.0), p["build"]).size
+    return float(_GAITS[p["pose"]].stride * size * p["length_factor"] * p["shoulder_height_m"])
+
+
 MODEL = ObjectModel(
     name="deer",
     category="deer",
@@ -806,4 +856,6 @@ MODEL = ObjectModel(
     build=build,
     options=OPTIONS,
     parts_for=parts_for,
+    animate=animate,
+    stride_m=stride_m,
 )

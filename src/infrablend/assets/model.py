@@ -19,6 +19,8 @@ from infrablend.core.mesh import Mesh
 from infrablend.core.surface_kinds import GROUND, Affinity
 
 Params = Mapping[str, Any]
+# Moments of a cycle of legs that meshes are built for: few enough to keep their pieces in memory.
+MOMENTS = 48
 # Parameter of objects with a thermal shadow; see `ObjectModel.casts_shadow`.
 SHADOW_PARAM = "shadow_xy"
 Range = tuple[float, float]
@@ -140,6 +142,13 @@ class ObjectModel:
             on the ground. `build` and `parts_for` then take `shadow_xy` in addition (`SHADOW_PARAM`): the shift of the
             shadow per metre of height, in the object's frame. None for models that always move.
         surfaces: Ground that a model stands on, by kind.
+        animate: Function that returns the parameters of an individual at a phase in [0, 1) of its movement: a step of
+            each leg, a beat of the wings. The same at phase 0 and 1, and unchanged for one that keeps still. None for
+            models that never move so.
+        stride_m: Function that returns how far an individual goes in one cycle, so that its feet do not slide; 0 for
+            one that stays where it is. None for models without legs.
+        cycle_hz: Function that returns the cycles per second of what moves independently of the ground, such as wings;
+            0 for one whose phase follows from its way or that keeps still.
     """
 
     name: str
@@ -154,10 +163,18 @@ class ObjectModel:
     parts_for: Callable[[Params], Mapping[str, PartRange]] | None = None
     casts_shadow: Callable[[Params], bool] | None = None
     surfaces: Affinity = field(default_factory=lambda: GROUND)
+    animate: Callable[[Params, float], dict[str, Any]] | None = None
+    stride_m: Callable[[Params], float] | None = None
+    cycle_hz: Callable[[Params], float] | None = None
 
     def roles(self, params: Params) -> Mapping[str, PartRange]:
         """Return the thermal role of every part of the individual with these parameters."""
         return self.parts if self.parts_for is None else self.parts_for(params)
+
+
+def moment(phase: float) -> float:
+    """Return the phase in [0, 1) of the nearest moment of a cycle."""
+    return round(phase * MOMENTS) % MOMENTS / MOMENTS
 
 
 def warmed_by_sun(parts: Mapping[str, PartRange], sun_k: Range, shares: Mapping[str, float]) -> dict[str, PartRange]:

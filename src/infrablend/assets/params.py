@@ -62,6 +62,22 @@ class Checks:
             return tuple(self.one_of(where, v, allowed) for v in value)
         return (self.one_of(where, value, allowed),)
 
+    def weighted(
+        self, where: str, value: object, allowed: Sequence[T], odds: Mapping[T, float]
+    ) -> tuple[tuple[T, ...], tuple[float, ...]]:
+        """Return the allowed values that an option names, as in `some_of`, with their odds.
+
+        A mapping of values to weights gives other odds.
+        """
+        if not isinstance(value, Mapping):
+            names = self.some_of(where, value, allowed)
+            return names, tuple(odds[n] for n in names)
+        names = tuple(self.one_of(where, v, allowed) for v in value)
+        weights = tuple(self.number(f"{where}.{n}", weight, 0.0, 1e6) for n, weight in value.items())
+        if not any(weights):
+            raise self.bad(where, value, "a weight above 0")
+        return names, weights
+
     def number(self, where: str, value: object, low: float, high: float) -> float:
         """Return the value if it is a number in [low, high]."""
         if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
@@ -91,10 +107,12 @@ class Checks:
     ) -> T:
         """Return one of the allowed values, or of those that the option lists.
 
-        Values that an option lists have equal odds; `share` in [0, 1) selects the value.
+        Values that an option lists have equal odds unless it gives weights; `share` in [0, 1) selects the value.
         """
         if name not in options:
             return pick(allowed, odds, share)
+        if isinstance(options[name], Mapping):
+            return pick(*self.weighted(f"option {name}", options[name], allowed, {}), share)
         found = self.some_of(f"option {name}", options[name], allowed)
         return found[min(int(share * len(found)), len(found) - 1)]
 
@@ -197,7 +215,8 @@ class Dials:
         for name, dial in self.table.items():
             if isinstance(dial, Choice):
                 values = ", ".join(str(v).lower() if isinstance(v, bool) else str(v) for v in dial.values)
-                text[name] = f"one of {values}, or a list of several" + (f"; {dial.note}" if dial.note else "")
+                text[name] = f"one of {values}, a list of several, or each with its weight"
+                text[name] += f"; {dial.note}" if dial.note else ""
             else:
                 low, high = dial.drawn
                 text[name] = f"a number or [low, high]; by default [{low:g}, {high:g}]"

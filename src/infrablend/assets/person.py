@@ -1,4 +1,4 @@
-"""Person model, grown from a skeleton: an adult in winter or light clothes, standing, walking or sitting.
+"""Person model, grown from a skeleton: an adult or child in light to thick clothes, in many poses (`person_poses`).
 
 All lengths are in units of the body height (about 1.75 m), +X forward, +Y left, +Z up; `build` scales them to metres at
 the end. The body consists of closed pieces that overlap where clothes do: jacket with its sleeves, trousers or bare
@@ -21,41 +21,61 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from infrablend.assets.anatomy import Piece, finished, joined, joint, mirrored, smoothstep, unit
+from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
-from infrablend.assets.model import ObjectModel, Params, PartRange, SunResponse, part_role, sun_response, warmed_by_sun
+from infrablend.assets.model import (
+    MOMENTS,
+    ObjectModel,
+    Params,
+    PartRange,
+    SunResponse,
+    moment,
+    part_role,
+    sun_response,
+    warmed_by_sun,
+)
 from infrablend.assets.params import Checks, pick
-from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_y, turn_z
+from infrablend.assets.person_poses import (
+    ARM_PAIRS,
+    ARMS,
+    DRAWN_POSES,
+    FOREARM,
+    GAITS,
+    HIP_Z,
+    NECK,
+    POSES,
+    SHOULDER,
+    UPPER_ARM,
+    VARIANTS,
+    WAVES_HZ,
+    Arm,
+    Arms,
+    Pose,
+    child_factors,
+    leg_lines,
+    limb_joint,
+    moves,
+    skeleton,
+)
+from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_x, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
 from infrablend.core.mesh import FloatArray, Mesh
 
-POSES = ("standing", "walking", "sitting")
-# Pose -> its variants.
-VARIANTS: Mapping[str, tuple[str, ...]] = {
-    "standing": ("upright", "relaxed", "apart"),
-    "walking": ("contact", "passing", "swing", "push-off"),
-    "sitting": ("seat", "cross-legged", "knees-up"),
-}
-# Pose -> what the arms may do there; "natural" hangs, swings or rests with the pose.
-ARMS: Mapping[str, tuple[str, ...]] = {
-    "standing": ("natural", "phone", "call", "bent", "pockets"),
-    "walking": ("natural", "phone", "call", "bent", "pockets"),
-    "sitting": ("natural", "phone", "call"),
-}
 ALL_ARMS = ARMS["standing"]
+AGES = ("adult", "child")
 TOPS = ("jacket", "puffer", "coat")
 BOTTOMS = ("trousers", "skirt")
-HEADWEAR = ("none", "beanie", "cap", "hood")
+HEADWEAR = ("none", "beanie", "cap", "hood", "helmet")
 HAIR = ("short", "long")
 LENGTHS = ("long", "short")  # of sleeves and trousers: short ones leave forearms and lower legs bare
 BUILDS = ("slim", "average", "heavy")
-HEIGHT_M = (1.4, 2.1)
+HEIGHTS_M: Mapping[str, tuple[float, float]] = {"adult": (1.4, 2.1), "child": (0.8, 1.5)}
 DRAWN_HEIGHT_M = (1.5, 1.95)
 
 # Surface minus air in cool weather of about -5..+12 C. Skin of 24-34 C is +14..+29 K at 5-10 C; nose and ears cool
@@ -86,6 +106,7 @@ PARTS: Mapping[str, PartRange] = {
     "seat": part_role(
         "wood", (-1.0, 1.0), "seat: wood or stone at air temperature; not part of the person", label=False
     ),
+    "helmet": part_role("plastic", (0.5, 4.0), "matt shell away from the head, near air temperature", ior=1.0),
 }
 # One or two thin layers in mild weather: the upper end of the +3..+10 K of summer clothing. Skin of 24-34 C is not
 # chilled, and warms hair and collar.
@@ -96,13 +117,20 @@ _LIGHT: Mapping[str, tuple[float, float]] = {
     "jacket": (8.0, 10.0), "sleeve": (8.0, 10.0), "coat_skirt": (6.0, 10.0), "trousers": (8.0, 10.0),
     "shoe": (4.0, 9.0),
 }  # fmt: skip
+# Several thick layers, a scarf and gloves: little heat comes out.
+_BUNDLED: Mapping[str, tuple[float, float]] = {
+    "face": (12.0, 22.0), "neck": (5.0, 12.0), "hand": (3.0, 7.0), "hat": (2.0, 5.0), "hood": (1.0, 4.0),
+    "collar": (2.5, 6.0), "jacket": (0.8, 3.5), "sleeve": (1.0, 4.0), "coat_skirt": (0.6, 3.0), "trousers": (1.5, 5.0),
+    "shoe": (0.8, 3.0), "strap": (0.5, 3.0),
+}  # fmt: skip
+_WORN: Mapping[str, Mapping[str, tuple[float, float]]] = {"light": _LIGHT, "bundled": _BUNDLED}
 PART_NAMES = tuple(PARTS)
-CLOTHING = ("winter", "light")
+CLOTHING = ("winter", "light", "bundled")
 TIMES = ("night", "day")
 # Additional rise of clothes and hair in the sun (est.), for scenes without a sun of their own; the low end applies
 # under clouds, too.
 SUN_K = (3.0, 12.0)
-_SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "hair", "leather"))
+_SUNLIT = frozenset(n for n, role in PARTS.items() if role.kind in ("cloth", "hair", "leather", "plastic"))
 # By day the air is nearer to the skin's temperature, and moves more, and cloth in the shade cools towards the sky:
 # clothes keep this share of their excess (est., so that people have the dark parts of those in HIT-UAV's train split).
 SHADE_SHARE = (-0.1, 0.5)
@@ -121,12 +149,13 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
 
     In scenes with a sun, each garment has its own absorptivity, and is warmed where the sun's rays hit it.
     """
-    parts = dict(PARTS)
-    if params.get("clothing", "winter") == "light":
-        parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in _LIGHT.items()}
+    # A part that nobody wears would change what is drawn for the others.
+    parts = {n: role for n, role in PARTS.items() if n != "helmet" or params.get("headwear") == "helmet"}
+    own = _WORN.get(params.get("clothing", "winter"), {})
+    parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in own.items()}
     if params.get("time_of_day", "night") == "day":
         shade = {n: role.delta_t_k for n, role in parts.items()}
-        parts = warmed_by_sun(parts, SUN_K, dict.fromkeys(_SUNLIT, 1.0))
+        parts = warmed_by_sun(parts, SUN_K, {n: 1.0 for n in parts if n in _SUNLIT})
         return {n: replace(role, sun=_in_the_sun(n, role.kind, shade[n])) for n, role in parts.items()}
     return parts
 
@@ -145,12 +174,6 @@ SHOE_CELL = 0.0105
 # Where an arm almost touches the trunk, some grids give a handle thinner than a cell; these other cells are tried then.
 _CELL_SHARES = (1.0, 0.95, 1.04, 0.9, 0.86)
 
-_THIGH, _SHANK = 0.245, 0.246
-_UPPER_ARM, _FOREARM = 0.178, 0.150
-_HIP_Y, _HIP_Z = 0.052, 0.528
-_SHOULDER = (-0.006, 0.112, 0.792)
-_NECK = np.array([-0.012, 0.0, 0.838])
-
 # Sections of the trunk of a standing person: z, middle x, half width, half depth.
 _TRUNK = np.array(
     [
@@ -164,144 +187,8 @@ _TRUNK = np.array(
     ]
 )
 _PADDING = {"jacket": 0.011, "puffer": 0.024, "coat": 0.013}
+_LAYERS = 0.012  # further padding of the bundled up
 _GIRTH = {"slim": 0.92, "average": 1.0, "heavy": 1.16}
-
-Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class _Foot:
-    """Position of the ankle, how far the toes point up and outward, and the direction of the knee."""
-
-    ankle: Point
-    toe_up_rad: float = 0.0
-    toe_out_rad: float = 0.12
-    knee: Point = (1.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
-class _Pose:
-    """Free parameters of the skeleton in one pose.
-
-    Attributes:
-        hip: x and z of the midpoint of the hip joints.
-        feet: Left and right foot.
-        arms: Key of `_ARMS` that "natural" stands for in this pose.
-        lean_rad: Forward lean of the trunk.
-        nod_rad: Forward nod of the head.
-    """
-
-    hip: tuple[float, float]
-    feet: tuple[_Foot, _Foot]
-    arms: str
-    lean_rad: float = 0.0
-    nod_rad: float = 0.05
-
-
-_POSES: Mapping[tuple[str, str], _Pose] = {
-    ("standing", "upright"): _Pose((0, 0.528), (_Foot((0, 0.058, 0.045)), _Foot((0, -0.058, 0.045))), "hanging"),
-    ("standing", "relaxed"): _Pose(
-        (0, 0.526), (_Foot((-0.02, 0.05, 0.045)), _Foot((0.075, -0.085, 0.045), 0.0, 0.5)), "hanging"
-    ),
-    ("standing", "apart"): _Pose(
-        (0, 0.522), (_Foot((0.01, 0.105, 0.045), 0.0, 0.3), _Foot((-0.01, -0.105, 0.045), 0.0, 0.3)), "hanging"
-    ),
-    ("walking", "contact"): _Pose(
-        (0, 0.510), (_Foot((0.165, 0.045, 0.058), 0.35), _Foot((-0.185, -0.045, 0.105), -0.61)), "contact", 0.06
-    ),
-    ("walking", "passing"): _Pose(
-        (0, 0.525), (_Foot((0.0, 0.040, 0.045)), _Foot((-0.105, -0.045, 0.150), -0.85)), "passing", 0.07
-    ),
-    ("walking", "swing"): _Pose(
-        (0, 0.523), (_Foot((-0.070, 0.042, 0.045)), _Foot((0.085, -0.045, 0.075), -0.05)), "swing", 0.07
-    ),
-    ("walking", "push-off"): _Pose(
-        (0, 0.512), (_Foot((-0.140, 0.042, 0.075), -0.30), _Foot((0.155, -0.045, 0.078), 0.25)), "push-off", 0.06
-    ),
-    ("sitting", "seat"): _Pose(
-        (0, 0.285),
-        (
-            _Foot((0.250, 0.075, 0.045), 0.0, 0.2, (1.0, 0.0, 1.0)),
-            _Foot((0.275, -0.070, 0.045), 0.0, 0.1, (1.0, 0.0, 1.0)),
-        ),
-        "lap",
-        0.06,
-        0.15,
-    ),
-    ("sitting", "cross-legged"): _Pose(
-        (0, 0.072),
-        (
-            _Foot((0.150, -0.040, 0.042), -0.1, -1.35, (0.45, 1.0, 0.25)),
-            _Foot((0.205, 0.050, 0.042), -0.1, -1.35, (0.55, -1.0, 0.25)),
-        ),
-        "lap",
-        0.20,
-        0.15,
-    ),
-    ("sitting", "knees-up"): _Pose(
-        (0, 0.072),
-        (
-            _Foot((0.260, 0.060, 0.045), 0.0, 0.1, (0.0, 0.15, 1.0)),
-            _Foot((0.240, -0.060, 0.045), 0.0, 0.1, (0.0, -0.15, 1.0)),
-        ),
-        "knees",
-        0.22,
-        0.10,
-    ),
-}
-
-
-@dataclass(frozen=True)
-class _Arm:
-    """Position of a left arm when standing; for a right arm, y is negated.
-
-    Attributes:
-        wrist: Position in the frame of the trunk.
-        elbow: Direction in which the elbow points.
-        palm: Direction that the palm faces.
-        hand: Direction of the fingers; by default that of the forearm.
-        hidden: Whether the hand is in a pocket.
-    """
-
-    wrist: Point
-    elbow: Point = (-1.0, 0.45, 0.0)
-    palm: Point = (0.0, -1.0, 0.0)
-    hand: Point | None = None
-    hidden: bool = False
-
-
-def _swing(x: float, z: float) -> _Arm:
-    return _Arm((x, 0.146, z), (-1.0, 0.35, -0.2))
-
-
-_HANGING = _Arm((0.028, 0.150, 0.475))
-_PHONE = _Arm((0.150, 0.042, 0.668), (-0.6, 0.7, -1.0), (-0.5, -0.3, 0.8), (0.75, -0.35, 0.5))
-_CALL = _Arm((0.040, 0.078, 0.845), (0.35, 0.8, -1.0), (-0.2, -1.0, 0.0), (-0.1, -0.05, 1.0))
-_LAP = _Arm((0.165, 0.080, 0.590), (-0.7, 0.8, -0.4), (0.0, 0.0, -1.0), (1.0, -0.15, -0.05))
-# Left, right.
-_ARMS: Mapping[str, tuple[_Arm, _Arm]] = {
-    "hanging": (_HANGING, _Arm((0.040, 0.148, 0.477))),
-    "contact": (_swing(-0.130, 0.510), _swing(0.165, 0.545)),
-    "passing": (_swing(0.035, 0.482), _swing(0.015, 0.478)),
-    "swing": (_swing(0.095, 0.505), _swing(-0.055, 0.482)),
-    "push-off": (_swing(0.150, 0.535), _swing(-0.115, 0.503)),
-    "lap": (_LAP, _LAP),
-    "knees": (
-        _Arm((0.215, 0.055, 0.665), (-0.2, 1.0, -0.5), (-1.0, 0.0, -0.2), (0.3, -1.0, -0.2)),
-        _Arm((0.225, 0.050, 0.690), (-0.2, 1.0, -0.5), (-1.0, 0.0, -0.2), (0.3, -1.0, -0.2)),
-    ),
-    "phone": (_PHONE, _PHONE),
-    "call": (_HANGING, _CALL),
-    "bent": (_HANGING, _Arm((0.135, 0.070, 0.640), (-0.7, 0.7, -0.6), (-0.6, -0.2, -0.5), (0.5, -1.0, 0.15))),
-    "pockets": (_Arm((0.062, 0.112, 0.548), (-1.0, 0.8, 0.0), hidden=True),) * 2,
-}
-
-
-def _limb_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, toward: Point) -> FloatArray:
-    """Return the joint between two bones, on the side that `toward` points to."""
-    direction = unit(b - a)
-    side = np.asarray(toward, np.float64)
-    return joint(a, b, (upper, lower), unit(side - (side @ direction) * direction))
 
 
 def _skin(body: Body, cell: float) -> Piece:
@@ -321,10 +208,10 @@ def _one_part(part: str, *solids: Solid) -> Piece:
     return v, t, np.full(len(t), _NUMBER[part], np.int32)
 
 
-def _trunk_rows(top: str, build_name: str, seated: bool) -> FloatArray:
+def _trunk_rows(top: str, pad: float, build_name: str, seated: bool) -> FloatArray:
     """Return the sections of the clothed trunk: z, middle x, half width, half depth."""
     rows = _TRUNK.copy()
-    girth, pad = _GIRTH[build_name], _PADDING[top]
+    girth = _GIRTH[build_name]
     rows[:, 2:] *= girth
     if build_name == "heavy":
         belly = np.exp(-(((rows[:, 0] - 0.60) / 0.07) ** 2))
@@ -343,28 +230,32 @@ def _trunk_rows(top: str, build_name: str, seated: bool) -> FloatArray:
 
 
 def _shoulder(build_name: str) -> FloatArray:
-    return np.array([_SHOULDER[0], _SHOULDER[1] * (0.5 + 0.5 * _GIRTH[build_name]), _SHOULDER[2]])
+    return np.array([SHOULDER[0], SHOULDER[1] * (0.5 + 0.5 * _GIRTH[build_name]), SHOULDER[2]])
 
 
-def _arm_line(arm: _Arm, sign: int, top: str, build_name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _arm_line(arm: Arm, sign: int, pad: float, build_name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return shoulder, elbow and wrist of an arm in the frame of the trunk; thick clothes push the arms out."""
     flip = np.array([1.0, float(sign), 1.0])
     shoulder = _shoulder(build_name)
     wrist = np.array(arm.wrist)
-    off = 0.6 * (_PADDING[top] - 0.011) + 0.16 * (_GIRTH[build_name] - 1.0)
+    off = 0.0 if arm.planted else 0.6 * (pad - 0.011) + 0.16 * (_GIRTH[build_name] - 1.0)
     if wrist[1] > 0.1:
         wrist[1] += off
     if wrist[0] > 0.1:
         wrist[0] += off
-    elbow = _limb_joint(shoulder, wrist, _UPPER_ARM, _FOREARM, arm.elbow)
+    elbow = limb_joint(shoulder, wrist, UPPER_ARM, FOREARM, arm.elbow)
     return shoulder * flip, elbow * flip, wrist * flip
 
 
-@lru_cache(maxsize=256)
-def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool, sleeves: str) -> Piece:
+# Pieces that are kept: those of eight people at all moments of a step.
+_KEPT = 8 * MOMENTS
+
+
+@lru_cache(maxsize=_KEPT)
+def _upper(top: str, pad: float, arms: Arms, build_name: str, seated: bool, hood_down: bool, sleeves: str) -> Piece:
     """Return the jacket with sleeves, collar and any lowered hood, in the frame of the upright trunk."""
-    rows = _trunk_rows(top, build_name, seated)
-    pad, girth = _PADDING[top], _GIRTH[build_name]
+    rows = _trunk_rows(top, pad, build_name, seated)
+    girth = _GIRTH[build_name]
     trunk = tube(
         "jacket",
         np.column_stack([rows[:, 1], np.zeros(len(rows)), rows[:, 0]]),
@@ -387,8 +278,8 @@ def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool, 
                 blend=0.035,
             )
         )
-    for sign, arm in zip((1, -1), _ARMS[arms], strict=True):
-        a, b, c = _arm_line(arm, sign, top, build_name)
+    for sign, arm in zip((1, -1), arms, strict=True):
+        a, b, c = _arm_line(arm, sign, pad, build_name)
         bare = sleeves == "short"
         padding = pad * np.array([0.8, 0.9, 0.8, *((0.0, 0.0) if bare else (0.8, 0.45))])
         width = np.array([0.0385, 0.0365, 0.0335, 0.0315, 0.0275]) * girth + padding
@@ -430,14 +321,14 @@ def _upper(top: str, arms: str, build_name: str, seated: bool, hood_down: bool, 
     return _skin(Body(tuple(primitives)), CLOTH_CELL)
 
 
-@lru_cache(maxsize=256)
-def _hands(top: str, arms: str, build_name: str) -> Piece | None:
+@lru_cache(maxsize=_KEPT)
+def _hands(pad: float, arms: Arms, build_name: str) -> Piece | None:
     """Return the hands that are not in pockets, in the frame of the trunk: palm, four fingers and thumb each."""
     solids: list[Solid] = []
-    for sign, arm in zip((1, -1), _ARMS[arms], strict=True):
+    for sign, arm in zip((1, -1), arms, strict=True):
         if arm.hidden:
             continue
-        _, elbow, wrist = _arm_line(arm, sign, top, build_name)
+        _, elbow, wrist = _arm_line(arm, sign, pad, build_name)
         flip = np.array([1.0, float(sign), 1.0])
         d = unit(wrist - elbow) if arm.hand is None else unit(np.array(arm.hand) * flip)
         palm = np.array(arm.palm) * flip
@@ -473,26 +364,14 @@ def _hands(top: str, arms: str, build_name: str) -> Piece | None:
     return _one_part("hand", *solids) if solids else None
 
 
-def _leg_lines(pose: _Pose) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return hip, knee and ankle of the left and the right leg."""
-    lines = []
-    for sign, foot in zip((1, -1), pose.feet, strict=True):
-        hip = np.array([pose.hip[0], _HIP_Y * sign, pose.hip[1]])
-        ankle = np.array(foot.ankle)
-        lines.append((hip, _limb_joint(hip, ankle, _THIGH, _SHANK, foot.knee), ankle))
-    return lines
-
-
-@lru_cache(maxsize=64)
-def _legs(pose_name: str, variant: str, bottom: str, build_name: str, length: str) -> Piece:
+@lru_cache(maxsize=_KEPT)
+def _legs(pose: Pose, bottom: str, build_name: str, length: str, thick: float) -> Piece:
     """Return trousers with the hips, or stockinged legs under a skirt; short trousers end at the knee."""
-    pose = _POSES[pose_name, variant]
     girth = _GIRTH[build_name]
     bare = bottom == "skirt"
     part = "leg" if bare else "trousers"
     x, z = pose.hip
-    seated = pose_name == "sitting"
-    flat = 0.9 if seated else 1.0
+    flat = 0.9 if pose.folded else 1.0
     primitives: list[Primitive] = [
         ellipsoid(
             "trousers",
@@ -500,12 +379,12 @@ def _legs(pose_name: str, variant: str, bottom: str, build_name: str, length: st
             np.array([0.066, 0.092, 0.072 * flat]) * girth,
         )
     ]
-    for line in _leg_lines(pose):
+    for line in leg_lines(pose):
         hip, knee, ankle = line
         if bare:
             width = np.array([0.042, 0.046, 0.033, 0.034, 0.022, 0.021]) * (0.5 + 0.5 * girth)
         else:
-            width = np.array([0.050, 0.053, 0.044, 0.043, 0.039, 0.037]) * (0.4 + 0.6 * girth)
+            width = np.array([0.050, 0.053, 0.044, 0.043, 0.039, 0.037]) * (0.4 + 0.6 * girth) + thick
             if length == "short":
                 width[3:] = np.array([0.034, 0.023, 0.021]) * (0.5 + 0.5 * girth)
         end = ankle + (0.020 if not bare else 0.0) * unit(knee - ankle)
@@ -520,14 +399,13 @@ def _legs(pose_name: str, variant: str, bottom: str, build_name: str, length: st
         primitives.append(
             tube(part, path, width, side=(0.0, 1.0, 0.0), blend=0.022, caps=(0.05, 0.008), steps=2, beyond=beyond)
         )
-    return _skin(Body(tuple(primitives), floor=True), CLOTH_CELL)
+    return _skin(Body(tuple(primitives), floor=not pose.rests_on), CLOTH_CELL)
 
 
-@lru_cache(maxsize=64)
-def _skirt(pose_name: str, variant: str, kind: str, build_name: str) -> Piece:
+@lru_cache(maxsize=_KEPT)
+def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     """Return the lower half of a coat, or a skirt: both hang from the hips around both thighs."""
-    pose = _POSES[pose_name, variant]
-    (hip, knee, _), (hip2, knee2, _) = _leg_lines(pose)
+    (hip, knee, _), (hip2, knee2, _) = leg_lines(pose)
     girth = _GIRTH[build_name]
     coat = kind == "coat"
     middle_hip, middle_knee = 0.5 * (hip + hip2), 0.5 * (knee + knee2)
@@ -538,7 +416,7 @@ def _skirt(pose_name: str, variant: str, kind: str, build_name: str) -> Piece:
     waist = np.array([middle_hip[0] + 0.002, 0.0, middle_hip[2] + (0.06 if coat else 0.03)])
     wide, deep = 0.100 * girth + 0.012, 0.072 * girth + 0.012
     extra = 0.012 if coat else 0.004
-    if pose_name == "sitting":
+    if pose.folded:
         # Along the thighs, which are close together or apart.
         half = [wide, wide + 0.004, max(0.5 * spread[1] + 0.056, 0.9 * wide)]
         thick = [deep, 0.068 * girth + extra, 0.056 * girth + extra]
@@ -547,13 +425,13 @@ def _skirt(pose_name: str, variant: str, kind: str, build_name: str) -> Piece:
         thick = [deep, 0.5 * spread[0] * 0.5 + deep + 0.5 * extra, 0.5 * spread[0] + 0.055 * girth + extra]
     part = "coat_skirt" if coat else "trousers"
     bar = tube(part, [waist, middle_hip + 0.35 * reach, end], half, thick, caps=(0.02, 0.014), steps=3)
-    return _skin(Body((bar,), floor=True), SKIRT_CELL)
+    return _skin(Body((bar,), floor=not pose.rests_on), SKIRT_CELL)
 
 
-@lru_cache(maxsize=32)
-def _shoes(pose_name: str, variant: str) -> Piece:
+@lru_cache(maxsize=2 * MOMENTS)
+def _shoes(pose: Pose) -> Piece:
     pieces = []
-    for sign, foot in zip((1, -1), _POSES[pose_name, variant].feet, strict=True):
+    for sign, foot in zip((1, -1), pose.feet, strict=True):
         turn = turn_z(sign * foot.toe_out_rad) @ turn_y(-foot.toe_up_rad)
         ankle = np.array(foot.ankle)
         sole = [ankle + turn @ np.array(p) for p in ((-0.030, 0, -0.022), (0.025, 0, -0.023), (0.083, 0, -0.030))]
@@ -571,7 +449,7 @@ def _shoes(pose_name: str, variant: str) -> Piece:
                 ),
                 tube("shoe", shaft, [0.028, 0.028], side=turn[:, 1], blend=0.03, caps=(0.02, 0.01)),
             ),
-            floor=True,
+            floor=not pose.rests_on,
         )
         pieces.append(_skin(body, SHOE_CELL))
     return joined(pieces)
@@ -628,19 +506,24 @@ def _head(headwear: str, hair: str) -> Piece:
         around = np.linspace(0.0, 2 * np.pi, 13)
         rim = np.column_stack([0.044 - 0.016 * np.sin(around), 0.050 * np.cos(around), 0.934 + 0.068 * np.sin(around)])
         primitives.append(tube("hood", rim, np.full(13, 0.0125), side=(1.0, 0.0, 0.0), blend=0.012))
+    if headwear == "helmet":
+        primitives.append(ellipsoid("helmet", (-0.008, 0, 0.958), (0.078, 0.064, 0.058), blend=0.002))
+        primitives.append(
+            tube("helmet", [(-0.010, 0, 0.938), (-0.008, 0, 0.956)], [0.063, 0.064], [0.076, 0.078], caps=(0.004, 0.01))
+        )
     pieces = [_skin(Body(tuple(primitives)), HEAD_CELL)]
     if headwear == "cap":
         visor = ellipsoid_solid((0.052, 0.041, 0.0045), n=20, rows=6)
         tilt = Solid(visor.vertices @ turn_y(0.16).T, visor.triangles)
         pieces.append(_one_part("hat", moved(tilt, (0.056, 0.0, 0.952))))
     v, t, parts = joined(pieces)
-    return v - _NECK, t, parts
+    return v - NECK, t, parts
 
 
 @lru_cache(maxsize=32)
-def _backpack(top: str, build_name: str) -> Piece:
-    """Return a backpack with two shoulder straps, in the frame of the trunk."""
-    rows = _trunk_rows(top, build_name, False)
+def _backpack(top: str, pad: float, build_name: str, worn: bool) -> Piece:
+    """Return a backpack, with two shoulder straps if it is worn, in the frame of the trunk."""
+    rows = _trunk_rows(top, pad, build_name, False)
 
     def at(z: float) -> tuple[float, float]:
         """Return middle x and half depth of the trunk at height z."""
@@ -658,8 +541,10 @@ def _backpack(top: str, build_name: str) -> Piece:
         ring[:, 2] = z
     centre = rings[:, :, 0].mean(axis=1)
     pack = loft(rings, start=(centre[0], 0.0, 0.564), end=(centre[-1], 0.0, 0.806))
+    if not worn:
+        return _one_part("backpack", pack)
     straps = []
-    lift = 0.034 * _GIRTH[build_name] + 0.6 * _PADDING[top]
+    lift = 0.034 * _GIRTH[build_name] + 0.6 * pad
     for sign in (1, -1):
         path = []
         for x_share, z, y in ((1.0, 0.655, 0.078), (1.0, 0.72, 0.066), (0.92, 0.775, 0.060)):
@@ -691,6 +576,7 @@ DEFAULTS: Mapping[str, Any] = {
     "backpack": False,
     "seat": True,
     "build": "average",
+    "age": "adult",
     "height_m": 1.75,
     "width_factor": 1.0,
     "lean_rad": 0.0,
@@ -701,6 +587,7 @@ DEFAULTS: Mapping[str, Any] = {
     "clothing": "winter",
     "sleeves": "long",
     "legs": "long",
+    "phase": None,
 }
 _CHECKS = Checks("person")
 _WORDS = {
@@ -713,7 +600,6 @@ _WORDS = {
     "legs": LENGTHS,
 }
 _LIMITS: Mapping[str, tuple[float, float]] = {
-    "height_m": HEIGHT_M,
     "width_factor": (0.85, 1.2),
     "lean_rad": (-0.2, 0.3),
     "head_turn_rad": (-1.2, 1.2),
@@ -734,6 +620,12 @@ def _checked(params: Params) -> dict[str, Any]:
         _CHECKS.one_of(f"parameter {name}", p[name], allowed)
     _CHECKS.one_of("parameter time_of_day", p["time_of_day"], TIMES)
     _CHECKS.one_of("parameter clothing", p["clothing"], CLOTHING)
+    age = _CHECKS.one_of("parameter age", p["age"], AGES)
+    p["height_m"] = _CHECKS.number("parameter height_m", p["height_m"], *HEIGHTS_M[age])
+    if p["phase"] is not None:
+        p["phase"] = _CHECKS.number("parameter phase", p["phase"], 0.0, 1.0)
+        if not moves(pose):
+            raise _CHECKS.bad("parameter phase", p["phase"], f"none for a {pose} person", "Leave it out.")
     for name in ("backpack", "seat", "mirror"):
         _CHECKS.flag(f"parameter {name}", p[name])
     for name, (low, high) in _LIMITS.items():
@@ -748,68 +640,143 @@ def build(params: Params) -> Mesh:
         params: Parameters as `sample` draws them; missing ones take their value from `DEFAULTS`.
 
             pose, variant, arms: See `VARIANTS` and `ARMS`.
+            phase: Place in [0, 1] in the cycle of a walking, running or waving person, instead of the variant.
             top, bottom, headwear, hair, build: See `TOPS`, `BOTTOMS`, `HEADWEAR`, `HAIR` and `BUILDS`; a hood that
                 is not worn hangs on the back of jacket and puffer.
-            backpack: Whether the person carries a backpack.
+            backpack: Whether the person carries a backpack; who lies on the back has put it on the ground.
             seat: Whether the model of someone sitting on a seat includes the seat, which is not labelled.
-            height_m: Height when standing upright, with shoes and headwear.
+            age, height_m: Height when standing upright, with shoes and headwear; a child's proportions follow from it.
             width_factor: Extra factor for width and depth.
             lean_rad: Forward lean of the trunk in addition to that of the pose.
             head_turn_rad, head_nod_rad: Turn to the left before mirroring, and forward nod in addition to that of the
                 pose.
             mirror: Exchange left and right.
             time_of_day: `night` or `day`; for the temperatures.
-            clothing: `winter` or `light`; for the temperatures.
+            clothing: See `CLOTHING`; for the temperatures, and the thickness of those of the bundled up.
             sleeves, legs: See `LENGTHS`; coats and puffers always have long sleeves.
 
     Raises:
         ModelError: A parameter is unknown or outside its range.
     """
     p = _checked(params)
-    pose_name, variant, girth = p["pose"], p["variant"], p["build"]
-    pose = _POSES[pose_name, variant]
-    seated = pose_name == "sitting"
-    arms = pose.arms if p["arms"] == "natural" else p["arms"]
-    on_seat = (pose_name, variant) == ("sitting", "seat")
-    hooded = p["headwear"] == "hood"
-
-    sleeves = p["sleeves"] if p["top"] == "jacket" else "long"
-    trunk = [_upper(p["top"], arms, girth, seated, not hooded and p["top"] != "coat" and sleeves == "long", sleeves)]
-    hands = _hands(p["top"], arms, girth)
+    pose, girth, top = skeleton(p["pose"], p["variant"], p["phase"]), p["build"], p["top"]
+    arms = pose.arms if p["arms"] == "natural" else ARM_PAIRS[p["arms"]]
+    legs_factor, head_factor = _proportions(p)
+    bundled = p["clothing"] == "bundled"
+    pad = _PADDING[top] + (_LAYERS if bundled else 0.0)
+    sleeves = p["sleeves"] if top == "jacket" else "long"
+    # A hood under the back of someone who lies on it is flat.
+    hood_down = p["headwear"] != "hood" and top != "coat" and sleeves == "long" and pose.rests_on != "back"
+    trunk = [_upper(top, pad, arms, girth, pose.folded, hood_down, sleeves)]
+    hands = _hands(pad, arms, girth)
     if hands is not None:
         trunk.append(hands)
     if p["backpack"]:
-        trunk.append(_backpack(p["top"], girth))
-    lean = turn_y(pose.lean_rad + p["lean_rad"])
-    hip = np.array([pose.hip[0], 0.0, pose.hip[1]])
-    at_hip = np.array([0.0, 0.0, _HIP_Z])
+        trunk.append(_carried(pose, _backpack(top, pad, girth, pose.rests_on != "back")))
+    lean = turn_y(pose.lean_rad + pose.loose * p["lean_rad"])
+    if pose.tilt_rad[0]:
+        lean = turn_x(-pose.tilt_rad[0]) @ lean
+    hip = np.array([pose.hip[0], 0.0, pose.hip[1]]) * legs_factor
+    at_hip = np.array([0.0, 0.0, HIP_Z])
     pieces: list[Piece] = [((v - at_hip) @ lean.T + hip, t, parts) for v, t, parts in trunk]
 
     v, t, parts = _head(p["headwear"], p["hair"])
-    top = float(v[:, 2].max())
-    nod = pose.nod_rad + p["head_nod_rad"] + (0.30 if arms == "phone" else 0.0)
-    neck = (_NECK - at_hip) @ lean.T + hip
-    pieces.append((_head_turned(v, nod, p["head_turn_rad"]) + neck, t, parts))
+    nod = pose.nod_rad + pose.loose * p["head_nod_rad"] + (0.30 if p["arms"] == "phone" else 0.0)
+    v = head_factor * _head_turned(v, nod, pose.turn_rad + pose.loose * p["head_turn_rad"])
+    if pose.neck_rad or pose.tilt_rad[1]:
+        v = v @ (turn_x(-pose.tilt_rad[1]) @ turn_y(pose.neck_rad)).T
+    neck = (NECK - at_hip) @ lean.T + hip
+    pieces.append((v + neck, t, parts))
 
-    pieces.append(_legs(pose_name, variant, p["bottom"], girth, p["legs"]))
-    pieces.append(_shoes(pose_name, variant))
+    below = [_legs(pose, p["bottom"], girth, p["legs"], 0.5 * _LAYERS if bundled else 0.0), _shoes(pose)]
     # A coat reaches lower than a skirt and hides it.
-    hanging = "coat" if p["top"] == "coat" else p["bottom"]
+    hanging = "coat" if top == "coat" else p["bottom"]
     if hanging != "trousers":
-        pieces.append(_skirt(pose_name, variant, hanging, girth))
-    if on_seat and p["seat"]:
-        pieces.append(_seat(round(pose.hip[1] - 0.055, 4)))
+        below.append(_skirt(pose, hanging, girth))
+    if (p["pose"], p["variant"]) == ("sitting", "seat") and p["seat"]:
+        below.append(_seat(round(pose.hip[1] - 0.055, 4)))
+    pieces += [(legs_factor * v, t, parts) for v, t, parts in below]
 
     vertices, triangles, label = joined(pieces)
-    middle = 0.0 if seated else 0.5 * (pose.feet[0].ankle[0] + pose.feet[1].ankle[0]) + 0.028
-    vertices = vertices - np.array([middle, 0.0, float(vertices[:, 2].min())])
+    middle = pose.middle_x
+    if middle is None:
+        middle = 0.5 * (pose.feet[0].ankle[0] + pose.feet[1].ankle[0]) + 0.028
+    vertices = vertices - np.array([legs_factor * middle, 0.0, float(vertices[:, 2].min())])
     if p["mirror"]:
         vertices, triangles = mirrored(vertices, triangles)
-    # Scale the upright body to height 1, headwear included.
-    scale = p["height_m"] / (float(_NECK[2]) + top)
+    scale = _scale(p)
     across = scale * p["width_factor"]
     vertices = vertices * np.array([across, across, scale])
+    if pose.rests_on:
+        vertices = _lying(vertices, pose.rests_on, scale)
     return finished((vertices, triangles, label), PART_NAMES, smooth=np.asarray(label != _NUMBER["seat"]))
+
+
+def _proportions(p: Params) -> tuple[float, float]:
+    """Return the factors of legs and head beside the trunk."""
+    if p["age"] == "adult":
+        return 1.0, 1.0
+    legs, head = child_factors(p["height_m"])
+    # Hands that stand on the ground need legs that fit the arms.
+    return (1.0 if p["pose"] == "crawling" else legs), head
+
+
+def _scale(p: Params) -> float:
+    """Return the scale that gives the upright body its height, headwear included."""
+    legs, head = (1.0, 1.0) if p["age"] == "adult" else child_factors(p["height_m"])
+    top = float(_head(p["headwear"], p["hair"])[0][:, 2].max())
+    return float(p["height_m"] / (float(NECK[2]) - (1.0 - legs) * HIP_Z + head * top))
+
+
+def animate(params: Params, phase: float) -> dict[str, Any]:
+    """Return the parameters of a walking, running or waving person at a phase; of others, as they are."""
+    return {**params, "phase": moment(phase)} if moves(params["pose"]) else dict(params)
+
+
+def stride_m(params: Params) -> float:
+    """Return the length of two steps, 0 for people who do not walk or run."""
+    p = _checked(params)
+    if p["pose"] not in GAITS:
+        return 0.0
+    return float(GAITS[p["pose"]].stride * _proportions(p)[0] * _scale(p) * p["width_factor"])
+
+
+def cycle_hz(params: Params) -> float:
+    """Return how often arms wave per second."""
+    return WAVES_HZ if params["pose"] == "waving" else 0.0
+
+
+# Side that lies on the ground -> rotation of a standing body that puts it there, with the head towards +X.
+_RESTS = {
+    "back": turn_z(math.pi) @ turn_y(-math.pi / 2),
+    "front": turn_y(math.pi / 2),
+    "right side": turn_z(math.pi / 2) @ turn_x(math.pi / 2),
+}
+# A body and the ground give way: the lowest layer of a lying one, in units of its height, is this much thinner.
+_LAYER, _SINKS = 0.060, 0.024
+
+
+def _lying(vertices: FloatArray, rests_on: str, scale: float) -> FloatArray:
+    """Lay (V, 3) vertices of a standing body down, hips over the origin, and press them on the ground."""
+    v = (vertices - [0.0, 0.0, scale * HIP_Z]) @ _RESTS[rests_on].T
+    x, z = v[:, 0], v[:, 2]
+    z -= z.min()
+    # Thick clothes lift the trunk: the head hangs from the neck, and legs from the hips, until they touch the ground.
+    if rests_on != "right side":  # where the head lies on the arm
+        head = smoothstep((x / scale - 0.27) / 0.08)
+        z -= z[head == 1.0].min() * head
+        z -= z.min()
+    feet = x < 0.8 * x.min()
+    z -= z[feet].min() * np.clip(x / x[feet].mean(), 0.0, 1.0)
+    z -= z.min()
+    z -= scale * _SINKS * np.minimum(z / (scale * _LAYER), 1.0)
+    return v
+
+
+def _carried(pose: Pose, pack: Piece) -> Piece:
+    """Return a backpack on the back, or on the ground beyond the head of someone who lies there."""
+    v, t, parts = pack
+    return (v + [0.075, 0.05, 0.50], t, parts) if pose.rests_on == "back" else pack
 
 
 def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> FloatArray:
@@ -835,38 +802,45 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     u = [float(x) for x in rng.random(18)]
 
     def drawn(name: str, allowed: tuple[str, ...], odds: Mapping[str, float], share: float) -> str:
-        names = _CHECKS.some_of(f"option {name}", options.get(name, allowed), allowed)
-        return pick(names, [odds[n] for n in names], share)
-
-    def length(name: str, share: float) -> str:
-        names = _CHECKS.some_of(f"option {name}", options.get(name, LENGTHS[:1]), LENGTHS)
-        return pick(names, [1.0] * len(names), share)
+        default = [n for n in allowed if n in _DRAWN.get(name, allowed)]
+        return pick(*_CHECKS.weighted(f"option {name}", options.get(name, default), allowed, odds), share)
 
     def flag(name: str, likely: float, share: float) -> bool:
         return _CHECKS.flag(f"option {name}", options[name]) if name in options else share < likely
 
-    variant_poses = {v: p for p in POSES for v in VARIANTS[p]}
-    pose_options = _CHECKS.some_of("option pose", options.get("pose", POSES), POSES)
-    if "variant" in options:
-        variants = _CHECKS.some_of("option variant", options["variant"], tuple(variant_poses))
-        pose_options = tuple(p for p in pose_options if p in {variant_poses[v] for v in variants})
-        if not pose_options:
-            raise _CHECKS.bad(
-                "option variant", options["variant"], f"variants of the pose, {options['pose']!r}: see `pose`"
-            )
-    else:
-        variants = tuple(variant_poses)
-    pose = pick(pose_options, [_ODDS["pose"][q] for q in pose_options], u[0])
-    own = [v for v in variants if variant_poses[v] == pose]
-    variant = pick(own, [_ODDS["variant"][v] for v in own], u[1])
-    arms_options = _CHECKS.some_of("option arms", options.get("arms", ALL_ARMS), ALL_ARMS)
-    possible = [a for a in arms_options if a in ARMS[pose]]
+    of_variant = {v: p for p in POSES for v in VARIANTS[p]}
+    variants, chances = _CHECKS.weighted(
+        "option variant", options.get("variant", tuple(of_variant)), tuple(of_variant), _ODDS["variant"]
+    )
+    poses, odds = _CHECKS.weighted(
+        "option pose", options.get("pose", POSES if "variant" in options else DRAWN_POSES), POSES, _ODDS["pose"]
+    )
+    suiting = [k for k, q in enumerate(poses) if q in {of_variant[v] for v in variants}]
+    if not suiting:
+        raise _CHECKS.bad(
+            "option variant", options["variant"], f"variants of the pose, {options['pose']!r}: see `pose`"
+        )
+    pose = pick([poses[k] for k in suiting], [odds[k] for k in suiting], u[0])
+    own = [k for k, v in enumerate(variants) if of_variant[v] == pose]
+    variant = pick([variants[k] for k in own], [chances[k] for k in own], u[1])
+    arms, chances = _CHECKS.weighted("option arms", options.get("arms", ALL_ARMS), ALL_ARMS, _ODDS["arms"])
+    possible = [k for k, a in enumerate(arms) if a in ARMS[pose]]
     if not possible:
         raise _CHECKS.bad("option arms", options["arms"], f"for a {pose} person one of " + ", ".join(ARMS[pose]))
     woman = u[2] < 0.5
-    low, high = _CHECKS.number_range("option height_m", options.get("height_m", DRAWN_HEIGHT_M), *HEIGHT_M)
+    ages, odds = _CHECKS.weighted("option age", options.get("age", "adult"), AGES, _ODDS["age"])
+    age = pick(ages, odds, 1000.0 * u[3] % 1.0)
+    limits = [HEIGHTS_M[a] for a in ages]
+    low, high = _CHECKS.number_range(
+        "option height_m",
+        options.get("height_m", DRAWN_HEIGHT_M if age == "adult" else HEIGHTS_M[age]),
+        min(limit[0] for limit in limits),
+        max(limit[1] for limit in limits),
+    )
+    # Of a range for adults and children, each takes the heights that it can have.
+    low, high = (min(max(end, HEIGHTS_M[age][0]), HEIGHTS_M[age][1]) for end in (low, high))
     height = low + (high - low) * u[3]
-    if "height_m" not in options:
+    if "height_m" not in options and age == "adult":
         # Close to normal: the mean of three draws over +-3 standard deviations of adults with shoes.
         mean = 1.65 if woman else 1.78
         height = min(max(mean + 0.21 * (2.0 * (u[3] + u[4] + u[5]) / 3.0 - 1.0), low), high)
@@ -877,7 +851,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     return {
         "pose": pose,
         "variant": variant,
-        "arms": pick(possible, [_ODDS["arms"][a] for a in possible], u[8]),
+        "arms": pick([arms[k] for k in possible], [chances[k] for k in possible], u[8]),
         "top": drawn("top", TOPS, _ODDS["top"], u[9]),
         "bottom": bottom,
         "headwear": drawn("headwear", HEADWEAR, _ODDS["headwear"], u[10]),
@@ -893,26 +867,41 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "head_nod_rad": -0.10 + 0.35 * u[4],
         "mirror": u[17] < 0.5,
         "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
-        "clothing": _CHECKS.one_of("option clothing", options.get("clothing", "winter"), CLOTHING),
         # Later digits of draws that decide something else: more draws would change everybody.
-        "sleeves": length("sleeves", 1000.0 * u[9] % 1.0),
-        "legs": length("legs", 1000.0 * u[7] % 1.0),
+        "clothing": drawn("clothing", CLOTHING, _ODDS["clothing"], 1000.0 * u[10] % 1.0),
+        "sleeves": drawn("sleeves", LENGTHS, _ODDS["lengths"], 1000.0 * u[9] % 1.0),
+        "legs": drawn("legs", LENGTHS, _ODDS["lengths"], 1000.0 * u[7] % 1.0),
+        **({} if age == "adult" else {"age": age}),
     }
 
 
 _ODDS: Mapping[str, Mapping[str, float]] = {
-    "pose": {"standing": 0.38, "walking": 0.54, "sitting": 0.08},
+    "pose": {
+        "standing": 0.38, "walking": 0.54, "sitting": 0.08, "lying": 0.08, "crouching": 0.06, "crawling": 0.03,
+        "waving": 0.04, "running": 0.06,
+    },
     "variant": {v: 1.0 for p in POSES for v in VARIANTS[p]},
     "arms": {"natural": 0.56, "phone": 0.14, "call": 0.05, "bent": 0.09, "pockets": 0.16},
     "top": {"jacket": 0.50, "puffer": 0.30, "coat": 0.20},
-    "headwear": {"none": 0.56, "beanie": 0.15, "cap": 0.12, "hood": 0.17},
+    "headwear": {"none": 0.56, "beanie": 0.15, "cap": 0.12, "hood": 0.17, "helmet": 0.1},
     "build": {"slim": 0.35, "average": 0.47, "heavy": 0.18},
+    "age": {"adult": 0.8, "child": 0.2},
+    "clothing": {"winter": 1.0, "light": 1.0, "bundled": 1.0},
+    "lengths": dict.fromkeys(LENGTHS, 1.0),
+}  # fmt: skip
+# What is drawn where no option says so; of other options, everything.
+_DRAWN: Mapping[str, tuple[str, ...]] = {
+    "headwear": HEADWEAR[:-1],
+    "clothing": CLOTHING[:1],
+    "sleeves": LENGTHS[:1],
+    "legs": LENGTHS[:1],
 }
-_LIST = ", or a list of several"
+_LIST = ", a list of several, or each with its weight"
 OPTIONS: Mapping[str, str] = {
-    "pose": "one of " + ", ".join(POSES) + _LIST,
+    "pose": "one of " + ", ".join(POSES) + _LIST + "; by default " + ", ".join(DRAWN_POSES),
     "variant": "; ".join(f"{p}: " + ", ".join(VARIANTS[p]) for p in POSES) + _LIST,
-    "arms": "one of " + ", ".join(ALL_ARMS) + _LIST + "; sitting: " + ", ".join(ARMS["sitting"]),
+    "arms": "one of " + ", ".join(ALL_ARMS) + _LIST + "; sitting: " + ", ".join(ARMS["sitting"]) + "; standing and "
+    "walking: all; in other poses natural",
     "top": "one of " + ", ".join(TOPS) + _LIST,
     "bottom": "one of " + ", ".join(BOTTOMS) + _LIST,
     "headwear": "one of " + ", ".join(HEADWEAR) + _LIST,
@@ -920,9 +909,15 @@ OPTIONS: Mapping[str, str] = {
     "build": "one of " + ", ".join(BUILDS) + _LIST,
     "backpack": "true or false; by default about one person in five carries one",
     "seat": "true or false: whether a person on a seat comes with it; by default true",
-    "height_m": f"a number from {HEIGHT_M[0]:g} to {HEIGHT_M[1]:g}, or [low, high]; by default adults of both sexes",
+    "age": "adult or child"
+    + _LIST
+    + "; by default adult. The smaller a child, the larger its head and the shorter its legs",
+    "height_m": "a number or [low, high]: "
+    + ", ".join(f"{low:g} to {high:g} ({age})" for age, (low, high) in HEIGHTS_M.items())
+    + "; by default adults of both sexes, and children of all heights",
     "time_of_day": "day or night: by day the sun warms clothes; by default that of the background, or night",
-    "clothing": "winter or light: light clothes have a warmer outer surface; by default winter",
+    "clothing": f"one of {', '.join(CLOTHING)}{_LIST}; light clothes have a warmer outer surface, and many layers are "
+    "thicker and colder outside; by default winter",
     "sleeves": "long or short, or both for one person in two: short ones leave the forearms bare; jackets only",
     "legs": "long or short, or both for one person in two: short trousers leave the lower legs bare",
 }
@@ -930,8 +925,8 @@ OPTIONS: Mapping[str, str] = {
 MODEL = ObjectModel(
     name="person",
     category="person",
-    description="An adult in winter or light clothes, standing, walking or sitting, with bare face and hands.",
-    origin="on the ground between the feet; for a sitting person, below the hips",
+    description="An adult or child in light to thick clothes: standing, walking, sitting, lying, crawling, waving, ...",
+    origin="on the ground between the feet; for a sitting or lying person, below the hips",
     stands=True,
     surfaces={"path": 1.0, "track": 1.0, "road": 0.25, "grass": 0.7, "soil": 0.7},
     parts=PARTS,
@@ -939,4 +934,7 @@ MODEL = ObjectModel(
     build=build,
     options=OPTIONS,
     parts_for=parts_for,
+    animate=animate,
+    stride_m=stride_m,
+    cycle_hz=cycle_hz,
 )

@@ -408,15 +408,46 @@ class Align(Strict):
     """Align objects in pictures of this time of day only; in all by default."""
 
 
+class PathPoint(Strict):
+    """Where an object is at a time: a point of the picture, or metres from where it was placed."""
+
+    time_s: float = Field(ge=0, le=1e6)
+    """Seconds in the sequence."""
+    x_px: float | None = None
+    """Column, in the picture of the frame in which the object was placed: the first of the sequence, or after a cut."""
+    y_px: float | None = None
+    """Row. For models that stand, a point of the ground."""
+    range_m: float | None = Field(None, gt=0, le=10_000)
+    """With a point of the picture, models that fly: distance from the camera; by default as placed."""
+    offset_m: tuple[float, float, float] | None = None
+    """Metres to the right, away from the camera and up from where the object was placed, instead of a point of the
+    picture."""
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if (self.x_px is None) != (self.y_px is None) or (self.x_px is None) == (self.offset_m is None):
+            raise ValueError("x_px and y_px, or offset_m")
+        return self
+
+
 class Motion(Strict):
     """How an object moves through a sequence. Each sequence has its own objects, each of them a track."""
 
-    kind: MotionKind
+    kind: MotionKind = "still"
     """`still`; on the ground `walk`, `graze`, `run` or `drive`, around what does not suit the model; in the air
     `hover`, `fly` along curves, `flock` with all others of this entry, or `followed`: the camera holds the object near
     the middle of the picture, however it turns."""
     speed_m_s: range_of(0, 100) | None = None  # type: ignore[valid-type]
     """Range of the speed, m/s; one value per object. By default that of the kind: people walk at 0.8 to 1.6."""
+    path: Annotated[tuple[PathPoint, ...], Field(min_length=1)] | None = None
+    """A path by hand instead, for all objects of the entry: straight lines between points, at rest before the first and
+    after the last: `[{time_s: 0, x_px: 100, y_px: 80, range_m: 60}, {time_s: 4, x_px: 300, y_px: 90}]`."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if any(a.time_s >= b.time_s for a, b in pairwise(self.path or ())):
+            raise ValueError("path: points in the order of their times, each later than the one before")
+        return self
 
 
 CLASS_NAME = (

@@ -99,7 +99,7 @@ class Format:
         writers: Ways to write it; none if it is only read.
         any_camera: Whether it holds pictures of any camera, whose headers may state facts about the flight.
         written_as: Name of the format that `native` writes instead, for formats that are only read but share the
-            labels of another.
+            labels of another, or hold too little of what a run inserts.
     """
 
     name: str
@@ -198,7 +198,16 @@ FORMATS: tuple[Format, ...] = (
     Format("wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"),
     Format("wit-uas", "WIT-UAS: runs with `.label` files beside the frames"),
     Format("dut-anti-uav", "DUT-Anti-UAV: drones in visible light, VOC labels", written_as="voc"),
-    Format("anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON or text per sequence", written_as="coco"),
+    Format(
+        "anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON or text per sequence", written_as="coco",
+        writers=(
+            Writer(
+                "anti-uav", "Anti-UAV's JSON: a folder of numbered pictures per target, with `exist` and `gt_rect`",
+                _set("obb masks ignore occlusion truncated difficult inserted temperature"),
+                takes=_set("dont_care pictures"),
+            ),
+        ),
+    ),
     Format("halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels", written_as="coco"),
     Format("drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes", written_as="dota"),
     Format("visdrone", "VisDrone: people and vehicles in visible light, in pictures or as tracks", written_as="coco"),

@@ -38,6 +38,8 @@ LOSSES: Mapping[str, str] = {
     "track_renumbered": "object whose track id the format cannot hold, such as text: it has another number",
     "visibility_made": "object of unknown visible share, written as fully visible: the format requires a share",
     "sequence_made": "picture without a sequence or a number of its own in it, which got one: the format requires both",
+    "frame_renumbered": "picture whose number in its sequence follows a gap: the format counts pictures without gaps",
+    "hidden_absent": "object of which nothing is visible, left out: the format says that it is absent",
     "unlabelled_unsaid": "picture without labels: the format cannot distinguish it from one known to contain no object",
     "empty_unsaid": "picture known to contain no object: the format cannot distinguish it from an unlabelled picture",
     "name_changed": "picture renamed: the format has no folders, or not this one, or knows pictures by the stem alone",

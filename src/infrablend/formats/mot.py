@@ -15,7 +15,7 @@ import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -427,7 +427,11 @@ def write(
         files.append(write_text(out / folder / "gt" / _LABELS, "".join(f"{name}\n" for name in names)))
     if changed:
         files.append(write_text(out / _TRACKS_FILE, csv_text(_TRACKS_COLUMNS, changed)))
-    files += write_pictures(out, ordered, places, _path_of, losses, pictures, rates)
+
+    def find_out(place: Place) -> Capture:
+        return replace(place.capture, time_s=second_of(place.number, rates[place.folder]))
+
+    files += write_pictures(out, ordered, places, _path_of, losses, pictures, find_out=find_out)
     return Written.of(files, losses, problems)
 
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
 from statistics import median_low
-from types import MappingProxyType
 from typing import Any
 
 from infrablend.core.capture import FACTS, Capture
@@ -43,6 +42,11 @@ class Place:
     def folder(self) -> str:
         """Folder of the sequence below the dataset's."""
         return f"{self.split}/{self.sequence}"
+
+    @property
+    def capture(self) -> Capture:
+        """What a reader finds out from the place alone."""
+        return Capture(sequence=self.sequence, frame=self.number)
 
 
 def places_of(images: Sequence[ImageRecord]) -> list[Place]:
@@ -110,7 +114,9 @@ def write_pictures(
     path_of: Callable[[ImageRecord, Place], str],
     losses: Counter[str],
     link: bool,
-    rates: Mapping[str, float | None] = MappingProxyType({}),
+    *,
+    find_out: Callable[[Place], Capture] = lambda place: place.capture,
+    within: str = "",
 ) -> Iterator[Path]:
     """Link the pictures; write `names.csv` with what `with_names` restores, and `metadata.csv` with pitch and the like.
 
@@ -121,20 +127,19 @@ def write_pictures(
         path_of: Returns the path of a picture below the folder.
         losses: Counts what changed, and what a table cannot hold.
         link: Whether to link the pictures.
-        rates: Pictures per second from which readers find out the times, by the folders of sequences.
+        find_out: Returns what a reader finds out of a picture without the tables.
+        within: Folder that a reader puts into the names of pictures.
     """
 
     def unsaid(image: ImageRecord, place: Place, path: str) -> bool:
-        time_s = second_of(place.number, rates.get(place.folder))
-        found_out = Capture(sequence=place.sequence, frame=place.number, time_s=time_s)
-        return is_unsaid(image, _base(place, path), found_out)
+        return is_unsaid(image, _base(place, within, path), find_out(place))
 
     renamed = known = 0
     for image, place in zip(images, places, strict=True):
         path, facts = path_of(image, place), _telemetry(image)
         if link:
             yield link_or_copy(image.path, out / path)
-        losses["name_changed"] += _base(place, path) != image.name
+        losses["name_changed"] += _base(place, within, path) != image.name
         losses["sequence_made"] += image.capture.sequence is None or image.capture.frame != place.number
         losses["telemetry_dropped"] += not all(fits_table(*fact) for fact in facts.items())
         renamed += unsaid(image, place, path)
@@ -155,9 +160,9 @@ def write_pictures(
         yield write_chunks(out / "metadata.csv", chain([csv_text(("file", *_TABLE_FACTS), ())], rows(_fact_row)))
 
 
-def _base(place: Place, path: str) -> str:
+def _base(place: Place, within: str, path: str) -> str:
     """Return the name that a reader gives a picture: the folder of its sequence, and that of the file."""
-    return f"{place.sequence}/{path.rpartition('/')[2]}"
+    return f"{place.sequence}/{within}{path.rpartition('/')[2]}"
 
 
 def _telemetry(image: ImageRecord) -> dict[str, object]:
@@ -191,7 +196,9 @@ def with_names(found: Findings, records: Iterable[ImageRecord]) -> list[ImageRec
             facts = Capture.from_json({k: row.get(k) for k in _NAMES_FACTS}, strict=False)
             # A time that it does not state follows from the rate, which somebody may have corrected.
             said[cells[0]] = {k: getattr(facts, k) for k in _NAMES_FACTS if row.get(k) or (k in row and k != "time_s")}
-    return [replace(r, capture=replace(r.capture, **said.get(found.place(r.path), {}))) for r in records]
+    # Frames of videos are elsewhere.
+    places = ((r, found.place(r.path) if r.path.is_relative_to(found.folder) else "") for r in records)
+    return [replace(r, capture=replace(r.capture, **said.get(place, {}))) for r, place in places]
 
 
 # -- times -----------------------------------------------------------------------------------------------------

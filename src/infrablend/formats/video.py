@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +30,10 @@ _PLANES = {"nv12": "yuv420p", "nv21": "yuv420p", "yuyv422": "yuv422p", "uyvy422"
 _TEXT_SUBTITLES = ("mov_text", "subrip", "srt", "text")
 # Encoders of grey pictures leave the colour planes at their middle, give or take rounding.
 _NEUTRAL = 2
+
+
+# Levels of video, 16 to 235, of grey levels.
+_LIMITED = np.rint(16 + 219 / 255 * np.arange(256)).astype(np.uint8)
 
 
 def is_video(path: Path) -> bool:
@@ -298,9 +303,11 @@ def write_video(path: Path, pictures: Iterable[NDArray[np.uint8] | NDArray[np.ui
             shown = _eight_bit(pixels)
             if not stream.codec_context.is_open:
                 stream.width, stream.height = (n // 2 * 2 for n in shown.shape[::-1])  # 4:2:0 needs even sizes
-            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(shown), format="gray")
-            frame = frame.reformat(stream.width, stream.height, "yuv420p")
-            container.mux(stream.encode(frame))
+            if shown.shape != (stream.height, stream.width):
+                shown = np.asarray(cv2.resize(shown, (stream.width, stream.height), interpolation=cv2.INTER_AREA))
+            planes = np.full((stream.height * 3 // 2, stream.width), 128, np.uint8)
+            planes[: stream.height] = cv2.LUT(shown, _LIMITED)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(planes, format="yuv420p")))
         container.mux(stream.encode())
 
 

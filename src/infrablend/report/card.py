@@ -74,6 +74,7 @@ _CONTENTS = {
     "categories.json": "classes",
     "species.csv": "classes",
     "names.csv": "original names of the pictures",
+    "targets.csv": "objects of the folders",
     "metadata.csv": "pitch, altitude and time of day",
 }
 _TEXT_CHARACTERS = 4000  # at most, per field of SOURCE.json

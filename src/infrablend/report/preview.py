@@ -56,6 +56,8 @@ MAX_ZOOM, MIN_ZOOM = 4, 2
 
 _SUBPIXEL_BITS = 4
 
+ANIMATED = {".webp": "WEBP", ".gif": "GIF"}
+
 log = logging.getLogger(__name__)
 
 
@@ -346,6 +348,9 @@ def to_8_bit(pixels: NDArray[Any]) -> NDArray[np.uint8]:
 def preview_run(run: Path, out_png: Path, count: int = 12, draw: Sequence[Draw] = ALL_DRAWN) -> Path:
     """Write the contact sheet of a run folder and return its path.
 
+    A file with the suffix `.webp` or `.gif` is an animation of the first `count` frames with inserted objects, one
+    after the other.
+
     Raises:
         ArgumentError: `count` is below 1, or `draw` is not a list of `Draw`.
         DatasetError: The folder is not a run, or contains no frames.
@@ -353,10 +358,26 @@ def preview_run(run: Path, out_png: Path, count: int = 12, draw: Sequence[Draw] 
     """
     require_outside_datasets(run, out_png)
     require_choices("draw", draw, get_args(Draw))
+    if out_png.suffix.lower() in ANIMATED:
+        return _animation(load_frames(run, count, in_a_row=True), out_png, draw)
     return contact_sheet(load_frames(run, count), out_png, draw=draw)
 
 
-def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
+def _animation(frames: Sequence[PreviewFrame], out: Path, draw: Sequence[Draw]) -> Path:
+    """Write the frames one after the other, as far as they have the size of the first, and return the path."""
+    require_replaceable(out, "contact sheet", ours=_software_of(out) == CONTACT_SHEET)
+    shown = [Image.fromarray(draw_labels(to_rgb(f.pixels), f.instances, draw)) for f in frames]
+    same = [picture for picture in shown if picture.size == shown[0].size]
+    buffer = io.BytesIO()
+    mark = CONTACT_SHEET.encode()
+    same[0].save(
+        buffer, ANIMATED[out.suffix.lower()], save_all=True, append_images=same[1:], duration=40, loop=0,
+        comment=mark, xmp=mark,
+    )  # fmt: skip
+    return write_bytes(out, buffer.getvalue())
+
+
+def load_frames(run: Path, count: int | None = None, *, in_a_row: bool = False) -> list[PreviewFrame]:
     """Return frames of a run folder with their labels.
 
     Labels are read from the COCO files. A run without these is read from its ledger, which contains only the inserted
@@ -365,6 +386,7 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
     Args:
         run: Folder of a run.
         count: Largest number of frames, spread evenly over those with inserted objects, or over all if there are none.
+        in_a_row: Return the first of them instead, one after the other.
 
     Raises:
         ArgumentError: `count` is below 1.
@@ -381,7 +403,8 @@ def load_frames(run: Path, count: int | None = None) -> list[PreviewFrame]:
         raise DatasetError(f"{run}: a run without frames; expected at least one")
     found = [entry for entry in found if any(i.inserted for i in entry[2])] or found
     frames = []
-    for n in spread(len(found), len(found) if count is None else count):
+    wanted = len(found) if count is None else count
+    for n in range(min(wanted, len(found))) if in_a_row else spread(len(found), wanted):
         split, path, instances = found[n]
         frame_id = f"{split}/{path.stem}"
         pixels = decode_picture(path, "a frame of the run. Run `generate --resume`", run)
@@ -478,10 +501,10 @@ def decode_picture(path: Path, expected: str, folder: Path | None = None) -> NDA
 
 
 def _software_of(path: Path) -> str | None:
-    """Return the program that a PNG file names as its author; None if it names none or cannot be read."""
+    """Return the program that a picture names as its author; None if it names none or cannot be read."""
     try:
-        with open_picture(path, ("PNG",)) as picture:
-            named = picture.info.get("Software")
+        with open_picture(path, ("PNG", "WEBP", "GIF")) as picture:
+            named = next((v for k in ("Software", "comment", "xmp") if (v := picture.info.get(k)) is not None), None)
     except (OSError, ValueError, SyntaxError, ImportError):  # Ultralytics, once imported, tries a library it may lack
         return None
-    return named if isinstance(named, str) else None
+    return named.decode("utf-8", "replace") if isinstance(named, bytes) else named

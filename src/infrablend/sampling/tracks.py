@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from infrablend.assets.model import ObjectModel, Params
-from infrablend.config.recipe import Motion
+from infrablend.config.recipe import Motion, PathPoint
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
 from infrablend.core.motion_kinds import SPEED_M_S
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import ObjectSpec, SceneSpec, View
+from infrablend.errors import Problem, RecipeError
 from infrablend.motion.paths import Fits, Path, find_path, sway
 from infrablend.motion.sequence import Moment
 from infrablend.motion.shift import Matrix, moved
@@ -87,6 +88,7 @@ class Track:
         ahead_px: (n, 2) a point of the ground in front of it; for objects in the air unused.
         range_m: (n,) distance from the anchor's camera.
         path: Its attitude at the time of each frame.
+        phase: Phase of its limbs in its anchor, in [0, 1).
     """
 
     number: int
@@ -98,26 +100,71 @@ class Track:
     ahead_px: FloatArray
     range_m: FloatArray
     path: Path
+    phase: float = 0.0
 
 
 def find_track(
     number: int, placed: PlacedObject, model: ObjectModel, motion: Motion, view: View, anchor: int, footage: Footage,
     rng: np.random.Generator, fits: Fits,
 ) -> Track:  # fmt: skip
-    """Return the track of an object that was placed in a frame, its anchor; see `Track`."""
+    """Return the track of an object that was placed in a frame, its anchor; see `Track`.
+
+    An individual whose pose does not walk stays where it is, whatever the motion.
+    """
     camera, spec = placed.camera, placed.spec
     times = footage.times_s - footage.times_s[anchor]
     low, high = motion.speed_m_s or SPEED_M_S[motion.kind]
-    speed = low + (high - low) * float(rng.random())
-    if motion.kind == "followed":
+    speed, phase = low + (high - low) * float(rng.random()), float(rng.random())
+    kind = motion.kind
+    if motion.path is None and model.stands and model.stride_m is not None and model.stride_m(spec.params) == 0:
+        kind = "still"
+    if kind == "followed" and motion.path is None:
         return _followed(number, placed, view, anchor, footage, rng)
     start = (*spec.position_m, spec.yaw_rad)
-    path = find_path(motion.kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
+    if motion.path is not None:
+        path = _path_by_hand(motion.path, placed, model.stands, view, footage.times_s)
+    else:
+        path = find_path(kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
     heading = np.stack([np.cos(path.yaw_rad), np.sin(path.yaw_rad), np.zeros(len(times))], axis=1)
     xy, _ = camera.project(path.place_m)
     ahead, _ = camera.project(path.place_m + _HEADING_M * heading)
     away = np.linalg.norm(path.place_m - camera.position_m, axis=1)
-    return Track(number, placed, model.stands, view, anchor, xy, ahead, away, path)
+    return Track(number, placed, model.stands, view, anchor, xy, ahead, away, path, phase)
+
+
+def _path_by_hand(
+    points: Sequence[PathPoint], placed: PlacedObject, stands: bool, view: View, times_s: FloatArray
+) -> Path:
+    """Return the straight lines between points.
+
+    Raises:
+        RecipeError: A point of the picture that is to be one of the ground is above the horizon.
+    """
+    camera, spec, known = placed.camera, placed.spec, []
+    for number, p in enumerate(points):
+        place: FloatArray | None
+        if p.offset_m is not None:
+            place = np.array(spec.position_m) + p.offset_m
+        elif stands:
+            place = ground_point(camera, float(p.x_px or 0), float(p.y_px or 0), view.ground_z_m)
+        else:
+            ray = pixel_ray(camera, float(p.x_px or 0), float(p.y_px or 0))
+            place = camera.position_m + (p.range_m or placed.range_m) * ray
+        if place is None:
+            where = f"objects.{spec.kind}.motion.path.{number}"
+            problem = Problem(where, "recipe-value", f"found {p.x_px:g}, {p.y_px:g}", "a point below the horizon")
+            raise RecipeError("a path that is not on the ground", [problem])
+        known.append((p.time_s, *place.tolist()))
+    found = np.array(known, np.float64)
+    place_m = np.stack([np.interp(times_s, found[:, 0], found[:, k]) for k in (1, 2, 3)], axis=1)
+    step = np.gradient(place_m, axis=0) if len(times_s) > 1 else np.zeros_like(place_m)
+    moving = np.flatnonzero(np.linalg.norm(step[:, :2], axis=1) > 1e-9)
+    yaw = np.full(len(times_s), spec.yaw_rad)
+    if len(moving):  # at rest, as when it last moved
+        headings = np.unwrap(np.arctan2(step[moving, 1], step[moving, 0]))
+        yaw = headings[np.clip(np.searchsorted(moving, np.arange(len(times_s)), side="right") - 1, 0, None)]
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place_m, axis=0), axis=1))])
+    return Path(times_s, place_m, yaw, np.zeros(len(times_s)), np.zeros(len(times_s)), way)
 
 
 def _followed(
@@ -207,7 +254,7 @@ def objects_in(
     for track, model in zip(tracks, models, strict=True):
         if (spec := _spec_in(track, footage, n, camera, view)) is None:
             continue
-        params = _moving(spec.params, track, n)
+        params = _moving(model, spec.params, track, n)
         mesh = track.placed.mesh if params == track.placed.spec.params else model.build(params)
         placed = PlacedObject(replace(spec, params=params), mesh, camera, track.placed.sun)
         if (placed.depth_m > 0).all() and _in_picture(placed.box_xyxy, camera.size_wh):
@@ -242,10 +289,16 @@ def _spec_in(track: Track, footage: Footage, n: int, camera: CameraSpec, view: V
     return replace(spec, position_m=(x, y, z), yaw_rad=yaw, scale=scale, track=track.number)
 
 
-def _moving(params: Params, track: Track, n: int) -> Params:
-    """Return the parameters of an object in a frame: those of its attitude change with its path."""
+def _moving(model: ObjectModel, params: Params, track: Track, n: int) -> Params:
+    """Return the parameters of an object in a frame: its limbs move as it goes, its attitude changes with its path."""
     lean, bank = math.degrees(track.path.lean_rad[n]), math.degrees(track.path.bank_rad[n])
     found = dict(params)
+    stride = model.stride_m(params) * track.placed.spec.scale if model.stride_m is not None else 0.0
+    cycle_hz = model.cycle_hz(params) if model.cycle_hz is not None else 0.0
+    walks = stride > 0 and bool(track.path.way_m.any())
+    if model.animate is not None and (walks or cycle_hz > 0):
+        steps = float(track.path.way_m[n]) / stride if walks else 0.0
+        found = model.animate(params, (track.phase + steps + cycle_hz * float(track.path.times_s[n])) % 1.0)
     if "lean_deg" in found:
         found["lean_deg"] = round(lean, 3)
     if "bank_deg" in found:

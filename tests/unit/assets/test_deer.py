@@ -14,6 +14,7 @@ from tests.meshes import areas, signed_volume, vertices_of
 
 SHAPES = [(pose, variant) for pose in deer.POSES for variant in deer.VARIANTS[pose]]
 UP = [s for s in SHAPES if s[0] != "lying"]
+STANDING = [s for s in UP if s[0] != "running"]
 
 
 @pytest.mark.parametrize(("pose", "variant"), SHAPES)
@@ -70,7 +71,7 @@ def test_factors_scale_length_and_width() -> None:
     assert double.vertices_m == pytest.approx(2 * half.vertices_m)
 
 
-@pytest.mark.parametrize(("pose", "variant"), UP)
+@pytest.mark.parametrize(("pose", "variant"), STANDING)
 def test_origin_lies_between_the_feet_and_all_hooves_are_found(pose: str, variant: str) -> None:
     mesh = deer.build({"pose": pose, "variant": variant, "shoulder_height_m": 1.0})
     hooves = vertices_of(mesh, "hoof")
@@ -130,7 +131,7 @@ def test_a_bent_spine_keeps_heights_and_turns_hips_against_shoulders() -> None:
 
 def test_draws_vary_and_build() -> None:
     drawn = [deer.sample(stream(seed, "s"), {}) for seed in range(200)]
-    assert {d["pose"] for d in drawn} == set(deer.POSES)
+    assert {d["pose"] for d in drawn} == set(deer.DRAWN_POSES)
     assert {d["antlers"] for d in drawn} == set(deer.ANTLERS)
     assert {d["antler_form"] for d in drawn} == set(deer.ANTLER_FORMS)
     heights = [d["shoulder_height_m"] for d in drawn]

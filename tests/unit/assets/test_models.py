@@ -109,7 +109,7 @@ def test_draws_are_in_range_varied_and_repeatable(name: str, module: Any) -> Non
 def test_draws_show_every_shape_and_are_json_and_repeatable(name: str, module: Any) -> None:
     sample = MODELS[name].sample
     draws = [sample(stream(k, "s"), {}) for k in range(200)]
-    shapes = {(pose, variant) for pose in module.POSES for variant in module.VARIANTS[pose]}
+    shapes = {(pose, variant) for pose in module.DRAWN_POSES for variant in module.VARIANTS[pose]}
     assert {(d["pose"], d["variant"]) for d in draws} == shapes
     assert json.loads(json.dumps(draws)) == draws
     assert sample(stream(1, "s"), {}) == draws[1]
@@ -147,15 +147,24 @@ BAD_OPTIONS: dict[str, list[tuple[dict[str, object], str]]] = {
         ({"propeller_angle_deg": [1, 2, 3]}, r"option propeller_angle_deg: found \[1, 2, 3\]"),
     ],
     "person": [
-        ({"pose": "flying"}, r"person model, option pose: found 'flying'; expected one of standing, walking, sitting"),
+        (
+            {"pose": "flying"},
+            r"person model, option pose: found 'flying'; expected one of standing, walking, sitting, lying",
+        ),
         (
             {"pose": "walking", "variant": "knees-up"},
             r"option variant: found 'knees-up'; expected variants of the pose",
         ),
         ({"pose": "sitting", "arms": "pockets"}, r"option arms: found 'pockets'; expected for a sitting person one of"),
-        ({"headwear": "helmet"}, r"option headwear: found 'helmet'; expected one of none, beanie, cap, hood"),
+        ({"headwear": "crown"}, r"option headwear: found 'crown'; expected one of none, beanie, cap, hood, helmet"),
         ({"backpack": 1}, r"option backpack: found 1; expected true or false"),
         ({"height_m": 3}, r"option height_m: found 3; expected a number from 1.4 to 2.1"),
+        ({"height_m": 3, "age": "child"}, r"option height_m: found 3; expected a number from 0.8 to 1.5"),
+        ({"age": "old"}, r"option age: found 'old'; expected one of adult, child"),
+        ({"pose": {"lying": 1, "flying": 2}}, r"option pose: found 'flying'; expected one of standing"),
+        ({"pose": {"lying": -1}}, r"option pose.lying: found -1; expected a number from 0"),
+        ({"pose": {"lying": 0}}, r"option pose: found \{'lying': 0\}; expected a weight above 0"),
+        ({"pose": "lying", "arms": "phone"}, r"option arms: found 'phone'; expected for a lying person one of natural"),
         ({"colour": "red"}, r"option colour: .*expected options pose, variant"),
     ],
 }
@@ -217,6 +226,9 @@ BAD_PARAMS: dict[str, list[tuple[dict[str, object], str]]] = {
         ({"pose": "sitting", "variant": "contact"}, "parameter variant: found 'contact'; expected one of seat"),
         ({"pose": "sitting", "arms": "pockets"}, "parameter arms"),
         ({"height_m": float("nan")}, "parameter height_m: found nan"),
+        ({"height_m": 1.7, "age": "child"}, "parameter height_m: found 1.7; expected a number from 0.8 to 1.5"),
+        ({"phase": 0.5}, "parameter phase: found 0.5; expected none for a standing person"),
+        ({"pose": "walking", "phase": 1.5}, "parameter phase: found 1.5"),
         ({"head_turn_rad": 3.0}, "parameter head_turn_rad"),
         ({"mirror": 1}, "parameter mirror"),
         ({"legs": 3}, "parameter legs"),

@@ -27,7 +27,7 @@ LOGO = Instance("Logo", np.array([0.0, 0.0, 8.0, 8.0]), extra={"iscrowd": 1})
 DONT_CARE = Instance("DontCare", np.array([52.0, 0.0, 60.0, 8.0]), extra={"iscrowd": 1})
 
 every_writer = pytest.mark.parametrize("name", [w.name for w in WRITERS])
-DROP = ("yolo", "yolo-obb", "yolo-seg", "birdsai")
+DROP = ("anti-uav", "yolo", "yolo-obb", "yolo-seg", "birdsai")
 HOLD = ("coco", "coco-tools", "monet", "mot")
 
 

@@ -16,6 +16,8 @@ from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
 from infrablend.formats import derived, detection
 from infrablend.formats.reading import Reading
+from infrablend.formats.video import Video
+from infrablend.formats.video import write_video as write_grey_video
 from tests.samples import picture
 from tests.videos import bracketed, level, write_srt, write_video
 
@@ -269,3 +271,21 @@ def test_memory_does_not_grow_with_the_frames(tmp_path: Path) -> None:
         return size
 
     assert peak(24) < 1.5 * peak(4)
+
+
+def test_a_written_video_shows_its_pictures_and_is_the_same_again(tmp_path: Path) -> None:
+    rows = np.linspace(0, 255, 48)[:, None]
+    pictures = [np.clip(np.broadcast_to(rows, (48, 65)) + 4 * k, 0, 255).astype(np.uint8) for k in range(6)]
+    for name in ("a.mp4", "b.mp4"):
+        write_grey_video(tmp_path / name, pictures, 25.0)
+    assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
+    video = Video(tmp_path / "a.mp4")
+    assert video.size_wh == (64, 48)  # 4:2:0 has no odd width
+    np.testing.assert_allclose(np.diff(video.timeline.times_s), 0.04, atol=1e-4)
+    with video:
+        for frame, grey in zip(video.frames(), pictures, strict=True):
+            assert np.abs(frame.pixels.astype(float) - grey[:, :64]).mean() < 3
+    deep = [1000 + 10 * p.astype(np.uint16) for p in pictures]
+    write_grey_video(tmp_path / "c.mp4", deep, 25.0)
+    with Video(tmp_path / "c.mp4") as video:
+        assert np.ptp(next(iter(video.frames())).pixels) > 200

@@ -6,9 +6,10 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from infrablend import api
-from infrablend.errors import DatasetError, RecipeError
+from infrablend.errors import DatasetError, OutputError, RecipeError
 from tests.unit.motion.test_sequence import frame, path, scene
 
 STATED = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 40}", "camera.roll_deg=[0, 0]"]
@@ -145,3 +146,18 @@ def test_a_movement_that_a_model_does_not_have_and_data_without_sequences_are_re
     cv2.imwrite(str(tmp_path / "one" / "a.png"), cv2.imread(str(next(data.iterdir())), -1))
     with pytest.raises(DatasetError, match="no picture has a sequence"):
         generate(tmp_path / "one", tmp_path / "run")
+
+
+def test_the_report_has_a_strip_per_track_and_the_preview_moves(made, tmp_path):
+    run, _ = made
+    page = (run / "report.html").read_text()
+    assert 'id="tracks"' in page and "deer, 12 frames" in page
+    for suffix in (".webp", ".gif"):
+        out = tmp_path / f"moves{suffix}"
+        for count in (4, 5):  # the second replaces the first
+            api.preview(run, out, count=count)
+        with Image.open(out) as picture:
+            assert (picture.n_frames, picture.size) == (5, (320, 256))
+        Image.new("L", (8, 8)).save(out)
+        with pytest.raises(OutputError, match="not a contact sheet of InfraBlend"):
+            api.preview(run, out)

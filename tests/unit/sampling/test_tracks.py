@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from infrablend.assets.catalogue import load_model
-from infrablend.config.recipe import Motion
+from infrablend.config.recipe import Motion, PathPoint
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.placed import PlacedObject
 from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
+from infrablend.errors import RecipeError
 from infrablend.motion.sequence import Moment
 from infrablend.motion.shift import moved
 from infrablend.sampling.tracks import Footage, camera_in, find_track, objects_in, velocity_px_s
@@ -166,3 +167,38 @@ def test_levels_follow_gain_and_offset():
     gain, offset = seen.levels(1, 2)
     for level in (20.0, 100.0):
         assert gain * (2 * level - 30) + offset == pytest.approx(0.5 * level + 80)
+
+
+def test_a_path_by_hand_goes_through_its_points():
+    times = {"time_s": 0.0}, {"time_s": 0.08}
+    for name, pitch, places in (
+        ("deer", 60.0, ({"x_px": 100, "y_px": 150}, {"x_px": 200, "y_px": 120})),
+        ("drones", -5.0, ({"x_px": 100, "y_px": 150, "range_m": 50}, {"x_px": 200, "y_px": 120, "range_m": 80})),
+    ):
+        whole, placed, model = scene(pitch, name, (150.0, 140.0))
+        seen = footage(*(shifted(4.0 * k, 0) for k in range(4)))
+        motion = Motion(path=tuple(PathPoint(**t, **p) for t, p in zip(times, places, strict=True)))
+        track = find_track(1, placed, model, motion, whole.view, 0, seen, np.random.default_rng(2), lambda x, y: True)
+        np.testing.assert_allclose(track.xy_px[[0, 2, 3]], [(100, 150), (200, 120), (200, 120)], atol=1e-6)
+    np.testing.assert_allclose(track.range_m[[0, 2]], (50, 80))
+    whole, placed, model = scene(10.0, "deer", (150.0, 200.0))
+    sky = Motion(path=(PathPoint(time_s=0, x_px=100, y_px=2),))
+    with pytest.raises(RecipeError, match=r"objects\.0\.motion\.path\.0"):
+        find_track(1, placed, model, sky, whole.view, 0, seen, np.random.default_rng(2), lambda x, y: True)
+
+
+def test_a_path_in_metres_begins_where_the_object_was_placed():
+    whole, placed, model = scene(60.0, "deer", (150.0, 140.0))
+    points = PathPoint(time_s=0, offset_m=(0, 0, 0)), PathPoint(time_s=0.08, offset_m=(3, 4, 0))
+    motion = Motion(path=points)
+    seen = footage(*([np.eye(3)] * 3))
+    track = find_track(1, placed, model, motion, whole.view, 0, seen, np.random.default_rng(2), lambda x, y: True)
+    np.testing.assert_allclose(track.path.place_m[-1] - placed.spec.position_m, (3, 4, 0), atol=1e-9)
+    assert track.path.way_m[-1] == pytest.approx(5) and track.path.yaw_rad[1] == pytest.approx(np.arctan2(4, 3))
+
+
+def test_a_point_of_a_path_has_one_place_and_times_rise():
+    with pytest.raises(ValueError, match="x_px and y_px, or offset_m"):
+        PathPoint(time_s=0, x_px=3)
+    with pytest.raises(ValueError, match="each later"):
+        Motion(path=(PathPoint(time_s=1, x_px=3, y_px=3),) * 2)

@@ -114,18 +114,20 @@ def _box(values: Iterable[Any]) -> Box:
 
 
 def _insert_facts(record: FrameRecord) -> tuple[InsertFacts, ...]:
+    place = () if record.scene is None else (record.background.get("sequence"), record.scene.configuration)
     measured = {c.get("object"): c for c in record.facts.get("contrast", ())}
     found = []
     for i in record.inserted:
         number, distance, change = i.extra.get("object"), None, None
         if record.scene is not None and isinstance(number, int) and number < len(record.scene.objects):
-            place = np.asarray(record.scene.objects[number].position_m)
-            distance = float(np.linalg.norm(place - record.scene.camera.position_m))
+            away = np.asarray(record.scene.objects[number].position_m) - record.scene.camera.position_m
+            distance = float(np.linalg.norm(away))
         if (c := measured.get(number)) is not None:
             change = min(float(c["changed"]), float(c.get("change", c["changed"])))
         signed = i.extra.get("contrast_grey")
         found.append(
             InsertFacts(i.category, _box(i.box_xyxy), distance, change,
-                        None if signed is None else float(signed), i.visibility)
+                        None if signed is None else float(signed), i.visibility,
+                        "" if i.track_id is None else " ".join(map(str, (*place, i.track_id))))
         )  # fmt: skip
     return tuple(found)

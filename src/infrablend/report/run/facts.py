@@ -29,6 +29,7 @@ class InsertFacts:
             if it is not recorded.
         signed_grey: Contrast against the ring, 8-bit levels, negative for a darker object; None if not measured.
         visibility: Visible share; None if unknown.
+        track: Name of its track in the run; empty in single pictures.
     """
 
     category: str
@@ -37,6 +38,7 @@ class InsertFacts:
     change_grey: float | None = None
     signed_grey: float | None = None
     visibility: float | None = None
+    track: str = ""
 
     @property
     def size_px(self) -> float:

@@ -26,6 +26,7 @@ Key = TypeVar("Key", str, tuple[str, str])
 LISTED = 10_000
 EMBEDDED = 1000
 CROPS = 8
+TRACKS = 12
 SHOWN_INSERTS = 4
 SHOWN_PROBLEMS = 5
 SHOWN_FRAMES = 100
@@ -63,9 +64,9 @@ def run_page(run: RunFacts) -> str:
         "time_text": _time_text(run.timing),
         "time_rows": _time_rows(run.timing),
     }
-    extremes = _extremes(frames)
+    extremes, tracks = _extremes(frames), _tracks(frames)
     taken = removed_crops(frames, CROPS)
-    boxes = [(k, i.box_xyxy) for _, _, found in extremes for k, i in found]
+    boxes = [(k, i.box_xyxy) for _, _, found in (*extremes, *tracks) for k, i in found]
     boxes += [(c.frame, c.window_xyxy) for found in taken.values() for c in found]
     # All frames, or some spread over the run and those with a crop.
     listed = sorted({*spread(len(frames), LISTED), *(k for k, _ in boxes)})
@@ -78,9 +79,17 @@ def run_page(run: RunFacts) -> str:
         run=run,
         objects=", ".join(f"{name} {n}" for name, n in run.counts.get("labels_inserted", {}).items()),
         excluded=list(run.excluded.items())[:SHOWN_FRAMES],
-        extremes=[
-            (title, note, [_insert_entry(k, frames[k], i, crops.get((k, i.box_xyxy))) for k, i in found])
-            for title, note, found in extremes
+        insert_groups=[
+            (
+                name,
+                heading,
+                [
+                    (title, note, [_insert_entry(k, frames[k], i, crops.get((k, i.box_xyxy))) for k, i in found])
+                    for title, note, found in groups
+                ],
+            )
+            for name, heading, groups in (("extremes", "Inserts to look at", extremes), ("tracks", "Tracks", tracks))
+            if groups
         ],
         removed_crops=[
             (_why(reason), [_removed_entry(c, frames[c.frame], crops.get((c.frame, c.window_xyxy))) for c in found])
@@ -260,6 +269,21 @@ def _extremes(frames: Sequence[FrameFacts]) -> list[Extreme]:
         ("Most hidden", "Smallest visible share: hidden by something in front, or cut by the frame.", first(_hidden)),
     ]
     return [e for e in found if e[2]]
+
+
+def _tracks(frames: Sequence[FrameFacts]) -> list[Extreme]:
+    """Return the longest tracks, each at moments spread over its length; empty for single pictures."""
+    of_track: dict[str, list[tuple[int, InsertFacts]]] = {}
+    for k, f in enumerate(frames):
+        for i in f.inserts:
+            if i.track:
+                of_track.setdefault(i.track, []).append((k, i))
+    longest = sorted(of_track.items(), key=lambda t: (-len(t[1]), t[0]))[:TRACKS]
+    note = "From its first frame to its last: does it keep its shape, its level and its place?"
+    return [
+        (f"{seen[0][1].category}, {len(seen)} frames", note, [seen[n] for n in spread(len(seen), CROPS)])
+        for _, seen in longest
+    ]
 
 
 def _hidden(insert: InsertFacts) -> float | None:
