@@ -39,6 +39,8 @@ MOST_ERROR_PX = 3.0
 # A scene is another one if small pictures of it, so many px wide, correlate less than this.
 _SMALL_PX, _ALIKE = 32, 0.5
 _IDENTITY = np.eye(3)
+# From OpenCV's pixels, where the middle of the first is at 0.
+_HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,8 @@ class Moment:
     Attributes:
         span: Number of the span, from 0; -1 for a lost frame. Frames of two spans cannot be related to each other.
         state: How it is known.
-        to_first: (3, 3) from pixels of this frame to those of the first of its span.
+        to_first: (3, 3) from pixels of this frame to those of the first of its span; the middle of the first pixel is
+            at a half.
         error_px: Standard error of that at the worst corner of the picture, px.
         residual_px: Median residual of the corners it is known from, px.
         corners: Number of corners that could be followed.
@@ -83,7 +86,7 @@ class _Key:
 
 def follow_camera(views: Iterable[View]) -> list[Moment]:
     """Return what is known of the camera in each frame of a sequence, in their order."""
-    return _bridged(list(_moments(views)))
+    return [replace(m, to_first=_HALF @ m.to_first @ np.linalg.inv(_HALF)) for m in _bridged(list(_moments(views)))]
 
 
 def _moments(views: Iterable[View]) -> Iterator[Moment]:

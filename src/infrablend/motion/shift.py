@@ -7,7 +7,7 @@ a slant.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -26,6 +26,8 @@ _CELLS, _IN_CELL = 8, 12
 _LEVELS, _LOOP_PX = 4, 0.7
 # Half the window in which a corner is followed: nearer to the picture's edge it is pulled inwards.
 _EDGE_PX = 11
+# From such a change of direction or size on (its largest element), one picture is turned before corners are followed.
+_TURNED = 0.03
 # A model: how well it fits corners, px, and which number and share of the followed ones it has to fit.
 _FIT_PX, LEAST_CORNERS, _LEAST_SHARE = 1.0, 12, 0.5
 # Errors that all corners share, px.
@@ -135,7 +137,26 @@ def find_shift(first: View, second: View, guess: Matrix) -> Shift | None:
     """Return the movement from one view to another; None if the background does not show it with certainty."""
     if len(first.corners) < LEAST_CORNERS:
         return None
-    return _shift(first, second, guess) or _shift(first, _levelled(second, first), guess)
+    if np.abs(guess[:2, :2] - np.eye(2)).max() < _TURNED:
+        return _shift(first, second, guess) or _shift(first, _levelled(second, first), guess)
+    seen = _seen_from(second, guess, first.size_wh)
+    found = _shift(first, seen, np.eye(3)) or _shift(first, _levelled(seen, first), np.eye(3))
+    return None if found is None else replace(found, matrix=_scaled(guess @ found.matrix))
+
+
+def _seen_from(view: View, matrix: Matrix, size_wh: tuple[int, int]) -> View:
+    """Return a view as a camera sees it from which `matrix` leads to it: what surrounds a corner looks alike."""
+    back = cv2.WARP_INVERSE_MAP
+    grey = cv2.warpPerspective(view.grey, matrix, size_wh, flags=cv2.INTER_CUBIC | back, borderMode=cv2.BORDER_REFLECT)
+    taken = cv2.warpPerspective(
+        view.blocked.astype(np.uint8), matrix, size_wh, flags=cv2.INTER_NEAREST | back, borderValue=2
+    )
+    beyond = cv2.dilate((taken == 2).astype(np.uint8), np.ones((2 * _EDGE_PX + 1,) * 2, np.uint8)) > 0
+    return View(np.asarray(grey, np.uint8), beyond | (taken == 1))
+
+
+def _scaled(matrix: Matrix) -> Matrix:
+    return np.asarray(matrix / matrix[2, 2], np.float64)
 
 
 def _shift(first: View, second: View, guess: Matrix) -> Shift | None:

@@ -148,7 +148,7 @@ def flight_frame(flight: Flight, frame: FrameFacts, folder: Path) -> FinishedFra
     matrix = pose.to_map(frame.size_wh)
     path = folder / frame.split / frame.name
     write_bytes(path, png_bytes(_picture(flight, pose, matrix, frame)))
-    seen = list(_seen(flight.labels, np.linalg.inv(matrix), frame.size_wh))
+    seen = list(_seen(flight.labels, np.asarray(np.linalg.inv(matrix)), frame.size_wh))
     camera = world_camera(90, frame.altitude_m * pose.zoom, frame.size_wh)
     record = ImageRecord(
         id=path.stem,

@@ -41,9 +41,13 @@ def path(n, step=(6.3, 1.7)):
 def worst(moments, matrices):
     """Return by how many px the estimate is off, at the middle and the corners of the frames of the first span."""
     points = np.array([MIDDLE[0], (0, 0), SIZE_WH], float)
-    home = matrices[0]
+    home, half = matrices[0], 0.5  # OpenCV has the middle of the first pixel at 0
     return max(
-        float(np.linalg.norm(moved(points, m.to_first) - moved(points, home @ np.linalg.inv(t)), axis=1).max())
+        float(
+            np.linalg.norm(
+                moved(points, m.to_first) - moved(points - half, home @ np.linalg.inv(t)) - half, axis=1
+            ).max()
+        )
         for m, t in zip(moments, matrices, strict=True)
     )
 
@@ -56,6 +60,20 @@ def test_a_pan_with_roll_is_followed_to_a_fraction_of_a_pixel_and_says_how_certa
     off = worst(moments, [t for _, t in found])
     assert off < 0.3 and off < 3 * moments[-1].error_px
     assert all(0 < m.error_px < 0.3 for m in moments[1:])
+
+
+def test_a_camera_that_turns_is_followed_and_keys_hold_it():
+    where = scene()
+    found = [
+        frame(where, (350 + 20 * np.sin(k / 9), 330 + 15 * np.cos(k / 7)), 40 * np.sin(k / 30), seed=k)
+        for k in range(100)
+    ]
+    moments = follow_camera([v for v, _ in found])
+    assert Counter(m.state for m in moments) == {"first": 1, "followed": 99}
+    assert worst(moments, [t for _, t in found]) < 0.3
+    home, turned = found[0], found[47]
+    shift = find_shift(home[0], turned[0], turned[1] @ np.linalg.inv(home[1]) @ np.diag([1.02, 1.02, 1]))
+    assert shift is not None and shift.fitting > 0.8 * shift.corners and shift.error_px < 0.15
 
 
 def test_there_and_back_ends_where_it_began():
