@@ -36,6 +36,8 @@ _GAITS: Mapping[MotionKind, _Gait] = {
 }
 # Grazing animals take a few steps, and then stand and eat; seconds.
 _STEPS_S, _MEAL_S = (1.0, 4.0), (4.0, 15.0)
+# A heading wanders in curves: what turns it lasts so long, seconds.
+_CURVE_S = 1.0
 # What stops an object is looked for this long ahead, and at least so far.
 _AHEAD_S, _AHEAD_M = 1.0, 0.6
 # Largest acceleration of what flies, m/s²: 22 degrees of bank.
@@ -148,12 +150,12 @@ def _march(
     gait = _GAITS[kind]
     x, y, z, yaw = start
     of_meals = _branch(rng)  # a stream of its own: neither depends on how long the other one is
-    wander = gait.wander * math.sqrt(STEP_S) * rng.standard_normal(count)
+    wander = _curves(gait.wander * math.sqrt(STEP_S) * rng.standard_normal(count))
     moves = _appetite(count, of_meals) if kind == "graze" else np.ones(count)
     v, turn_to, way = speed * moves[0], 0.0, 0.0
     rows = [(x, y, yaw, way)]
     for k in range(count):
-        want, turn = speed * moves[k], wander[k]
+        want, turned = speed * moves[k], 0.0
         look = max(_AHEAD_M, v * _AHEAD_S + v * v / (2 * gait.acceleration))
         if want > 0 and not fits(x + look * math.cos(yaw), y + look * math.sin(yaw)):
             if kind == "drive":
@@ -161,12 +163,13 @@ def _march(
             else:
                 if turn_to == 0.0:
                     turn_to = _way_out(x, y, yaw, look, fits, side=1.0 if wander[k] >= 0 else -1.0)
-                turn = math.copysign(gait.turn * STEP_S, turn_to)
+                turned = math.copysign(gait.turn * STEP_S, turn_to)
                 if abs(turn_to) > math.pi / 2:
                     want = 0.0
         else:
             turn_to = 0.0
         v += min(max(want - v, -gait.acceleration * STEP_S), gait.acceleration * STEP_S)
+        turn = turned or wander[k] * v / max(speed, 1e-9)  # who stands does not turn
         yaw += min(max(turn, -gait.turn * STEP_S), gait.turn * STEP_S)
         x, y, way = x + v * STEP_S * math.cos(yaw), y + v * STEP_S * math.sin(yaw), way + v * STEP_S
         rows.append((x, y, yaw, way))
@@ -174,6 +177,16 @@ def _march(
     zero = np.zeros(len(rows))
     place = np.column_stack([found[:, :2], np.full(len(rows), z)])
     return Path(_grid(0, count), place, found[:, 2], zero, zero, found[:, 3])
+
+
+def _curves(steps: FloatArray) -> FloatArray:
+    """Return random steps that follow each other smoothly and add up to a wander as wide as that of the given ones."""
+    share = STEP_S / _CURVE_S
+    found = np.empty_like(steps)
+    last = steps[0] * math.sqrt(share / (2 - share)) if len(steps) else 0.0
+    for k, step in enumerate(steps):
+        found[k] = last = last + share * (step - last)
+    return found
 
 
 def _way_out(x: float, y: float, yaw: float, look: float, fits: Fits, side: float) -> float:

@@ -59,6 +59,19 @@ def test_a_grazing_deer_stands_most_of_the_time():
     assert 0.05 < moving.mean() < 0.6
 
 
+@pytest.mark.parametrize("kind", ["walk", "graze", "run"])
+def test_a_body_turns_smoothly_and_only_while_it_walks(kind):
+    for seed in range(8):
+        found = find_path(kind, (0, 0, 0, 0.4), 1.0, (0, 60), np.random.default_rng(seed))
+        turns, gone = np.diff(found.yaw_rad) / STEP_S, np.diff(found.way_m)
+        assert np.abs(turns[gone < 1e-3]).max(initial=0) < 0.01
+        assert np.abs(np.diff(turns)).max() < 0.6  # no trembling, rad/s from one tenth of a second to the next
+    ends = [
+        find_path(kind, (0, 0, 0, 0.0), 1.0, (0, 60), np.random.default_rng(s)).yaw_rad[-1] for s in range(30)
+    ]
+    assert 0.3 < np.std(ends) < 2  # and wanders all the same
+
+
 def test_what_flies_banks_into_its_turns_and_leans_into_the_wind():
     found = path("fly", speed=8.0)
     turning = np.diff(found.yaw_rad)
