@@ -1,9 +1,9 @@
 """The movement of the camera through a sequence: every frame relative to the first of its span.
 
-Each frame is compared with the one before, which tells the movement to a few hundredths of a pixel, and every few
-frames with a key frame that shows the same background, so that errors do not add up: what the key says is taken over
-little by little. A new key begins where the background of the old one leaves the view. Where the camera comes back, it
-is compared with the keys of before.
+Each frame is compared with the one before, which tells the movement to a few hundredths of a pixel, and with a key
+frame that shows the same background, so that errors do not add up: what the key says is taken over little by little. A
+new key begins where the background of the old one leaves the view. Where the camera comes back, it is compared with
+the keys of before.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ State = Literal["first", "followed", "frozen", "bridged", "lost", "cut"]
 the frame before again; `bridged` between the frames around it; `lost`: its background does not show the movement;
 `cut`: it shows another scene and begins a span."""
 
-# Frames from one comparison with a key to the next, and the largest share of what a key says that a frame takes over.
-_KEY_EVERY, _MOST_TAKEN = 4, 0.2
+# Largest share of what a key says that a frame takes over.
+_MOST_TAKEN = 0.4
 # Where they differ by more than this, px, and by more than so many errors, the key is right if it fits at least this
 # share of the corners that the frame before fits: a flock moves alike in neighbouring frames only.
 _APART_PX, _APART_ERRORS, _AS_MANY = 2.0, 5.0, 0.6
@@ -94,14 +94,14 @@ def _moments(views: Iterable[View]) -> Iterator[Moment]:
     known: _Key | None = None  # last frame that is known
     before: _Key | None = None  # frame before, known or not
     spans = lost = 0
-    for number, view in enumerate(views):
+    for view in views:
         # Another picture size is another camera.
         resized = before is not None and before.view.size_wh != view.size_wh
         found: Moment | None = None
         if before is not None and not resized and _same(before.view, view):
             found = replace(before.moment, state="frozen") if before.moment.known else None
         elif known is not None and not resized:
-            found = _followed(keys, known, view, number % _KEY_EVERY == 0)
+            found = _followed(keys, known, view)
         if found is None:
             state: State = "lost"
             if len(view.corners) < LEAST_CORNERS:
@@ -122,11 +122,9 @@ def _moments(views: Iterable[View]) -> Iterator[Moment]:
         yield before.moment
 
 
-def _followed(keys: list[_Key], before: _Key, view: View, look_back: bool) -> Moment | None:
-    """Return a frame by the one before and, where it is time or that is not enough, by a key; None if neither tells."""
+def _followed(keys: list[_Key], before: _Key, view: View) -> Moment | None:
+    """Return a frame by the one before and by a key; None if neither tells."""
     stepped = _relative(before, view, before.moment.to_first)
-    if stepped is not None and not look_back:
-        return stepped
     seen = _by_key(keys, before, view, (stepped or before.moment).to_first)
     if stepped is None or seen is None:
         return stepped or seen
@@ -143,7 +141,8 @@ def _corrected(stepped: Moment, seen: Moment, size_wh: tuple[int, int]) -> Momen
     of_step, of_key = stepped.error_px**2, seen.error_px**2
     share = min(of_step / max(of_step + of_key, 1e-12), _MOST_TAKEN)
     mixed = {k: (1 - share) * getattr(stepped, k) + share * getattr(seen, k) for k in ("to_first", "gain", "offset")}
-    error = np.sqrt((1 - share) ** 2 * of_step + share**2 * of_key)
+    # Frames that lean on the same key share its error, so the mean of both is not less wrong than the better one.
+    error = np.sqrt(max((1 - share) ** 2 * of_step + share**2 * of_key, min(of_step, of_key)))
     return replace(stepped, **mixed, error_px=float(error))
 
 

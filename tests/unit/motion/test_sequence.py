@@ -1,5 +1,6 @@
 """The movement of a camera over a known scene: a large picture of which each frame shows a part."""
 
+import functools
 from collections import Counter
 
 import cv2
@@ -13,6 +14,7 @@ SIZE_WH = (320, 256)
 MIDDLE = np.array([[SIZE_WH[0] / 2, SIZE_WH[1] / 2]])
 
 
+@functools.cache
 def scene(seed=0, width=1400, height=700):
     """Return blobs and edges of many sizes, as trees and roofs have."""
     rng = np.random.default_rng(seed)
