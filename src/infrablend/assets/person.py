@@ -830,15 +830,8 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     woman = u[2] < 0.5
     ages, odds = _CHECKS.weighted("option age", options.get("age", "adult"), AGES, _ODDS["age"])
     age = pick(ages, odds, 1000.0 * u[3] % 1.0)
-    limits = [HEIGHTS_M[a] for a in ages]
-    low, high = _CHECKS.number_range(
-        "option height_m",
-        options.get("height_m", DRAWN_HEIGHT_M if age == "adult" else HEIGHTS_M[age]),
-        min(limit[0] for limit in limits),
-        max(limit[1] for limit in limits),
-    )
-    # Of a range for adults and children, each takes the heights that it can have.
-    low, high = (min(max(end, HEIGHTS_M[age][0]), HEIGHTS_M[age][1]) for end in (low, high))
+    drawn_m = DRAWN_HEIGHT_M if age == "adult" else HEIGHTS_M[age]
+    low, high = _CHECKS.range_of_kind("height_m", options, age, ages, HEIGHTS_M, drawn_m)
     height = low + (high - low) * u[3]
     if "height_m" not in options and age == "adult":
         # Close to normal: the mean of three draws over +-3 standard deviations of adults with shoes.
