@@ -107,6 +107,7 @@ PARTS: Mapping[str, PartRange] = {
         "wood", (-1.0, 1.0), "seat: wood or stone at air temperature; not part of the person", label=False
     ),
     "helmet": part_role("plastic", (0.5, 4.0), "matt shell away from the head, near air temperature", ior=1.0),
+    "laid_backpack": part_role("cloth", (-1.0, 1.5), "backpack on the ground; not part of the person", label=False),
 }
 # One or two thin layers in mild weather: the upper end of the +3..+10 K of summer clothing. Skin of 24-34 C is not
 # chilled, and warms hair and collar.
@@ -139,7 +140,7 @@ _GARMENTS: Mapping[str, tuple[str, ...]] = {
     "top": ("jacket", "sleeve", "coat_skirt", "collar", "hood"),
     "bottom": ("trousers", "leg"),
     "skin": ("face", "nose", "ear", "neck", "hand", "forearm", "shin"),
-    "backpack": ("backpack", "strap"),
+    "backpack": ("backpack", "strap", "laid_backpack"),
 }
 _SURFACE = {part: garment for garment, parts in _GARMENTS.items() for part in parts}
 
@@ -149,8 +150,9 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
 
     In scenes with a sun, each garment has its own absorptivity, and is warmed where the sun's rays hit it.
     """
-    # A part that nobody wears would change what is drawn for the others.
-    parts = {n: role for n, role in PARTS.items() if n != "helmet" or params.get("headwear") == "helmet"}
+    # A part that someone does not have would change what is drawn for the others.
+    rare = {"helmet": params.get("headwear") == "helmet", "laid_backpack": _lays_backpack(params)}
+    parts = {n: role for n, role in PARTS.items() if rare.get(n, True)}
     own = _WORN.get(params.get("clothing", "winter"), {})
     parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in own.items()}
     if params.get("time_of_day", "night") == "day":
@@ -158,6 +160,13 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
         parts = warmed_by_sun(parts, SUN_K, {n: 1.0 for n in parts if n in _SUNLIT})
         return {n: replace(role, sun=_in_the_sun(n, role.kind, shade[n])) for n, role in parts.items()}
     return parts
+
+
+def _lays_backpack(params: Params) -> bool:
+    """Return whether someone has put a backpack on the ground to lie on the back."""
+    if params.get("pose") != "lying" or not params.get("backpack"):
+        return False
+    return skeleton("lying", params.get("variant", VARIANTS["lying"][0])).rests_on == "back"
 
 
 def _in_the_sun(part: str, kind: str, night_k: tuple[float, float]) -> SunResponse:
@@ -522,7 +531,7 @@ def _head(headwear: str, hair: str) -> Piece:
 
 @lru_cache(maxsize=32)
 def _backpack(top: str, pad: float, build_name: str, worn: bool) -> Piece:
-    """Return a backpack, with two shoulder straps if it is worn, in the frame of the trunk."""
+    """Return a backpack with two shoulder straps, or one beyond the head of someone who lies on the back."""
     rows = _trunk_rows(top, pad, build_name, False)
 
     def at(z: float) -> tuple[float, float]:
@@ -542,7 +551,7 @@ def _backpack(top: str, pad: float, build_name: str, worn: bool) -> Piece:
     centre = rings[:, :, 0].mean(axis=1)
     pack = loft(rings, start=(centre[0], 0.0, 0.564), end=(centre[-1], 0.0, 0.806))
     if not worn:
-        return _one_part("backpack", pack)
+        return _one_part("laid_backpack", moved(pack, (0.075, 0.05, 0.50)))
     straps = []
     lift = 0.034 * _GIRTH[build_name] + 0.6 * pad
     for sign in (1, -1):
@@ -672,7 +681,7 @@ def build(params: Params) -> Mesh:
     if hands is not None:
         trunk.append(hands)
     if p["backpack"]:
-        trunk.append(_carried(pose, _backpack(top, pad, girth, pose.rests_on != "back")))
+        trunk.append(_backpack(top, pad, girth, not _lays_backpack(p)))
     lean = turn_y(pose.lean_rad + pose.loose * p["lean_rad"])
     if pose.tilt_rad[0]:
         lean = turn_x(-pose.tilt_rad[0]) @ lean
@@ -771,12 +780,6 @@ def _lying(vertices: FloatArray, rests_on: str, scale: float) -> FloatArray:
     z -= z.min()
     z -= scale * _SINKS * np.minimum(z / (scale * _LAYER), 1.0)
     return v
-
-
-def _carried(pose: Pose, pack: Piece) -> Piece:
-    """Return a backpack on the back, or on the ground beyond the head of someone who lies there."""
-    v, t, parts = pack
-    return (v + [0.075, 0.05, 0.50], t, parts) if pose.rests_on == "back" else pack
 
 
 def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> FloatArray:
