@@ -31,6 +31,7 @@ from infrablend.assets.anatomy import (
     feet_centre,
     finished,
     joined,
+    leg_joint,
     mirrored,
     roles_of_coat,
     skin,
@@ -170,6 +171,11 @@ class _Pose:
     bend_rad: float = 0.0
     head_turn_rad: float = 0.0
     on_side: bool = False
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a moment of a gait, whose legs swing so far that only bones of fixed length look right."""
+        return self.middle_x is not None
 
 
 _STILL = Leg()
@@ -325,9 +331,11 @@ def _fore_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         knee, fetlock = np.array([0.43, 0.140 * sign, 0.060]), np.array([0.26, 0.150 * sign, 0.038])
     else:
         shoulder = np.array([0.35 + 0.15 * leg.dx, 0.125 * sign, 0.62 - fall])
-        elbow = np.array([0.235 + 0.35 * leg.dx, 0.140 * sign, 0.475 - fall])
+        elbow = np.array([0.235 + (0.6 if pose.moves else 0.35) * leg.dx, 0.140 * sign, 0.475 - fall])
         fetlock = np.array([0.262 + leg.dx - 0.05 * leg.hang, y, 0.092 + leg.dz])
         knee = 0.47 * elbow + 0.53 * fetlock + np.array([0.026 + 0.05 * leg.hang, 0.0, 0.012])
+        if pose.moves:
+            knee = leg_joint(elbow, fetlock, (0.195, 0.193), 1.0)
         knee[1] = y
     upper: list[Primitive] = [
         tube("shoulder", [blade, shoulder], [0.075, 0.070], [0.120, 0.110], blend=0.08),
@@ -360,6 +368,9 @@ def _hind_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         stifle = np.array([-0.375 + 0.4 * leg.dx, 0.118 * sign, 0.505 - 0.9 * pose.drop + 0.3 * leg.dz])
         fetlock = np.array([-0.505 + leg.dx, y, 0.092 + leg.dz])
         hock = np.array([-0.560 + 0.85 * leg.dx - 0.03 * leg.hang, y, 0.270 + 0.9 * leg.dz])
+        if pose.moves:
+            hock = leg_joint(stifle, fetlock, (0.299, 0.186), -1.0)
+            hock[1] = y
     blend = 0.12 if lying else 0.08
     upper: list[Primitive] = [
         tube("haunch", [hip, stifle], [0.080, 0.066], [0.155, 0.115], blend=blend),
@@ -427,7 +438,7 @@ _BUILD = {
 }
 
 
-@lru_cache(maxsize=4 * MOMENTS)
+@lru_cache(maxsize=3 * MOMENTS)
 def _shape(pose: _Pose, build_name: str) -> tuple[Piece, float]:
     """Return the whole boar, withers at height 1, straight, and the factor that brings them there."""
     lying = pose.lying

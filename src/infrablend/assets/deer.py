@@ -31,7 +31,7 @@ from infrablend.assets.anatomy import (
     feet_centre,
     finished,
     joined,
-    joint,
+    leg_joint,
     mirrored,
     roles_of_coat,
     skin,
@@ -278,13 +278,6 @@ class _Shape:
     size: float
 
 
-def _leg_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, bend: float) -> FloatArray:
-    """Return the joint between two bones in a vertical plane; `bend` +1 points it forward, -1 backward."""
-    normal = np.cross(unit(b - a), np.array([0.0, 1.0, 0.0]))
-    normal *= bend / float(np.linalg.norm(normal)) * (1.0 if normal[0] >= 0 else -1.0)
-    return joint(a, b, (upper, lower), normal)
-
-
 def _foot(fetlock: FloatArray, hang: float, lying: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return coronet, heel and toe of a foot; the pastern points forward on the ground and folds back in the air."""
     angle = np.deg2rad(-62.0 - 75.0 * hang) if not lying else np.deg2rad(-150.0)
@@ -400,7 +393,7 @@ def _fore_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         fetlock = np.array([0.292 + leg.dx, y, 0.104 + leg.dz])
         if leg.hang:
             fetlock[0] -= 0.06 * leg.hang
-        knee = _leg_joint(elbow, fetlock, 0.272, 0.242, 1.0)
+        knee = leg_joint(elbow, fetlock, (0.272, 0.242), 1.0)
         knee[1] = y + 0.004 * sign
     shoulder = np.array([0.385 + 0.15 * leg.dx, 0.080 * sign, 0.70 - fall])
     blade = np.array([0.265, 0.062 * sign, 0.90 - fall])
@@ -443,7 +436,7 @@ def _hind_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         fetlock = np.array([-0.19, 0.195 * sign, 0.030])
     else:
         fetlock = np.array([-0.452 + leg.dx, y, 0.104 + leg.dz])
-        hock = _leg_joint(stifle, fetlock, 0.325, 0.268, -1.0)
+        hock = leg_joint(stifle, fetlock, (0.325, 0.268), -1.0)
         hock[1] = y
     blend = 0.12 if lying else 0.07
     # When folded, the thigh is buried in the coat of the flank.
@@ -597,7 +590,7 @@ def _antler(
     return concatenate(pieces)
 
 
-@lru_cache(maxsize=4 * MOMENTS)
+@lru_cache(maxsize=3 * MOMENTS)
 def _body(pose: _Pose, build_name: str) -> _Shape:
     """Return body and legs: everything that is part of the implicit surface."""
     lying, build = pose.lying, _BUILDS[build_name]

@@ -30,7 +30,6 @@ import numpy as np
 from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import (
-    MOMENTS,
     ObjectModel,
     Params,
     PartRange,
@@ -46,11 +45,11 @@ from infrablend.assets.person_poses import (
     ARMS,
     DRAWN_POSES,
     FOREARM,
-    GAITS,
     HIP_Z,
     NECK,
     POSES,
     SHOULDER,
+    STRIDES,
     UPPER_ARM,
     VARIANTS,
     WAVES_HZ,
@@ -256,11 +255,7 @@ def _arm_line(arm: Arm, sign: int, pad: float, build_name: str) -> tuple[FloatAr
     return shoulder * flip, elbow * flip, wrist * flip
 
 
-# Pieces that are kept: those of eight people at all moments of a step.
-_KEPT = 8 * MOMENTS
-
-
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _upper(top: str, pad: float, arms: Arms, build_name: str, seated: bool, hood_down: bool, sleeves: str) -> Piece:
     """Return the jacket with sleeves, collar and any lowered hood, in the frame of the upright trunk."""
     rows = _trunk_rows(top, pad, build_name, seated)
@@ -330,7 +325,7 @@ def _upper(top: str, pad: float, arms: Arms, build_name: str, seated: bool, hood
     return _skin(Body(tuple(primitives)), CLOTH_CELL)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _hands(pad: float, arms: Arms, build_name: str) -> Piece | None:
     """Return the hands that are not in pockets, in the frame of the trunk: palm, four fingers and thumb each."""
     solids: list[Solid] = []
@@ -373,7 +368,7 @@ def _hands(pad: float, arms: Arms, build_name: str) -> Piece | None:
     return _one_part("hand", *solids) if solids else None
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _legs(pose: Pose, bottom: str, build_name: str, length: str, thick: float) -> Piece:
     """Return trousers with the hips, or stockinged legs under a skirt; short trousers end at the knee."""
     girth = _GIRTH[build_name]
@@ -411,7 +406,7 @@ def _legs(pose: Pose, bottom: str, build_name: str, length: str, thick: float) -
     return _skin(Body(tuple(primitives), floor=not pose.rests_on), CLOTH_CELL)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     """Return the lower half of a coat, or a skirt: both hang from the hips around both thighs."""
     (hip, knee, _), (hip2, knee2, _) = leg_lines(pose)
@@ -437,7 +432,7 @@ def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     return _skin(Body((bar,), floor=not pose.rests_on), SKIRT_CELL)
 
 
-@lru_cache(maxsize=2 * MOMENTS)
+@lru_cache(maxsize=128)
 def _shoes(pose: Pose) -> Piece:
     pieces = []
     for sign, foot in zip((1, -1), pose.feet, strict=True):
@@ -649,10 +644,10 @@ def build(params: Params) -> Mesh:
         params: Parameters as `sample` draws them; missing ones take their value from `DEFAULTS`.
 
             pose, variant, arms: See `VARIANTS` and `ARMS`.
-            phase: Place in [0, 1] in the cycle of a walking, running or waving person, instead of the variant.
+            phase: Place in [0, 1] in the cycle of someone who walks, runs, crawls or waves, instead of the variant.
             top, bottom, headwear, hair, build: See `TOPS`, `BOTTOMS`, `HEADWEAR`, `HAIR` and `BUILDS`; a hood that
                 is not worn hangs on the back of jacket and puffer.
-            backpack: Whether the person carries a backpack; who lies on the back has put it on the ground.
+            backpack: Whether the person carries a backpack; who lies on the back has put it down.
             seat: Whether the model of someone sitting on a seat includes the seat, which is not labelled.
             age, height_m: Height when standing upright, with shoes and headwear; a child's proportions follow from it.
             width_factor: Extra factor for width and depth.
@@ -738,16 +733,16 @@ def _scale(p: Params) -> float:
 
 
 def animate(params: Params, phase: float) -> dict[str, Any]:
-    """Return the parameters of a walking, running or waving person at a phase; of others, as they are."""
+    """Return the parameters of a walking, running, crawling or waving person at a phase; of others, as they are."""
     return {**params, "phase": moment(phase)} if moves(params["pose"]) else dict(params)
 
 
 def stride_m(params: Params) -> float:
-    """Return the length of two steps, 0 for people who do not walk or run."""
+    """Return how far two steps take a person who walks, runs or crawls; 0 for others."""
     p = _checked(params)
-    if p["pose"] not in GAITS:
+    if p["pose"] not in STRIDES:
         return 0.0
-    return float(GAITS[p["pose"]].stride * _proportions(p)[0] * _scale(p) * p["width_factor"])
+    return float(STRIDES[p["pose"]] * _proportions(p)[0] * _scale(p) * p["width_factor"])
 
 
 def cycle_hz(params: Params) -> float:

@@ -11,8 +11,8 @@ from infrablend.assets import person
 from infrablend.assets.person_poses import (
     DRAWN_POSES,
     FOREARM,
-    GAITS,
     SHANK,
+    STRIDES,
     THIGH,
     UPPER_ARM,
     VARIANTS,
@@ -166,7 +166,7 @@ def test_only_who_wears_a_helmet_has_its_part() -> None:
     assert "helmet" not in person.parts_for({"headwear": "cap"})
 
 
-@pytest.mark.parametrize("gait", GAITS)
+@pytest.mark.parametrize("gait", STRIDES)
 def test_legs_of_a_gait_reach_the_ground_at_every_moment(gait: str) -> None:
     for k in range(48):
         for hip, knee, ankle in leg_lines(skeleton(gait, "", k / 48)):
