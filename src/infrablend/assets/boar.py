@@ -559,7 +559,12 @@ def build(params: Params) -> Mesh:
     _require(params)
     pose = _skeleton(params)
     (vertices, triangles, parts), _ = _shape(pose, params["build"])
-    v = _bent(vertices, pose.bend_rad + float(params["bend_rad"]), pose.head_turn_rad + float(params["head_turn_rad"]))
+    own = 0.3 if params["pose"] == "sleeping" else 1.0
+    v = _bent(
+        vertices,
+        pose.bend_rad + own * float(params["bend_rad"]),
+        pose.head_turn_rad + own * float(params["head_turn_rad"]),
+    )
     triangles = triangles.copy()
     if params["mirror"]:
         v, triangles = mirrored(v, triangles)

@@ -133,7 +133,6 @@ _WITHERS_X = 0.27
 _SPINE_X = (-0.42, 0.34)
 # Smaller bends do not show.
 _STRAIGHT_RAD = 1e-3
-_MOST_BENT_RAD = 1.3
 # Trunks of the young are short for their legs.
 _YOUNG_LENGTH = 0.88
 
@@ -799,7 +798,7 @@ def build(params: Params) -> Mesh:
     v = shape.vertices
     v = _rotated_about_vertical(v, shape.poll, float(p["head_turn_rad"]) * shape.head_weight)
     v = _rotated_about_vertical(v, shape.neck_pivot, float(p["neck_turn_rad"]) * shape.neck_weight)
-    bend = min(max(skeleton.bend_rad + float(p["spine_bend_rad"]), -_MOST_BENT_RAD), _MOST_BENT_RAD)
+    bend = skeleton.bend_rad + (0.3 if skeleton.asleep else 1.0) * float(p["spine_bend_rad"])
     if abs(bend) > _STRAIGHT_RAD:
         v = _bent(v, bend)
     triangles = shape.triangles.copy()
