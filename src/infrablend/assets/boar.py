@@ -196,7 +196,7 @@ _POSES: Mapping[tuple[str, str], _Pose] = {
     ),
     ("lying", "resting"): _Pose((_STILL,) * 4, (0.640, 0, 0.700), (0.92, 0, -0.39), 0.395, lying=True),
     ("sleeping", "curled"): _Pose(
-        (_STILL,) * 4, (0.630, 0, 0.575), (0.995, 0, -0.10), 0.395, lying=True, bend_rad=0.75, head_turn_rad=0.55
+        (_STILL,) * 4, (0.630, 0, 0.575), (0.995, 0, -0.10), 0.395, lying=True, bend_rad=1.05, head_turn_rad=0.70
     ),
     ("sleeping", "on-side"): _Pose(
         (Leg(0.08), Leg(0.02), Leg(-0.04), Leg(0.03)), (0.640, 0, 0.710), (0.94, 0, -0.34), on_side=True
