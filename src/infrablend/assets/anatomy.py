@@ -94,6 +94,13 @@ def joint(a: FloatArray, b: FloatArray, bones: tuple[float, float], side: FloatA
     return np.asarray(a + along * direction + math.sqrt(max(upper**2 - along**2, 0.0)) * side)
 
 
+def leg_joint(a: FloatArray, b: FloatArray, bones: tuple[float, float], bend: float) -> FloatArray:
+    """Return the joint between two bones in a vertical plane; `bend` +1 points it forward, -1 backward."""
+    normal = np.cross(unit(b - a), np.array([0.0, 1.0, 0.0]))
+    normal *= bend / float(np.linalg.norm(normal)) * (1.0 if normal[0] >= 0 else -1.0)
+    return joint(a, b, bones, normal)
+
+
 def skin(body: Body, cell: float, names: Sequence[str], bands: Sequence[tuple[float, str]] = ()) -> Piece:
     """Return the surface of a body; whatever nearly touches the ground does touch it.
 

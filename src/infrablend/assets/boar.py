@@ -1,4 +1,4 @@
-"""Wild boar model, grown from a skeleton: four poses, from yearlings to tuskers, with a mane of bristles.
+"""Wild boar model, grown from a skeleton: six poses, from piglets to tuskers, with a mane of bristles.
 
 The body is an implicit surface (`assets.implicit`): trunk, mane, haunches and upper legs form one skin; head and lower
 legs are on finer grids; ears and tusks are lofts. All lengths are in units of the height at the withers, +X towards the
@@ -9,8 +9,8 @@ The implicit surface depends only on pose, pose variant and build, so there are 
 size, proportions, the bend of the spine and mirroring are applied to the vertices afterwards.
 
 Proportions follow photographs of European wild boar (*Sus scrofa*): head and body 1.7 to 1.8 times the shoulder height,
-legs less than half of it, the back falling towards the rump. Shoulder heights: yearlings 0.5 to 0.65 m, sows 0.65 to
-0.8 m, tuskers up to 0.95 m.
+legs less than half of it, the back falling towards the rump. Shoulder heights: piglets 0.2 to 0.42 m, yearlings 0.5 to
+0.65 m, sows 0.65 to 0.8 m, tuskers up to 0.95 m.
 
 Temperatures: docs/explanation/models.md.
 """
@@ -31,6 +31,7 @@ from infrablend.assets.anatomy import (
     feet_centre,
     finished,
     joined,
+    leg_joint,
     mirrored,
     roles_of_coat,
     skin,
@@ -51,10 +52,12 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
     "rooting": ("ground", "step"),
     "lying": ("resting",),
     "running": ("left-trot", "right-trot"),
+    "sleeping": ("curled", "on-side"),
 }
 POSES = tuple(VARIANTS)
 DRAWN_POSES = POSES[:4]
-BUILDS = ("yearling", "sow", "tusker")
+BUILDS = ("yearling", "sow", "tusker", "piglet")
+DRAWN_BUILDS = BUILDS[:3]
 
 # Surface minus air. The winter coat of a boar has long bristles over dense underfur, thickest along the spine; the
 # underside, the inside of the legs and the face are thinly covered.
@@ -87,14 +90,19 @@ _SUN_SHARE: Mapping[str, float] = {
 }  # fmt: skip
 
 # Shoulder heights that are drawn for each build.
-HEIGHTS_M: Mapping[str, tuple[float, float]] = {"yearling": (0.50, 0.65), "sow": (0.62, 0.80), "tusker": (0.72, 0.95)}
+HEIGHTS_M: Mapping[str, tuple[float, float]] = {
+    "yearling": (0.50, 0.65),
+    "sow": (0.62, 0.80),
+    "tusker": (0.72, 0.95),
+    "piglet": (0.20, 0.42),
+}
 _DRAWN_M = (0.5, 0.95)
 DIALS = Dials(
     "boar",
     {
-        "pose": Choice(POSES, (0.32, 0.30, 0.26, 0.12, 0.0), "by default " + ", ".join(DRAWN_POSES)),
+        "pose": Choice(POSES, (0.32, 0.30, 0.26, 0.12, 0.0, 0.0), "by default " + ", ".join(DRAWN_POSES)),
         "variant": Choice((1, 2), (0.5, 0.5), "variant of the pose"),
-        "build": Choice(BUILDS, (0.35, 0.40, 0.25)),
+        "build": Choice(BUILDS, (0.35, 0.40, 0.25, 0.0), "by default " + ", ".join(DRAWN_BUILDS)),
         "shoulder_height_m": Number(_DRAWN_M, (0.2, 1.3)),
         "length_factor": Number((0.94, 1.06), (0.8, 1.25)),
         "width_factor": Number((0.93, 1.09), (0.8, 1.25)),
@@ -149,6 +157,8 @@ class _Pose:
         tilt: Further distance by which the withers are lowered.
         lying: Whether the trunk is on the ground, with the legs folded.
         middle_x: x of the model's origin; None for the middle between the feet.
+        bend_rad, head_turn_rad: Bend of the spine and turn of the head to the left.
+        on_side: Whether it lies on its right side, with stretched legs.
     """
 
     legs: tuple[Leg, Leg, Leg, Leg]
@@ -158,6 +168,14 @@ class _Pose:
     tilt: float = 0.0
     lying: bool = False
     middle_x: float | None = None
+    bend_rad: float = 0.0
+    head_turn_rad: float = 0.0
+    on_side: bool = False
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is a moment of a gait, whose legs swing so far that only bones of fixed length look right."""
+        return self.middle_x is not None
 
 
 _STILL = Leg()
@@ -177,6 +195,12 @@ _POSES: Mapping[tuple[str, str], _Pose] = {
         (Leg(0.13), Leg(-0.11), Leg(-0.10), Leg(0.05)), (0.630, 0, 0.480), (0.80, 0, -0.600), 0.015, 0.060
     ),
     ("lying", "resting"): _Pose((_STILL,) * 4, (0.640, 0, 0.700), (0.92, 0, -0.39), 0.395, lying=True),
+    ("sleeping", "curled"): _Pose(
+        (_STILL,) * 4, (0.630, 0, 0.575), (0.995, 0, -0.10), 0.395, lying=True, bend_rad=1.05, head_turn_rad=0.70
+    ),
+    ("sleeping", "on-side"): _Pose(
+        (Leg(0.08), Leg(0.02), Leg(-0.04), Leg(0.03)), (0.640, 0, 0.710), (0.94, 0, -0.34), on_side=True
+    ),
 }
 _GAITS: Mapping[str, Gait] = {
     "walking": Gait(0.70, 0.64, (0.25, 0.75, 0.0, 0.5), 0.08),
@@ -237,10 +261,12 @@ def _neck(poll: FloatArray, f: FloatArray, pose: _Pose, lying: bool, girth: floa
                 blend=0.09, steps=3)  # fmt: skip
 
 
-def _head(poll: FloatArray, axes: tuple[FloatArray, ...], big: float, sturdy: float) -> list[Primitive]:
+def _head(poll: FloatArray, axes: tuple[FloatArray, ...], big: float, sturdy: float, long: float) -> list[Primitive]:
     f, s, u = axes
 
     def at(forward: float, up: float, left: float = 0.0) -> FloatArray:
+        if forward > 0.16:
+            forward -= (1.0 - long) * (forward - 0.16)
         return np.asarray(poll + big * (forward * f + up * u + left * s))
 
     skull = tube(
@@ -305,9 +331,11 @@ def _fore_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         knee, fetlock = np.array([0.43, 0.140 * sign, 0.060]), np.array([0.26, 0.150 * sign, 0.038])
     else:
         shoulder = np.array([0.35 + 0.15 * leg.dx, 0.125 * sign, 0.62 - fall])
-        elbow = np.array([0.235 + 0.35 * leg.dx, 0.140 * sign, 0.475 - fall])
+        elbow = np.array([0.235 + (0.6 if pose.moves else 0.35) * leg.dx, 0.140 * sign, 0.475 - fall])
         fetlock = np.array([0.262 + leg.dx - 0.05 * leg.hang, y, 0.092 + leg.dz])
         knee = 0.47 * elbow + 0.53 * fetlock + np.array([0.026 + 0.05 * leg.hang, 0.0, 0.012])
+        if pose.moves:
+            knee = leg_joint(elbow, fetlock, (0.195, 0.193), 1.0)
         knee[1] = y
     upper: list[Primitive] = [
         tube("shoulder", [blade, shoulder], [0.075, 0.070], [0.120, 0.110], blend=0.08),
@@ -340,6 +368,9 @@ def _hind_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         stifle = np.array([-0.375 + 0.4 * leg.dx, 0.118 * sign, 0.505 - 0.9 * pose.drop + 0.3 * leg.dz])
         fetlock = np.array([-0.505 + leg.dx, y, 0.092 + leg.dz])
         hock = np.array([-0.560 + 0.85 * leg.dx - 0.03 * leg.hang, y, 0.270 + 0.9 * leg.dz])
+        if pose.moves:
+            hock = leg_joint(stifle, fetlock, (0.299, 0.186), -1.0)
+            hock[1] = y
     blend = 0.12 if lying else 0.08
     upper: list[Primitive] = [
         tube("haunch", [hip, stifle], [0.080, 0.066], [0.155, 0.115], blend=blend),
@@ -398,15 +429,20 @@ def _tusk(poll: FloatArray, axes: tuple[FloatArray, ...], big: float, sign: int)
     return solid.vertices, solid.triangles
 
 
-# Build -> girth, height of the mane, size of the head, breadth of the skull.
-_BUILD = {"yearling": (0.88, 0.022, 1.03, 0.94), "sow": (1.0, 0.038, 1.0, 1.0), "tusker": (1.08, 0.060, 1.06, 1.10)}
+# Build -> girth, height of the mane, size of the head, breadth of the skull, length of the snout.
+_BUILD = {
+    "yearling": (0.88, 0.022, 1.03, 0.94, 1.0),
+    "sow": (1.0, 0.038, 1.0, 1.0, 1.0),
+    "tusker": (1.08, 0.060, 1.06, 1.10, 1.0),
+    "piglet": (0.90, 0.006, 1.12, 1.06, 0.6),
+}
 
 
-@lru_cache(maxsize=4 * MOMENTS)
+@lru_cache(maxsize=3 * MOMENTS)
 def _shape(pose: _Pose, build_name: str) -> tuple[Piece, float]:
     """Return the whole boar, withers at height 1, straight, and the factor that brings them there."""
     lying = pose.lying
-    girth, crest, big, sturdy = _BUILD[build_name]
+    girth, crest, big, sturdy, long = _BUILD[build_name]
     poll = np.array(pose.poll) - [0.0, 0.0, pose.drop if lying else pose.drop + pose.tilt]
     f = unit(pose.head)
     s = np.array([0.0, 1.0, 0.0])
@@ -421,14 +457,16 @@ def _shape(pose: _Pose, build_name: str) -> tuple[Piece, float]:
     neck = _neck(poll, f, pose, lying, girth)
     body = Body((trunk, *uppers, neck, _mane(trunk, neck, crest), _tail(pose.drop)), lying)
     pieces = [skin(body, BODY_CELL, PART_NAMES, _BANDS)]
-    for fine, cell in [(_head(poll, axes, big, sturdy), HEAD_CELL), *((lower, LEG_CELL) for lower in lowers)]:
+    for fine, cell in [(_head(poll, axes, big, sturdy, long), HEAD_CELL), *((lower, LEG_CELL) for lower in lowers)]:
         pieces.append(skin(Body(tuple(fine), floor=True), cell, PART_NAMES))
     extras = [(_ear(poll, axes, big, sign), "ear") for sign in (1, -1)]
     if build_name == "tusker":
         extras += [(_tusk(poll, axes, big, sign), "tusk") for sign in (1, -1)]
     pieces += [(v, t, np.full(len(t), PART_NAMES.index(name), np.int32)) for (v, t), name in extras]
     vertices, triangles, parts = joined(pieces)
-    if lying:
+    if pose.on_side:
+        vertices = _tipped(vertices)
+    if lying or pose.on_side:
         origin, size = np.array([0.5 * (_TRUNK[0, 0] + _TRUNK[-1, 0]), 0.0, 0.0]), 1.0
     else:
         soles = vertices[np.unique(triangles[parts == PART_NAMES.index("hoof")])]
@@ -436,6 +474,19 @@ def _shape(pose: _Pose, build_name: str) -> tuple[Piece, float]:
         # Blending, the lowered trunk and the mane change the height of the withers.
         size = 1.0 / withers_height(vertices, triangles[np.isin(parts, _BACK)], _WITHERS_X)
     return ((vertices - origin) * size, triangles, parts), size
+
+
+def _tipped(vertices: FloatArray) -> FloatArray:
+    """Return the (V, 3) vertices of a standing boar on its right side, legs to the left, resting on the ground."""
+    x, y, z = vertices.T
+    # What is narrower than the trunk sinks to the ground: head, lower legs, and upper legs onto those.
+    legs = smoothstep((0.46 - z) / 0.30) * (0.055 + 0.105 * smoothstep(y / 0.08))
+    head = 0.075 * smoothstep((x - 0.45) / 0.30)
+    lying = np.column_stack([x, 0.62 - z, y - np.maximum(legs, head)])
+    lying[:, 2] -= lying[:, 2].min()
+    # The belly gives way to the ground.
+    lying[:, 2] -= 0.4 * np.minimum(lying[:, 2], 0.10)
+    return lying
 
 
 # Parts of the trunk, by height.
@@ -506,8 +557,14 @@ def stride_m(params: Params) -> float:
 def build(params: Params) -> Mesh:
     """Build the mesh of a boar in metres, from parameters as `sample` draws them or `animate` returns them."""
     _require(params)
-    (vertices, triangles, parts), _ = _shape(_skeleton(params), params["build"])
-    v = _bent(vertices, float(params["bend_rad"]), float(params["head_turn_rad"]))
+    pose = _skeleton(params)
+    (vertices, triangles, parts), _ = _shape(pose, params["build"])
+    own = 0.3 if params["pose"] == "sleeping" else 1.0
+    v = _bent(
+        vertices,
+        pose.bend_rad + own * float(params["bend_rad"]),
+        pose.head_turn_rad + own * float(params["head_turn_rad"]),
+    )
     triangles = triangles.copy()
     if params["mirror"]:
         v, triangles = mirrored(v, triangles)
@@ -518,7 +575,7 @@ def build(params: Params) -> Mesh:
 MODEL = ObjectModel(
     name="boar",
     category="boar",
-    description="A wild boar, yearling to tusker: standing, walking, rooting or lying.",
+    description="A wild boar, piglet to tusker: standing, walking, running, rooting, lying or sleeping.",
     origin="on the ground between the feet; for a lying boar, below the middle of its trunk",
     stands=True,
     surfaces={"grass": 1.0, "soil": 1.0, "track": 0.3},

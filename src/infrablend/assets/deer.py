@@ -1,4 +1,4 @@
-"""Deer model, grown from a skeleton: four poses, with and without antlers, sizes from roe to red deer.
+"""Deer model, grown from a skeleton: six poses, with and without antlers, fawns, sizes from roe to red deer.
 
 The body is an implicit surface (`assets.implicit`): trunk, neck, head and upper legs form one skin; the slender
 lower legs are on a finer grid; ears and antlers are lofts. All lengths are in units of the height at the withers (the
@@ -31,7 +31,7 @@ from infrablend.assets.anatomy import (
     feet_centre,
     finished,
     joined,
-    joint,
+    leg_joint,
     mirrored,
     roles_of_coat,
     skin,
@@ -47,7 +47,8 @@ from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
 _CHECKS = Checks("deer")
 
-POSES = ("standing", "walking", "grazing", "lying", "running")
+POSES = ("standing", "walking", "grazing", "lying", "running", "sleeping")
+AGES = ("adult", "young")
 DRAWN_POSES = POSES[:4]
 BUILDS = ("slender", "sturdy")
 ANTLERS = ("none", "hard", "velvet")
@@ -59,9 +60,10 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
     "grazing": ("ground", "browse"),
     "lying": ("alert", "resting"),
     "running": ("left-trot", "right-trot"),
+    "sleeping": ("curled", "flank"),
 }
-SHOULDER_HEIGHT_M = (0.4, 1.6)
-TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6, "running": 0.2}
+SHOULDER_HEIGHT_M: Mapping[str, tuple[float, float]] = {"adult": (0.4, 1.6), "young": (0.25, 0.9)}
+TURN_RAD = {"standing": 0.7, "walking": 0.4, "grazing": 0.5, "lying": 0.6, "running": 0.2, "sleeping": 0.1}
 HEAD_TURN_RAD = 0.35
 BEND_DEG = (0.0, 70.0)
 
@@ -131,6 +133,8 @@ _WITHERS_X = 0.27
 _SPINE_X = (-0.42, 0.34)
 # Smaller bends do not show.
 _STRAIGHT_RAD = 1e-3
+# Trunks of the young are short for their legs.
+_YOUNG_LENGTH = 0.88
 
 Point = tuple[float, float, float]
 
@@ -147,6 +151,8 @@ class _Pose:
         tilt: Further distance by which the withers are lowered.
         lying: Whether the trunk is on the ground, with the legs folded.
         middle_x: x of the model's origin; None for the middle between the feet.
+        bend_rad: Bend of the spine to the left.
+        asleep: Whether the head lies on the ground, with the neck bent to the side.
     """
 
     legs: tuple[Leg, Leg, Leg, Leg]
@@ -156,6 +162,8 @@ class _Pose:
     tilt: float = 0.0
     lying: bool = False
     middle_x: float | None = None
+    bend_rad: float = 0.0
+    asleep: bool = False
 
 
 _STILL = Leg()
@@ -200,6 +208,24 @@ _POSES: Mapping[tuple[str, str], _Pose] = {
         (0.62, 0.66, -0.42),
         0.53,
         lying=True,
+    ),
+    ("sleeping", "curled"): _Pose(
+        (_STILL,) * 4,
+        ((0.32, 0, 0.79), (0.47, 0.10, 0.76), (0.44, 0.26, 0.69), (0.27, 0.315, 0.63)),
+        (-0.99, 0.03, -0.05),
+        0.53,
+        lying=True,
+        bend_rad=0.95,
+        asleep=True,
+    ),
+    ("sleeping", "flank"): _Pose(
+        (_STILL,) * 4,
+        ((0.32, 0, 0.79), (0.47, 0.04, 0.76), (0.57, 0.15, 0.69), (0.57, 0.27, 0.635)),
+        (-0.25, 0.95, -0.12),
+        0.53,
+        lying=True,
+        bend_rad=0.35,
+        asleep=True,
     ),
 }
 _GAITS: Mapping[str, Gait] = {
@@ -251,13 +277,6 @@ class _Shape:
     size: float
 
 
-def _leg_joint(a: FloatArray, b: FloatArray, upper: float, lower: float, bend: float) -> FloatArray:
-    """Return the joint between two bones in a vertical plane; `bend` +1 points it forward, -1 backward."""
-    normal = np.cross(unit(b - a), np.array([0.0, 1.0, 0.0]))
-    normal *= bend / float(np.linalg.norm(normal)) * (1.0 if normal[0] >= 0 else -1.0)
-    return joint(a, b, (upper, lower), normal)
-
-
 def _foot(fetlock: FloatArray, hang: float, lying: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return coronet, heel and toe of a foot; the pastern points forward on the ground and folds back in the air."""
     angle = np.deg2rad(-62.0 - 75.0 * hang) if not lying else np.deg2rad(-150.0)
@@ -266,6 +285,23 @@ def _foot(fetlock: FloatArray, hang: float, lying: bool) -> tuple[FloatArray, Fl
     sole = np.deg2rad(-35.0 - 75.0 * hang) if not lying else np.deg2rad(-170.0)
     toe = coronet + 0.052 * np.array([np.cos(sole), 0.0, np.sin(sole)])
     return coronet, coronet + 0.2 * (toe - coronet), toe
+
+
+@dataclass(frozen=True)
+class _Build:
+    """Factors on the width of trunk, neck, throat and head."""
+
+    trunk: float = 1.0
+    neck: float = 1.0
+    throat: float = 1.0
+    head: float = 1.0
+
+
+_BUILDS: Mapping[str, _Build] = {
+    "slender": _Build(),
+    "sturdy": _Build(1.08, 1.16, 1.12, 1.06),
+    "fawn": _Build(0.92, 0.86, 0.98, 1.25),  # long legs, a thin neck and a round head
+}
 
 
 def _trunk(pose: _Pose, lying: bool, width: float) -> Tube:
@@ -290,15 +326,15 @@ def _head_frame(pose: _Pose) -> tuple[FloatArray, FloatArray, FloatArray]:
     return forward, side, np.cross(forward, side)
 
 
-def _head(poll: FloatArray, neck_end: FloatArray, frame: tuple[FloatArray, ...], sturdy: bool) -> list[Primitive]:
+def _head(poll: FloatArray, neck_end: FloatArray, frame: tuple[FloatArray, ...], build: _Build) -> list[Primitive]:
     """Return head and upper end of the neck, on the finer grid; `neck_end` is the direction of the neck there."""
     f, s, u = frame
-    thick = 1.12 if sturdy else 1.0
+    thick = build.throat
 
     def at(forward: float, up: float, left: float = 0.0) -> FloatArray:
         return np.asarray(poll + forward * f + up * u + left * s)
 
-    big = 1.06 if sturdy else 1.0
+    big = build.head
     # The upper end starts inside the neck of the body, so that both skins meet without a crease.
     throat = tube(
         "neck",
@@ -356,7 +392,7 @@ def _fore_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         fetlock = np.array([0.292 + leg.dx, y, 0.104 + leg.dz])
         if leg.hang:
             fetlock[0] -= 0.06 * leg.hang
-        knee = _leg_joint(elbow, fetlock, 0.272, 0.242, 1.0)
+        knee = leg_joint(elbow, fetlock, (0.272, 0.242), 1.0)
         knee[1] = y + 0.004 * sign
     shoulder = np.array([0.385 + 0.15 * leg.dx, 0.080 * sign, 0.70 - fall])
     blade = np.array([0.265, 0.062 * sign, 0.90 - fall])
@@ -399,7 +435,7 @@ def _hind_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
         fetlock = np.array([-0.19, 0.195 * sign, 0.030])
     else:
         fetlock = np.array([-0.452 + leg.dx, y, 0.104 + leg.dz])
-        hock = _leg_joint(stifle, fetlock, 0.325, 0.268, -1.0)
+        hock = leg_joint(stifle, fetlock, (0.325, 0.268), -1.0)
         hock[1] = y
     blend = 0.12 if lying else 0.07
     # When folded, the thigh is buried in the coat of the flank.
@@ -553,25 +589,31 @@ def _antler(
     return concatenate(pieces)
 
 
-@lru_cache(maxsize=4 * MOMENTS)
+@lru_cache(maxsize=3 * MOMENTS)
 def _body(pose: _Pose, build_name: str) -> _Shape:
     """Return body and legs: everything that is part of the implicit surface."""
-    lying, sturdy = pose.lying, build_name == "sturdy"
+    lying, build = pose.lying, _BUILDS[build_name]
     lift = np.array([0.0, 0.0, -pose.drop if lying else -pose.drop - pose.tilt])
     neck_path = np.array(pose.neck)
     if lying:
         neck_path = neck_path + lift
-    thick = 1.16 if sturdy else 1.0
+    thick = build.neck
+    wide = np.array([0.080, 0.064, 0.052, 0.036]) * thick
+    high = np.array([0.150, 0.110, 0.078, 0.048]) * (1 + 0.7 * (thick - 1))
+    if pose.asleep:
+        # Bent to the side, a neck is measured across the vertical; on the ground it is lower, too.
+        wide, high = 0.85 * high, 1.1 * wide
     neck = tube(
         "neck_base",
         neck_path,
-        np.array([0.080, 0.064, 0.052, 0.036]) * thick,
-        np.array([0.150, 0.110, 0.078, 0.048]) * (1 + 0.7 * (thick - 1)),
+        wide,
+        high,
+        side=(0.0, 0.0, 1.0) if pose.asleep else (0.0, 1.0, 0.0),
         blend=0.07,
         steps=4,
         beyond=[(1.25, "neck")],
     )
-    trunk = _trunk(pose, lying, 1.08 if sturdy else 1.0)
+    trunk = _trunk(pose, lying, build.trunk)
     poll = neck_path[-1]
     frame = _head_frame(pose)
     tail_path = np.array([[-0.515, 0, 0.895], [-0.573, 0, 0.85], [-0.58, 0, 0.765]]) - [0.0, 0.0, pose.drop]
@@ -589,7 +631,7 @@ def _body(pose: _Pose, build_name: str) -> _Shape:
         upper, lower = (_fore_leg if i < 2 else _hind_leg)(pose, leg, 1 if i % 2 == 0 else -1, lying)
         uppers += upper
         lowers.append(lower)
-    head = _head(poll, unit(neck.path[-1] - neck.path[-3]), frame, sturdy)
+    head = _head(poll, unit(neck.path[-1] - neck.path[-3]), frame, build)
     body = Body((trunk, *uppers, neck, tail), floor=lying)
 
     pieces = [skin(body, BODY_CELL, PART_NAMES, _BANDS)]
@@ -684,6 +726,7 @@ DEFAULTS: Mapping[str, Any] = {
     "build": "slender",
     "antlers": "none",
     "antler_form": "roe",
+    "age": "adult",
     "shoulder_height_m": 0.9,
     "length_factor": 1.0,
     "width_factor": 1.0,
@@ -708,7 +751,8 @@ def _checked(params: Params) -> dict[str, Any]:
     _CHECKS.one_of("parameter time_of_day", p["time_of_day"], TIMES)
     _CHECKS.one_of("parameter antlers", p["antlers"], ANTLERS)
     _CHECKS.one_of("parameter antler_form", p["antler_form"], ANTLER_FORMS)
-    _CHECKS.number("parameter shoulder_height_m", p["shoulder_height_m"], *SHOULDER_HEIGHT_M)
+    age = _CHECKS.one_of("parameter age", p["age"], AGES)
+    _CHECKS.number("parameter shoulder_height_m", p["shoulder_height_m"], *SHOULDER_HEIGHT_M[age])
     for name in ("length_factor", "width_factor"):
         _CHECKS.number(f"parameter {name}", p[name], 0.8, 1.25)
     for name in ("neck_turn_rad", "head_turn_rad", "spine_bend_rad"):
@@ -721,6 +765,10 @@ def _checked(params: Params) -> dict[str, Any]:
     return p
 
 
+def _body_of(p: Params) -> str:
+    return "fawn" if p["age"] == "young" else str(p["build"])
+
+
 def build(params: Params) -> Mesh:
     """Build the mesh of a deer in metres.
 
@@ -729,7 +777,8 @@ def build(params: Params) -> Mesh:
 
             pose, variant: See `VARIANTS`.
             phase: Place in [0, 1] in the cycle of a walking or running deer, instead of the variant.
-            build: `slender` or `sturdy` (wider trunk, thicker neck).
+            build: `slender` or `sturdy` (wider trunk, thicker neck); ignored for the young.
+            age: `adult`, or `young` for a fawn or calf with its proportions, which has no antlers.
             antlers, antler_form: See `ANTLERS` and `ANTLER_FORMS`; the form is ignored without antlers.
             shoulder_height_m: Height of the withers when standing; a lying deer of that size is lower.
             length_factor, width_factor: Extra factors along x and y.
@@ -744,17 +793,20 @@ def build(params: Params) -> Mesh:
     """
     p = _checked(params)
     skeleton = _skeleton(p["pose"], p["variant"], p["phase"])
-    shape = _with_crown(_body(skeleton, p["build"]), p["antlers"], p["antler_form"])
+    young = p["age"] == "young"
+    shape = _with_crown(_body(skeleton, _body_of(p)), "none" if young else p["antlers"], p["antler_form"])
     v = shape.vertices
     v = _rotated_about_vertical(v, shape.poll, float(p["head_turn_rad"]) * shape.head_weight)
     v = _rotated_about_vertical(v, shape.neck_pivot, float(p["neck_turn_rad"]) * shape.neck_weight)
-    if abs(float(p["spine_bend_rad"])) > _STRAIGHT_RAD:
-        v = _bent(v, float(p["spine_bend_rad"]))
+    bend = skeleton.bend_rad + (0.3 if skeleton.asleep else 1.0) * float(p["spine_bend_rad"])
+    if abs(bend) > _STRAIGHT_RAD:
+        v = _bent(v, bend)
     triangles = shape.triangles.copy()
     if p["mirror"]:
         v, triangles = mirrored(v, triangles)
     height = float(p["shoulder_height_m"])
-    scale = np.array([float(p["length_factor"]), float(p["width_factor"]), 1.0]) * height
+    length = float(p["length_factor"]) * (_YOUNG_LENGTH if young else 1.0)
+    scale = np.array([length, float(p["width_factor"]), 1.0]) * height
     return finished((v * scale, triangles, shape.parts), PART_NAMES)
 
 
@@ -768,8 +820,10 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     u = [float(x) for x in rng.random(12)]
     pose = pick(*_CHECKS.weighted("option pose", options.get("pose", DRAWN_POSES), POSES, _POSE_ODDS), u[0])
     antlers = _antler_option(options.get("antlers"), u[1])
-    height_option = options.get("shoulder_height_m", DRAWN_HEIGHT_M)
-    low, high = _CHECKS.number_range("option shoulder_height_m", height_option, *SHOULDER_HEIGHT_M)
+    ages, age_odds = _CHECKS.weighted("option age", options.get("age", "adult"), AGES, _AGE_ODDS)
+    age = pick(ages, age_odds, 1000.0 * u[2] % 1.0)
+    drawn_m = DRAWN_HEIGHT_M if age == "adult" else YOUNG_HEIGHT_M
+    low, high = _CHECKS.range_of_kind("shoulder_height_m", options, age, ages, SHOULDER_HEIGHT_M, drawn_m)
     height = low + (high - low) * u[2]
     builds = _CHECKS.some_of("option build", options.get("build", BUILDS), BUILDS)
     # Tall deer carry large antlers and a sturdy build more often.
@@ -788,23 +842,26 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "pose": pose,
         "variant": pick(VARIANTS[pose], [1.0] * len(VARIANTS[pose]), u[3]),
         "build": pick(builds, [0.75 - 0.4 * tall if b == "slender" else 0.25 + 0.4 * tall for b in builds], u[4]),
-        "antlers": antlers,
+        "antlers": antlers if age == "adult" else "none",
         "antler_form": pick(forms, [odds[f] for f in forms], u[5]),
         "shoulder_height_m": height,
         "length_factor": 0.94 + 0.12 * u[6],
         "width_factor": 0.93 + 0.16 * u[7],
         # The mean of two draws: usually straight ahead, seldom far to the side.
         "neck_turn_rad": neck_turn,
-        "head_turn_rad": HEAD_TURN_RAD * (2.0 * u[10] - 1.0),
+        "head_turn_rad": HEAD_TURN_RAD * (2.0 * u[10] - 1.0) * (0.3 if pose == "sleeping" else 1.0),
         "mirror": u[11] < 0.5,
         "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
+        **({} if age == "adult" else {"age": age}),
         **bend,
     }
 
 
 # Shoulder height: roe deer 0.65-0.75 m, white-tailed 0.8-1.0 m, red deer 1.0-1.2 m.
 DRAWN_HEIGHT_M = (0.7, 1.2)
-_POSE_ODDS = {"standing": 0.30, "walking": 0.25, "grazing": 0.30, "lying": 0.15, "running": 0.1}
+YOUNG_HEIGHT_M = (0.35, 0.7)  # a roe fawn of some weeks to a red calf of some months
+_POSE_ODDS = {"standing": 0.30, "walking": 0.25, "grazing": 0.30, "lying": 0.15, "running": 0.1, "sleeping": 0.1}
+_AGE_ODDS = {"adult": 0.7, "young": 0.3}
 _ANTLER_ODDS = {"none": 0.5, "hard": 0.38, "velvet": 0.12}
 OPTIONS: Mapping[str, str] = {
     "pose": "one of "
@@ -814,7 +871,10 @@ OPTIONS: Mapping[str, str] = {
     "antlers": "true, false, none, hard or velvet; by default half of the deer have antlers",
     "antler_form": "one of " + ", ".join(ANTLER_FORMS) + ", or a list of several",
     "build": "one of " + ", ".join(BUILDS) + ", or a list of several",
-    "shoulder_height_m": "a number from 0.4 to 1.6, or [low, high]; by default [0.7, 1.2]",
+    "age": "adult or young, a list of both, or each with its weight; by default adult. The young have long legs, "
+    "a short trunk, a round head and no antlers",
+    "shoulder_height_m": "a number from 0.4 to 1.6, or [low, high]; by default [0.7, 1.2]. Young ones: 0.25 to 0.9, by "
+    "default [0.35, 0.7]",
     "bend_deg": "angle between hips and shoulders seen from above, 0 to 70 degrees, or [low, high]; by default 0",
     "time_of_day": "day or night: by day the sun warms the coat; by default that of the background, or night",
 }
@@ -840,14 +900,15 @@ def stride_m(params: Params) -> float:
     p = _checked(params)
     if p["pose"] not in _GAITS:
         return 0.0
-    size = _body(_skeleton(p["pose"], p["variant"], 0.0), p["build"]).size
-    return float(_GAITS[p["pose"]].stride * size * p["length_factor"] * p["shoulder_height_m"])
+    size = _body(_skeleton(p["pose"], p["variant"], 0.0), _body_of(p)).size
+    length = p["length_factor"] * (_YOUNG_LENGTH if p["age"] == "young" else 1.0)
+    return float(_GAITS[p["pose"]].stride * size * length * p["shoulder_height_m"])
 
 
 MODEL = ObjectModel(
     name="deer",
     category="deer",
-    description="A deer from roe to red deer in size: standing, walking, grazing or lying, with or without antlers.",
+    description="A deer from roe to red deer in size, adult or young: standing, walking, grazing, lying, sleeping, ...",
     origin="on the ground between the feet; for a lying deer, below the middle of its trunk",
     stands=True,
     surfaces={"grass": 1.0, "soil": 1.0, "track": 0.3},

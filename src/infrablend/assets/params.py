@@ -96,6 +96,18 @@ class Checks:
             raise self.bad(where, value, "[low, high] with low not above high")
         return first, last
 
+    def range_of_kind(
+        self, name: str, options: Params, kind: str, kinds: Sequence[str], limits: Mapping[str, Range], drawn: Range
+    ) -> Range:
+        """Return the range to draw a number from whose limits depend on the kind of the individual, such as its age.
+
+        Of an option's range for all kinds that may be drawn, each takes the numbers that it can have.
+        """
+        lowest, highest = min(limits[k][0] for k in kinds), max(limits[k][1] for k in kinds)
+        low, high = self.number_range(f"option {name}", options.get(name, drawn), lowest, highest)
+        least, most = limits[kind]
+        return min(max(low, least), most), min(max(high, least), most)
+
     def flag(self, where: str, value: object) -> bool:
         """Return the value if it is true or false."""
         if not isinstance(value, bool):

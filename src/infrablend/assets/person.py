@@ -30,7 +30,6 @@ import numpy as np
 from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import (
-    MOMENTS,
     ObjectModel,
     Params,
     PartRange,
@@ -46,11 +45,11 @@ from infrablend.assets.person_poses import (
     ARMS,
     DRAWN_POSES,
     FOREARM,
-    GAITS,
     HIP_Z,
     NECK,
     POSES,
     SHOULDER,
+    STRIDES,
     UPPER_ARM,
     VARIANTS,
     WAVES_HZ,
@@ -107,6 +106,7 @@ PARTS: Mapping[str, PartRange] = {
         "wood", (-1.0, 1.0), "seat: wood or stone at air temperature; not part of the person", label=False
     ),
     "helmet": part_role("plastic", (0.5, 4.0), "matt shell away from the head, near air temperature", ior=1.0),
+    "laid_backpack": part_role("cloth", (-1.0, 1.5), "backpack on the ground; not part of the person", label=False),
 }
 # One or two thin layers in mild weather: the upper end of the +3..+10 K of summer clothing. Skin of 24-34 C is not
 # chilled, and warms hair and collar.
@@ -139,7 +139,7 @@ _GARMENTS: Mapping[str, tuple[str, ...]] = {
     "top": ("jacket", "sleeve", "coat_skirt", "collar", "hood"),
     "bottom": ("trousers", "leg"),
     "skin": ("face", "nose", "ear", "neck", "hand", "forearm", "shin"),
-    "backpack": ("backpack", "strap"),
+    "backpack": ("backpack", "strap", "laid_backpack"),
 }
 _SURFACE = {part: garment for garment, parts in _GARMENTS.items() for part in parts}
 
@@ -149,8 +149,9 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
 
     In scenes with a sun, each garment has its own absorptivity, and is warmed where the sun's rays hit it.
     """
-    # A part that nobody wears would change what is drawn for the others.
-    parts = {n: role for n, role in PARTS.items() if n != "helmet" or params.get("headwear") == "helmet"}
+    # A part that someone does not have would change what is drawn for the others.
+    rare = {"helmet": params.get("headwear") == "helmet", "laid_backpack": _lays_backpack(params)}
+    parts = {n: role for n, role in PARTS.items() if rare.get(n, True)}
     own = _WORN.get(params.get("clothing", "winter"), {})
     parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in own.items()}
     if params.get("time_of_day", "night") == "day":
@@ -158,6 +159,13 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
         parts = warmed_by_sun(parts, SUN_K, {n: 1.0 for n in parts if n in _SUNLIT})
         return {n: replace(role, sun=_in_the_sun(n, role.kind, shade[n])) for n, role in parts.items()}
     return parts
+
+
+def _lays_backpack(params: Params) -> bool:
+    """Return whether someone has put a backpack on the ground to lie on the back."""
+    if params.get("pose") != "lying" or not params.get("backpack"):
+        return False
+    return skeleton("lying", params.get("variant", VARIANTS["lying"][0])).rests_on == "back"
 
 
 def _in_the_sun(part: str, kind: str, night_k: tuple[float, float]) -> SunResponse:
@@ -247,11 +255,7 @@ def _arm_line(arm: Arm, sign: int, pad: float, build_name: str) -> tuple[FloatAr
     return shoulder * flip, elbow * flip, wrist * flip
 
 
-# Pieces that are kept: those of eight people at all moments of a step.
-_KEPT = 8 * MOMENTS
-
-
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _upper(top: str, pad: float, arms: Arms, build_name: str, seated: bool, hood_down: bool, sleeves: str) -> Piece:
     """Return the jacket with sleeves, collar and any lowered hood, in the frame of the upright trunk."""
     rows = _trunk_rows(top, pad, build_name, seated)
@@ -321,7 +325,7 @@ def _upper(top: str, pad: float, arms: Arms, build_name: str, seated: bool, hood
     return _skin(Body(tuple(primitives)), CLOTH_CELL)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _hands(pad: float, arms: Arms, build_name: str) -> Piece | None:
     """Return the hands that are not in pockets, in the frame of the trunk: palm, four fingers and thumb each."""
     solids: list[Solid] = []
@@ -364,7 +368,7 @@ def _hands(pad: float, arms: Arms, build_name: str) -> Piece | None:
     return _one_part("hand", *solids) if solids else None
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _legs(pose: Pose, bottom: str, build_name: str, length: str, thick: float) -> Piece:
     """Return trousers with the hips, or stockinged legs under a skirt; short trousers end at the knee."""
     girth = _GIRTH[build_name]
@@ -402,7 +406,7 @@ def _legs(pose: Pose, bottom: str, build_name: str, length: str, thick: float) -
     return _skin(Body(tuple(primitives), floor=not pose.rests_on), CLOTH_CELL)
 
 
-@lru_cache(maxsize=_KEPT)
+@lru_cache(maxsize=256)
 def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     """Return the lower half of a coat, or a skirt: both hang from the hips around both thighs."""
     (hip, knee, _), (hip2, knee2, _) = leg_lines(pose)
@@ -428,7 +432,7 @@ def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     return _skin(Body((bar,), floor=not pose.rests_on), SKIRT_CELL)
 
 
-@lru_cache(maxsize=2 * MOMENTS)
+@lru_cache(maxsize=128)
 def _shoes(pose: Pose) -> Piece:
     pieces = []
     for sign, foot in zip((1, -1), pose.feet, strict=True):
@@ -522,7 +526,7 @@ def _head(headwear: str, hair: str) -> Piece:
 
 @lru_cache(maxsize=32)
 def _backpack(top: str, pad: float, build_name: str, worn: bool) -> Piece:
-    """Return a backpack, with two shoulder straps if it is worn, in the frame of the trunk."""
+    """Return a backpack with two shoulder straps, or one beyond the head of someone who lies on the back."""
     rows = _trunk_rows(top, pad, build_name, False)
 
     def at(z: float) -> tuple[float, float]:
@@ -542,7 +546,7 @@ def _backpack(top: str, pad: float, build_name: str, worn: bool) -> Piece:
     centre = rings[:, :, 0].mean(axis=1)
     pack = loft(rings, start=(centre[0], 0.0, 0.564), end=(centre[-1], 0.0, 0.806))
     if not worn:
-        return _one_part("backpack", pack)
+        return _one_part("laid_backpack", moved(pack, (0.075, 0.05, 0.50)))
     straps = []
     lift = 0.034 * _GIRTH[build_name] + 0.6 * pad
     for sign in (1, -1):
@@ -640,10 +644,10 @@ def build(params: Params) -> Mesh:
         params: Parameters as `sample` draws them; missing ones take their value from `DEFAULTS`.
 
             pose, variant, arms: See `VARIANTS` and `ARMS`.
-            phase: Place in [0, 1] in the cycle of a walking, running or waving person, instead of the variant.
+            phase: Place in [0, 1] in the cycle of someone who walks, runs, crawls or waves, instead of the variant.
             top, bottom, headwear, hair, build: See `TOPS`, `BOTTOMS`, `HEADWEAR`, `HAIR` and `BUILDS`; a hood that
                 is not worn hangs on the back of jacket and puffer.
-            backpack: Whether the person carries a backpack; who lies on the back has put it on the ground.
+            backpack: Whether the person carries a backpack; who lies on the back has put it down.
             seat: Whether the model of someone sitting on a seat includes the seat, which is not labelled.
             age, height_m: Height when standing upright, with shoes and headwear; a child's proportions follow from it.
             width_factor: Extra factor for width and depth.
@@ -672,7 +676,7 @@ def build(params: Params) -> Mesh:
     if hands is not None:
         trunk.append(hands)
     if p["backpack"]:
-        trunk.append(_carried(pose, _backpack(top, pad, girth, pose.rests_on != "back")))
+        trunk.append(_backpack(top, pad, girth, not _lays_backpack(p)))
     lean = turn_y(pose.lean_rad + pose.loose * p["lean_rad"])
     if pose.tilt_rad[0]:
         lean = turn_x(-pose.tilt_rad[0]) @ lean
@@ -729,16 +733,16 @@ def _scale(p: Params) -> float:
 
 
 def animate(params: Params, phase: float) -> dict[str, Any]:
-    """Return the parameters of a walking, running or waving person at a phase; of others, as they are."""
+    """Return the parameters of a walking, running, crawling or waving person at a phase; of others, as they are."""
     return {**params, "phase": moment(phase)} if moves(params["pose"]) else dict(params)
 
 
 def stride_m(params: Params) -> float:
-    """Return the length of two steps, 0 for people who do not walk or run."""
+    """Return how far two steps take a person who walks, runs or crawls; 0 for others."""
     p = _checked(params)
-    if p["pose"] not in GAITS:
+    if p["pose"] not in STRIDES:
         return 0.0
-    return float(GAITS[p["pose"]].stride * _proportions(p)[0] * _scale(p) * p["width_factor"])
+    return float(STRIDES[p["pose"]] * _proportions(p)[0] * _scale(p) * p["width_factor"])
 
 
 def cycle_hz(params: Params) -> float:
@@ -771,12 +775,6 @@ def _lying(vertices: FloatArray, rests_on: str, scale: float) -> FloatArray:
     z -= z.min()
     z -= scale * _SINKS * np.minimum(z / (scale * _LAYER), 1.0)
     return v
-
-
-def _carried(pose: Pose, pack: Piece) -> Piece:
-    """Return a backpack on the back, or on the ground beyond the head of someone who lies there."""
-    v, t, parts = pack
-    return (v + [0.075, 0.05, 0.50], t, parts) if pose.rests_on == "back" else pack
 
 
 def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> FloatArray:
@@ -830,15 +828,8 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     woman = u[2] < 0.5
     ages, odds = _CHECKS.weighted("option age", options.get("age", "adult"), AGES, _ODDS["age"])
     age = pick(ages, odds, 1000.0 * u[3] % 1.0)
-    limits = [HEIGHTS_M[a] for a in ages]
-    low, high = _CHECKS.number_range(
-        "option height_m",
-        options.get("height_m", DRAWN_HEIGHT_M if age == "adult" else HEIGHTS_M[age]),
-        min(limit[0] for limit in limits),
-        max(limit[1] for limit in limits),
-    )
-    # Of a range for adults and children, each takes the heights that it can have.
-    low, high = (min(max(end, HEIGHTS_M[age][0]), HEIGHTS_M[age][1]) for end in (low, high))
+    drawn_m = DRAWN_HEIGHT_M if age == "adult" else HEIGHTS_M[age]
+    low, high = _CHECKS.range_of_kind("height_m", options, age, ages, HEIGHTS_M, drawn_m)
     height = low + (high - low) * u[3]
     if "height_m" not in options and age == "adult":
         # Close to normal: the mean of three draws over +-3 standard deviations of adults with shoes.

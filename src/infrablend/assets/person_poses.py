@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from infrablend.assets.anatomy import joint, smoothstep, spline, unit
+from infrablend.assets.anatomy import Gait, joint, smoothstep, spline, unit
 from infrablend.assets.shapes import turn_y
 from infrablend.core.mesh import FloatArray
 
@@ -370,6 +370,9 @@ GAITS: Mapping[str, _Gait] = {
         ((-0.090, 0.165, 0.610), (0.090, 0.150, 0.600), (0.185, 0.085, 0.700)),
     ),
 }  # fmt: skip
+_CRAWL = Gait(0.28, 0.62, (0.0, 0.5, 0.5, 0.0), 0.05)  # hands as fore legs: each moves with the knee of the other side
+# Pose -> distance that one cycle takes a person, in units of the height.
+STRIDES: Mapping[str, float] = {**{pose: gait.stride for pose, gait in GAITS.items()}, "crawling": _CRAWL.stride}
 # Round places of a sole that touch the ground as the foot rolls: x and z from the ankle, radius.
 _HEEL, _BALL = (-0.030, -0.022, 0.026), (0.090, -0.029, 0.020)
 _SOLE_Z = 0.045
@@ -380,7 +383,7 @@ WAVES_HZ = 1.1  # how often waving arms swing from side to side and back
 
 def moves(pose: str) -> bool:
     """Return whether people in a pose have a phase."""
-    return pose in GAITS or pose == "waving"
+    return pose in STRIDES or pose == "waving"
 
 
 def skeleton(pose: str, variant: str, phase: float | None = None) -> Pose:
@@ -396,7 +399,7 @@ def skeleton(pose: str, variant: str, phase: float | None = None) -> Pose:
         arm = _raised(-0.3 + 0.7 * math.sin(2 * math.pi * phase))
         still = _POSES[pose, variant]
         return replace(still, arms=(arm, still.arms[1] if variant == "one-arm" else arm))
-    return _stepping(GAITS[pose], phase)
+    return _crawling(phase) if pose == "crawling" else _stepping(GAITS[pose], phase)
 
 
 def _stepping(gait: _Gait, phase: float) -> Pose:
@@ -412,6 +415,22 @@ def _stepping(gait: _Gait, phase: float) -> Pose:
         wrist = middle + 0.5 * forward * (front - back) + forward**2 * (0.5 * (front + back) - middle)
         arms.append(Arm((float(wrist[0]), float(wrist[1]), float(wrist[2])), (-1.0, 0.35, -0.2)))
     return Pose((0.0, hip), (feet[0], feet[1]), (arms[0], arms[1]), gait.lean_rad, middle_x=0.0)
+
+
+def _crawling(phase: float) -> Pose:
+    still = _POSES["crawling", "hands-and-knees"]
+    hip_x, hip_z = still.hip[0], 0.275
+    left, right, *knees = _CRAWL.legs(phase)
+    arms = []
+    for hand in (left, right):
+        # The hips are lower than on all fours at rest, and hands reach as far back as forward.
+        x, y, z = _ON_HANDS.wrist + turn_y(-still.lean_rad) @ [hand.dx - 0.02, 0.0, hand.dz + still.hip[1] - hip_z]
+        arms.append(replace(_ON_HANDS, wrist=(float(x), float(y), float(z))))
+    feet = [
+        replace(foot, ankle=(hip_x + knee.dx - 0.243, foot.ankle[1], 0.036 + 0.6 * knee.dz))
+        for foot, knee in zip(still.feet, knees, strict=True)
+    ]
+    return replace(still, hip=(hip_x, hip_z), arms=(arms[0], arms[1]), feet=(feet[0], feet[1]))
 
 
 def _step(gait: _Gait, phase: float) -> FloatArray:

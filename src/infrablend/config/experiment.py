@@ -25,7 +25,9 @@ from infrablend.errors import RecipeError
 
 _PATH_FIELD = re.compile(r"objects\.\d+\.model|sensor\.profile", re.ASCII)
 
-Metric = Literal["p", "r", "map50", "map50_95", "as_one50", "as_one50_95", "found", "named", "false_alarms"]
+Metric = Literal[
+    "p", "r", "map50", "map50_95", "as_one50", "as_one50_95", "found", "named", "false_alarms", "hota", "mota", "idf1"
+]  # fmt: skip
 METRICS: tuple[Metric, ...] = get_args(Metric)
 """Figures of the row of a class; `as_one50` and `as_one50_95` are of all classes, so only of the row `all`."""
 
@@ -232,6 +234,8 @@ class Evaluation(Strict):
     """Least overlap with an object to be listed as found."""
     by_body: bool = False
     """Give AP by the size of what the pictures show of the objects, too."""
+    tracks: bool = False
+    """Run a tracker over the detections, and compare with the labelled tracks."""
 
 
 class Comparison(Strict):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from infrablend.assets import bird
+from infrablend.assets import bird, boar, deer
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.assets.model import MOMENTS, ObjectModel
 from infrablend.core.mesh import Mesh
@@ -21,6 +21,7 @@ STEPS: list[tuple[str, dict[str, Any], float]] = [
     ("person", {"pose": "walking"}, 0.27),
     ("person", {"pose": "running"}, 0.15),
     ("person", {"pose": "walking", "age": "child", "height_m": 0.9}, 0.27),
+    ("person", {"pose": "crawling"}, 0.31),
     ("deer", {"pose": "walking"}, 0.57),
     ("deer", {"pose": "running"}, 0.20),
     ("boar", {"pose": "walking"}, 0.57),
@@ -95,12 +96,12 @@ def test_feet_stay_where_they_stand(name: str, options: dict[str, Any], stance: 
     model, params = individual(name, options)
     assert model.stride_m is not None
     stride, size = model.stride_m(params), params.get("shoulder_height_m") or params["height_m"]
-    assert 0.5 * size < stride < 1.7 * size
+    assert (0.25 if options["pose"] == "crawling" else 0.5) * size < stride < 1.7 * size
     places = []
     for k in range(-3, 4):
         phase = round(stance * MOMENTS + k) / MOMENTS
         mesh = at(model, params, phase)
-        foot = vertices_of(mesh, "shoe" if name == "person" else "hoof")
+        foot = vertices_of(mesh, {"crawling": "hand"}.get(options["pose"], "shoe") if name == "person" else "hoof")
         foot = foot[foot[:, 1] > 0.0]
         if name != "person":
             foot = foot[foot[:, 0] > 0.0]
@@ -120,6 +121,8 @@ def test_bodies_stay_over_their_origin(name: str, options: dict[str, Any], stanc
     params |= {"top": "jacket"} if name == "person" else {}
     heads = [vertices_of(at(model, params, k / 8), part).mean(axis=0) for k in range(8)]
     assert np.ptp(heads, axis=0).max() < 0.06 * size
+    if options["pose"] == "crawling":  # shoes are behind
+        return
     soles = [vertices_of(at(model, params, k / 8), "shoe" if name == "person" else "hoof")[:, :2] for k in range(8)]
     middle = np.mean([0.5 * (s.min(axis=0) + s.max(axis=0)) for s in soles], axis=0)
     assert np.abs(middle).max() < 0.08 * size
@@ -139,6 +142,24 @@ def test_strides_fit_the_speed_of_people_and_animals() -> None:
     walker, child = (individual("person", {"pose": "walking", **o})[1] for o in ({}, {"age": "child", "height_m": 0.9}))
     stride = load_model("person").stride_m
     assert stride is not None and stride(child) < 0.55 * stride(walker)
+
+
+@pytest.mark.parametrize("gait", ["walking", "running"])
+@pytest.mark.parametrize("fore", [True, False])
+@pytest.mark.parametrize("module", [boar, deer], ids=["boar", "deer"])
+def test_bones_of_animals_keep_their_length(module: Any, fore: bool, gait: str) -> None:
+    lengths = []
+    for k in range(24):
+        if module is deer:
+            pose = deer._skeleton(gait, "", k / 24)
+        else:
+            pose = boar._skeleton({"pose": gait, "variant": 1, "phase": k / 24})
+        leg = pose.legs[0 if fore else 2]
+        upper, lower = (module._fore_leg if fore else module._hind_leg)(pose, leg, 1, False)
+        (top,) = (p.path[0] for p in upper if p.part == "upper_leg")
+        knee, fetlock = lower[0].path[1], lower[0].path[-1]
+        lengths.append([np.linalg.norm(knee - top), np.linalg.norm(fetlock - knee)])
+    assert (np.max(lengths, axis=0) < 1.05 * np.min(lengths, axis=0)).all()
 
 
 def test_birds_beat_their_wings_about_their_body() -> None:

@@ -11,7 +11,7 @@ from infrablend.assets import boar
 from infrablend.assets.implicit import is_closed
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
-from tests.meshes import areas, signed_volume, vertices_of
+from tests.meshes import areas, share_inside, signed_volume, vertices_of
 
 SHAPES = [(pose, k + 1) for pose in boar.POSES for k in range(len(boar.VARIANTS[pose]))]
 PLAIN: dict[str, Any] = {
@@ -48,10 +48,11 @@ def test_every_shape_is_closed_oriented_and_on_the_ground(pose: str, variant: in
     assert 10_000 <= len(mesh.triangles) <= 30_000
     assert set(mesh.part_names) == set(boar.PART_NAMES) - (set() if kind == "tusker" else {"tusk"})
     assert np.bincount(mesh.part_of_triangle, minlength=len(mesh.part_names)).min() > 0
-    assert abs(mesh.vertices_m[:, 1].max() + mesh.vertices_m[:, 1].min()) < 0.05
+    if pose != "sleeping":
+        assert abs(mesh.vertices_m[:, 1].max() + mesh.vertices_m[:, 1].min()) < 0.05
 
 
-@pytest.mark.parametrize(("pose", "variant"), [s for s in SHAPES if s[0] not in ("lying", "running")])
+@pytest.mark.parametrize(("pose", "variant"), [s for s in SHAPES if s[0] not in ("lying", "running", "sleeping")])
 def test_origin_is_between_the_feet_and_the_withers_have_the_height_asked_for(pose: str, variant: int) -> None:
     mesh = build(pose=pose, variant=variant, shoulder_height_m=0.8)
     hooves = vertices_of(mesh, "hoof")
@@ -105,7 +106,8 @@ def test_spine_bends_and_keeps_its_length() -> None:
 def test_draws_vary_and_heights_follow_the_build() -> None:
     draws = [drawn(k) for k in range(300)]
     assert {d["pose"] for d in draws} == set(boar.DRAWN_POSES)
-    for kind, (low, high) in boar.HEIGHTS_M.items():
+    for kind in boar.DRAWN_BUILDS:
+        low, high = boar.HEIGHTS_M[kind]
         heights = [d["shoulder_height_m"] for d in draws if d["build"] == kind]
         assert low <= min(heights) < low + 0.03 and high - 0.03 < max(heights) <= high
     for d in draws[:8]:
@@ -126,3 +128,30 @@ def test_thermal_roles() -> None:
     assert night == boar.PARTS
     assert day["back"].delta_t_k == (night["back"].delta_t_k[0] + 5, night["back"].delta_t_k[1] + 20)
     assert day["eye"] == night["eye"]
+
+
+@pytest.mark.parametrize("kind", boar.BUILDS)
+def test_a_sleeping_boar_lies_curled_or_on_its_side(kind: str) -> None:
+    curled, on_side = (build(pose="sleeping", variant=k, build=kind) for k in (1, 2))
+    for mesh in (curled, on_side):
+        assert vertices_of(mesh, "head", "snout", "nose")[:, 2].min() < 0.03
+        trunk = ("mane", "back", "flank", "belly", "haunch", "shoulder", "neck", "upper_leg", "tail")
+        assert all(share_inside(mesh, part, trunk) < 0.1 for part in ("snout", "nose", "hoof"))
+    assert curled.size_m[0] < 0.95 * build(pose="lying", build=kind).size_m[0]
+    assert vertices_of(curled, "nose")[:, 1].mean() > 0.2
+    # On its right side: legs to the left, all four near the ground, the spine to the right.
+    assert on_side.size_m[2] < 0.5
+    hooves = vertices_of(on_side, "hoof")
+    assert hooves[:, 1].min() > 0.35 and hooves[:, 2].max() < 0.25
+    assert vertices_of(on_side, "mane")[:, 1].mean() < -0.2
+
+
+def test_piglets_are_small_with_short_snouts_and_drawn_only_where_named() -> None:
+    piglet, sow = build(build="piglet"), build(build="sow")
+    snouts = [np.ptp(vertices_of(m, "snout", "nose")[:, 0]) for m in (piglet, sow)]
+    assert snouts[0] < 0.8 * snouts[1]
+    assert np.ptp(vertices_of(piglet, "head")[:, 1]) > np.ptp(vertices_of(sow, "head")[:, 1])
+    herd = [drawn(k, build={"piglet": 3, "sow": 1}) for k in range(60)]
+    young = [d for d in herd if d["build"] == "piglet"]
+    assert 35 < len(young) < 55 and all(0.2 <= d["shoulder_height_m"] <= 0.42 for d in young)
+    assert {drawn(k)["build"] for k in range(60)} == set(boar.DRAWN_BUILDS)

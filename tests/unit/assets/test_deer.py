@@ -10,10 +10,11 @@ import pytest
 from infrablend.assets import deer, implicit
 from infrablend.assets.implicit import Body, ellipsoid, is_closed, surface, tube
 from infrablend.core.rng import stream
-from tests.meshes import areas, signed_volume, vertices_of
+from tests.meshes import areas, share_inside, signed_volume, vertices_of
 
 SHAPES = [(pose, variant) for pose in deer.POSES for variant in deer.VARIANTS[pose]]
-UP = [s for s in SHAPES if s[0] != "lying"]
+DOWN = ("lying", "sleeping")
+UP = [s for s in SHAPES if s[0] not in DOWN]
 STANDING = [s for s in UP if s[0] != "running"]
 
 
@@ -24,7 +25,7 @@ def test_every_shape_is_closed_oriented_and_on_the_ground(pose: str, variant: st
     assert is_closed(mesh.triangles)
     # A deer of 1 m at the withers weighs some 60-110 kg, at about 1000 kg/m3.
     assert (
-        0.05 < signed_volume(mesh.vertices_m, mesh.triangles) < (0.13 if pose == "lying" else 0.125)
+        0.05 < signed_volume(mesh.vertices_m, mesh.triangles) < (0.13 if pose in DOWN else 0.125)
     )  # a folded leg counts twice where it sinks into the belly
     assert areas(mesh).min() > 1e-9
     assert abs(mesh.vertices_m[:, 2].min()) <= 0.005
@@ -32,7 +33,7 @@ def test_every_shape_is_closed_oriented_and_on_the_ground(pose: str, variant: st
     assert set(mesh.part_names) == set(deer.PART_NAMES) - {"antler", "antler_velvet"}
     counts = np.bincount(mesh.part_of_triangle, minlength=len(mesh.part_names))
     assert counts.min() > 0
-    assert abs(mesh.vertices_m[:, 1].max() + mesh.vertices_m[:, 1].min()) < 0.35
+    assert abs(mesh.vertices_m[:, 1].max() + mesh.vertices_m[:, 1].min()) < (0.6 if pose == "sleeping" else 0.35)
 
 
 @pytest.mark.parametrize(("pose", "antlers", "form"), list(product(deer.POSES, ("hard", "velvet"), deer.ANTLER_FORMS)))
@@ -46,7 +47,7 @@ def test_antlers_of_every_form_in_every_pose(pose: str, antlers: str, form: str)
     crown = vertices_of(mesh, name)
     assert np.ptp(crown[:, 1]) > 0.08  # two antlers, apart
     # Symmetric: each antler mirrors the other.
-    if pose != "lying" or deer.VARIANTS[pose][0] == "alert":
+    if pose != "sleeping":
         assert crown[:, 1].max() == pytest.approx(-crown[:, 1].min(), abs=1e-9)
 
 
@@ -216,3 +217,35 @@ def test_two_touching_corners_stay_apart() -> None:
     vertices, triangles = implicit.surface_nets(grid, 1.0, np.zeros(3))
     assert is_closed(triangles)
     assert len(vertices) == 16
+
+
+@pytest.mark.parametrize("variant", deer.VARIANTS["sleeping"])
+@pytest.mark.parametrize("age", deer.AGES)
+def test_a_sleeping_deer_is_curled_up_with_its_head_on_the_ground(variant: str, age: str) -> None:
+    given = {"age": age, "shoulder_height_m": 0.8}
+    asleep, awake = (deer.build({**given, **p}) for p in ({"pose": "sleeping", "variant": variant}, {"pose": "lying"}))
+    assert vertices_of(asleep, "head", "muzzle", "nose")[:, 2].min() < 0.02
+    assert asleep.size_m[2] < 0.65 * awake.size_m[2]
+    assert asleep.size_m[0] < awake.size_m[0]
+    head, trunk = (vertices_of(asleep, n).mean(axis=0) for n in ("head", "flank"))
+    assert head[1] > trunk[1] + 0.15  # beside the trunk
+    body = ("back", "upper_flank", "flank", "belly", "haunch", "shoulder", "neck_base", "neck", "upper_leg", "mid_leg")
+    for part in ("head", "muzzle", "nose", "hoof"):
+        assert share_inside(asleep, part, (*body, "tail")) < 0.05, part
+
+
+def test_the_young_are_small_with_long_legs_and_no_antlers() -> None:
+    fawn, doe = (deer.build({"age": age, "shoulder_height_m": 0.6}) for age in deer.AGES[::-1])
+    trunks = [vertices_of(m, "back", "upper_flank", "flank", "belly") for m in (fawn, doe)]
+    assert np.ptp(trunks[0][:, 0]) < 0.92 * np.ptp(trunks[1][:, 0])
+    heads = [np.ptp(vertices_of(m, "head")[:, 1]) for m in (fawn, doe)]
+    assert heads[0] > 1.1 * heads[1]
+    drawn = [deer.sample(stream(k, "y"), {"age": {"young": 1, "adult": 1}, "antlers": True}) for k in range(60)]
+    young = [d for d in drawn if d.get("age") == "young"]
+    assert 18 < len(young) < 42
+    assert all(d["antlers"] == "none" and 0.35 <= d["shoulder_height_m"] <= 0.7 for d in young)
+    assert all(d["antlers"] == "hard" and d["shoulder_height_m"] >= 0.7 for d in drawn if "age" not in d)
+    for pose in deer.POSES:
+        assert is_closed(deer.build({"pose": pose, "age": "young", "shoulder_height_m": 0.4}).triangles)
+    weights = [deer.sample(stream(k, "y"), {"pose": {"sleeping": 3, "grazing": 1}})["pose"] for k in range(80)]
+    assert 45 < weights.count("sleeping") < 75 and set(weights) == {"sleeping", "grazing"}

@@ -134,6 +134,11 @@ BAD_OPTIONS: dict[str, list[tuple[dict[str, object], str]]] = {
         ({"antlers": "big"}, r"option antlers: found 'big'; expected true, false"),
         ({"antlers": 1}, r"option antlers: found 1"),
         ({"shoulder_height_m": 9}, r"option shoulder_height_m: found 9; expected a number from 0.4 to 1.6"),
+        (
+            {"shoulder_height_m": 1, "age": "young"},
+            r"option shoulder_height_m: found 1; expected a number from 0.25 to",
+        ),
+        ({"pose": {"lying": 1, "digging": 1}}, r"option pose: found 'digging'; expected one of standing, walking"),
         ({"colour": "red"}, r"option colour: found 'red'; expected options pose, antlers"),
     ],
     "drone": [
@@ -198,7 +203,10 @@ def test_no_model_takes_what_is_neither_number_nor_range_nor_choice(
 
 
 BAD_PARAMS: dict[str, list[tuple[dict[str, object], str]]] = {
-    "boar": [({"build": "piglet"}, "parameter build: found 'piglet'; expected one of yearling")],
+    "boar": [
+        ({"build": "calf"}, "parameter build: found 'calf'; expected one of yearling"),
+        ({"phase": 2.0, "pose": "walking"}, r"parameter phase: found 2\.0; expected a number from 0 to 1"),
+    ],
     "car": [
         ({"length_m": 0.0}, "parameter length_m: found 0.0"),
         ({"body": None}, "parameter body: found None"),

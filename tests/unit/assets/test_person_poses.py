@@ -11,8 +11,8 @@ from infrablend.assets import person
 from infrablend.assets.person_poses import (
     DRAWN_POSES,
     FOREARM,
-    GAITS,
     SHANK,
+    STRIDES,
     THIGH,
     UPPER_ARM,
     VARIANTS,
@@ -93,9 +93,15 @@ def test_no_hand_foot_or_head_goes_through_the_body(pose: str, variant: str) -> 
 
 
 def test_someone_who_lies_on_the_back_has_put_the_backpack_down() -> None:
-    mesh = person.build({"pose": "lying", "variant": "back", "backpack": True})
-    assert vertices_of(mesh, "backpack")[:, 0].min() > vertices_of(mesh, "hair")[:, 0].max()
-    assert vertices_of(mesh, "backpack")[:, 2].min() < 0.04
+    params = {"pose": "lying", "variant": "back", "backpack": True}
+    mesh = person.build(params)
+    laid = vertices_of(mesh, "laid_backpack")
+    assert laid[:, 0].min() > vertices_of(mesh, "hair")[:, 0].max()
+    assert laid[:, 2].min() < 0.04
+    assert not person.parts_for(params)["laid_backpack"].label
+    assert all(
+        "laid_backpack" not in person.parts_for({**params, **o}) for o in ({"variant": "side"}, {"backpack": False})
+    )
     front = person.build({"pose": "lying", "variant": "front", "backpack": True})
     assert vertices_of(front, "backpack")[:, 2].min() > 0.15
 
@@ -160,7 +166,7 @@ def test_only_who_wears_a_helmet_has_its_part() -> None:
     assert "helmet" not in person.parts_for({"headwear": "cap"})
 
 
-@pytest.mark.parametrize("gait", GAITS)
+@pytest.mark.parametrize("gait", STRIDES)
 def test_legs_of_a_gait_reach_the_ground_at_every_moment(gait: str) -> None:
     for k in range(48):
         for hip, knee, ankle in leg_lines(skeleton(gait, "", k / 48)):

@@ -248,6 +248,7 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
             list_first=spec.list_first or 0,
             list_iou=spec.list_iou,
             by_body=spec.by_body,
+            tracks=spec.tracks,
         ),
         device=job.request.device,
         on_image=paced(job.on_progress),

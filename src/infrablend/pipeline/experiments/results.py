@@ -30,6 +30,7 @@ _OF_EVALUATION = (
     "false_alarms",
 )
 _IF_LISTED = "first_detections"
+_OF_TRACKS = ("hota", "mota", "idf1")
 _OF_TRAINING = (
     "preset", "task", "seed", "settings", "classes", "left_out", "prepared", "epochs", "epochs_done", "passes",
     "seconds", "precision", "device", "batch", "threads", "versions", "note", "adopted",
@@ -103,7 +104,18 @@ def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: s
 
 def _evaluation(metrics: Mapping[str, Any]) -> dict[str, Any]:
     listed = {_IF_LISTED: metrics[_IF_LISTED]} if _IF_LISTED in metrics else {}
-    return {k: metrics.get(k) for k in _OF_EVALUATION} | listed
+    found = {k: metrics.get(k) for k in _OF_EVALUATION} | listed
+    if tracks := metrics.get("tracks"):
+        found["tracks"] = tracks
+        found["classes"] = {n: _with_tracks(of, tracks["classes"].get(n, {})) for n, of in metrics["classes"].items()}
+    return found
+
+
+def _with_tracks(of_class: Mapping[str, Any], tracks: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a class with those of its tracks."""
+    figures = {k: tracks.get(k) for k in _OF_TRACKS}
+    intervals = {k: v for k in _OF_TRACKS if (v := (tracks.get("ci") or {}).get(k))}
+    return {**of_class, **figures, "ci": {**(of_class.get("ci") or {}), **intervals}}
 
 
 def _command(prepared: PreparedExperiment) -> str:

@@ -40,7 +40,7 @@ _SMOKE = "A smoke run trains for a few steps only, to test that everything runs,
 METRICS = {
     "p": "P", "r": "R", "map50": "mAP50", "map50_95": "mAP50-95", "as_one50": "AP50, classes as one",
     "as_one50_95": "AP50-95, classes as one", "found": "found", "named": "named of found",
-    "false_alarms": "false alarms a picture at recall 0.8",
+    "false_alarms": "false alarms a picture at recall 0.8", "hota": "HOTA", "mota": "MOTA", "idf1": "IDF1",
 }  # fmt: skip
 
 
