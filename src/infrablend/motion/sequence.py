@@ -24,7 +24,7 @@ the frame before again; `bridged` between the frames around it; `lost`: its back
 `cut`: it shows another scene and begins a span."""
 
 # Largest share of what a key says that a frame takes over.
-_MOST_TAKEN = 0.4
+_MOST_TAKEN = 0.15
 # Where they differ by more than this, px, and by more than so many errors, the key is right if it fits at least this
 # share of the corners that the frame before fits: a flock moves alike in neighbouring frames only.
 _APART_PX, _APART_ERRORS, _AS_MANY = 2.0, 5.0, 0.6

@@ -66,9 +66,7 @@ def test_a_body_turns_smoothly_and_only_while_it_walks(kind):
         turns, gone = np.diff(found.yaw_rad) / STEP_S, np.diff(found.way_m)
         assert np.abs(turns[gone < 1e-3]).max(initial=0) < 0.01
         assert np.abs(np.diff(turns)).max() < 0.6  # no trembling, rad/s from one tenth of a second to the next
-    ends = [
-        find_path(kind, (0, 0, 0, 0.0), 1.0, (0, 60), np.random.default_rng(s)).yaw_rad[-1] for s in range(30)
-    ]
+    ends = [find_path(kind, (0, 0, 0, 0.0), 1.0, (0, 60), np.random.default_rng(s)).yaw_rad[-1] for s in range(30)]
     assert 0.3 < np.std(ends) < 2  # and wanders all the same
 
 
