@@ -17,7 +17,7 @@ from infrablend.core.rng import stream
 from infrablend.core.surface_kinds import SURFACES
 from infrablend.core.tasks import Task
 from infrablend.errors import OutputError
-from infrablend.formats import hit_uav
+from infrablend.formats import hit_uav, mot
 from infrablend.world.buildings import Building
 from infrablend.world.dataset import FrameSource, WorldRequest, write_world
 from infrablend.world.fixtures import Tree
@@ -142,6 +142,29 @@ def test_dataset_reads_back_and_repeats(tmp_path):
             assert instance.corners_xy is not None
     with pytest.raises(OutputError, match="not"):
         render(tmp_path / "a", WorldRequest(1))
+
+
+def test_a_flight_renders_its_scene_once_and_tracks_what_stands_in_it(tmp_path, monkeypatch):
+    from infrablend.engine.world import WorldRenderer
+
+    asked: list[str] = []
+    render_map = WorldRenderer.render
+    monkeypatch.setattr("infrablend.world.flight.ACROSS", 2)
+    monkeypatch.setattr(WorldRenderer, "render", lambda self, plan: asked.append(plan.kind) or render_map(self, plan))
+    render(tmp_path / "out", WorldRequest(3, 1, "flight"))
+    assert len(asked) == 1
+    images = mot.read(tmp_path / "out").images
+    assert [i.capture.frame for i in images] == [0, 1, 2]
+    ids = [{o.track_id for o in i.instances} for i in images]
+    assert ids[0] and ids[0] == ids[1] == ids[2]
+    looks: dict[int | str | None, list[np.ndarray]] = {}
+    for image in images:
+        with Image.open(image.path) as picture:
+            for o in image.instances:
+                looks.setdefault(o.track_id, []).append(np.asarray(picture.crop(tuple(o.box_xyxy)).resize((16, 16)), float))
+    for first, second, third in looks.values():
+        assert np.ptp(first) > 30
+        assert min(np.corrcoef(first.ravel(), other.ravel())[0, 1] for other in (second, third)) > 0.8
 
 
 def test_stopped_command_leaves_nothing(tmp_path):

@@ -276,15 +276,14 @@ def world(
     layout: Annotated[
         Literal["hit-uav", "monet", "radiometric", "dji", "flir", "flight"],
         typer.Option(
-            help="Dataset or camera whose files to copy; radiometric: 16-bit centikelvin; flight: one sequence over one "
-            "scene, with tracks."
+            help="Dataset or camera whose files to copy; radiometric: 16-bit centikelvin; flight: one sequence."
         ),
     ] = "hit-uav",
     seed: SeedOption = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an earlier world in DIR.")] = False,
     workers: WorkersOption = None,
 ) -> None:
-    """Render a background dataset of a virtual thermal world, as HIT-UAV, MONET or a camera's own files."""
+    """Render a background dataset of a virtual thermal world, as HIT-UAV, MONET, a camera's files or a flight."""
     with shown_progress(session, "rendering") as on_progress:
         folder = api.make_world(
             out, count, seed, layout=layout, workers=workers, overwrite=overwrite, on_progress=on_progress
