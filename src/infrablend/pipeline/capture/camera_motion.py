@@ -177,8 +177,9 @@ def sequences_of(dataset: Dataset) -> dict[str, list[ImageRecord]]:
     found = {f"{s}/{name}" if times[name] > 1 else name: images for (s, name), images in of_split.items()}
     if not found:
         raise DatasetError(
-            f"{dataset.root}: no picture has a sequence and a frame number; expected clips, or pictures whose names "
-            "end in running numbers"
+            f"{dataset.root}: no picture has a sequence and a frame number; expected clips, unlabelled pictures whose "
+            "names end in running numbers, labels that state both, or a table with the columns file, sequence and frame "
+            "(--metadata)"
         )
     problems = []
     for name, images in found.items():
@@ -288,7 +289,10 @@ def _key(images: Sequence[ImageRecord]) -> str:
     digest = hashlib.sha256(f"{VERSION} {cv2.__version__}".encode())
     for image in images:
         boxes = [i.box_xyxy.tolist() for i in image.instances]
-        digest.update(json.dumps([_frame(image), sha256_of(real_path(image.path)), boxes]).encode())
+        sha256 = None
+        with contextlib.suppress(OSError):  # named where it is read
+            sha256 = sha256_of(real_path(image.path))
+        digest.update(json.dumps([_frame(image), sha256, boxes]).encode())
     return digest.hexdigest()[:32]
 
 

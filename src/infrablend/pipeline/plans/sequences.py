@@ -47,9 +47,10 @@ def plan_sequences(
             times = np.array([(i.capture.frame or 0) / ASSUMED_RATE for i in images])
         problems += motion_problems(motion)
         frames = tuple(PlannedFrame(i, 0, as_read[id(i)], i.id) for i in images)
-        ids = [i.track_id for image in images for i in image.instances if isinstance(i.track_id, int)]
+        ids = {str(i.track_id) for image in images for i in image.instances if i.track_id is not None}
+        last = max((int(i) for i in ids if i.isdecimal() and i.isascii()), default=0)  # texts such as "1" count, too
         footage = Footage(motion.in_own_levels(), times, motion.size_wh, motion.other_sizes_wh)
-        found[name] = PlannedSequence(name, frames, footage, max(0, *ids) + 1 if ids else 1)
+        found[name] = PlannedSequence(name, frames, footage, last + 1)
     single = sum(i.capture.sequence is None or i.capture.frame is None for i in used)
     if single:
         text = f"{single} picture(s) of no sequence get objects of their own, without tracks"
