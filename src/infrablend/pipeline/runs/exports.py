@@ -283,7 +283,9 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
         if r.scene is None or r.inserted:
             continue
         found = {*r.scene.draws.get("absent", {}), *(d["reason"] for d in r.facts.get("drops", ()))}
-        if r.scene.draws.get("empty_by_recipe") or not r.scene.draws.get("wanted", 1):
+        if r.scene.draws.get("out_of_view"):
+            found.add("out_of_view")
+        elif r.scene.draws.get("empty_by_recipe") or not r.scene.draws.get("wanted", 1):
             found = {"recipe"}
         reasons.update(found or {"unknown"})
     return dict(sorted(reasons.items()))
