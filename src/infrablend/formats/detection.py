@@ -68,6 +68,16 @@ def detect(root: Path) -> Detection:
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
+def with_every_frame(reading: Reading, root: Path) -> Reading:
+    """Return how to read all frames of videos, unless the reading states a step."""
+    if "every" in reading.options:
+        return reading
+    name = reading.format or detect(root).format
+    if name is None or "every" not in reader_options(find_format(name)):
+        return reading
+    return replace(reading, options={**reading.options, "every": "1"})
+
+
 def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     """Read a dataset folder of any format, or one video.
 

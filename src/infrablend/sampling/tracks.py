@@ -345,10 +345,15 @@ def _in_picture(box_xyxy: FloatArray, size_wh: tuple[int, int]) -> bool:
 
 
 def velocity_px_s(tracks: Sequence[Track], footage: Footage, n: int) -> tuple[float, float]:
-    """Return the mean velocity (right, down) of objects in the picture at a frame, px/s; 0 for a frame alone."""
+    """Return the mean velocity (right, down) of objects in the picture up to a frame, px/s; 0 for a frame alone.
+
+    That of the first frame is the one after it.
+    """
     of_span = footage.moving(n)
-    at = bisect_left(of_span, n)
-    a, b = of_span[max(at - 1, 0)], of_span[min(at + 1, len(of_span) - 1)]
+    at = max(bisect_left(of_span, n), 1)
+    if at >= len(of_span):
+        return 0.0, 0.0
+    a, b = of_span[at - 1], of_span[at]
     seconds = footage.times_s[b] - footage.times_s[a]
 
     def places(k: int) -> FloatArray:

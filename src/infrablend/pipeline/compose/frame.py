@@ -35,6 +35,7 @@ from infrablend.core.rng import integer_seed, stream
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import MissingDependencyError
 from infrablend.formats.images import Background, encode_image, output_suffix
+from infrablend.formats.paint_out import Shown
 from infrablend.formats.place_masks import read_mask
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import (
@@ -323,8 +324,8 @@ class FrameComposer:
         first.add(scene, {i.number: i.to_json() for i in inserts})
         least = recipe.placement.min_visibility
         hidden = movable(scene, too_hidden(labels, report, occluders, recipe.occlusion, least))
-        faint = movable(scene, {*faint_inserts(inserts, recipe, canvas.frame.background.capture.time_of_day), *hidden})
-        if faint:
+        unseen = faint_inserts(inserts, recipe, canvas.frame.background.capture.time_of_day)
+        if faint := movable(scene, {*unseen, *hidden}):
             return Unseen(scene, faint, hidden, matching, sensor)
         facts = {
             **report.to_json(),
@@ -332,6 +333,7 @@ class FrameComposer:
             **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
             **({} if sensor is None else {"sensor": sensor.to_json()}),
             **({} if canvas.cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
+            **({"faint": unseen} if take is not None and unseen else {}),
             **({} if written is None else {"written": Mask.from_array(written).to_coco()}),
         }
         return Picture(scene, match, rendered, pixels, inserts, report, sensor, facts)
@@ -425,6 +427,9 @@ def covered_text(
     if written is None or written.shape != picture.shape:
         return None
     covered = written & (picture != background)
+    if covered.any():
+        # A mast that stands still in most frames is no text where other frames show the sky.
+        covered &= Shown(background, None).thin
     return covered if covered.any() else None
 
 

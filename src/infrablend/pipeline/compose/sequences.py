@@ -45,6 +45,8 @@ from infrablend.sampling.tracks import (
 
 # A frame is an anchor if less than this share of it has been shown by those before; points across a picture.
 _SHOWN, _POINTS = 0.5, 9
+# Where none of the objects of an anchor can be seen, so many frames later another one is tried, so many times at most.
+_AGAIN, _TRIES = 25, 8
 # Frames in which text and reticle are looked for.
 _SAMPLES = 12
 # How well ground has to suit, of the place where an object was put.
@@ -89,10 +91,11 @@ class Take:
 
 @dataclass(eq=False)
 class _Span:
-    """The tracks of a span, with the anchor that they share their look with."""
+    """The tracks of a span, the anchor that they share their look with, and whether its last anchor asked for any."""
 
     tracks: list[Track] = field(default_factory=list)
     first: tuple[int, Anchored] | None = None
+    asked: bool = False
 
 
 class Sequences:
@@ -197,14 +200,16 @@ class Sequences:
                 continue
             span = spans.setdefault(moment.span, _Span())
             before = [a for a in anchors if footage.moments[a].span == moment.span]
-            if before and (self._all_once or self._shown(footage, n, before) >= _SHOWN):
+            if before and span.tracks and (self._all_once or self._shown(footage, n, before) >= _SHOWN):
+                continue
+            if before and not span.tracks and (not span.asked or n - before[-1] < _AGAIN or len(before) >= _TRIES):
                 continue
             try:
                 anchored = self._settle(replace(sequence.frames[n], configuration=configuration))
             except DatasetError:  # reported where the frame itself is made
                 continue
             anchors.append(n)
-            span.first = span.first or (n, anchored)
+            span.first, span.asked = span.first or (n, anchored), bool(anchored.scene.spec.draws.get("wanted"))
             for k, placed in enumerate(anchored.scene.objects):
                 middle = (placed.box_xyxy[:2] + placed.box_xyxy[2:]) / 2
                 motion = self._motion_of(placed)

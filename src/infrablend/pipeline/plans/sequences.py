@@ -50,7 +50,9 @@ def plan_sequences(
         ids = {str(i.track_id) for image in images for i in image.instances if i.track_id is not None}
         last = max((int(i) for i in ids if i.isdecimal() and i.isascii()), default=0)  # texts such as "1" count, too
         footage = Footage(motion.in_own_levels(), times, motion.size_wh, motion.other_sizes_wh)
-        found[name] = PlannedSequence(name, frames, footage, last + 1)
+        # Formats with numbers from 1 give the others, such as 0, the numbers between.
+        others = sum(not (i.isdecimal() and i.isascii() and int(i) > 0) for i in ids)
+        found[name] = PlannedSequence(name, frames, footage, last + others + 1)
     single = sum(i.capture.sequence is None or i.capture.frame is None for i in used)
     if single:
         text = f"{single} picture(s) of no sequence get objects of their own, without tracks"
