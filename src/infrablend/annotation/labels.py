@@ -49,7 +49,7 @@ from infrablend.core.render import RenderResult
 from infrablend.errors import ModelError
 
 ObbMode = Literal["min_area", "heading"]
-DropReason = Literal["no_labelled_part", "outside_frame", "hidden", "no_visible_pixel"]
+DropReason = Literal["no_labelled_part", "outside_frame", "hidden", "no_visible_pixel", "behind_text"]
 
 # A pixel belongs to the mask if at least this share of it is covered.
 _MASK_COVERAGE = 0.5

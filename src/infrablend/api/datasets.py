@@ -197,11 +197,15 @@ def find_motion(
     """Write how the camera moves through each sequence (`NAME.json`, and `NAME.html` with plots).
 
     Every frame is related to the first of its span by the background; labelled objects, text and reticle are left out.
+    All frames of videos are read, unless the reading states a step.
     """
+    from infrablend.formats.detection import with_every_frame
     from infrablend.pipeline.capture import camera_motion
+    from infrablend.storage.mirror import local_folder
 
+    every = with_every_frame(reading, local_folder(data))
     return camera_motion.write_motion(
-        read_dataset(data, reading), Path(out), overwrite=overwrite, on_progress=on_progress
+        read_dataset(data, every), Path(out), overwrite=overwrite, on_progress=on_progress
     )
 
 

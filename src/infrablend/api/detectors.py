@@ -60,11 +60,16 @@ def evaluate(
 
     `weights` are Ultralytics weights (.pt) or the folder of a finished `train`, which need `infrablend[train]`; or
     `predictions.json` or the folder of an earlier evaluation, which need neither torch nor Ultralytics. `against` is
-    the folder of another evaluation on the same images and labels.
+    the folder of another evaluation on the same images and labels. For tracks, all frames of videos are read unless
+    the reading states a step.
     """
+    from infrablend.formats.detection import with_every_frame
     from infrablend.pipeline.detectors.evaluate import evaluate_detector
+    from infrablend.storage.mirror import local_folder
 
     require_apart(Path(dataset), Path(out))
+    if settings.tracks:
+        reading = with_every_frame(reading, local_folder(dataset))
     return evaluate_detector(
         Path(weights), read_dataset(dataset, reading), Path(out), settings, device=device,
         against=None if against is None else Path(against), overwrite=overwrite, on_image=paced(on_progress),

@@ -30,7 +30,11 @@ FrameArgument = Annotated[str, typer.Argument(metavar="FRAME", help="Id of the f
 def preview(
     run: RunArgument,
     out: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Picture to write [default: RUN/preview.png].")
+        Path | None,
+        typer.Option(
+            metavar="PNG",
+            help="Picture to write [default: RUN/preview.png]; .webp or .gif: frames one after the other.",
+        ),
     ] = None,
     count: Annotated[
         int | None, typer.Option(min=1, max=400, help="Number of frames [default: 12; 6 with --ground].")

@@ -68,6 +68,16 @@ def detect(root: Path) -> Detection:
     return Detection(next((m.format for m in matches if m.ok), None), matches)
 
 
+def with_every_frame(reading: Reading, root: Path) -> Reading:
+    """Return how to read all frames of videos, unless the reading states a step."""
+    if "every" in reading.options:
+        return reading
+    name = reading.format or detect(root).format
+    if name is None or "every" not in reader_options(find_format(name)):
+        return reading
+    return replace(reading, options={**reading.options, "every": "1"})
+
+
 def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     """Read a dataset folder of any format, or one video.
 
@@ -297,8 +307,10 @@ def _labels_of_run(root: Path, format: str | None) -> tuple[Path, str | None]:
     layout = RunFolder(root)
     there = [str(f) for f in formats if str(f) in {*(x.name for x in FORMATS), "native"} and layout.labels(f).is_dir()]
     wanted = format or (_FIRST_OF_RUN if _FIRST_OF_RUN in there or not there else there[0])
-    if not there or (wanted == _FIRST_OF_RUN and _FIRST_OF_RUN in there):
+    if not there:
         return root, format
+    if wanted == _FIRST_OF_RUN and _FIRST_OF_RUN in there:
+        return root, wanted  # a run has other folders that look like datasets, such as that of tracks
     if wanted in there:
         return layout.labels(wanted), None if wanted == "native" else wanted
     found = f"a run with labels in {', '.join(there)}"

@@ -71,8 +71,8 @@ _DEPTH = 3
 _ROW = "frame,id,x,y,width,height,conf,class,visibility, counted from 1"
 _CHALLENGE = re.compile(r"(?:2D)?MOT-?(?:20)?(?:15|16|17|20)(?!\d)", re.IGNORECASE)
 _NUMBER = re.compile(r"\d{1,12}", re.ASCII)
-# Trackers read it; few datasets say it, and MOTChallenge's own value is mostly this.
-_FRAME_RATE = 30.0
+ASSUMED_RATE = 30.0
+"""Frames per second where nothing says it: trackers need one, and MOTChallenge's own value is mostly this."""
 # Field of our own that says which rate nobody knows; at the end, because some trackers find fields by their neighbours.
 _ASSUMED = "assumedFrameRate"
 _TRACKS_FILE, _TRACKS_COLUMNS = "tracks.csv", ("sequence", "id", "category", "track_id")
@@ -462,7 +462,7 @@ def _rate(folder: str, sequence: Frames, numbers: Sequence[int], problems: list[
     rate, varies = rate_of((image.capture.time_s for image in sequence), numbers, first)
     where, expected = f"{folder}/{_INFO}", "frames per second"
     if rate is None:
-        found, todo = f"frame rate unknown; {_FRAME_RATE:g} is stated", "correct frameRate before you use a tracker"
+        found, todo = f"frame rate unknown; {ASSUMED_RATE:g} is stated", "correct frameRate before you use a tracker"
         problems.append(Problem(where, "frame-rate", found, expected, todo, "warning"))
     elif varies:
         found = f"steps of {varies}; the rate of the median step, {number_text(rate)}, is stated"
@@ -486,12 +486,12 @@ def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems
     fields: dict[str, Any] = {
         "name": folder.partition("/")[2],
         "imDir": _PICTURES,
-        "frameRate": number_text(rate or _FRAME_RATE),
+        "frameRate": number_text(rate or ASSUMED_RATE),
         "seqLength": last,
         "imWidth": size_wh[0],
         "imHeight": size_wh[1],
         "imExt": suffix,
-        **({_ASSUMED: number_text(_FRAME_RATE)} if rate is None else {}),
+        **({_ASSUMED: number_text(ASSUMED_RATE)} if rate is None else {}),
     }
     return "[Sequence]\n" + "".join(f"{k}={v}\n" for k, v in fields.items())
 

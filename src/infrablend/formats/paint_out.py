@@ -82,11 +82,16 @@ class Shown:
         return boxes_mask(find_burnt_in(self.grey.astype(np.float32)), self.pixels.shape[:2])
 
     @cached_property
-    def strokes(self) -> NDArray[np.bool_]:
-        """(h, w) mask of the strokes of text themselves."""
+    def thin(self) -> NDArray[np.bool_]:
+        """(h, w) mask of what is as thin and as distinct as a stroke of text."""
         kernel = np.ones((_STROKE_PX, _STROKE_PX), np.uint8)
         bright, dark = (cv2.morphologyEx(self.grey, kind, kernel) for kind in (cv2.MORPH_TOPHAT, cv2.MORPH_BLACKHAT))
-        return np.asarray(self.marked & (np.maximum(bright, dark) > _STROKE))
+        return np.asarray(np.maximum(bright, dark) > _STROKE)
+
+    @cached_property
+    def strokes(self) -> NDArray[np.bool_]:
+        """(h, w) mask of the strokes of text themselves."""
+        return np.asarray(self.marked & self.thin)
 
 
 @dataclass(frozen=True, eq=False)

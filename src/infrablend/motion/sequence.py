@@ -96,7 +96,7 @@ def _moments(views: Iterable[View]) -> Iterator[Moment]:
     spans = lost = 0
     for view in views:
         # Another picture size is another camera.
-        resized = before is not None and before.view.size_wh != view.size_wh
+        resized = any(k is not None and k.view.size_wh != view.size_wh for k in (before, known))
         found: Moment | None = None
         if before is not None and not resized and _same(before.view, view):
             found = replace(before.moment, state="frozen") if before.moment.known else None

@@ -9,8 +9,11 @@ steady against the background as the estimate of the camera's motion, and no fra
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -47,25 +50,55 @@ class Footage:
         moments: What is known of the camera in each frame.
         times_s: (n,) seconds of the frames, ascending.
         size_wh: Size of the pictures.
+        other_sizes_wh: Size of the pictures by span, where it is another one.
     """
 
     moments: Sequence[Moment]
     times_s: FloatArray
     size_wh: tuple[int, int]
+    other_sizes_wh: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+
+    def size_of(self, n: int) -> tuple[int, int]:
+        """Return the size of a frame's picture."""
+        return self.other_sizes_wh.get(self.moments[n].span, self.size_wh)
 
     def shown(self, n: int) -> int:
         """Return the frame whose picture frame `n` shows: one before it if the picture is frozen."""
-        while n > 0 and self.moments[n].state == "frozen":
-            n -= 1
-        return n
+        return self._shown[n]
 
-    def of_span(self, n: int) -> list[int]:
-        """Return the frames that can be related to a frame, itself among them."""
-        return [k for k, m in enumerate(self.moments) if m.known and m.span == self.moments[n].span]
+    @cached_property
+    def _shown(self) -> Sequence[int]:
+        shown: list[int] = []
+        for k, moment in enumerate(self.moments):
+            shown.append(shown[-1] if k > 0 and moment.state == "frozen" else k)
+        return shown
+
+    def of_span(self, n: int) -> Sequence[int]:
+        """Return the frames that can be related to a frame, itself among them, ascending."""
+        return self._spans[self.moments[n].span]
+
+    def moving(self, n: int) -> Sequence[int]:
+        """Return those of `of_span` whose pictures are their own."""
+        return self._moving[self.moments[n].span]
+
+    @cached_property
+    def _spans(self) -> Mapping[int, Sequence[int]]:
+        spans: dict[int, list[int]] = {}
+        for k, moment in enumerate(self.moments):
+            spans.setdefault(moment.span, []).append(k)
+        return spans
+
+    @cached_property
+    def _moving(self) -> Mapping[int, Sequence[int]]:
+        return {span: [k for k in of if self._shown[k] == k] for span, of in self._spans.items()}
+
+    @cached_property
+    def _from_first(self) -> FloatArray:
+        return np.linalg.inv(np.stack([m.to_first for m in self.moments]))
 
     def from_to(self, first: int, second: int) -> Matrix:
         """Return the (3, 3) matrix from pixels of one frame to those of another one of its span."""
-        matrix = np.linalg.inv(self.moments[second].to_first) @ self.moments[first].to_first
+        matrix = self._from_first[second] @ self.moments[first].to_first
         return np.asarray(matrix / matrix[2, 2])
 
     def levels(self, first: int, second: int) -> tuple[float, float]:
@@ -171,13 +204,14 @@ def _followed(
     number: int, placed: PlacedObject, view: View, anchor: int, footage: Footage, rng: np.random.Generator
 ) -> Track:
     """Return the track of a drone that the camera follows: about the middle of the picture, in all of its span."""
-    times, middle = footage.times_s, np.array([footage.size_wh]) / 2
+    times, size_wh = footage.times_s, footage.size_of(anchor)
+    middle = np.array([size_wh]) / 2
     span = footage.of_span(anchor)
     centres = np.full((len(times), 2), np.nan)
     for n in span:
         centres[n] = moved(middle, footage.from_to(n, anchor))[0]
     steady = np.stack([np.interp(times, times[span], _smoothed(centres[span, k], times[span])) for k in (0, 1)], axis=1)
-    reach = _WANDER * min(footage.size_wh) / 2
+    reach = _WANDER * min(size_wh) / 2
     wander = np.stack([sway(times, reach, _WANDER_S, rng) for _ in range(2)], axis=1)
     away = placed.range_m * np.exp(sway(times, _NEARER, _NEARER_S, rng))
     yaw = placed.spec.yaw_rad + sway(times, _TURN, _TURN_S, rng)
@@ -217,7 +251,7 @@ def camera_in(
     """
     assert spec.view is not None
     matrix = footage.from_to(anchor, n)
-    middle = np.array([footage.size_wh]) / 2
+    middle = np.array([footage.size_of(anchor)]) / 2
     turn, zoom = _turn_and_zoom(matrix, moved(middle, footage.from_to(n, anchor))[0])
     pitch = spec.camera.pitch_rad + _turned(spec.camera, footage, anchor, n)[1] if pitch_rad is None else pitch_rad
     camera = replace(
@@ -239,7 +273,7 @@ def _turn_and_zoom(matrix: Matrix, xy: FloatArray) -> tuple[float, float]:
 
 def _turned(camera: CameraSpec, footage: Footage, anchor: int, n: int) -> tuple[float, float]:
     """Return by which angles a camera that only turns has turned since its anchor: to the right and down, radians."""
-    middle = np.array([footage.size_wh]) / 2
+    middle = np.array([footage.size_of(anchor)]) / 2
     right, down = (moved(middle, footage.from_to(n, anchor)) - middle)[0] / camera.focal_px
     c, s = math.cos(camera.roll_rad), math.sin(camera.roll_rad)
     right, down = c * right - s * down, s * right + c * down
@@ -311,10 +345,15 @@ def _in_picture(box_xyxy: FloatArray, size_wh: tuple[int, int]) -> bool:
 
 
 def velocity_px_s(tracks: Sequence[Track], footage: Footage, n: int) -> tuple[float, float]:
-    """Return the mean velocity (right, down) of objects in the picture at a frame, px/s; 0 for a frame alone."""
-    of_span = [k for k in footage.of_span(n) if footage.shown(k) == k]
-    at = of_span.index(n)
-    a, b = of_span[max(at - 1, 0)], of_span[min(at + 1, len(of_span) - 1)]
+    """Return the mean velocity (right, down) of objects in the picture up to a frame, px/s; 0 for a frame alone.
+
+    That of the first frame is the one after it.
+    """
+    of_span = footage.moving(n)
+    at = max(bisect_left(of_span, n), 1)
+    if at >= len(of_span):
+        return 0.0, 0.0
+    a, b = of_span[at - 1], of_span[at]
     seconds = footage.times_s[b] - footage.times_s[a]
 
     def places(k: int) -> FloatArray:
@@ -330,13 +369,17 @@ def velocity_px_s(tracks: Sequence[Track], footage: Footage, n: int) -> tuple[fl
 
 def scene_in(
     first: PlacedScene, frame: tuple[str, str, int], objects: Sequence[PlacedObject], camera: CameraSpec, view: View,
-    render_seed: int, motion_px: tuple[float, float],
+    render_seed: int, motion_px: tuple[float, float], out_of_view: int = 0,
 ) -> PlacedScene:  # fmt: skip
     """Return the scene of a frame with the weather and the look of the sequence's first anchor.
 
-    `frame` is its id, the background's id and the configuration.
+    `frame` is its id, the background's id and the configuration; `out_of_view` tracks of its span are not in it.
     """
     frame_id, background_id, configuration = frame
+    draws, here = first.spec.draws, Counter(o.spec.kind for o in objects)
+    asked = Counter({int(kind): n for kind, n in draws.get("wanted_by_kind", {}).items()})
+    here += asked - Counter(o.kind for o in first.spec.objects)  # what found no place when the sequence was populated
+    wanted = {"wanted": here.total(), "wanted_by_kind": {str(kind): n for kind, n in sorted(here.items())}}
     spec = replace(
         first.spec,
         frame_id=frame_id,
@@ -347,6 +390,6 @@ def scene_in(
         render_seed=render_seed,
         motion_px=motion_px,
         view=view,
-        draws={**first.spec.draws, "wanted": len(objects)},
+        draws={**draws, **wanted, "out_of_view": out_of_view},
     )
     return PlacedScene(spec, tuple(objects))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from itertools import pairwise
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -49,12 +50,24 @@ class SequenceMotion:
         frames: Numbers of the frames, ascending.
         moments: What is known of the camera in each of them.
         size_wh: Size of the pictures, px.
+        other_sizes_wh: Size of the pictures by span, where it is another one.
+        levels: Levels of the pictures that the moments' gains and offsets take for 0 and 255.
+        unread: Frames that cannot be read, with the reason.
     """
 
     name: str
     frames: tuple[int, ...]
     moments: tuple[Moment, ...]
     size_wh: tuple[int, int]
+    other_sizes_wh: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    levels: tuple[float, float] = (0.0, 255.0)
+    unread: Mapping[int, str] = field(default_factory=dict)
+
+    def in_own_levels(self) -> list[Moment]:
+        """Return the moments with gains and offsets of the pictures' own levels, such as those of 16 bits."""
+        low, high = self.levels
+        unit = (high - low) / 255
+        return [replace(m, offset=m.offset * unit + low * (1 - m.gain)) for m in self.moments]
 
     def spans(self) -> list[dict[str, int]]:
         """Return number, first and last frame, and number of known frames of each span."""
@@ -151,17 +164,22 @@ def write_motion(
 def sequences_of(dataset: Dataset) -> dict[str, list[ImageRecord]]:
     """Return the pictures of each sequence in the order of their frames; those without sequence or number are left out.
 
+    Sequences of two splits are two, whatever their names: `train/NAME` and `val/NAME` then.
+
     Raises:
         DatasetError: No picture has both, or two pictures of a sequence have one number.
     """
-    found: dict[str, list[ImageRecord]] = {}
+    of_split: dict[tuple[str, str], list[ImageRecord]] = {}
     for image in dataset.images:
         if image.capture.sequence is not None and image.capture.frame is not None:
-            found.setdefault(image.capture.sequence, []).append(image)
+            of_split.setdefault((image.split, image.capture.sequence), []).append(image)
+    times = Counter(name for _, name in of_split)
+    found = {f"{s}/{name}" if times[name] > 1 else name: images for (s, name), images in of_split.items()}
     if not found:
         raise DatasetError(
-            f"{dataset.root}: no picture has a sequence and a frame number; expected clips, or pictures whose names "
-            "end in running numbers"
+            f"{dataset.root}: no picture has a sequence and a frame number; expected clips, unlabelled pictures whose "
+            "names end in running numbers, labels that state both, or a table with the columns file, sequence and "
+            "frame (--metadata)"
         )
     problems = []
     for name, images in found.items():
@@ -196,35 +214,85 @@ def find_motion(
         for _ in images:
             on_frame()
     else:
-        moments = follow_camera(sequence_views(images, on_frame))
-        height, width = _pixels(images[0]).shape
-        write_json(kept, {"size_wh": [width, height], "frames": [moment_to_json(m) for m in moments]})
+        views = _Views(images, on_frame)
+        moments = follow_camera(views)
+        sizes = {m.span: size for m, size in zip(moments, views.sizes_wh, strict=True) if m.known}
+        saved = {
+            "size_wh": views.size_wh,
+            "other_sizes_wh": [[span, *size] for span, size in sizes.items() if size != views.size_wh],
+            "levels": views.levels,
+            "unread": list(views.unread.items()),
+            "frames": [moment_to_json(m) for m in moments],
+        }
+        write_json(kept, saved)
     saved = load_json(kept)  # what a later run will read, to the last digit
     known = tuple(moment_from_json(m) for m in saved["frames"])
-    return SequenceMotion(name, numbers, known, tuple(saved["size_wh"]))
+    other = {span: (w, h) for span, w, h in saved["other_sizes_wh"]}
+    size_wh, levels = tuple(saved["size_wh"]), tuple(saved["levels"])
+    return SequenceMotion(name, numbers, known, size_wh, other, levels, dict(saved["unread"]))
 
 
 def sequence_views(images: Sequence[ImageRecord], on_frame: Callable[[], None] = lambda: None) -> Iterator[View]:
     """Yield the pictures of a sequence as the estimate sees them: without labelled objects, text and reticle.
 
+    Pictures that cannot be read are plain, so that nothing follows from them.
+
     Raises:
-        DatasetError: A picture cannot be read.
+        DatasetError: No picture can be read.
     """
-    # The first and the last frame are among them, between which the scene differs most.
-    chosen = np.unique(np.linspace(0, len(images) - 1, _SAMPLES).round().astype(int))
-    some = [_pixels(images[k]) for k in chosen]
-    low, high = _range_of(some)
-    written = find_written([_shown(pixels, low, high) for pixels in some])
+    return iter(_Views(images, on_frame))
+
+
+class _Views:
+    """The pictures of a sequence as the estimate sees them, read one by one.
+
+    Attributes:
+        size_wh: Size of the first picture.
+        levels: Levels that become 0 and 255.
+        sizes_wh: Size of each picture so far.
+        unread: Frames so far that cannot be read, with the reason.
+    """
+
+    def __init__(self, images: Sequence[ImageRecord], on_frame: Callable[[], None]) -> None:
+        """Look at some pictures for text, reticle and levels."""
+        # The first and the last frame are among them, between which the scene differs most.
+        chosen = np.unique(np.linspace(0, len(images) - 1, _SAMPLES).round().astype(int))
+        some = [*_readable(images[k] for k in chosen)] or [*islice(_readable(images), 1)] or [_pixels(images[0])]
+        self.levels = _range_of(some)
+        self._written = find_written([_shown(p, *self.levels) for p in some if p.shape == some[0].shape])
+        self._images, self._on_frame = images, on_frame
+        self.size_wh = (int(some[0].shape[1]), int(some[0].shape[0]))
+        self.sizes_wh: list[tuple[int, int]] = []
+        self.unread: dict[int, str] = {}
+
+    def __iter__(self) -> Iterator[View]:
+        """Yield the views."""
+        for image in self._images:
+            try:
+                view = _view(image, self._written, *self.levels)
+            except DatasetError as error:
+                self.unread[_frame(image)] = "; ".join(f"{p.where}: {p.found}" for p in error.problems) or str(error)
+                width, height = self.sizes_wh[-1] if self.sizes_wh else self.size_wh
+                view = View(np.zeros((height, width), np.uint8), np.ones((height, width), np.bool_))
+            self.sizes_wh.append(view.size_wh)
+            yield view
+            self._on_frame()
+
+
+def _readable(images: Iterable[ImageRecord]) -> Iterator[NDArray[np.uint8] | NDArray[np.uint16]]:
     for image in images:
-        yield _view(image, written, low, high)
-        on_frame()
+        with contextlib.suppress(DatasetError):
+            yield _pixels(image)
 
 
 def _key(images: Sequence[ImageRecord]) -> str:
     digest = hashlib.sha256(f"{VERSION} {cv2.__version__}".encode())
     for image in images:
         boxes = [i.box_xyxy.tolist() for i in image.instances]
-        digest.update(json.dumps([_frame(image), sha256_of(real_path(image.path)), boxes]).encode())
+        sha256 = None
+        with contextlib.suppress(OSError):  # named where it is read
+            sha256 = sha256_of(real_path(image.path))
+        digest.update(json.dumps([_frame(image), sha256, boxes]).encode())
     return digest.hexdigest()[:32]
 
 
@@ -261,6 +329,17 @@ def _view(image: ImageRecord, written: Written, low: float, high: float) -> View
 def motion_problems(motion: SequenceMotion) -> Iterator[Problem]:
     """Yield warnings for frames that are not known, and for spans that cannot be related to each other."""
     where = f"sequence {motion.name}"
+    if motion.unread:
+        number, reason = next(iter(motion.unread.items()))
+        found, todo = (
+            f"{len(motion.unread)} frame(s) that cannot be read, such as {number} ({reason})",
+            "fetch them again",
+        )
+        yield Problem(where, "frames-lost", found, "intact pictures", todo, "warning")
+    if motion.other_sizes_wh:
+        sizes = ", ".join(f"{w}x{h}" for w, h in dict.fromkeys((motion.size_wh, *motion.other_sizes_wh.values())))
+        found, todo = f"pictures of {sizes} px", "no track goes from one size into the other"
+        yield Problem(where, "image-size", found, "one size per sequence", todo, "warning")
     lost = [n for n, m in zip(motion.frames, motion.moments, strict=True) if not m.known]
     if len(lost) == len(motion.frames):
         todo = "state the camera's movement, or choose a clip with ground, trees or buildings in view"

@@ -35,6 +35,7 @@ from infrablend.core.rng import integer_seed, stream
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import MissingDependencyError
 from infrablend.formats.images import Background, encode_image, output_suffix
+from infrablend.formats.paint_out import Shown
 from infrablend.formats.place_masks import read_mask
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import (
@@ -48,6 +49,7 @@ from infrablend.pipeline.compose.looks import Match, make_look
 from infrablend.pipeline.compose.occlusion import (
     Cover,
     behind_front,
+    behind_text,
     front_of,
     label_objects,
     occlusion_facts,
@@ -156,7 +158,7 @@ class FrameComposer:
 
         # Labels, file and record.
         labels = self._labels(picture, canvas)
-        pixels, camera = self._retaken(picture.pixels, canvas.background, frame.frame_id)
+        pixels, camera = self._retaken(picture.pixels, canvas.background, frame)
         image_bytes = encode_image(pixels, canvas.background, self._recipe.output.image)
         made = {"scene": picture.scene.spec, "mapping": picture.match.mapping.to_json()}
         made["facts"] = {**picture.facts, **camera}
@@ -169,8 +171,7 @@ class FrameComposer:
             return self._own_picture(frame)
         take = self._sequences.take(frame)
         if take is None:
-            lost = frame.background.capture.sequence in self._settings.sequences
-            return self._own_picture(frame, left_out="camera_lost" if lost else None)
+            return self._own_picture(frame, left_out=self._sequences.why_none(frame))
         canvas = self._canvas(frame, self._load(frame))
         picture = self._draw(take.scene, canvas, FirstContrasts(take.scene), Unseen(take.scene), take)
         assert isinstance(picture, Picture), "tracks are never moved"
@@ -231,7 +232,7 @@ class FrameComposer:
         """Return a background as a frame; the image is a byte-for-byte copy unless the recipe changes it."""
         path, kind, extensions = frame.background.path, self._recipe.output.image, self._settings.extensions
         background = extensions.load(frame.background)
-        pixels, camera = self._retaken(background.pixels, background, frame.frame_id)
+        pixels, camera = self._retaken(background.pixels, background, frame)
         if camera or extensions.backgrounds is not None or (kind == "png" and path.suffix.lower() != ".png"):
             image_bytes = encode_image(pixels, background, kind)
         else:
@@ -240,14 +241,20 @@ class FrameComposer:
         return ComposedFrame(record, image_bytes, {})
 
     def _retaken(
-        self, pixels: GreyImage, background: Background, frame_id: str
+        self, pixels: GreyImage, background: Background, frame: PlannedFrame
     ) -> tuple[GreyImage, dict[str, Mapping[str, Any]]]:
         """Return a picture as another camera shows it, and that camera for the record; as it is without one."""
         rules = self._recipe.sensor.randomise
         if rules is None:
             return pixels, {}
-        rng = stream(self._settings.seed, frame_id, "camera")
+        shown = None if self._sequences is None else self._sequences.shown_in(frame)
+        key = frame.frame_id
+        if shown is not None:
+            key = f"{shown.background.split}/{shown.background.capture.sequence}_c{frame.configuration}"
+        rng = stream(self._settings.seed, key, "camera")
         camera = OtherCamera.draw(rules, self._grey_unit(background), rng)
+        if shown is not None:  # one camera, new noise in each picture
+            camera = replace(camera, noise_seed=integer_seed(self._settings.seed, shown.background_id, "camera"))
         return camera.take(pixels), {"camera": camera.to_json()}
 
     def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
@@ -311,12 +318,14 @@ class FrameComposer:
 
         seen = behind_front(rendered, front, occluders)
         labels, report = label_objects(scene, rendered, seen, occluders, recipe.labels)
+        if written is not None:
+            labels, report, seen = behind_text(labels, report, seen, written)
         inserts = measure_inserts(report.kept, labels, seen, ground, pixels, canvas.site)
         first.add(scene, {i.number: i.to_json() for i in inserts})
         least = recipe.placement.min_visibility
         hidden = movable(scene, too_hidden(labels, report, occluders, recipe.occlusion, least))
-        faint = movable(scene, {*faint_inserts(inserts, recipe, canvas.frame.background.capture.time_of_day), *hidden})
-        if faint:
+        unseen = faint_inserts(inserts, recipe, canvas.frame.background.capture.time_of_day)
+        if faint := movable(scene, {*unseen, *hidden}):
             return Unseen(scene, faint, hidden, matching, sensor)
         facts = {
             **report.to_json(),
@@ -324,6 +333,7 @@ class FrameComposer:
             **({"contrast": [i.to_json() for i in inserts]} if inserts else {}),
             **({} if sensor is None else {"sensor": sensor.to_json()}),
             **({} if canvas.cover is None else {"occlusion": occlusion_facts(scene, occluders)}),
+            **({"faint": unseen} if take is not None and unseen else {}),
             **({} if written is None else {"written": Mask.from_array(written).to_coco()}),
         }
         return Picture(scene, match, rendered, pixels, inserts, report, sensor, facts)
@@ -417,6 +427,9 @@ def covered_text(
     if written is None or written.shape != picture.shape:
         return None
     covered = written & (picture != background)
+    if covered.any():
+        # A mast that stands still in most frames is no text where other frames show the sky.
+        covered &= Shown(background, None).thin
     return covered if covered.any() else None
 
 

@@ -125,6 +125,11 @@ class Frames:
         self._close = weakref.finalize(self, self._workers.close)
         loaded = read_recipe(request.recipe, request.settings)
         if isinstance(source, BackgroundSource):
+            if loaded.recipe.in_sequences:
+                raise ArgumentError(
+                    "data: a source of backgrounds, but objects with motion need the files of whole sequences; give "
+                    "their folder or video, or leave out objects.N.motion"
+                )
             dataset = source.dataset()
         else:
             dataset = detection.read(source, reading_for(loaded.recipe, request.reading, source))

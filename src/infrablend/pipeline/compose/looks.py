@@ -164,7 +164,11 @@ class PhysicalLook(ArtisticLook):
         """Return the map of the sequence as it is in a frame."""
         if earlier is None or earlier.match.settled is None:
             return None
-        return earlier.match.settled.through(earlier.gain, earlier.offset)
+        gain, offset = earlier.gain, earlier.offset
+        if self._matching.polarity == "black-hot":  # the map is that of the picture turned to white-hot
+            assert self._settings.levels is not None
+            offset = (1 - gain) * sum(self._settings.levels) - offset
+        return earlier.match.settled.through(gain, offset)
 
 
 class RadiometricLook(ArtisticLook):

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from infrablend.annotation.labels import LabelReport, annotate, label_occluded
+from infrablend.annotation.labels import Drop, LabelReport, annotate, label_occluded
 from infrablend.assets.model import ObjectModel
 from infrablend.compositing.mapping import GreyImage
 from infrablend.compositing.occlusion import Occluder, Scenery, Share, Wanted, front_matte
@@ -132,6 +133,27 @@ def label_objects(
             label = label_occluded(label, scene.objects[k], share, labels.occluded_box, labels.obb)
         result.append(label)
     return tuple(result), report
+
+
+def behind_text(
+    labels: Sequence[Instance], report: LabelReport, seen: RenderResult, written: NDArray[np.bool_]
+) -> tuple[tuple[Instance, ...], LabelReport, RenderResult]:
+    """Return labels and report without the objects that text hides, and with the visible shares of the others.
+
+    `seen` has the coverage of what would be visible without the text; that with it is returned, too.
+    """
+    left = behind_front(seen, written.astype(np.float32), range(len(seen.coverage)))
+    kept, found, hidden = [], [], []
+    for k, label in zip(report.kept, labels, strict=True):
+        after, before = (float(r.coverage[k].sum(dtype=np.float64)) for r in (left, seen))
+        if after <= 0:
+            hidden.append(Drop(k, label.category, "behind_text"))
+        else:
+            kept.append(k)
+            share = after / max(before, 1e-9)
+            found.append(label if label.visibility is None else replace(label, visibility=label.visibility * share))
+    drops = tuple(sorted((*report.drops, *hidden), key=lambda d: d.index))
+    return tuple(found), replace(report, kept=tuple(kept), drops=drops), left
 
 
 def too_hidden(

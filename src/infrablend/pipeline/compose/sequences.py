@@ -8,6 +8,7 @@ anchors have shown are left out again: these have populated it. From then on eac
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -44,6 +45,8 @@ from infrablend.sampling.tracks import (
 
 # A frame is an anchor if less than this share of it has been shown by those before; points across a picture.
 _SHOWN, _POINTS = 0.5, 9
+# Where none of the objects of an anchor can be seen, so many frames later another one is tried, so many times at most.
+_AGAIN, _TRIES = 25, 8
 # Frames in which text and reticle are looked for.
 _SAMPLES = 12
 # How well ground has to suit, of the place where an object was put.
@@ -88,10 +91,11 @@ class Take:
 
 @dataclass(eq=False)
 class _Span:
-    """The tracks of a span, with the anchor that they share their look with."""
+    """The tracks of a span, the anchor that they share their look with, and whether its last anchor asked for any."""
 
     tracks: list[Track] = field(default_factory=list)
     first: tuple[int, Anchored] | None = None
+    asked: bool = False
 
 
 class Sequences:
@@ -106,22 +110,28 @@ class Sequences:
     ) -> None:
         """Keep what sequences are populated with; `settle` draws the objects of one frame."""
         self._settings, self._recipe, self._models, self._settle = settings, recipe, models, settle
-        self._spans = functools.lru_cache(maxsize=4)(self._populate)
+        # The configurations of a frame follow one another.
+        self._spans = functools.lru_cache(maxsize=4 * recipe.configurations)(self._populate)
         self._text = functools.lru_cache(maxsize=4)(self._written)
 
+    @functools.cached_property
+    def _places(self) -> Mapping[str, tuple[PlannedSequence, int]]:
+        """Sequence of each background, and its number in it."""
+        sequences = self._settings.sequences.values()
+        return {f.background_id: (s, n) for s in sequences for n, f in enumerate(s.frames)}
+
     def take(self, frame: PlannedFrame) -> Take | None:
-        """Return what a frame shows; None if it is no part of a sequence, or nothing is known of its camera."""
-        sequence = self._settings.sequences.get(frame.background.capture.sequence or "")
-        if sequence is None or frame.configuration is None:
+        """Return what a frame shows; None for one without sequence, known camera, or anchor that could be drawn."""
+        if frame.background_id not in self._places:
             return None
-        n = next((k for k, f in enumerate(sequence.frames) if f.background_id == frame.background_id), None)
-        if n is None or not sequence.footage.moments[n].known:
+        sequence, n = self._places[frame.background_id]
+        footage, m = sequence.footage, sequence.footage.shown(n)
+        if frame.configuration is None or not footage.moments[n].known:
             return None
-        span = self._spans(sequence.name, frame.configuration)[sequence.footage.moments[n].span]
+        span = self._spans(sequence.name, frame.configuration)[footage.moments[n].span]
         if span.first is None:
             return None
         anchor, anchored = span.first
-        footage, m = sequence.footage, sequence.footage.shown(n)
         shown = replace(sequence.frames[m], configuration=frame.configuration)
         camera, view = camera_in(anchored.scene.spec, footage, anchor, m, self._pitch_rad(sequence, span, m))
         models = [self._models[t.placed.spec.model] for t in span.tracks]
@@ -130,9 +140,28 @@ class Sequences:
         motion_px = self._motion_px([t for t in span.tracks if t.number in in_view], footage, m)
         key = (frame.frame_id, frame.background.id, frame.configuration)
         seed = integer_seed(self._settings.seed, shown.key(footage.size_wh).frame_id, "render")
-        scene = scene_in(anchored.scene, key, objects, camera, view, seed, motion_px)
+        away = len(span.tracks) - len(objects)
+        scene = scene_in(anchored.scene, key, objects, camera, view, seed, motion_px, away)
         earlier = Earlier(anchored.match, *footage.levels(anchor, m)) if objects else None
         return Take(scene, shown, earlier, self._sensor_of(anchored, shown, footage), self._text(sequence.name))
+
+    def shown_in(self, frame: PlannedFrame) -> PlannedFrame | None:
+        """Return the frame whose picture a frame of a sequence shows; None for one of no sequence."""
+        if frame.background_id not in self._places:
+            return None
+        sequence, n = self._places[frame.background_id]
+        return sequence.frames[sequence.footage.shown(n)]
+
+    def why_none(self, frame: PlannedFrame) -> str | None:
+        """Return the reason why a frame without a take stays without objects; None if it gets objects of its own."""
+        if frame.background_id not in self._places:
+            return None
+        sequence, n = self._places[frame.background_id]
+        moment = sequence.footage.moments[n]
+        if not moment.known:
+            return "camera_lost"
+        # A frame that could not be an anchor says why when it is drawn as one.
+        return "no_anchor" if moment.state in ("frozen", "bridged") else None
 
     def _sensor_of(self, anchored: Anchored, shown: PlannedFrame, footage: Footage) -> Sensor | None:
         if anchored.sensor is None:
@@ -164,28 +193,34 @@ class Sequences:
         sequence = self._settings.sequences[name]
         footage, spans = sequence.footage, dict[int, _Span]()
         number, anchors = sequence.first_track, list[int]()
+        stated = sequence.frames[0].background.capture.sequence  # unlike `name`, whatever splits are read
+        assert stated is not None
         for n, moment in enumerate(footage.moments):
             if not moment.known or footage.shown(n) != n or moment.state == "bridged":
                 continue
             span = spans.setdefault(moment.span, _Span())
             before = [a for a in anchors if footage.moments[a].span == moment.span]
-            if before and (self._all_followed or self._shown(footage, n, before) >= _SHOWN):
+            if before and span.tracks and (self._all_once or self._shown(footage, n, before) >= _SHOWN):
+                continue
+            if before and not span.tracks and (not span.asked or n - before[-1] < _AGAIN or len(before) >= _TRIES):
                 continue
             try:
                 anchored = self._settle(replace(sequence.frames[n], configuration=configuration))
             except DatasetError:  # reported where the frame itself is made
                 continue
             anchors.append(n)
+            span.first, span.asked = span.first or (n, anchored), bool(anchored.scene.spec.draws.get("wanted"))
             for k, placed in enumerate(anchored.scene.objects):
                 middle = (placed.box_xyxy[:2] + placed.box_xyxy[2:]) / 2
                 motion = self._motion_of(placed)
-                if before and (motion.kind == "followed" or _is_shown(footage, middle, n, before)):
+                once = motion.kind == "followed" or motion.path is not None
+                if before and (once or _are_shown(footage, middle[None], n, before).all()):
                     continue
-                if span.first is None:
+                if not span.tracks:
                     span.first = n, anchored
                 purpose = f"kind {placed.spec.kind}" if motion.kind == "flock" else f"object {n} {k}"
-                rng = stream(self._settings.seed, name, configuration, "track", purpose)
-                placed = _in_air(placed, _air_k(spans) - anchored.scene.spec.ambient_k)
+                rng = stream(self._settings.seed, stated, configuration, "track", purpose)
+                placed = _in_air(placed, _air_k(spans, anchored) - anchored.scene.spec.ambient_k)
                 assert anchored.scene.spec.view is not None
                 model, fits = self._models[placed.spec.model], self._fits(placed, anchored.site)
                 view = anchored.scene.spec.view
@@ -194,18 +229,19 @@ class Sequences:
         return spans
 
     @property
-    def _all_followed(self) -> bool:
-        return all(o.motion is not None and o.motion.kind == "followed" for o in self._recipe.objects)
+    def _all_once(self) -> bool:
+        motions = [o.motion for o in self._recipe.objects]
+        return all(m is not None and (m.kind == "followed" or m.path is not None) for m in motions)
 
     def _motion_of(self, placed: PlacedObject) -> Motion:
         return self._recipe.objects[placed.spec.kind].motion or Motion(kind="still")
 
     def _shown(self, footage: Footage, n: int, anchors: list[int]) -> float:
         """Return the share of a frame that anchors have shown."""
-        w, h = footage.size_wh
+        w, h = footage.size_of(n)
         x, y = np.meshgrid(np.linspace(0.05, 0.95, _POINTS) * w, np.linspace(0.05, 0.95, _POINTS) * h)
         points = np.stack([x.ravel(), y.ravel()], axis=1)
-        return float(np.mean([_is_shown(footage, p, n, anchors) for p in points]))
+        return float(np.mean(_are_shown(footage, points, n, anchors)))
 
     def _fits(self, placed: PlacedObject, site: Site) -> Fits:
         """Return whether an object may go to a place; what its anchor does not show is open to it."""
@@ -229,21 +265,29 @@ class Sequences:
         """Return where text and reticle are in a sequence."""
         frames = self._settings.sequences[name].frames
         chosen = np.unique(np.linspace(0, len(frames) - 1, _SAMPLES).round().astype(int))
-        pixels = [self._settings.extensions.load(frames[k].background).pixels for k in chosen]
+        pixels = []
+        for k in chosen:
+            with contextlib.suppress(DatasetError):  # reported where the frame itself is made
+                pixels.append(self._settings.extensions.load(frames[k].background).pixels)
         same = [p for p in pixels if p.shape == pixels[0].shape]
         strokes = find_written([Shown(p, None) for p in same]).strokes
         return strokes if strokes.any() else None
 
 
-def _is_shown(footage: Footage, xy: FloatArray, n: int, anchors: list[int]) -> bool:
-    """Return whether one of some anchors shows what is at a position of a frame."""
-    places = [moved(xy[None], footage.from_to(n, a))[0] for a in anchors]
-    return any((p >= 0).all() and (p < footage.size_wh).all() for p in places)
+def _are_shown(footage: Footage, xy: FloatArray, n: int, anchors: list[int]) -> NDArray[np.bool_]:
+    """Return (m,) whether one of some anchors shows what is at (m, 2) positions of a frame."""
+    found = np.zeros(len(xy), np.bool_)
+    for a in reversed(anchors):  # the last one shows most
+        if not found.all():
+            places = moved(xy, footage.from_to(n, a))
+            found |= ((places >= 0) & (places < footage.size_of(n))).all(axis=1)
+    return found
 
 
-def _air_k(spans: Mapping[int, _Span]) -> float:
-    """Return the air temperature of a sequence: that of its first anchor with objects."""
-    return next(s.first[1].scene.spec.ambient_k for s in spans.values() if s.first is not None)
+def _air_k(spans: Mapping[int, _Span], anchored: Anchored) -> float:
+    """Return the air temperature of a sequence: that of its first anchor with objects, by default this one."""
+    first = (s.first[1] for s in spans.values() if s.tracks and s.first is not None)
+    return next(first, anchored).scene.spec.ambient_k
 
 
 def _in_air(placed: PlacedObject, warmer_k: float) -> PlacedObject:

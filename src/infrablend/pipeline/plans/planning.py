@@ -15,7 +15,6 @@ from infrablend.config.recipe import NOT_IN_KEY, Recipe
 from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, fit_name
 from infrablend.core.files import sha256_of_json
-from infrablend.core.format_table import find_format
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
@@ -202,10 +201,8 @@ def reading_for(recipe: Recipe, reading: Reading, root: Path) -> Reading:
 
     What the options of the reading state comes first.
     """
-    if recipe.in_sequences and "every" not in reading.options:
-        name = reading.format or detection.detect(root).format
-        if name is not None and "every" in detection.reader_options(find_format(name)):
-            reading = replace(reading, options={**reading.options, "every": "1"})
+    if recipe.in_sequences:
+        reading = detection.with_every_frame(reading, root)
     stated = {k: str(v) for k, v in recipe.data.model_dump().items() if v is not None}
     if not stated or any(name in reading.options for name in OPTIONS):
         return reading

@@ -10,14 +10,12 @@ import numpy as np
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.mesh import FloatArray
 from infrablend.errors import Problem
+from infrablend.formats.mot import ASSUMED_RATE
 from infrablend.pipeline.capture.camera_motion import find_motion, motion_problems, sequences_of
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence
 from infrablend.sampling.tracks import Footage
 
 log = logging.getLogger(__name__)
-
-# Frames per second of sequences that do not state when their frames were taken.
-_RATE = 25.0
 
 
 def plan_sequences(
@@ -42,14 +40,19 @@ def plan_sequences(
         motion = find_motion(name, images)
         times = _times_s(images)
         if times is None:
-            text, todo = f"no time stamps; {_RATE:g} frames per second are assumed", "a table with time_s"
+            lacks = any(i.capture.time_s is None for i in images)
+            found_times = "no time stamps" if lacks else "time stamps that do not rise from frame to frame"
+            text, todo = f"{found_times}; {ASSUMED_RATE:g} frames per second are assumed", "a table with time_s"
             problems.append(Problem(f"sequence {name}", "frame-rate", text, "seconds of each frame", todo, "warning"))
-            times = np.array([(i.capture.frame or 0) / _RATE for i in images])
+            times = np.array([(i.capture.frame or 0) / ASSUMED_RATE for i in images])
         problems += motion_problems(motion)
         frames = tuple(PlannedFrame(i, 0, as_read[id(i)], i.id) for i in images)
-        ids = [i.track_id for image in images for i in image.instances if isinstance(i.track_id, int)]
-        footage = Footage(motion.moments, times, motion.size_wh)
-        found[name] = PlannedSequence(name, frames, footage, max(ids, default=0) + 1)
+        ids = {str(i.track_id) for image in images for i in image.instances if i.track_id is not None}
+        last = max((int(i) for i in ids if i.isdecimal() and i.isascii()), default=0)  # texts such as "1" count, too
+        footage = Footage(motion.in_own_levels(), times, motion.size_wh, motion.other_sizes_wh)
+        # Formats with numbers from 1 give the others, such as 0, the numbers between.
+        others = sum(not (i.isdecimal() and i.isascii() and int(i) > 0) for i in ids)
+        found[name] = PlannedSequence(name, frames, footage, last + others + 1)
     single = sum(i.capture.sequence is None or i.capture.frame is None for i in used)
     if single:
         text = f"{single} picture(s) of no sequence get objects of their own, without tracks"

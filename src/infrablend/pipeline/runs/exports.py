@@ -39,6 +39,7 @@ from infrablend.pipeline.runs.warnings import (
     hiding_warnings,
     horizon_warnings,
     limit_warnings,
+    track_warnings,
 )
 from infrablend.report.card import CARD_FILE, is_own, write_card
 
@@ -111,7 +112,9 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     written_counts = {"labels_by_format": labels} if differing else {}
     finished = replace(finished, counts={**finished.counts, **written_counts, **looseness.counted(loosened)})
     problems += nothing_inserted(plan.recipe, finished.counts, finished.draws)
-    problems += absent_warnings(finished.draws) + limit_warnings(records) + air_warnings(records)
+    problems += (
+        absent_warnings(finished.draws) + track_warnings(records) + limit_warnings(records) + air_warnings(records)
+    )
     problems += horizon_warnings(finished.counts) + hiding_warnings(finished.counts)
     if images:
         problems += write_card(
@@ -283,7 +286,9 @@ def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
         if r.scene is None or r.inserted:
             continue
         found = {*r.scene.draws.get("absent", {}), *(d["reason"] for d in r.facts.get("drops", ()))}
-        if r.scene.draws.get("empty_by_recipe") or not r.scene.draws.get("wanted", 1):
+        if r.scene.draws.get("out_of_view"):
+            found.add("out_of_view")
+        elif r.scene.draws.get("empty_by_recipe") or not r.scene.draws.get("wanted", 1):
             found = {"recipe"}
         reasons.update(found or {"unknown"})
     return dict(sorted(reasons.items()))

@@ -128,6 +128,6 @@ def _insert_facts(record: FrameRecord) -> tuple[InsertFacts, ...]:
         found.append(
             InsertFacts(i.category, _box(i.box_xyxy), distance, change,
                         None if signed is None else float(signed), i.visibility,
-                        "" if i.track_id is None else " ".join(map(str, (*place, i.track_id))))
+                        "" if i.track_id is None else "{} c{} {}".format(*place, i.track_id))
         )  # fmt: skip
     return tuple(found)

@@ -13,12 +13,10 @@ from infrablend.core.run_folder import TRACKS, VIDEO
 from infrablend.errors import MissingDependencyError, Problem
 from infrablend.formats import writing
 from infrablend.formats.images import load_background
+from infrablend.formats.mot import ASSUMED_RATE
 from infrablend.formats.sequences import Frames, by_sequence, places_of
 from infrablend.formats.video import write_video
 from infrablend.formats.write_settings import WriteSettings
-
-# Frames per second where the frames do not state their times.
-_RATE = 25.0
 
 
 def with_own_sequence(image: ImageRecord, configuration: int | None) -> ImageRecord:
@@ -45,7 +43,8 @@ def _write_videos(out: Path, images: Sequence[ImageRecord]) -> list[Problem]:
     for folder, group in by_sequence(places_of(images)).items():
         frames = Frames(images, group)
         times = [t for i in frames if (t := i.capture.time_s) is not None]
-        steps = np.diff(times) if len(times) == len(frames) > 1 else np.array([1 / _RATE])
+        steps = np.diff(times) if len(times) == len(frames) > 1 else np.array([1 / ASSUMED_RATE])
+        steps = steps if (steps > 0).all() else np.array([1 / ASSUMED_RATE])
         pictures = (load_background(i.path, i.size_wh).pixels for i in frames)
         try:
             write_video(out / f"{folder}.mp4", pictures, 1 / max(float(np.median(steps)), 1e-3))

@@ -185,6 +185,17 @@ _DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
 }
 
 
+def track_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+    """Return a warning if labels of tracks are of objects that nobody can see in their frame."""
+    faint = sum(len(r.facts.get("faint", ())) for r in records)
+    if not faint:
+        return []
+    total = sum(i.track_id is not None for r in records for i in r.inserted)
+    found = f"{faint} of {total} labels of tracks are of objects fainter in their frame than the least contrast"
+    todo = "the label stays, as its track goes on; see `faint` in the frames' records, or warm the objects (delta_t_k)"
+    return [Problem("tracks", "track-faint", found, "objects that can be seen", todo, "warning")]
+
+
 def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
     """Return a warning per estimate that is not to be trusted in at least a fifth of its frames.
 

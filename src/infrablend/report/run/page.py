@@ -42,6 +42,10 @@ REASONS: Mapping[str, str] = {
     "low_contrast": "too faint to be seen",
     "too_hidden": "too much hidden by the background",
     "untrusted": "gain of the background not trusted",
+    "camera_lost": "the camera's motion is not known in these frames",
+    "out_of_view": "tracks that are out of view",
+    "behind_text": "behind burnt-in text",
+    "no_anchor": "no frame of the sequence that objects could be drawn in",
     "no_horizon": "no horizon known, found or stated",
     "no_ground": "no ground in the picture that suits them",
     "noise": "the picture is little but noise",
@@ -127,6 +131,7 @@ def _tiles(run: RunFacts, filters: Filters) -> list[tuple[str, str, str]]:
     removed = sum(len(f.removed) for f in frames)
     rows = [
         (len(frames), "frames", "#frames"),
+        (len({i.track for f in frames for i in f.inserts if i.track}), "tracks", "#tracks"),
         (sum(len(f.inserts) for f in frames), "inserted objects",
          filters.add("Frames with inserted objects", (k for k, f in enumerate(frames) if f.inserts))),
         (len(without), "frames without inserted object", filters.add("Frames without inserted object", without)),
@@ -137,7 +142,7 @@ def _tiles(run: RunFacts, filters: Filters) -> list[tuple[str, str, str]]:
         (len(run.excluded), "excluded frames", "#excluded"),
         (sum(p.severity == "warning" for p in run.problems), "warnings", "#warnings"),
     ]  # fmt: skip
-    return [(str(n), what, link if n else "") for n, what, link in rows]
+    return [(str(n), what, link if n else "") for n, what, link in rows if n or what != "tracks"]
 
 
 def _charts(frames: Sequence[FrameFacts], filters: Filters) -> list[Chart]:
@@ -281,9 +286,14 @@ def _tracks(frames: Sequence[FrameFacts]) -> list[Extreme]:
     longest = sorted(of_track.items(), key=lambda t: (-len(t[1]), t[0]))[:TRACKS]
     note = "From its first frame to its last: does it keep its shape, its level and its place?"
     return [
-        (f"{seen[0][1].category}, {len(seen)} frames", note, [seen[n] for n in spread(len(seen), CROPS)])
-        for _, seen in longest
+        (f"{seen[0][1].category} {name}, {len(seen)} frames", note, [seen[n] for n in _ends_and_between(len(seen))])
+        for name, seen in longest
     ]
+
+
+def _ends_and_between(count: int) -> list[int]:
+    """Return at most `CROPS` of `count` numbers at even steps, the first and the last among them."""
+    return list(range(count)) if count <= CROPS else [k * (count - 1) // (CROPS - 1) for k in range(CROPS)]
 
 
 def _hidden(insert: InsertFacts) -> float | None:
