@@ -161,7 +161,9 @@ def test_a_flight_renders_its_scene_once_and_tracks_what_stands_in_it(tmp_path, 
     for image in images:
         with Image.open(image.path) as picture:
             for o in image.instances:
-                looks.setdefault(o.track_id, []).append(np.asarray(picture.crop(tuple(o.box_xyxy)).resize((16, 16)), float))
+                looks.setdefault(o.track_id, []).append(
+                    np.asarray(picture.crop(tuple(o.box_xyxy)).resize((16, 16)), float)
+                )
     for first, second, third in looks.values():
         assert np.ptp(first) > 30
         assert min(np.corrcoef(first.ravel(), other.ravel())[0, 1] for other in (second, third)) > 0.8

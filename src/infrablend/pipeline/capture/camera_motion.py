@@ -31,7 +31,7 @@ from infrablend.motion.sequence import MOST_ERROR_PX, Moment, follow_camera, mom
 from infrablend.motion.shift import View
 from infrablend.report.motion_page import motion_page
 
-VERSION = 2
+VERSION = 3
 """Part of the cache's key. Raise it when the same pictures give another movement."""
 # Frames in which text and reticle are looked for.
 _SAMPLES = 12
