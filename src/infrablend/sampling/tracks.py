@@ -38,6 +38,8 @@ _WANDER, _STEADY_S, _NEARER, _NEARER_S = 0.45, 1.0, 0.12, (20.0, 60.0)
 # Periods of its wander in the picture, of its heading and of its attitude, seconds; their sizes, radians.
 _WANDER_S, _TURN_S, _LEAN_S = (6.0, 25.0), (8.0, 30.0), (3.0, 12.0)
 _TURN, _LEAN = 0.7, math.radians(5)
+# What of an object at the edge of the picture is less wide or high is not drawn, px; of small ones, less than a half.
+_SLIVER_PX = 2.0
 # Azimuth has no meaning for a camera that looks straight down.
 _LEAST_COS = 0.3
 
@@ -341,7 +343,10 @@ def _moving(model: ObjectModel, params: Params, track: Track, n: int) -> Params:
 
 
 def _in_picture(box_xyxy: FloatArray, size_wh: tuple[int, int]) -> bool:
-    return bool((box_xyxy[2:] > 0).all() and (box_xyxy[:2] < size_wh).all())
+    """Return whether enough of an object is in the picture for a label: a sliver at the edge has not entered yet."""
+    extent = box_xyxy[2:] - box_xyxy[:2]
+    inside = np.minimum(box_xyxy[2:], size_wh) - np.maximum(box_xyxy[:2], 0)
+    return bool((inside > np.minimum(_SLIVER_PX, extent / 2)).all())
 
 
 def velocity_px_s(tracks: Sequence[Track], footage: Footage, n: int) -> tuple[float, float]:
