@@ -206,6 +206,8 @@ def test_two_sizes_in_one_sequence_are_two_spans(tmp_path):
 def test_sequences_of_one_name_in_two_splits_are_two(tmp_path):
     for k, split in enumerate(("train", "val")):
         clip(tmp_path / "data" / split, panned(4, seed=k))
+    rows = "".join(f"{split}/clip_{k:03}.png,clip,{k}\n" for split in ("train", "val") for k in range(4))
+    (tmp_path / "data" / "metadata.csv").write_text("file,sequence,frame\n" + rows)
     generate(tmp_path / "data", tmp_path / "run", settings=STILL)
     for split in ("train", "val"):
         assert (tmp_path / "run" / "tracks" / split / "clip" / "gt" / "gt.txt").read_text()

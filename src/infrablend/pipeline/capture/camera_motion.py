@@ -31,7 +31,7 @@ from infrablend.motion.sequence import MOST_ERROR_PX, Moment, follow_camera, mom
 from infrablend.motion.shift import View
 from infrablend.report.motion_page import motion_page
 
-VERSION = 2
+VERSION = 3
 """Part of the cache's key. Raise it when the same pictures give another movement."""
 # Frames in which text and reticle are looked for.
 _SAMPLES = 12
@@ -178,8 +178,7 @@ def sequences_of(dataset: Dataset) -> dict[str, list[ImageRecord]]:
     if not found:
         raise DatasetError(
             f"{dataset.root}: no picture has a sequence and a frame number; expected clips, unlabelled pictures whose "
-            "names end in running numbers, labels that state both, or a table with the columns file, sequence and frame "
-            "(--metadata)"
+            "names end in running numbers, labels that state both, or metadata.csv with file, sequence and frame"
         )
     problems = []
     for name, images in found.items():
