@@ -45,6 +45,8 @@ from infrablend.sampling.tracks import (
 
 # A frame is an anchor if less than this share of it has been shown by those before; points across a picture.
 _SHOWN, _POINTS = 0.5, 9
+# Populated sequences that each worker keeps, of two or three MB each.
+_KEPT = 32
 # Frames in which text and reticle are looked for.
 _SAMPLES = 12
 # How well ground has to suit, of the place where an object was put.
@@ -66,6 +68,11 @@ class Anchored:
     site: Site
     match: Match
     sensor: Sensor | None
+
+    def without_meshes(self) -> Anchored:
+        """Return what other frames need of it, a few MB less."""
+        scene = PlacedScene(self.scene.spec, ())
+        return replace(self, scene=scene, match=replace(self.match, scene=scene))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +114,8 @@ class Sequences:
     ) -> None:
         """Keep what sequences are populated with; `settle` draws the objects of one frame."""
         self._settings, self._recipe, self._models, self._settle = settings, recipe, models, settle
-        # The configurations of a frame follow one another.
-        self._spans = functools.lru_cache(maxsize=4 * recipe.configurations)(self._populate)
+        # The configurations of a frame follow one another, and who trains on frames in memory shuffles them.
+        self._spans = functools.lru_cache(maxsize=max(_KEPT, 4 * recipe.configurations))(self._populate)
         self._text = functools.lru_cache(maxsize=4)(self._written)
 
     @functools.cached_property
@@ -204,7 +211,7 @@ class Sequences:
             except DatasetError:  # reported where the frame itself is made
                 continue
             anchors.append(n)
-            span.first = span.first or (n, anchored)
+            span.first = span.first or (n, anchored.without_meshes())
             for k, placed in enumerate(anchored.scene.objects):
                 middle = (placed.box_xyxy[:2] + placed.box_xyxy[2:]) / 2
                 motion = self._motion_of(placed)
@@ -212,7 +219,7 @@ class Sequences:
                 if before and (once or _are_shown(footage, middle[None], n, before).all()):
                     continue
                 if not span.tracks:
-                    span.first = n, anchored
+                    span.first = n, anchored.without_meshes()
                 purpose = f"kind {placed.spec.kind}" if motion.kind == "flock" else f"object {n} {k}"
                 rng = stream(self._settings.seed, stated, configuration, "track", purpose)
                 placed = _in_air(placed, _air_k(spans, anchored) - anchored.scene.spec.ambient_k)
