@@ -316,3 +316,14 @@ def test_a_run_is_read_as_coco_and_not_as_its_tracks(made):
     found = api.inspect(run)
     assert (found.format, sum(found.sequences.values())) == ("coco", 17)
     assert api.check(run).ok
+
+
+def test_frames_without_pitch_are_left_out_and_no_anchors(tmp_path):
+    data = clip(tmp_path / "data", panned(5))
+    rows = "".join(f"clip_{k:03}.png,60,40\n" for k in (1, 2, 4))
+    (data / "metadata.csv").write_text("file,pitch_deg,altitude_m\n" + rows)
+    moving = ["objects.0.motion={kind: still}", "placement.where=anywhere", "placement.size_px=[2, 400]"]
+    out, flat = tmp_path / "run", api.Execution(renderer="flat", in_process=True)
+    report = api.generate("hit-uav-people", data, out, settings=[*moving, "objects.0.count=3"], execution=flat)
+    assert [p.where for p in report.problems if p.code == "no-pitch"] == ["train/clip_000.png", "train/clip_003.png"]
+    assert report.counts["failed_frames"] == 0 and all(labels(out).values()) and len(labels(out)) == 3

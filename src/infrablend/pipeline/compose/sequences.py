@@ -195,14 +195,16 @@ class Sequences:
     def _populate(self, name: str, configuration: int) -> Mapping[int, _Span]:
         """Return the tracks of a sequence by span."""
         sequence = self._settings.sequences[name]
-        footage, spans = sequence.footage, dict[int, _Span]()
+        footage = sequence.footage
+        spans = {m.span: _Span() for m in footage.moments if m.known}
         number, anchors = sequence.first_track, list[int]()
         stated = sequence.frames[0].background.capture.sequence  # unlike `name`, whatever splits are read
         assert stated is not None
         for n, moment in enumerate(footage.moments):
-            if not moment.known or footage.shown(n) != n or moment.state == "bridged":
+            lacks = n in sequence.without_place or moment.state == "bridged"
+            if not moment.known or footage.shown(n) != n or lacks:
                 continue
-            span = spans.setdefault(moment.span, _Span())
+            span = spans[moment.span]
             before = [a for a in anchors if footage.moments[a].span == moment.span]
             if before and (self._all_once or self._shown(footage, n, before) >= _SHOWN):
                 continue
