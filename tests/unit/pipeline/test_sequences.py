@@ -217,7 +217,7 @@ def test_a_sequence_without_objects_says_why_and_its_run_is_clean(tmp_path):
     data = clip(tmp_path / "data", panned(4))
     report = generate(data, tmp_path / "run", settings=[*STILL, "objects.0.count=0"])
     assert report.counts["frames_without_object_because"] == {"recipe": 4}
-    assert api.check(tmp_path / "run").ok
+    assert api.check(tmp_path / "run").ok()
 
 
 def test_counts_are_those_of_the_frames_and_not_of_the_first_anchor(tmp_path):
@@ -315,7 +315,7 @@ def test_a_run_is_read_as_coco_and_not_as_its_tracks(made):
     run, _ = made
     found = api.inspect(run)
     assert (found.format, sum(found.sequences.values())) == ("coco", 17)
-    assert api.check(run).ok
+    assert api.check(run).ok()
 
 
 def test_frames_without_pitch_are_left_out_and_no_anchors(tmp_path):
@@ -327,3 +327,10 @@ def test_frames_without_pitch_are_left_out_and_no_anchors(tmp_path):
     report = api.generate("hit-uav-people", data, out, settings=[*moving, "objects.0.count=3"], execution=flat)
     assert [p.where for p in report.problems if p.code == "no-pitch"] == ["train/clip_000.png", "train/clip_003.png"]
     assert report.counts["failed_frames"] == 0 and all(labels(out).values()) and len(labels(out)) == 3
+
+
+def test_a_run_without_labels_of_pictures_is_not_read_as_its_tracks_either(tmp_path):
+    data = clip(tmp_path / "data", panned(4))
+    generate(data, tmp_path / "run", settings=[*STILL, "output.formats=[]"])
+    assert (tmp_path / "run" / "tracks" / "train" / "clip" / "gt" / "gt.txt").is_file()
+    assert sum(n["images"] for n in api.inspect(tmp_path / "run").splits.values()) == 4
