@@ -2,6 +2,7 @@
 
 import json
 from itertools import pairwise
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
+from infrablend.pipeline.compose.looks import Earlier, PhysicalLook
 from infrablend.pipeline.compose.sequences import Sequences
 from tests.unit.motion.test_sequence import frame, path, scene
 
@@ -334,3 +336,15 @@ def test_a_run_without_labels_of_pictures_is_not_read_as_its_tracks_either(tmp_p
     generate(data, tmp_path / "run", settings=[*STILL, "output.formats=[]"])
     assert (tmp_path / "run" / "tracks" / "train" / "clip" / "gt" / "gt.txt").is_file()
     assert sum(n["images"] for n in api.inspect(tmp_path / "run").splits.values()) == 4
+
+
+@pytest.mark.parametrize("polarity", ["white-hot", "black-hot"])
+def test_gain_and_offset_are_those_of_the_picture_that_is_matched(polarity):
+    """Black-hot pictures are matched turned to white-hot; the camera's gain and offset are those of the file's levels."""
+    low, high, gain, offset = 10.0, 240.0, 0.6, 44.0
+    look = SimpleNamespace(_matching=SimpleNamespace(polarity=polarity), _settings=SimpleNamespace(levels=(low, high)))
+    through = SimpleNamespace(through=lambda g, o: (g, o))
+    g, o = PhysicalLook._settled(look, Earlier(SimpleNamespace(settled=through), gain, offset))
+    turned = (lambda level: low + high - level) if polarity == "black-hot" else (lambda level: level)
+    for level in (30.0, 200.0):
+        assert g * turned(level) + o == pytest.approx(turned(gain * level + offset))
