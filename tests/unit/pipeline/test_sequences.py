@@ -340,7 +340,7 @@ def test_a_run_without_labels_of_pictures_is_not_read_as_its_tracks_either(tmp_p
 
 @pytest.mark.parametrize("polarity", ["white-hot", "black-hot"])
 def test_gain_and_offset_are_those_of_the_picture_that_is_matched(polarity):
-    """Black-hot pictures are matched turned to white-hot; the camera's gain and offset are those of the file's levels."""
+    """Black-hot pictures are matched turned to white-hot; gain and offset are those of the levels in the file."""
     low, high, gain, offset = 10.0, 240.0, 0.6, 44.0
     look = SimpleNamespace(_matching=SimpleNamespace(polarity=polarity), _settings=SimpleNamespace(levels=(low, high)))
     through = SimpleNamespace(through=lambda g, o: (g, o))
