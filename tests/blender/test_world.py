@@ -150,7 +150,12 @@ def test_a_flight_renders_its_scene_once_and_tracks_what_stands_in_it(tmp_path, 
     asked: list[str] = []
     render_map = WorldRenderer.render
     monkeypatch.setattr("infrablend.world.flight.ACROSS", 2)
-    monkeypatch.setattr(WorldRenderer, "render", lambda self, plan: asked.append(plan.kind) or render_map(self, plan))
+
+    def counted(self, plan):
+        asked.append(plan.kind)
+        return render_map(self, plan)
+
+    monkeypatch.setattr(WorldRenderer, "render", counted)
     render(tmp_path / "out", WorldRequest(3, 1, "flight"))
     assert len(asked) == 1
     images = mot.read(tmp_path / "out").images

@@ -308,7 +308,9 @@ def _labels_of_run(root: Path, format: str | None) -> tuple[Path, str | None]:
     there = [str(f) for f in formats if str(f) in {*(x.name for x in FORMATS), "native"} and layout.labels(f).is_dir()]
     wanted = format or (_FIRST_OF_RUN if _FIRST_OF_RUN in there or not there else there[0])
     if not there:
-        return root, format
+        # The folder of tracks has no pictures of its own.
+        kinds = (m.format for m in detect(root).matches if m.ok and m.format != "mot")
+        return root, format or next(kinds, None)
     if wanted == _FIRST_OF_RUN and _FIRST_OF_RUN in there:
         return root, wanted  # a run has other folders that look like datasets, such as that of tracks
     if wanted in there:

@@ -25,8 +25,7 @@ def with_numbered_frames(images: Sequence[ImageRecord]) -> tuple[ImageRecord, ..
     """Return the pictures with the sequence and frame number that their names show.
 
     The pictures of one folder, in all splits, are a sequence if their names differ in a number at their ends alone,
-    each has another one, and the numbers run: at least half of the steps between them are equal. If they are none,
-    those of each split may be one. Its name is the path
+    each has another one, and the numbers run: at least half of the steps between them are equal. Its name is the path
     of the folder, or what the names have in common in the folder of the split itself. Pictures of which a sequence,
     frame or time is known are left as they are, with all of their folder.
     """
@@ -36,26 +35,17 @@ def with_numbered_frames(images: Sequence[ImageRecord]) -> tuple[ImageRecord, ..
     taken = {i.capture.sequence for i in images}
     found = list(images)
     for folder, members in sorted(folders.items()):
-        groups = [members] if _numbers([images[k] for k in members]) else _by_split(images, members)
-        named = set()
-        for group in groups:
-            numbers = _numbers([images[k] for k in group])
-            if numbers is None:
-                continue
-            prefix, frames = numbers
-            sequence = prefix.strip("_-. ") or _UNNAMED if folder == PurePosixPath() else folder.as_posix()
-            if sequence in taken:
-                continue
-            named.add(sequence)
-            for k, frame in zip(group, frames, strict=True):
-                found[k] = replace(found[k], capture=replace(found[k].capture, sequence=sequence, frame=frame))
-        taken |= named
+        numbers = _numbers([images[k] for k in members])
+        if numbers is None:
+            continue
+        prefix, frames = numbers
+        sequence = prefix.strip("_-. ") or _UNNAMED if folder == PurePosixPath() else folder.as_posix()
+        if sequence in taken:
+            continue
+        taken.add(sequence)
+        for k, frame in zip(members, frames, strict=True):
+            found[k] = replace(found[k], capture=replace(found[k].capture, sequence=sequence, frame=frame))
     return tuple(found)
-
-
-def _by_split(images: Sequence[ImageRecord], members: Sequence[int]) -> list[list[int]]:
-    splits = dict.fromkeys(images[k].split for k in members)
-    return [[k for k in members if images[k].split == split] for split in splits]
 
 
 def _numbers(images: Sequence[ImageRecord]) -> tuple[str, list[int]] | None:

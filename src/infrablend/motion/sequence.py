@@ -99,7 +99,7 @@ def _moments(views: Iterable[View]) -> Iterator[Moment]:
         resized = any(k is not None and k.view.size_wh != view.size_wh for k in (before, known))
         found: Moment | None = None
         if before is not None and not resized and _same(before.view, view):
-            found = replace(before.moment, state="frozen") if before.moment.known else None
+            found = replace(before.moment, state="frozen") if before.moment.known or lost < BRIDGE else None
         elif known is not None and not resized:
             found = _followed(keys, known, view)
         if found is None:
@@ -226,6 +226,9 @@ def _bridged(moments: list[Moment]) -> list[Moment]:
         if k > 0 and end < len(found) and end - k <= BRIDGE and found[k - 1].span == found[end].span:
             a, b = found[k - 1], found[end]
             for i in range(k, end):
+                if found[i].state == "frozen":
+                    found[i] = replace(found[i - 1], state="frozen")
+                    continue
                 t = (i - k + 1) / (end - k + 1)
                 found[i] = replace(
                     found[i], span=a.span, state="bridged", to_first=(1 - t) * a.to_first + t * b.to_first,

@@ -167,3 +167,19 @@ def test_moments_survive_json():
         back = moment_from_json({"frame": 3, **moment_to_json(m)})
         assert (back.state, back.span, back.fitting) == (m.state, m.span, m.fitting)
         assert np.allclose(back.to_first, m.to_first, rtol=1e-7, atol=1e-6)
+
+
+def test_the_copy_of_a_lost_frame_is_bridged_to_the_same_place():
+    views = [frame(scene(), at, seed=k)[0] for k, at in enumerate(path(6))]
+    blank = View(np.full_like(views[0].grey, 90), views[0].blocked)
+    moments = follow_camera([*views[:2], blank, blank, *views[4:]])
+    assert [m.state for m in moments] == ["first", "followed", "bridged", "frozen", "followed", "followed"]
+    np.testing.assert_array_equal(moments[2].to_first, moments[3].to_first)
+
+
+def test_a_lost_frame_between_two_sizes_is_no_reason_to_compare_them():
+    views = [frame(scene(), at, seed=k)[0] for k, at in enumerate(path(4))]
+    small = [View(v.grey[:200, :280].copy(), v.blocked[:200, :280].copy()) for v in views]
+    blank = View(np.full_like(small[0].grey, 90), small[0].blocked)
+    moments = follow_camera([*views[:2], blank, *small[2:]])
+    assert [m.span for m in moments] == [0, 0, -1, 1, 1]

@@ -3,6 +3,7 @@
 import json
 import re
 from itertools import pairwise
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,7 +11,11 @@ import pytest
 from PIL import Image
 
 from infrablend import api
-from infrablend.errors import DatasetError, OutputError, RecipeError
+from infrablend.core.run_folder import RunFolder
+from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
+from infrablend.formats.paint_out import Shown
+from infrablend.pipeline.compose.looks import Earlier, PhysicalLook
+from infrablend.pipeline.compose.sequences import Sequences
 from tests.unit.motion.test_sequence import frame, path, scene
 
 STATED = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 40}", "camera.roll_deg=[0, 0]"]
@@ -162,3 +167,187 @@ def test_the_report_has_a_strip_per_track_and_the_preview_moves(made, tmp_path):
         Image.new("L", (8, 8)).save(out)
         with pytest.raises(OutputError, match="not a contact sheet of InfraBlend"):
             api.preview(run, out)
+
+
+STILL = ["objects.0.motion={kind: still}", "objects.1.count=0", "objects.2.count=0", "placement.size_px=[3, 400]"]
+
+
+def clip(folder, pictures, name="clip"):
+    """Write numbered pictures; texts are the bytes of a file that is none."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, picture in enumerate(pictures):
+        if isinstance(picture, bytes):
+            (folder / f"{name}_{k:03}.png").write_bytes(picture)
+        else:
+            cv2.imwrite(str(folder / f"{name}_{k:03}.png"), picture)
+    return folder
+
+
+def panned(count, seed=0, step=(4.0, 0.5), **kwargs):
+    return [frame(scene(seed), at, seed=k, **kwargs)[0].grey for k, at in enumerate(path(count, step))]
+
+
+def test_a_picture_that_cannot_be_read_costs_its_own_frame_only(tmp_path):
+    pictures = panned(6)
+    pictures[3] = cv2.imencode(".png", pictures[3])[1].tobytes()[:3000]
+    report = generate(clip(tmp_path / "data", pictures), tmp_path / "run", settings=STILL)
+    assert (report.counts["images"], report.counts["skipped_backgrounds"]) == (5, 1)
+    codes = {p.code: p for p in report.problems}
+    assert {"image-truncated", "frames-lost"} <= codes.keys() and "such as 3" in codes["frames-lost"].found
+    assert all(labels(tmp_path / "run").values())
+
+
+def test_two_sizes_in_one_sequence_are_two_spans(tmp_path):
+    flat = np.full((200, 280), 100, np.uint8)  # lost between the two
+    pictures = [*panned(3), flat, *(p[:200, :280].copy() for p in panned(3, seed=4))]
+    report = generate(clip(tmp_path / "data", pictures), tmp_path / "run", settings=STILL)
+    sizes = next(p for p in report.problems if p.code == "image-size" and p.where == "sequence clip")
+    assert "320x256, 280x200 px" in sizes.found
+    frames = list(labels(tmp_path / "run").values())
+    assert frames[0] and frames[4] and not frames[3] and not frames[0].keys() & frames[4].keys()
+
+
+def test_sequences_of_one_name_in_two_splits_are_two(tmp_path):
+    for k, split in enumerate(("train", "val")):
+        clip(tmp_path / "data" / split, panned(4, seed=k))
+    rows = "".join(f"{split}/clip_{k:03}.png,clip,{k}\n" for split in ("train", "val") for k in range(4))
+    (tmp_path / "data" / "metadata.csv").write_text("file,sequence,frame\n" + rows)
+    generate(tmp_path / "data", tmp_path / "run", settings=STILL)
+    for split in ("train", "val"):
+        assert (tmp_path / "run" / "tracks" / split / "clip" / "gt" / "gt.txt").read_text()
+
+
+def test_a_sequence_without_objects_says_why_and_its_run_is_clean(tmp_path):
+    data = clip(tmp_path / "data", panned(4))
+    report = generate(data, tmp_path / "run", settings=[*STILL, "objects.0.count=0"])
+    assert report.counts["frames_without_object_because"] == {"recipe": 4}
+    assert api.check(tmp_path / "run").ok()
+
+
+def test_counts_are_those_of_the_frames_and_not_of_the_first_anchor(tmp_path):
+    settings = [*STILL, "objects.0.count=1"]
+    data = clip(tmp_path / "data", panned(8, step=(45.0, 0.5)))
+    report = generate(data, tmp_path / "run", settings=settings)
+    inserted = sum(len(f) for f in labels(tmp_path / "run").values())
+    left_out = sum(report.counts.get("objects_left_out", {}).values())
+    assert report.counts["objects_by_kind"] == {"objects.0": {"asked": inserted + left_out, "inserted": inserted}}
+    empty = sum(not f for f in labels(tmp_path / "run").values())
+    assert report.counts["frames_without_object_because"].get("out_of_view", 0) == empty
+
+
+def test_a_palette_is_said_and_not_a_lost_camera(tmp_path):
+    data = clip(tmp_path / "data", [cv2.applyColorMap(p, cv2.COLORMAP_JET) for p in panned(4)])
+    report = generate(data, tmp_path / "run", settings=STILL)
+    assert {p.code for p in report.problems if p.severity == "error"} >= {"image-colour-mapped"}
+    assert report.counts["skipped_backgrounds"] == 4 and not report.counts["frames_without_object_because"]
+
+
+def test_levels_of_16_bits_follow_the_gain_of_the_camera(tmp_path):
+    eight = [*panned(3), *panned(6, gain=0.6, offset=44)[3:]]
+    data = clip(tmp_path / "data", [3000 + 40 * p.astype(np.uint16) for p in eight])
+    generate(data, tmp_path / "run", settings=[*STILL, "sensor.profile=off"])
+    brighter = []
+    for k, name in enumerate(sorted(labels(tmp_path / "run"))):
+        picture, before = (
+            cv2.imread(str(p), -1).astype(int)
+            for p in (tmp_path / "run" / "images" / "train" / name, data / f"clip_{k:03}.png")
+        )
+        brighter.append(float((picture - before)[picture != before].mean()))
+    assert np.mean(brighter[3:]) / np.mean(brighter[:3]) == pytest.approx(0.6, abs=0.1)
+
+
+def test_a_camera_that_the_recipe_draws_is_that_of_the_whole_sequence(tmp_path):
+    settings = [*STILL, "sensor.randomise={gain: [0.4, 1.6], noise_grey: [1, 2]}"]
+    data = clip(tmp_path / "data", panned(4))
+    generate(data, tmp_path / "run", settings=settings)
+    cameras = [r.facts["camera"] for r in RunFolder(tmp_path / "run").records()]
+    assert len({c["gain"] for c in cameras}) == 1 and len({c["noise_seed"] for c in cameras}) == 4
+
+
+def test_a_source_of_backgrounds_has_no_sequences():
+    class Source:
+        def dataset(self):
+            raise AssertionError
+
+        def load(self, image):
+            raise AssertionError
+
+    with pytest.raises(ArgumentError, match="files of whole sequences"):
+        api.frames("deer-above", Source(), settings=SETTINGS, execution=api.Execution(renderer="flat", in_process=True))
+
+
+def test_what_text_hides_has_no_label_in_that_frame(tmp_path, monkeypatch):
+    data = clip(tmp_path / "data", panned(4))
+    generate(data, tmp_path / "plain", settings=STILL)
+    boxes = next(iter(labels(tmp_path / "plain").values()))
+    (track, (x, y, w, h)), *others = sorted(boxes.items())
+    text = np.zeros((256, 320), bool)
+    text[int(y) - 3 : int(y + h) + 4, max(int(x) - 3, 0) : int(x + w) + 4] = True
+    monkeypatch.setattr(Sequences, "_written", lambda self, name: text)
+    monkeypatch.setattr(Shown, "thin", property(lambda self: text))
+    report = generate(data, tmp_path / "run", settings=STILL)
+    found = labels(tmp_path / "run")["clip_000000.png"]
+    assert track not in found and found == dict(others)
+    assert report.counts["objects_without_label"]["behind_text"] >= 1
+
+
+def test_tracks_are_numbered_after_those_of_the_data_even_if_these_are_texts(tmp_path):
+    data = clip(tmp_path / "data", panned(4))
+    images = [
+        {"id": k + 1, "file_name": f"clip_{k:03}.png", "width": 320, "height": 256, "sequence": "clip", "frame_id": k}
+        for k in range(4)
+    ]
+    for ids, first in ((["1", "7"], 8), ([-5], 2)):
+        boxes = [(i, t) for i in images for t in ids]
+        annotations = [
+            {
+                "id": n + 1,
+                "image_id": i["id"],
+                "category_id": 1,
+                "bbox": [8 + 30 * ids.index(t), 8, 9, 9],
+                "track_id": t,
+            }
+            for n, (i, t) in enumerate(boxes)
+        ]
+        coco = {"images": images, "annotations": annotations, "categories": [{"id": 1, "name": "deer"}]}
+        (data / "annotations.json").write_text(json.dumps(coco))
+        generate(data, tmp_path / f"run{first}", settings=STILL)
+        tracks = {t for f in labels(tmp_path / f"run{first}").values() for t in f}
+        assert tracks > {*ids} and min(tracks - {*ids}) == first
+
+
+def test_a_run_is_read_as_coco_and_not_as_its_tracks(made):
+    run, _ = made
+    found = api.inspect(run)
+    assert (found.format, sum(found.sequences.values())) == ("coco", 17)
+    assert api.check(run).ok()
+
+
+def test_frames_without_pitch_are_left_out_and_no_anchors(tmp_path):
+    data = clip(tmp_path / "data", panned(5))
+    rows = "".join(f"clip_{k:03}.png,60,40\n" for k in (1, 2, 4))
+    (data / "metadata.csv").write_text("file,pitch_deg,altitude_m\n" + rows)
+    moving = ["objects.0.motion={kind: still}", "placement.where=anywhere", "placement.size_px=[2, 400]"]
+    out, flat = tmp_path / "run", api.Execution(renderer="flat", in_process=True)
+    report = api.generate("hit-uav-people", data, out, settings=[*moving, "objects.0.count=3"], execution=flat)
+    assert [p.where for p in report.problems if p.code == "no-pitch"] == ["train/clip_000.png", "train/clip_003.png"]
+    assert report.counts["failed_frames"] == 0 and all(labels(out).values()) and len(labels(out)) == 3
+
+
+def test_a_run_without_labels_of_pictures_is_not_read_as_its_tracks_either(tmp_path):
+    data = clip(tmp_path / "data", panned(4))
+    generate(data, tmp_path / "run", settings=[*STILL, "output.formats=[]"])
+    assert (tmp_path / "run" / "tracks" / "train" / "clip" / "gt" / "gt.txt").is_file()
+    assert sum(n["images"] for n in api.inspect(tmp_path / "run").splits.values()) == 4
+
+
+@pytest.mark.parametrize("polarity", ["white-hot", "black-hot"])
+def test_gain_and_offset_are_those_of_the_picture_that_is_matched(polarity):
+    """Black-hot pictures are matched turned to white-hot; gain and offset are those of the levels in the file."""
+    low, high, gain, offset = 10.0, 240.0, 0.6, 44.0
+    look = SimpleNamespace(_matching=SimpleNamespace(polarity=polarity), _settings=SimpleNamespace(levels=(low, high)))
+    through = SimpleNamespace(through=lambda g, o: (g, o))
+    g, o = PhysicalLook._settled(look, Earlier(SimpleNamespace(settled=through), gain, offset))
+    turned = (lambda level: low + high - level) if polarity == "black-hot" else (lambda level: level)
+    for level in (30.0, 200.0):
+        assert g * turned(level) + o == pytest.approx(turned(gain * level + offset))

@@ -45,7 +45,11 @@ def scene(pitch_deg, model_name, at_px, range_m=60.0, height=HEIGHT):
     z = ground_z_m(camera, height)
     model = load_model(model_name)
     params = model.sample(np.random.default_rng(1), {})
-    place = ground_point(camera, *at_px, z) if model.stands else camera.position_m + range_m * pixel_ray(camera, *at_px)
+    place = (
+        ground_point(camera, at_px[0], at_px[1], z)
+        if model.stands
+        else camera.position_m + range_m * pixel_ray(camera, at_px[0], at_px[1])
+    )
     spec = ObjectSpec(model_name, model.category, params, {}, tuple(float(v) for v in place), 0.4)
     view = View(height, height, z, {}, 0.0)
     whole = SceneSpec("train/a_c0", "a", "train", 0, camera, (spec,), 283.0, Appearance(), 0, 0, view=view)

@@ -178,8 +178,7 @@ def sequences_of(dataset: Dataset) -> dict[str, list[ImageRecord]]:
     if not found:
         raise DatasetError(
             f"{dataset.root}: no picture has a sequence and a frame number; expected clips, unlabelled pictures whose "
-            "names end in running numbers, labels that state both, or a table with the columns file, sequence and "
-            "frame (--metadata)"
+            "names end in running numbers, labels that state both, or metadata.csv with file, sequence and frame"
         )
     problems = []
     for name, images in found.items():

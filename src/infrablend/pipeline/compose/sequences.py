@@ -47,6 +47,8 @@ from infrablend.sampling.tracks import (
 _SHOWN, _POINTS = 0.5, 9
 # Where none of the objects of an anchor can be seen, so many frames later another one is tried, so many times at most.
 _AGAIN, _TRIES = 25, 8
+# Populated sequences that each worker keeps, of two or three MB each.
+_KEPT = 32
 # Frames in which text and reticle are looked for.
 _SAMPLES = 12
 # How well ground has to suit, of the place where an object was put.
@@ -68,6 +70,11 @@ class Anchored:
     site: Site
     match: Match
     sensor: Sensor | None
+
+    def without_meshes(self) -> Anchored:
+        """Return what other frames need of it, a few MB less."""
+        scene = PlacedScene(self.scene.spec, ())
+        return replace(self, scene=scene, match=replace(self.match, scene=scene))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +117,8 @@ class Sequences:
     ) -> None:
         """Keep what sequences are populated with; `settle` draws the objects of one frame."""
         self._settings, self._recipe, self._models, self._settle = settings, recipe, models, settle
-        # The configurations of a frame follow one another.
-        self._spans = functools.lru_cache(maxsize=4 * recipe.configurations)(self._populate)
+        # The configurations of a frame follow one another, and who trains on frames in memory shuffles them.
+        self._spans = functools.lru_cache(maxsize=max(_KEPT, 4 * recipe.configurations))(self._populate)
         self._text = functools.lru_cache(maxsize=4)(self._written)
 
     @functools.cached_property
@@ -191,14 +198,16 @@ class Sequences:
     def _populate(self, name: str, configuration: int) -> Mapping[int, _Span]:
         """Return the tracks of a sequence by span."""
         sequence = self._settings.sequences[name]
-        footage, spans = sequence.footage, dict[int, _Span]()
+        footage = sequence.footage
+        spans = {m.span: _Span() for m in footage.moments if m.known}
         number, anchors = sequence.first_track, list[int]()
         stated = sequence.frames[0].background.capture.sequence  # unlike `name`, whatever splits are read
         assert stated is not None
         for n, moment in enumerate(footage.moments):
-            if not moment.known or footage.shown(n) != n or moment.state == "bridged":
+            lacks = n in sequence.without_place or moment.state == "bridged"
+            if not moment.known or footage.shown(n) != n or lacks:
                 continue
-            span = spans.setdefault(moment.span, _Span())
+            span = spans[moment.span]
             before = [a for a in anchors if footage.moments[a].span == moment.span]
             if before and span.tracks and (self._all_once or self._shown(footage, n, before) >= _SHOWN):
                 continue
@@ -209,7 +218,8 @@ class Sequences:
             except DatasetError:  # reported where the frame itself is made
                 continue
             anchors.append(n)
-            span.first, span.asked = span.first or (n, anchored), bool(anchored.scene.spec.draws.get("wanted"))
+            span.first = span.first or (n, anchored.without_meshes())
+            span.asked = bool(anchored.scene.spec.draws.get("wanted"))
             for k, placed in enumerate(anchored.scene.objects):
                 middle = (placed.box_xyxy[:2] + placed.box_xyxy[2:]) / 2
                 motion = self._motion_of(placed)
@@ -217,7 +227,7 @@ class Sequences:
                 if before and (once or _are_shown(footage, middle[None], n, before).all()):
                     continue
                 if not span.tracks:
-                    span.first = n, anchored
+                    span.first = n, anchored.without_meshes()
                 purpose = f"kind {placed.spec.kind}" if motion.kind == "flock" else f"object {n} {k}"
                 rng = stream(self._settings.seed, stated, configuration, "track", purpose)
                 placed = _in_air(placed, _air_k(spans, anchored) - anchored.scene.spec.ambient_k)

@@ -69,12 +69,14 @@ class PlannedSequence:
         frames: All of its frames, whichever are made, in their order.
         footage: How camera and time go on.
         first_track: Number of its first track; the source's own are smaller.
+        without_place: Frames in which nothing can be placed, such as those of unknown pitch; the run leaves them out.
     """
 
     name: str
     frames: tuple[PlannedFrame, ...]
     footage: Footage
     first_track: int
+    without_place: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,7 +81,8 @@ def make_plan(
         images = [image for image in images if id(image) in of_chosen]
     problems = [*recipe_warnings, *without_effect(recipe, models), *dataset_remarks(recipe, renamed)]
     problems += ignored_turned_objects(dataset, recipe.labels.rename)
-    usable, left_out = usable_images(recipe, renamed, images, stands=all(m.stands for m in models.values()))
+    stands = all(m.stands for m in models.values())
+    usable, left_out = usable_images(recipe, renamed, images, stands)
     problems += left_out
     if not usable:
         of_splits = f" of split {', '.join(splits)}" if splits else ""
@@ -108,7 +109,8 @@ def make_plan(
     sequences: dict[str, PlannedSequence] = {}
     if recipe.in_sequences:
         require_movable(recipe, models)
-        sequences, unknown = plan_sequences(renamed, as_read, usable)
+        anchors, _ = usable_images(recipe, renamed, renamed.images, stands)
+        sequences, unknown = plan_sequences(renamed, as_read, usable, anchors)
         problems += unknown
     used = replace(renamed, images=tuple(usable))
     categories = _with_new(renamed.categories, classes)

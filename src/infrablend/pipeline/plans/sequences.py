@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 
 def plan_sequences(
-    dataset: Dataset, as_read: Mapping[int, ImageRecord], used: Sequence[ImageRecord]
+    dataset: Dataset, as_read: Mapping[int, ImageRecord], used: Sequence[ImageRecord], anchors: Sequence[ImageRecord]
 ) -> tuple[dict[str, PlannedSequence], list[Problem]]:
     """Return the sequences that some used pictures belong to, by name, and what is not known of them.
 
@@ -27,11 +27,12 @@ def plan_sequences(
         dataset: All pictures: what a frame shows must not depend on the choice of frames.
         as_read: The same with the source's own names of classes, by `id`.
         used: Pictures that a run uses.
+        anchors: Those of all pictures that a run could use, and so place objects in.
 
     Raises:
         DatasetError: No picture belongs to a sequence, or a picture cannot be read.
     """
-    of_use = {(i.split, i.id) for i in used}
+    of_use, of_place = ({(i.split, i.id) for i in images} for images in (used, anchors))
     found, problems = {}, []
     for name, images in sequences_of(dataset).items():
         if not any((i.split, i.id) in of_use for i in images):
@@ -52,7 +53,8 @@ def plan_sequences(
         footage = Footage(motion.in_own_levels(), times, motion.size_wh, motion.other_sizes_wh)
         # Formats with numbers from 1 give the others, such as 0, the numbers between.
         others = sum(not (i.isdecimal() and i.isascii() and int(i) > 0) for i in ids)
-        found[name] = PlannedSequence(name, frames, footage, last + others + 1)
+        without_place = frozenset(n for n, i in enumerate(images) if (i.split, i.id) not in of_place)
+        found[name] = PlannedSequence(name, frames, footage, last + others + 1, without_place)
     single = sum(i.capture.sequence is None or i.capture.frame is None for i in used)
     if single:
         text = f"{single} picture(s) of no sequence get objects of their own, without tracks"
