@@ -127,6 +127,12 @@ def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_pat
     assert not (tmp_path / "run").exists()
 
 
+def _of_pictures(name):
+    """Return the settings that make a recipe of sequences one of single pictures."""
+    recipe = load_recipe(name)
+    return {f"objects.{k}.motion": None for k in range(len(recipe.objects))} if recipe.in_sequences else {}
+
+
 @pytest.mark.parametrize(
     ("recipe", "settings", "where", "why"),
     [
@@ -136,7 +142,7 @@ def test_options_and_categories_are_checked_before_the_first_frame(data, tmp_pat
         ("hit-uav-person", {"objects.0.range_m": [15, 60], "objects.0.z_m": [2, 3]}, None, None),  # the default
         ("hit-uav-drone-physical", {"objects.0.range_m": [5, 9], "sensor.headroom": 1}, None, None),
         ("hit-uav-drone", {"objects.0.z_m": [2, 3]}, None, None),  # metric placement only
-        *((name, {}, None, None) for name in list_recipes()),
+        *((name, _of_pictures(name), None, None) for name in list_recipes()),
     ],
 )
 def test_settings_without_effect_are_reported(data, recipe, settings, where, why):
