@@ -502,6 +502,8 @@ class ObjectKind(Strict):
 class PaperObject(ObjectKind):
     """A kind of object in `placement.mode: paper`: at a drawn position around the origin of the scene."""
 
+    motion: ClassVar[None] = None
+
     x_m: range_of(-100_000, 100_000) = (-3.0, 3.0)  # type: ignore[valid-type]
     """Position to the right of the scene's origin, metres. Paper: -3, 3."""
     y_m: range_of(-100_000, 100_000) = (-3.0, 3.0)  # type: ignore[valid-type]
@@ -1215,7 +1217,7 @@ class _Sections(Strict):
     @property
     def in_sequences(self) -> bool:
         """Whether objects are those of whole sequences, and not of single pictures."""
-        return any(getattr(kind, "motion", None) is not None for kind in getattr(self, "objects", ()))
+        return any(kind.motion is not None for kind in getattr(self, "objects", ()))
 
     @property
     def samples(self) -> int:

@@ -150,16 +150,14 @@ def find_track(
     times = footage.times_s - footage.times_s[anchor]
     low, high = motion.speed_m_s or SPEED_M_S[motion.kind]
     speed, phase = low + (high - low) * float(rng.random()), float(rng.random())
-    kind = motion.kind
-    if motion.path is None and model.stands and model.stride_m is not None and model.stride_m(spec.params) == 0:
-        kind = "still"
-    if kind == "followed" and motion.path is None:
-        return _followed(number, placed, view, anchor, footage, rng)
-    start = (*spec.position_m, spec.yaw_rad)
     if motion.path is not None:
         path = _path_by_hand(motion.path, placed, model.stands, view, footage.times_s)
+    elif motion.kind == "followed":
+        return _followed(number, placed, view, anchor, footage, rng)
     else:
-        path = find_path(kind, start, speed, (min(times[0], 0.0), max(times[-1], 0.0)), rng, fits).at(times)
+        rests = model.stands and model.stride_m is not None and model.stride_m(spec.params) == 0
+        start, span = (*spec.position_m, spec.yaw_rad), (min(times[0], 0.0), max(times[-1], 0.0))
+        path = find_path("still" if rests else motion.kind, start, speed, span, rng, fits).at(times)
     heading = np.stack([np.cos(path.yaw_rad), np.sin(path.yaw_rad), np.zeros(len(times))], axis=1)
     xy, _ = camera.project(path.place_m)
     ahead, _ = camera.project(path.place_m + _HEADING_M * heading)

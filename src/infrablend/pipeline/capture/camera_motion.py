@@ -254,9 +254,7 @@ class _Views:
 
     def __init__(self, images: Sequence[ImageRecord], on_frame: Callable[[], None]) -> None:
         """Look at some pictures for text, reticle and levels."""
-        # The first and the last frame are among them, between which the scene differs most.
-        chosen = np.unique(np.linspace(0, len(images) - 1, _SAMPLES).round().astype(int))
-        some = [*_readable(images[k] for k in chosen)] or [*islice(_readable(images), 1)] or [_pixels(images[0])]
+        some = sample_of(images) or [*islice(_readable(images), 1)] or [_pixels(images[0])]
         self.levels = _range_of(some)
         self._written = find_written([_shown(p, *self.levels) for p in some if p.shape == some[0].shape])
         self._images, self._on_frame = images, on_frame
@@ -276,6 +274,15 @@ class _Views:
             self.sizes_wh.append(view.size_wh)
             yield view
             self._on_frame()
+
+
+def sample_of(images: Sequence[ImageRecord]) -> list[NDArray[np.uint8] | NDArray[np.uint16]]:
+    """Return some pictures of a sequence in which to look for text and reticle; those that cannot be read are left out.
+
+    The first and the last are among them, between which the scene differs most.
+    """
+    chosen = np.unique(np.linspace(0, len(images) - 1, _SAMPLES).round().astype(int))
+    return [*_readable(images[k] for k in chosen)]
 
 
 def _readable(images: Iterable[ImageRecord]) -> Iterator[NDArray[np.uint8] | NDArray[np.uint16]]:

@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from infrablend.compositing.occlusion import Scenery
 from infrablend.compositing.other_camera import OtherCamera
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import PaperRecipe
+from infrablend.config.recipe import MetricRecipe
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.masks import Mask
@@ -142,8 +142,8 @@ class FrameComposer:
         self._look = make_look(self._recipe, settings)
         self._renderer = renderer
         self._sequences: Sequences | None = None
-        if self._recipe.in_sequences and not isinstance(self._recipe, PaperRecipe):
-            self._sequences = Sequences(settings, self._recipe, self._models, self._settle)
+        if self._recipe.in_sequences:  # only metric placement has them
+            self._sequences = Sequences(settings, cast(MetricRecipe, self._recipe), self._models, self._settle)
 
     def compose(self, frame: PlannedFrame) -> ComposedFrame:
         """Return the picture and the record of a frame.

@@ -8,7 +8,6 @@ anchors have shown are left out again: these have populated it. From then on eac
 
 from __future__ import annotations
 
-import contextlib
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -27,6 +26,7 @@ from infrablend.errors import DatasetError
 from infrablend.formats.paint_out import Shown, find_written
 from infrablend.motion.paths import Fits
 from infrablend.motion.shift import moved
+from infrablend.pipeline.capture.camera_motion import sample_of
 from infrablend.pipeline.compose.looks import Earlier, Match
 from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence
@@ -49,8 +49,6 @@ _SHOWN, _POINTS = 0.5, 9
 _AGAIN, _TRIES = 25, 8
 # Populated sequences that each worker keeps, of two or three MB each.
 _KEPT = 32
-# Frames in which text and reticle are looked for.
-_SAMPLES = 12
 # How well ground has to suit, of the place where an object was put.
 _NEARLY = 0.5
 
@@ -129,9 +127,9 @@ class Sequences:
 
     def take(self, frame: PlannedFrame) -> Take | None:
         """Return what a frame shows; None for one without sequence, known camera, or anchor that could be drawn."""
-        if frame.background_id not in self._places:
+        if (place := self._places.get(frame.background_id)) is None:
             return None
-        sequence, n = self._places[frame.background_id]
+        sequence, n = place
         footage, m = sequence.footage, sequence.footage.shown(n)
         if frame.configuration is None or not footage.moments[n].known:
             return None
@@ -146,35 +144,30 @@ class Sequences:
         in_view = {o.spec.track for o in objects}
         motion_px = self._motion_px([t for t in span.tracks if t.number in in_view], footage, m)
         key = (frame.frame_id, frame.background.id, frame.configuration)
-        seed = integer_seed(self._settings.seed, shown.key(footage.size_wh).frame_id, "render")
+        of_shown = functools.partial(integer_seed, self._settings.seed, shown.key(footage.size_wh).frame_id)
+        sensor = anchored.sensor and replace(anchored.sensor, noise_seed=of_shown("sensor"))
         away = len(span.tracks) - len(objects)
-        scene = scene_in(anchored.scene, key, objects, camera, view, seed, motion_px, away)
+        scene = scene_in(anchored.scene, key, objects, camera, view, of_shown("render"), motion_px, away)
         earlier = Earlier(anchored.match, *footage.levels(anchor, m)) if objects else None
-        return Take(scene, shown, earlier, self._sensor_of(anchored, shown, footage), self._text(sequence.name))
+        return Take(scene, shown, earlier, sensor, self._text(sequence.name))
 
     def shown_in(self, frame: PlannedFrame) -> PlannedFrame | None:
         """Return the frame whose picture a frame of a sequence shows; None for one of no sequence."""
-        if frame.background_id not in self._places:
+        if (place := self._places.get(frame.background_id)) is None:
             return None
-        sequence, n = self._places[frame.background_id]
+        sequence, n = place
         return sequence.frames[sequence.footage.shown(n)]
 
     def why_none(self, frame: PlannedFrame) -> str | None:
         """Return the reason why a frame without a take stays without objects; None if it gets objects of its own."""
-        if frame.background_id not in self._places:
+        if (place := self._places.get(frame.background_id)) is None:
             return None
-        sequence, n = self._places[frame.background_id]
+        sequence, n = place
         moment = sequence.footage.moments[n]
         if not moment.known:
             return "camera_lost"
         # A frame that could not be an anchor says why when it is drawn as one.
         return "no_anchor" if moment.state in ("frozen", "bridged") else None
-
-    def _sensor_of(self, anchored: Anchored, shown: PlannedFrame, footage: Footage) -> Sensor | None:
-        if anchored.sensor is None:
-            return None
-        seed = integer_seed(self._settings.seed, shown.key(footage.size_wh).frame_id, "sensor")
-        return replace(anchored.sensor, noise_seed=seed)
 
     def _motion_px(self, tracks: list[Track], footage: Footage, n: int) -> tuple[float, float]:
         """Return the motion tail of the objects: it stretches to where they come from."""
@@ -273,14 +266,8 @@ class Sequences:
 
     def _written(self, name: str) -> NDArray[np.bool_] | None:
         """Return where text and reticle are in a sequence."""
-        frames = self._settings.sequences[name].frames
-        chosen = np.unique(np.linspace(0, len(frames) - 1, _SAMPLES).round().astype(int))
-        pixels = []
-        for k in chosen:
-            with contextlib.suppress(DatasetError):  # reported where the frame itself is made
-                pixels.append(self._settings.extensions.load(frames[k].background).pixels)
-        same = [p for p in pixels if p.shape == pixels[0].shape]
-        strokes = find_written([Shown(p, None) for p in same]).strokes
+        some = sample_of([f.background for f in self._settings.sequences[name].frames])
+        strokes = find_written([Shown(p, None) for p in some if p.shape == some[0].shape]).strokes
         return strokes if strokes.any() else None
 
 

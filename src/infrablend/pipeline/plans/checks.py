@@ -9,7 +9,7 @@ from pathlib import Path
 
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import Recipe
+from infrablend.config.recipe import Object, Recipe
 from infrablend.core.camera import fov_of_width
 from infrablend.core.class_names import differ_in_form
 from infrablend.core.dataset import Dataset, ImageRecord
@@ -66,8 +66,9 @@ def require_movable(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         RecipeError: Some are not; the message names them.
     """
     problems = []
-    for n, kind in enumerate(recipe.objects):
-        motion = getattr(kind, "motion", None)
+    kinds: tuple[Object, ...] = recipe.objects
+    for n, kind in enumerate(kinds):
+        motion = kind.motion
         possible = ON_GROUND if models[kind.model].stands else IN_AIR
         if motion is not None and motion.kind not in possible:
             where = "stands on the ground" if models[kind.model].stands else "flies"

@@ -49,12 +49,12 @@ def plan_sequences(
         problems += motion_problems(motion)
         frames = tuple(PlannedFrame(i, 0, as_read[id(i)], i.id) for i in images)
         ids = {str(i.track_id) for image in images for i in image.instances if i.track_id is not None}
-        last = max((int(i) for i in ids if i.isdecimal() and i.isascii()), default=0)  # texts such as "1" count, too
+        numbers = [int(i) for i in ids if i.isdecimal() and i.isascii()]  # texts such as "1" count, too
         footage = Footage(motion.in_own_levels(), times, motion.size_wh, motion.other_sizes_wh)
         # Formats with numbers from 1 give the others, such as 0, the numbers between.
-        others = sum(not (i.isdecimal() and i.isascii() and int(i) > 0) for i in ids)
+        others = len(ids) - sum(n > 0 for n in numbers)
         without_place = frozenset(n for n, i in enumerate(images) if (i.split, i.id) not in of_place)
-        found[name] = PlannedSequence(name, frames, footage, last + others + 1, without_place)
+        found[name] = PlannedSequence(name, frames, footage, max(numbers, default=0) + others + 1, without_place)
     single = sum(i.capture.sequence is None or i.capture.frame is None for i in used)
     if single:
         text = f"{single} picture(s) of no sequence get objects of their own, without tracks"

@@ -75,6 +75,10 @@ def run_page(run: RunFacts) -> str:
     # All frames, or some spread over the run and those with a crop.
     listed = sorted({*spread(len(frames), LISTED), *(k for k, _ in boxes)})
     thumbnails, crops = _pictures(run, listed, boxes)
+
+    def entries(found: Sequence[tuple[int, InsertFacts]]) -> list[dict[str, Any]]:
+        return [_insert_entry(k, frames[k], i, crops.get((k, i.box_xyxy))) for k, i in found]
+
     members = filters.classes(len(frames))
     script = page_part("run_script.js")
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
@@ -84,14 +88,7 @@ def run_page(run: RunFacts) -> str:
         objects=", ".join(f"{name} {n}" for name, n in run.counts.get("labels_inserted", {}).items()),
         excluded=list(run.excluded.items())[:SHOWN_FRAMES],
         insert_groups=[
-            (
-                name,
-                heading,
-                [
-                    (title, note, [_insert_entry(k, frames[k], i, crops.get((k, i.box_xyxy))) for k, i in found])
-                    for title, note, found in groups
-                ],
-            )
+            (name, heading, [(title, note, entries(found)) for title, note, found in groups])
             for name, heading, groups in (("extremes", "Inserts to look at", extremes), ("tracks", "Tracks", tracks))
             if groups
         ],
