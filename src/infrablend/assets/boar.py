@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.assets import warm_ground
 from infrablend.assets.anatomy import (
     Gait,
     Leg,
@@ -114,13 +115,14 @@ DIALS = Dials(
 )
 OPTIONS: Mapping[str, str] = DIALS.options | {
     "shoulder_height_m": "a number or [low, high]; by default "
-    + ", ".join(f"[{low:g}, {high:g}] for a {build}" for build, (low, high) in HEIGHTS_M.items())
+    + ", ".join(f"[{low:g}, {high:g}] for a {build}" for build, (low, high) in HEIGHTS_M.items()),
+    warm_ground.PARAM: warm_ground.OPTION,
 }
 
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
     """Return the thermal role of every part; by day the sun warms the coat."""
-    return roles_of_coat(params, PARTS, SUN_K, _SUN_SHARE)
+    return {**roles_of_coat(params, PARTS, SUN_K, _SUN_SHARE), **warm_ground.roles(params)}
 
 
 BODY_CELL = 0.0235
@@ -522,19 +524,20 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn,
     except that the height depends on the build.
     """
-    params = DIALS.sample(rng, options)
+    params = DIALS.sample(rng, {name: value for name, value in options.items() if name != warm_ground.PARAM})
     if "shoulder_height_m" not in options:
         share = (params["shoulder_height_m"] - _DRAWN_M[0]) / (_DRAWN_M[1] - _DRAWN_M[0])
         low, high = HEIGHTS_M[params["build"]]
         params["shoulder_height_m"] = low + (high - low) * share
-    return params
+    return params | warm_ground.drawn(rng, options, Checks("boar"), params["pose"] in ("lying", "sleeping"))
 
 
 def _require(params: Params) -> None:
     """Check the parameters, of which only animated animals have a phase."""
-    DIALS.require({name: value for name, value in params.items() if name != "phase"})
+    DIALS.require({name: value for name, value in params.items() if name not in ("phase", warm_ground.PARAM)})
+    checks = Checks("boar")
+    warm_ground.check(params, checks)
     if params.get("phase") is not None:
-        checks = Checks("boar")
         checks.number("parameter phase", params["phase"], 0.0, 1.0)
         if params["pose"] not in _GAITS:
             raise checks.bad("parameter phase", params["phase"], f"none for a {params['pose']} boar", "Leave it out.")
@@ -569,7 +572,8 @@ def build(params: Params) -> Mesh:
     if params["mirror"]:
         v, triangles = mirrored(v, triangles)
     factors = np.array([float(params["length_factor"]), float(params["width_factor"]), 1.0])
-    return finished((v * factors * float(params["shoulder_height_m"]), triangles, parts), PART_NAMES)
+    mesh = finished((v * factors * float(params["shoulder_height_m"]), triangles, parts), PART_NAMES)
+    return warm_ground.with_warm_ground(mesh, params)
 
 
 MODEL = ObjectModel(
@@ -579,7 +583,7 @@ MODEL = ObjectModel(
     origin="on the ground between the feet; for a lying boar, below the middle of its trunk",
     stands=True,
     surfaces={"grass": 1.0, "soil": 1.0, "track": 0.3},
-    parts=PARTS,
+    parts={**PARTS, **warm_ground.PARTS},
     sample=sample,
     build=build,
     options=OPTIONS,

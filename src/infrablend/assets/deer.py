@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.assets import warm_ground
 from infrablend.assets.anatomy import (
     Gait,
     Leg,
@@ -107,7 +108,7 @@ _SUN_SHARE: Mapping[str, float] = {
 
 def parts_for(params: Params) -> Mapping[str, PartRange]:
     """Return the thermal role of every part; by day the sun warms the coat."""
-    return roles_of_coat(params, PARTS, SUN_K, _SUN_SHARE)
+    return {**roles_of_coat(params, PARTS, SUN_K, _SUN_SHARE), **warm_ground.roles(params)}
 
 
 BODY_CELL = 0.019
@@ -736,6 +737,7 @@ DEFAULTS: Mapping[str, Any] = {
     "mirror": False,
     "time_of_day": "night",
     "phase": None,
+    warm_ground.PARAM: None,
 }
 
 
@@ -758,6 +760,7 @@ def _checked(params: Params) -> dict[str, Any]:
     for name in ("neck_turn_rad", "head_turn_rad", "spine_bend_rad"):
         _CHECKS.number(f"parameter {name}", p[name], -1.2, 1.2)
     _CHECKS.flag("parameter mirror", p["mirror"])
+    warm_ground.check(p, _CHECKS)
     if p["phase"] is not None:
         p["phase"] = _CHECKS.number("parameter phase", p["phase"], 0.0, 1.0)
         if pose not in _GAITS:
@@ -787,6 +790,7 @@ def build(params: Params) -> Mesh:
                 mirroring.
             mirror: Exchange left and right.
             time_of_day: `night` or `day`; for the temperatures.
+            warm_ground: Shift [x, y] of the ground that a lying deer has warmed, metres; None for none.
 
     Raises:
         ModelError: A parameter is unknown or outside its range.
@@ -807,7 +811,7 @@ def build(params: Params) -> Mesh:
     height = float(p["shoulder_height_m"])
     length = float(p["length_factor"]) * (_YOUNG_LENGTH if young else 1.0)
     scale = np.array([length, float(p["width_factor"]), 1.0]) * height
-    return finished((v * scale, triangles, shape.parts), PART_NAMES)
+    return warm_ground.with_warm_ground(finished((v * scale, triangles, shape.parts), PART_NAMES), p)
 
 
 def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
@@ -854,6 +858,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "time_of_day": _CHECKS.one_of("option time_of_day", options.get("time_of_day", "night"), TIMES),
         **({} if age == "adult" else {"age": age}),
         **bend,
+        **warm_ground.drawn(rng, options, _CHECKS, pose in ("lying", "sleeping")),
     }
 
 
@@ -877,6 +882,7 @@ OPTIONS: Mapping[str, str] = {
     "default [0.35, 0.7]",
     "bend_deg": "angle between hips and shoulders seen from above, 0 to 70 degrees, or [low, high]; by default 0",
     "time_of_day": "day or night: by day the sun warms the coat; by default that of the background, or night",
+    warm_ground.PARAM: warm_ground.OPTION,
 }
 
 
@@ -912,7 +918,7 @@ MODEL = ObjectModel(
     origin="on the ground between the feet; for a lying deer, below the middle of its trunk",
     stands=True,
     surfaces={"grass": 1.0, "soil": 1.0, "track": 0.3},
-    parts=PARTS,
+    parts={**PARTS, **warm_ground.PARTS},
     sample=sample,
     build=build,
     options=OPTIONS,

@@ -142,6 +142,8 @@ class ObjectModel:
             on the ground. `build` and `parts_for` then take `shadow_xy` in addition (`SHADOW_PARAM`): the shift of the
             shadow per metre of height, in the object's frame. None for models that always move.
         surfaces: Ground that a model stands on, by kind.
+        needs: Function that returns the only ground, by kind, that an individual may stand on, whatever a recipe says
+            about surfaces; None for one that is not bound. None for models without such individuals.
         animate: Function that returns the parameters of an individual at a phase in [0, 1) of its movement: a step of
             each leg, a beat of the wings. The same at phase 0 and 1, and unchanged for one that keeps still. None for
             models that never move so.
@@ -163,6 +165,7 @@ class ObjectModel:
     parts_for: Callable[[Params], Mapping[str, PartRange]] | None = None
     casts_shadow: Callable[[Params], bool] | None = None
     surfaces: Affinity = field(default_factory=lambda: GROUND)
+    needs: Callable[[Params], Affinity | None] | None = None
     animate: Callable[[Params, float], dict[str, Any]] | None = None
     stride_m: Callable[[Params], float] | None = None
     cycle_hz: Callable[[Params], float] | None = None
@@ -170,6 +173,10 @@ class ObjectModel:
     def roles(self, params: Params) -> Mapping[str, PartRange]:
         """Return the thermal role of every part of the individual with these parameters."""
         return self.parts if self.parts_for is None else self.parts_for(params)
+
+    def needed_ground(self, params: Params) -> Affinity | None:
+        """Return the only ground that the individual may stand on; None if it is not bound."""
+        return None if self.needs is None else self.needs(params)
 
 
 def moment(phase: float) -> float:

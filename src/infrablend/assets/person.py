@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from infrablend.assets import warm_ground
 from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import (
@@ -52,6 +53,7 @@ from infrablend.assets.person_poses import (
     STRIDES,
     UPPER_ARM,
     VARIANTS,
+    WADING,
     WAVES_HZ,
     Arm,
     Arms,
@@ -64,7 +66,9 @@ from infrablend.assets.person_poses import (
 )
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_x, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
+from infrablend.assets.wading import above_water
 from infrablend.core.mesh import FloatArray, Mesh
+from infrablend.core.surface_kinds import Affinity
 
 ALL_ARMS = ARMS["standing"]
 AGES = ("adult", "child")
@@ -124,6 +128,20 @@ _BUNDLED: Mapping[str, tuple[float, float]] = {
     "shoe": (0.8, 3.0), "strap": (0.5, 3.0),
 }  # fmt: skip
 _WORN: Mapping[str, Mapping[str, tuple[float, float]]] = {"light": _LIGHT, "bundled": _BUNDLED}
+# Wet cloth and skin just above the water: they evaporate, and hold water near the air's temperature (est.). Where the
+# water reaches the waist, waves and hands have wetted the top, too.
+_WET_LEGS: Mapping[str, tuple[float, float]] = {
+    "trousers": (-2.0, 3.0), "leg": (0.0, 6.0), "shin": (3.0, 12.0), "coat_skirt": (-2.0, 2.0), "shoe": (-2.0, 2.0),
+}  # fmt: skip
+_WET_TOP: Mapping[str, tuple[float, float]] = {
+    "jacket": (-1.0, 4.0), "sleeve": (-1.0, 4.0), "hand": (4.0, 14.0), "forearm": (4.0, 14.0), "backpack": (-2.0, 1.0),
+}  # fmt: skip
+_WET: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    "knees": _WET_LEGS, "waist": {**_WET_LEGS, **_WET_TOP}, "chest": {**_WET_LEGS, **_WET_TOP},
+}  # fmt: skip
+# Height of the surface of the water on someone who stands.
+_DEEP = {"knees": 0.285, "waist": 0.600, "chest": 0.720}
+WATERS = ("none", *_DEEP)
 PART_NAMES = tuple(PARTS)
 CLOTHING = ("winter", "light", "bundled")
 TIMES = ("night", "day")
@@ -152,13 +170,13 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
     # A part that someone does not have would change what is drawn for the others.
     rare = {"helmet": params.get("headwear") == "helmet", "laid_backpack": _lays_backpack(params)}
     parts = {n: role for n, role in PARTS.items() if rare.get(n, True)}
-    own = _WORN.get(params.get("clothing", "winter"), {})
+    own = {**_WORN.get(params.get("clothing", "winter"), {}), **_WET.get(params.get("water", "none"), {})}
     parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in own.items()}
     if params.get("time_of_day", "night") == "day":
         shade = {n: role.delta_t_k for n, role in parts.items()}
         parts = warmed_by_sun(parts, SUN_K, {n: 1.0 for n in parts if n in _SUNLIT})
-        return {n: replace(role, sun=_in_the_sun(n, role.kind, shade[n])) for n, role in parts.items()}
-    return parts
+        parts = {n: replace(role, sun=_in_the_sun(n, role.kind, shade[n])) for n, role in parts.items()}
+    return {**parts, **warm_ground.roles(params)}
 
 
 def _lays_backpack(params: Params) -> bool:
@@ -592,6 +610,8 @@ DEFAULTS: Mapping[str, Any] = {
     "sleeves": "long",
     "legs": "long",
     "phase": None,
+    "water": "none",
+    warm_ground.PARAM: None,
 }
 _CHECKS = Checks("person")
 _WORDS = {
@@ -630,6 +650,9 @@ def _checked(params: Params) -> dict[str, Any]:
         p["phase"] = _CHECKS.number("parameter phase", p["phase"], 0.0, 1.0)
         if not moves(pose):
             raise _CHECKS.bad("parameter phase", p["phase"], f"none for a {pose} person", "Leave it out.")
+    if _CHECKS.one_of("parameter water", p["water"], WATERS) != "none" and pose not in WADING:
+        raise _CHECKS.bad("parameter water", p["water"], f"none for a {pose} person", "Leave it out.")
+    warm_ground.check(p, _CHECKS)
     for name in ("backpack", "seat", "mirror"):
         _CHECKS.flag(f"parameter {name}", p[name])
     for name, (low, high) in _LIMITS.items():
@@ -658,6 +681,9 @@ def build(params: Params) -> Mesh:
             time_of_day: `night` or `day`; for the temperatures.
             clothing: See `CLOTHING`; for the temperatures, and the thickness of those of the bundled up.
             sleeves, legs: See `LENGTHS`; coats and puffers always have long sleeves.
+            water: How deep someone who stands, walks or waves is in water; see `WATERS`. Only what is above it is
+                built, and the surface of the water is the ground.
+            warm_ground: Shift [x, y] of the ground that a lying person has warmed, metres; None for none.
 
     Raises:
         ModelError: A parameter is unknown or outside its range.
@@ -713,7 +739,17 @@ def build(params: Params) -> Mesh:
     vertices = vertices * np.array([across, across, scale])
     if pose.rests_on:
         vertices = _lying(vertices, pose.rests_on, scale)
-    return finished((vertices, triangles, label), PART_NAMES, smooth=np.asarray(label != _NUMBER["seat"]))
+    if p["water"] != "none":
+        deep = _DEEP[p["water"]]
+        level = scale * (legs_factor * min(deep, HIP_Z) + max(deep - HIP_Z, 0.0))
+        vertices, triangles, label = above_water((vertices, triangles, label), level)
+    mesh = finished((vertices, triangles, label), PART_NAMES, smooth=np.asarray(label != _NUMBER["seat"]))
+    return warm_ground.with_warm_ground(mesh, p)
+
+
+def needs(params: Params) -> Affinity | None:
+    """Return the ground that someone in water may stand on: water alone; None for others."""
+    return None if params.get("water", "none") == "none" else {"water": 1.0}
 
 
 def _proportions(p: Params) -> tuple[float, float]:
@@ -839,7 +875,12 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     bottom = drawn(
         "bottom", BOTTOMS, {"trousers": 0.85, "skirt": 0.15} if woman else {"trousers": 1.0, "skirt": 1e-6}, u[7]
     )
-    return {
+    waters, odds = _CHECKS.weighted("option water", options.get("water", "none"), WATERS, _ODDS["water"])
+    if "none" not in waters and not set(poses) & set(WADING):
+        raise _CHECKS.bad("option water", options["water"], "none for these poses; in water are " + ", ".join(WADING))
+    water = pick(waters, odds, 1000.0 * u[12] % 1.0) if pose in WADING else "none"
+    backpack = flag("backpack", 0.22, u[11])
+    person = {
         "pose": pose,
         "variant": variant,
         "arms": pick([arms[k] for k in possible], [chances[k] for k in possible], u[8]),
@@ -847,7 +888,7 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "bottom": bottom,
         "headwear": drawn("headwear", HEADWEAR, _ODDS["headwear"], u[10]),
         "hair": hair,
-        "backpack": flag("backpack", 0.22, u[11]),
+        "backpack": backpack,
         "seat": flag("seat", 1.0, 0.0),
         "build": drawn("build", BUILDS, _ODDS["build"], u[12]),
         "height_m": height,
@@ -863,7 +904,11 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         "sleeves": drawn("sleeves", LENGTHS, _ODDS["lengths"], 1000.0 * u[9] % 1.0),
         "legs": drawn("legs", LENGTHS, _ODDS["lengths"], 1000.0 * u[7] % 1.0),
         **({} if age == "adult" else {"age": age}),
+        **({} if water == "none" else {"water": water}),
     }
+    # Renderers do not tell warm ground from other parts without a label.
+    lies = pose == "lying" and not _lays_backpack(person)
+    return person | warm_ground.drawn(rng, options, _CHECKS, lies)
 
 
 _ODDS: Mapping[str, Mapping[str, float]] = {
@@ -879,6 +924,7 @@ _ODDS: Mapping[str, Mapping[str, float]] = {
     "age": {"adult": 0.8, "child": 0.2},
     "clothing": {"winter": 1.0, "light": 1.0, "bundled": 1.0},
     "lengths": dict.fromkeys(LENGTHS, 1.0),
+    "water": dict.fromkeys(WATERS, 1.0),
 }  # fmt: skip
 # What is drawn where no option says so; of other options, everything.
 _DRAWN: Mapping[str, tuple[str, ...]] = {
@@ -911,6 +957,12 @@ OPTIONS: Mapping[str, str] = {
     "thicker and colder outside; by default winter",
     "sleeves": "long or short, or both for one person in two: short ones leave the forearms bare; jackets only",
     "legs": "long or short, or both for one person in two: short trousers leave the lower legs bare",
+    "water": "one of "
+    + ", ".join(WATERS)
+    + _LIST
+    + "; by default none. How deep those who stand, walk or wave are in water. They are left out where the place map "
+    "shows none",
+    warm_ground.PARAM: warm_ground.OPTION,
 }
 
 MODEL = ObjectModel(
@@ -920,7 +972,8 @@ MODEL = ObjectModel(
     origin="on the ground between the feet; for a sitting or lying person, below the hips",
     stands=True,
     surfaces={"path": 1.0, "track": 1.0, "road": 0.25, "grass": 0.7, "soil": 0.7},
-    parts=PARTS,
+    parts={**PARTS, **warm_ground.PARTS},
+    needs=needs,
     sample=sample,
     build=build,
     options=OPTIONS,

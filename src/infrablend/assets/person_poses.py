@@ -30,6 +30,7 @@ VARIANTS: Mapping[str, tuple[str, ...]] = {
 }
 POSES = tuple(VARIANTS)
 DRAWN_POSES = ("standing", "walking", "sitting")
+WADING = ("standing", "walking", "waving")  # poses in which people are in water
 # Pose -> what the arms may do there; "natural" hangs, swings or rests with the pose.
 ARMS: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(POSES, ("natural",)),

@@ -202,7 +202,8 @@ class _Search:
         even = recipe.placement.max_relief_grey > 0
         self._relief = relief_of(site.pixels) / site.grey_unit if even else None
         self._real = _real_ground(recipe, site)
-        self._suitable: dict[tuple[int, bool], SuitableGround | None] = {}  # by identity of the kind
+        # By identity of the kind, and the kinds of surface that an individual needs.
+        self._suitable: dict[tuple[int, bool, tuple[str, ...]], SuitableGround | None] = {}
         self._missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
 
     def place(self, item: PlacementRequest) -> Pose | None:
@@ -243,7 +244,7 @@ class _Search:
 
     def _suitable_ground(self, item: PlacementRequest, *, among_plants: bool = False) -> SuitableGround | None:
         """Return the ground that suits objects of this kind, or also that under trees and shrubs; None for any."""
-        kind = id(item.kind), among_plants
+        kind = id(item.kind), among_plants, tuple(item.model.needed_ground(item.params) or ())
         if kind not in self._suitable:
             self._suitable[kind] = suitable_ground(self._rules.surfaces, self._site, item, among_plants=among_plants)
         return self._suitable[kind]

@@ -54,6 +54,10 @@ class PaperPlacer(Placer):
         missed: dict[int, int] = {}  # by identity of the kind: objects in a row, up to now, without a place
         for number, item in enumerate(wanted):
             pose = _draw_pose(item, rng)
+            if item.model.needed_ground(item.params) is not None:  # there is no ground here
+                tally.absent["no_ground"] += 1
+                poses.append(None)
+                continue
             if rules.on_miss == "keep":
                 tally.attempts += 1
                 poses.append(pose)

@@ -107,10 +107,15 @@ def suitable_ground(
     where: Where | None, site: Site, item: PlacementRequest, *, among_plants: bool = False
 ) -> SuitableGround | None:
     """Return the ground that suits an object, or also that under trees and shrubs; None where any does."""
-    if where is None or not item.model.stands:
+    if not item.model.stands:
         return None
-    affinity = affinity_of(where, site, item)
-    if among_plants:
+    if (needed := item.model.needed_ground(item.params)) is not None:
+        affinity = needed
+    elif where is None:
+        return None
+    else:
+        affinity = affinity_of(where, site, item)
+    if among_plants and needed is None:
         affinity = {**affinity, **dict.fromkeys(_PLANTS, max(affinity.values(), default=0.0))}
     suits = site.surfaces.suitability(affinity)
     if site.allowed is not None:

@@ -115,7 +115,7 @@ def test_draws_vary_and_heights_follow_the_build() -> None:
     free, fixed = drawn(5), drawn(5, pose="lying", shoulder_height_m=[0.6, 0.61])
     assert fixed == {**free, "pose": "lying", "shoulder_height_m": fixed["shoulder_height_m"]}
     assert 0.6 <= fixed["shoulder_height_m"] <= 0.61
-    assert set(boar.OPTIONS) == set(free)
+    assert set(boar.OPTIONS) == {*free, "warm_ground"}
 
 
 def test_thermal_roles() -> None:

@@ -137,6 +137,24 @@ def test_a_picture_without_such_ground_has_no_object_and_says_so():
     assert all(s.objects for s in drawn(anywhere, halves("tree", "water"), scenes=2))
 
 
+@pytest.mark.parametrize("where", ["placement.where=anywhere", "placement.where.surfaces={grass: 1}"])
+def test_people_in_water_are_in_water_whatever_the_recipe_says_of_others(where):
+    options = "objects.0.options={pose: {standing: 1, lying: 1}, water: waist}"
+    recipe = load_recipe("hit-uav-person", [*BY_HAND, where, options, "camera.altitude={fixed_m: 80}"])
+    found = drawn(recipe, halves("grass", "water"), scenes=12)
+    in_water = {o.position_m[:2]: "water" in o.params for s in found for o in s.objects}
+    xy = places_px(found)
+    wet = np.array(list(in_water.values()))
+    assert wet.sum() > 10 and (~wet).sum() > 10
+    assert xy[wet, 0].min() > 320
+    if "grass" in where:
+        assert xy[~wet, 0].max() < 320
+    # Without water, those are left out, and counted.
+    dry = drawn(recipe, halves("grass", "grass"), scenes=12)
+    assert not any("water" in o.params for s in dry for o in s.objects)
+    assert sum(s.draws["absent"].get("no_ground", 0) for s in dry) > 10
+
+
 def test_neighbours_stand_on_suitable_ground_as_well():
     group = "objects.0.group={share: 1, apart_m: [2.5, 6], in_row: true, max_overlap: 0.4}"
     xy = places_px(drawn(load_recipe("hit-uav-car", [*BY_HAND, group]), halves("grass", "road")))
