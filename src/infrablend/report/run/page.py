@@ -20,6 +20,7 @@ from infrablend.report.preview import spread
 from infrablend.report.run.charts import Chart, Share, histogram, position_map, shares
 from infrablend.report.run.facts import Box, Filters, FrameFacts, InsertFacts, RemovedCrop, RunFacts, removed_crops
 from infrablend.report.run.pictures import Crop, crop, read_levels, thumbnail
+from infrablend.report.run.summary import MEANINGS, plain_summary
 
 Key = TypeVar("Key", str, tuple[str, str])
 
@@ -61,6 +62,7 @@ def run_page(run: RunFacts) -> str:
         "errors": [p for p in problems if p["severity"] != "warning"],
         "charts": _charts(frames, filters),
         "share_groups": _share_groups(run, filters),
+        "summary": plain_summary(run),
         "tiles": _tiles(run, filters),
         "classes": _class_rows(run, filters),
         "removed": _removed_rows(frames, filters),
@@ -211,7 +213,7 @@ def _dropped_rows(frames: Sequence[FrameFacts], filters: Filters) -> list[Share]
 
 
 def _problem_groups(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
-    """Return the problems by code, each with the first ones in words and the frames behind them."""
+    """Return the problems by code, each with its meaning, the first ones in words, and the frames behind them."""
     of_name = _grouped((name, k) for k, f in enumerate(run.frames) for name in (f.frame_id, *f.background))
     of_code = _grouped((code, k) for k, f in enumerate(run.frames) for code in f.warnings)
     groups: dict[tuple[str, str], list[Problem]] = {}
@@ -226,6 +228,7 @@ def _problem_groups(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
             {
                 "severity": severity,
                 "code": code,
+                "meaning": MEANINGS.get(code, ""),
                 "count": len(problems),
                 "texts": [str(p) for p in problems[:SHOWN_PROBLEMS]],
                 "more": max(0, len(problems) - SHOWN_PROBLEMS),

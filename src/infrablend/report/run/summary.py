@@ -1,0 +1,118 @@
+"""A run in plain words: what is in it, what is missing, and what its warnings mean for those who use it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from statistics import median
+
+from infrablend.report.run.facts import FrameFacts, RunFacts
+
+Sentence = tuple[str, str]
+"""A sentence, and the link to the section that it is about; empty for none."""
+
+SMALL_PX = 10
+
+MEANINGS: Mapping[str, str] = {
+    "air-drawn": "How warm the air was is not known, so the temperatures of the inserted objects are a guess. State "
+    "it.",
+    "anchors-contradict": "People or cars in these pictures suggest different temperature scales, so inserted "
+    "objects may be too bright or too faint there.",
+    "anchors-off": "People or cars in these pictures are brighter or darker than the weather of the recipe "
+    "explains. Check whether it was as warm as the recipe says, and whether warm is bright.",
+    "form-partial": "The dataset's own label files do not all have the same pictures; one of them was used.",
+    "frame-rate": "How fast the video runs is not known, so the speed of moving objects is a guess.",
+    "gain-at-limit": "The estimated temperature scale of these pictures is as far as it may go, so inserted objects "
+    "may be too bright or too faint there.",
+    "gain-negative": "Real people or cars are dark where they should be bright: perhaps warm is dark in these "
+    "pictures.",
+    "height-at-limit": "The height of the camera does not fit the sizes of the real objects, so inserted objects "
+    "may be too large or too small. Look at the ground with people of 1.7 m: infrablend preview --ground.",
+    "height-replaced": "The recipe states another height of the camera than the pictures; the recipe's was used.",
+    "horizon-absent": "Where the camera looked is a guess in many pictures, because no horizon was found.",
+    "lens-replaced": "The recipe states another lens than the pictures; the recipe's was used, so sizes are those "
+    "that its camera would see.",
+    "lens-wide": "The field of view that the pictures state is very wide; sizes follow from it. Check the lens.",
+    "low-contrast": "Many objects were left out because nobody could see them. A detector learns nothing of such "
+    "cases.",
+    "masks-missing": "Some pictures have no mask that says where objects may stand, so any suitable ground was used.",
+    "no-anchor": "Nothing of known temperature is in sight in these pictures, so how bright the inserted objects "
+    "are is an estimate for this kind of camera, not a measurement. Look at some of them beside real ones.",
+    "no-effect": "A setting of the recipe does nothing here.",
+    "no-ground": "Many objects have no place, because the pictures show too little ground that suits them. Nothing "
+    "is wrong if that is so; look at the place map.",
+    "no-horizon": "These pictures have no inserted objects, because it is not known where the camera looked.",
+    "no-labels": "The pictures have no labels, so real objects in them, if there are any, teach a detector to "
+    "overlook such objects.",
+    "noise-only": "These pictures are little but noise and have no inserted objects.",
+    "nothing-in-front": "Fewer objects are partly hidden than was asked for, because few things in the pictures can "
+    "hide them.",
+    "objects-absent": "At least half of the objects found no place. Most often the height of the camera or the "
+    "field of view is wrong, so that objects would be too small or too large.",
+    "pitch-replaced": "The recipe states another direction of the camera than the pictures; the recipe's was used.",
+    "recipe-kept": "The recipe was used as it is where the pictures suggest another setting.",
+    "sun-above-horizon": "The pictures are said to be of the night, but the sun was up at that time and place. "
+    "Check the clock, its time zone and the place.",
+    "sun-below-horizon": "The pictures are said to be of the day, but the sun was down at that time and place. "
+    "Check the clock, its time zone and the place.",
+    "too-hidden": "Many objects were left out because too much of them would have been hidden.",
+    "track-faint": "In some frames nobody can see an object whose track goes on; its label is there.",
+    "untrusted-left-out": "Objects were left out where the temperature scale of the picture is doubtful.",
+    "val-absent": "No pictures are set apart for validation, so a training measures itself on what it has learned, "
+    "and its results look better than they are. Divide the dataset: infrablend split.",
+}
+"""Code of a warning about a run -> what it means for those who use the run."""
+
+
+def plain_summary(run: RunFacts) -> list[Sentence]:
+    """Return the run in a few sentences for readers who do not know the program."""
+    frames = run.frames
+    inserts = [i for f in frames for i in f.inserts]
+    filled = sum(bool(f.inserts) for f in frames)
+    kinds = Counter(i.category for i in inserts)
+    named = ", ".join(f"{n} x {name}" for name, n in kinds.most_common())
+    found = [("Nothing was inserted.", "")]
+    if inserts:
+        what = (
+            f"{_count(len(inserts), 'object')} {_were(len(inserts))} inserted into {filled} of {len(frames)} pictures"
+        )
+        found = [(f"{what}: {named}. Each has a label.", "#frames")]
+        sizes = [i.size_px for i in inserts]
+        small = sum(s < SMALL_PX for s in sizes)
+        text = f"Half of them are larger than {median(sizes):.0f} pixels, the smallest is {min(sizes):.0f} pixels long"
+        found.append((f"{text}; {small} of {len(sizes)} are smaller than {SMALL_PX} pixels.", "#charts"))
+    hidden = sum(i.visibility is not None and i.visibility < 0.95 for i in inserts)
+    if hidden:
+        found.append((f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, for example by trees.", "#extremes"))
+    found += _times(frames)
+    if dropped := sum(len(f.dropped) for f in frames):
+        text = f"{_count(dropped, 'object')} more {_were(dropped)} wanted and left out, for the reasons listed below."
+        found.append((text, "#dropped"))
+    removed = sum(not r.inserted for f in frames for r in f.removed)
+    lost = f"{_count(removed, 'label')} of real objects {_were(removed)} removed; all others stay."
+    found.append((lost, "#removed") if removed else ("All labels of real objects stay.", ""))
+    warnings = {p.code for p in run.problems if p.severity == "warning"}
+    if warnings:
+        what = "is one thing" if len(warnings) == 1 else f"are {len(warnings)} things"
+        found.append((f"There {what} to check before the run is used.", "#warnings"))
+    if failed := run.counts.get("failed_frames", 0):
+        found.append((f"{_count(failed, 'picture')} could not be made.", "#problems"))
+    return found
+
+
+def _times(frames: Sequence[FrameFacts]) -> list[Sentence]:
+    times = Counter(f.time_of_day or "at an unknown time" for f in frames)
+    text = ", ".join(f"{n} by {t}" if t in ("day", "night") else f"{n} {_at(t)}" for t, n in times.most_common())
+    return [(f"Time of day: {text}.", "#charts")] if frames else []
+
+
+def _at(time: str) -> str:
+    return time if time.startswith("at ") else f"at {time}"
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _were(n: int) -> str:
+    return "was" if n == 1 else "were"
