@@ -30,6 +30,7 @@ from infrablend.evaluation.targets import (
     as_one_class,
     false_alarms,
     found_and_named,
+    found_by_kind,
     sizes_by_body,
     target_shares,
 )
@@ -84,7 +85,12 @@ def figures(
         "classes": rows,
         "confidence": confidence,
         "strata": strata,
-        "targets": {"iou": FOUND_IOU, "confidence": confidence, "classes": targets},
+        "targets": {
+            "iou": FOUND_IOU,
+            "confidence": confidence,
+            "classes": targets,
+            "by": found_by_kind(case, confidence),
+        },
         "false_alarms": alarms,
         "confusion": {
             "classes": [*names, "background"],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from infrablend.core.outline import find_body
 from infrablend.core.rings import Levels
 from infrablend.evaluation.detections import Detections, FloatArray, Task
-from infrablend.evaluation.matching import ClassMatches, overlaps
+from infrablend.evaluation.matching import SIZE_BINS, ClassMatches, overlaps
 from infrablend.evaluation.truth import Case, Truth, long_sides
 
 # Least overlap of a detection with an object that counts as found: small boxes that are a pixel off share little.
@@ -25,6 +25,8 @@ BODY_BINS = {
     "2-4": (2.0, 4.0), "4-8": (4.0, 8.0), "8-14": (8.0, 14.0), "14-30": (14.0, 30.0), ">=30": (30.0, float("inf")),
 }  # fmt: skip
 """Half-open ranges of the size of the body, px."""
+VISIBLE_BINS = {"<0.5": (0.0, 0.5), "0.5-0.8": (0.5, 0.8), ">=0.8": (0.8, float("inf"))}
+"""Half-open ranges of the visible share."""
 NO_BODY_PX = -1.0
 """Size of an object without a measurable body, which is in no range."""
 
@@ -70,6 +72,14 @@ def name_objects(case: Case, confidence: float) -> NDArray[np.int64]:
     """
     nobody = len(case.classes)
     counts = np.zeros((nobody, nobody + 1), np.int64)
+    for truth, names in zip(case.labels, _names(case, confidence), strict=True):
+        np.add.at(counts, (truth.classes[~truth.ignore], names), 1)
+    return counts
+
+
+def _names(case: Case, confidence: float) -> Iterator[NDArray[np.int64]]:
+    """Yield the names of the objects of each image as in `name_objects`, without regions; the last is not found."""
+    nobody = len(case.classes)
     for truth, found in zip(case.labels, case.found, strict=True):
         objects = np.flatnonzero(~truth.ignore)
         names = np.full(len(objects), nobody)
@@ -77,8 +87,32 @@ def name_objects(case: Case, confidence: float) -> NDArray[np.int64]:
         for overlap, name in reversed([*zip(overlaps(sure, truth, case.task)[:, objects], sure.classes, strict=True)]):
             if overlap.max(initial=0.0) >= FOUND_IOU:
                 names[overlap.argmax()] = name  # the best comes last
-        np.add.at(counts, (truth.classes[objects], names), 1)
-    return counts
+        yield names
+
+
+def found_by_kind(case: Case, confidence: float) -> dict[str, dict[str, dict[str, int]]]:
+    """Return numbers of `objects`, and of those `found` by a detection of any class, by size and by visible share.
+
+    Sizes are the longer sides of boxes, px. Objects whose visible share is unknown are in no range of it, and a range
+    without objects is left out.
+    """
+    sizes, shares, found = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, np.bool_)]
+    for truth, names in zip(case.labels, _names(case, confidence), strict=True):
+        objects = ~truth.ignore
+        sizes.append(long_sides(truth)[objects])
+        unknown = np.full(len(objects), np.nan)
+        shares.append((unknown if truth.visibility is None else truth.visibility)[objects])
+        found.append(names < len(case.classes))
+    hit = np.concatenate(found)
+    rows: dict[str, dict[str, dict[str, int]]] = {}
+    bins = {k: v for k, v in SIZE_BINS.items() if k != "all"}
+    for kind, values, ranges in (("size", sizes, bins), ("visibility", shares, VISIBLE_BINS)):
+        of = np.concatenate(values)
+        within = {name: (of >= low) & (of < high) for name, (low, high) in ranges.items()}
+        rows[kind] = {
+            name: {"objects": int(its.sum()), "found": int(hit[its].sum())} for name, its in within.items() if its.any()
+        }
+    return rows
 
 
 def found_and_named(case: Case, confidence: float) -> dict[str, dict[str, Any]]:

@@ -32,6 +32,7 @@ class Truth:
         corners_xy: (g, 4, 2) corners if oriented boxes are compared; else None.
         masks: g masks if masks are compared; else None.
         track_ids: Ids of the objects throughout their sequence; None where there is none.
+        visibility: (g,) visible shares of the objects in [0, 1]; NaN where unknown. None if all are.
     """
 
     key: str
@@ -42,6 +43,7 @@ class Truth:
     corners_xy: FloatArray | None = None
     masks: tuple[Mask, ...] | None = None
     track_ids: tuple[int | str | None, ...] = ()
+    visibility: FloatArray | None = None
 
     def regions_of(self, numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mark the (n, g) regions that ignore detections of (n,) classes: those of no class, and crowds of the same."""
@@ -164,6 +166,7 @@ def _truth(key: str, size_wh: tuple[int, int], objects: Sequence[tuple[Instance,
         np.array(corners, np.float64).reshape(-1, 4, 2) if task == "obb" else None,
         tuple(_box_mask(i, size_wh) if i.mask is None else i.mask for i in instances) if task == "segment" else None,
         tuple(i.track_id for i in instances),
+        np.array([np.nan if i.visibility is None else i.visibility for i in instances], np.float64),
     )
 
 

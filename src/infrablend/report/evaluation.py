@@ -73,6 +73,16 @@ def target_rows(targets: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
+def kind_rows(targets: Mapping[str, Any]) -> list[list[str]]:
+    """Return numbers of objects, and the share of them found, by size and visible share as text."""
+    named = {"size": "px", "visibility": "visible"}
+    return [
+        [f"{name} {named[kind]}", decimals(of["objects"]), decimals(of["found"] / of["objects"])]
+        for kind, ranges in targets.get("by", {}).items()
+        for name, of in ranges.items()
+    ]
+
+
 def track_title(tracks: Mapping[str, Any]) -> str:
     """Return what was tracked, and with what, in words."""
     counts = tracks["counts"]
@@ -200,6 +210,7 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
         ],
         as_one=as_one_text(classes["all"]),
         targets=(target_title(facts["targets"]), list(TARGET_HEAD), target_rows(facts["targets"])),
+        found_by=kind_rows(facts["targets"]),
         tracks=(
             track_title(tracks),
             [*TRACK_HEAD, *(f"{h}, interval" for h in TRACK_HEAD[4:])],

@@ -22,6 +22,7 @@ from infrablend.evaluation.targets import (
     body_sizes,
     false_alarms,
     found_and_named,
+    found_by_kind,
     name_objects,
     sizes_by_body,
 )
@@ -98,6 +99,20 @@ def test_a_crowd_of_one_class_takes_detections_of_all_where_classes_are_one() ->
     both = case((truth([A, B], [DRONE, BIRD], [False, True]), detections([B, A], [0.9, 0.8], [DRONE, DRONE])))
     assert ap50(as_one_class(both)) == pytest.approx(1)
     assert ap50(both) == pytest.approx(0.5)
+
+
+def test_found_objects_are_counted_by_size_and_visible_share() -> None:
+    labels = replace(
+        truth([A, B, FAR, [0, 50, 40, 60]], [DRONE, BIRD, DRONE, DRONE], [False, False, True, False]),
+        visibility=np.array([0.3, np.nan, 0.1, 0.8]),
+    )
+    found = detections([A, [0, 50, 40, 60]], [0.9, 0.2], [BIRD, DRONE])
+    one = case((labels, found), (truth([A], [DRONE], [False]), detections([], [], [])))
+    hit = {"objects": 1, "found": 1}
+    assert found_by_kind(one, 0.1) == {
+        "size": {"8-16": {"objects": 3, "found": 1}, "32-64": hit}, "visibility": {"<0.5": hit, ">=0.8": hit},
+    }  # fmt: skip
+    assert found_by_kind(one, 0.5)["visibility"] == {"<0.5": hit, ">=0.8": {"objects": 1, "found": 0}}
 
 
 def test_an_object_has_the_name_of_the_best_detection_that_overlaps_it_most() -> None:
