@@ -37,11 +37,14 @@ class SunResponse:
         shade_k: (low, high) surface minus air temperature without sunlight.
         rise_k: (low, high) rise by an irradiance of 1 kW/m², kelvin.
         surface: Name shared by the parts of one surface (a garment, a coat of paint), which absorb the same share.
+        overcast_k: The same as `shade_k` under a closed cloud cover, which does not cool as a clear sky does; None for
+            a part with no temperature of its own there.
     """
 
     shade_k: Range
     rise_k: Range
     surface: str
+    overcast_k: Range | None = None
 
 
 def sun_response(kind: str, shade_k: Range, surface: str, absorptivity: Range | None = None) -> SunResponse:

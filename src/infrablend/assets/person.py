@@ -173,7 +173,7 @@ def _lays_backpack(params: Params) -> bool:
 
 def _in_the_sun(part: str, kind: str, night_k: tuple[float, float]) -> SunResponse:
     low, high = night_k if kind == "skin" else (SHADE_SHARE[0] * night_k[0], SHADE_SHARE[1] * night_k[1])
-    return sun_response(kind, (low, high), _SURFACE.get(part, part))
+    return replace(sun_response(kind, (low, high), _SURFACE.get(part, part)), overcast_k=night_k)
 
 
 _NUMBER = {name: i for i, name in enumerate(PART_NAMES)}

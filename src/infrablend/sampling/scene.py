@@ -268,11 +268,11 @@ class _Light:
             override = kind.part_override(name, ground=role.ground)
             sun, rise_k = role.sun if absorbs else None, 0.0
             delta = role.delta_t_k if sun is None else sun.shade_k
+            if self._overcast:
+                delta = under_clouds(role, lit=sun is not None)
             if override and override.delta_t_k:
                 # What a recipe states includes the sun.
                 delta, sun = override.delta_t_k, None
-            elif self._overcast:
-                delta = under_clouds(delta, role)
             if sun is not None:
                 rise_k = sun.rise_k[0] + (sun.rise_k[1] - sun.rise_k[0]) * absorbs[sun.surface]
             emissivity = override.emissivity if override and override.emissivity else role.emissivity
@@ -303,12 +303,15 @@ def _shade(
     return with_shadow(item, pose, camera, sun, site.labels), False
 
 
-def under_clouds(delta_k: Range, role: PartRange) -> Range:
+def under_clouds(role: PartRange, *, lit: bool) -> Range:
     """Return a part's range above the air under a closed cloud cover, which is nearly as warm as the air itself.
 
     Parts that a clear sky cools are hardly colder than the air, and ground that objects shield from it hardly warmer
-    than the rest.
+    than the rest. `lit` is whether diffuse sunlight warms the part in addition.
     """
+    delta_k = role.delta_t_k
+    if lit and role.sun is not None:
+        delta_k = role.sun.overcast_k or role.sun.shade_k
     low, high = (SKY_COOLING_SHARE * v if v < 0 or role.glow else v for v in delta_k)
     return low, high
 

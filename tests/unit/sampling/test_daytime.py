@@ -113,6 +113,15 @@ def test_under_closed_clouds_nothing_is_much_colder_than_the_air() -> None:
     assert mean("car", "night", "roof", parked, stated, "environment.overcast_share=1") == pytest.approx(-6)
 
 
+def test_people_keep_their_heat_under_closed_clouds() -> None:
+    """By day in the shade of a clear sky, clothes keep half of it at most."""
+    night, overcast, clear = (
+        mean("person", t, "jacket", f"environment.overcast_share={k}", "environment.clear_share=1", sun=False)
+        for t, k in (("night", 0), ("day", 1), ("day", 0))
+    )
+    assert overcast == pytest.approx(night) and clear < 0.5 * night
+
+
 def test_drones_keep_their_own_heat() -> None:
     night, dusk = (scene("drones", t).spec.objects for t in ("night", "dusk"))
     assert [o.parts for o in night] == [o.parts for o in dusk]
