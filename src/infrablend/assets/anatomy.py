@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets.implicit import Body, Tube, concatenate, surface
-from infrablend.assets.model import Params, PartRange, warmed_by_sun
+from infrablend.assets.model import LOW_SUN, Params, PartRange, at_low_sun, warmed_by_sun
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 
 Piece = tuple[FloatArray, IntArray, IntArray]
@@ -174,4 +174,8 @@ def roles_of_coat(
     params: Params, parts: Mapping[str, PartRange], sun_k: tuple[float, float], shares: Mapping[str, float]
 ) -> Mapping[str, PartRange]:
     """Return the thermal role of every part; by day the sun warms the coat as in `warmed_by_sun`."""
-    return parts if params.get("time_of_day", "night") == "night" else warmed_by_sun(parts, sun_k, shares)
+    time = params.get("time_of_day", "night")
+    if time == "night":
+        return parts
+    by_day = warmed_by_sun(parts, sun_k, shares)
+    return at_low_sun(parts, by_day, time) if time in LOW_SUN else by_day

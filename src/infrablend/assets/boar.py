@@ -41,7 +41,7 @@ from infrablend.assets.anatomy import (
     withers_height,
 )
 from infrablend.assets.implicit import Body, Primitive, Tube, ellipsoid, tube
-from infrablend.assets.model import MOMENTS, ObjectModel, Params, PartRange, moment, part_role
+from infrablend.assets.model import MOMENTS, TIMES, ObjectModel, Params, PartRange, moment, part_role
 from infrablend.assets.params import Checks, Choice, Dials, Number
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -82,7 +82,6 @@ PARTS: Mapping[str, PartRange] = {
     "tusk": part_role("antler", (0.5, 3.0), "tooth in the open"),
 }
 PART_NAMES = tuple(PARTS)
-TIMES = ("night", "day")
 # Rise of the back in the sun, and the share of it that parts reach that face less of the sky (est., as for the deer).
 SUN_K = (5.0, 20.0)
 _SUN_SHARE: Mapping[str, float] = {
@@ -110,7 +109,9 @@ DIALS = Dials(
         "bend_rad": Number((-0.4, 0.4), (-0.8, 0.8)),
         "head_turn_rad": Number((-0.4, 0.4), (-0.8, 0.8)),
         "mirror": Choice((False, True), (0.5, 0.5)),
-        "time_of_day": Choice(TIMES, (1.0, 0.0), "by day the sun warms the coat; by default that of the background"),
+        "time_of_day": Choice(
+            TIMES, (1.0, 0.0, 0.0, 0.0), "by day the sun warms the coat; by default that of the background"
+        ),
     },
 )
 OPTIONS: Mapping[str, str] = DIALS.options | {

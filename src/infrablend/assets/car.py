@@ -22,10 +22,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from infrablend.assets import shapes
-from infrablend.assets.model import SHADOW_PARAM, ObjectModel, Params, PartRange, part_role, sun_response
+from infrablend.assets.model import (
+    LOW_SUN,
+    SHADOW_PARAM,
+    ObjectModel,
+    Params,
+    PartRange,
+    at_low_sun,
+    part_role,
+    sun_response,
+)
 from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
+from infrablend.thermal.daytime import STORED_SHARE, between
 
 _CHECKS = Checks("car")
 
@@ -74,6 +84,8 @@ _GROUND_K = (0.0, 4.0)
 SHADOW = "ground_shadow"
 _SHADOW_K = (-1.0, 3.0)
 _SHADOW_OPACITY = 0.6
+# A long shadow moves by its own width within the hour, and the low sun hardly warms what lies beside it.
+_LONG_SHADOW_OPACITY = 0.25
 
 # Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
@@ -129,8 +141,36 @@ _DAY_SHADE: Mapping[str, Range] = {
 }  # fmt: skip
 
 
+# What stores heat: at dusk warm from the day, at dawn nearly as cold as the air, unless the engine heats it (est.).
+_STORES = ("tyre", "rim", "brake", "underbody", "grille")
+_BY_NIGHT: Mapping[str, str] = {"day_sun": "parked_cold", "day_driven": "driven"}
+_BY_DAY: Mapping[str, str] = {night: day for day, night in _BY_NIGHT.items()}
+_AT_DAWN = 0.5
+
+
 def parts_for(params: Params) -> dict[str, PartRange]:
-    """Return the thermal role of every part of the car with these parameters; only `state` and `colour` matter."""
+    """Return the thermal role of every part of the car with these parameters: state, colour, a low sun and shadow."""
+    time, state = params.get("time_of_day"), params["state"]
+    if time not in LOW_SUN:
+        return _parts_for(params)
+    # Between what it has by night and by day.
+    night = _parts_for({**params, "state": _BY_NIGHT.get(state, state)})
+    day = _parts_for({**params, "state": _BY_DAY.get(state, state)})
+    roles = at_low_sun(night, day, time)
+    for part in _STORES:
+        at_night, role = night[part].delta_t_k, roles[part]
+        if time == "dusk":
+            delta = between(at_night, day[part].delta_t_k, STORED_SHARE[time])
+        else:
+            delta = between(at_night, (0.0, 0.0), _AT_DAWN if _BY_NIGHT.get(state, state) == "parked_cold" else 0.0)
+        assert role.sun is not None
+        roles[part] = replace(role, delta_t_k=delta, sun=replace(role.sun, shade_k=delta))
+    if SHADOW in roles:
+        roles[SHADOW] = replace(roles[SHADOW], opacity=_LONG_SHADOW_OPACITY)
+    return roles
+
+
+def _parts_for(params: Params) -> dict[str, PartRange]:
     deltas = _deltas(params["state"], params["colour"])
     roles = {part: part_role(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
     what = "ground sheltered from the sky, measured on HIT-UAV's cars by night"
@@ -252,7 +292,10 @@ _ODDS: Mapping[str, tuple[float, ...]] = {
 }
 # Shares of cars that are parked and that have been driven within the last hour: by night fitted to the share of cars
 # with bright parts in HIT-UAV's train, by day estimated.
-_STATE_ODDS: Mapping[str, tuple[float, ...]] = {"night": (0.8, 0.2, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25)}
+_STATE_ODDS: Mapping[str, tuple[float, ...]] = {
+    "night": (0.8, 0.2, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25),
+    "dusk": (0.75, 0.25, 0.0, 0.0), "dawn": (0.8, 0.2, 0.0, 0.0),
+}  # fmt: skip
 DRAWN: Mapping[str, Range] = {
     "length_m": (3.6, 5.4),
     "width": (0.97, 1.04),
@@ -321,14 +364,18 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
         params["rails"] = params["rails"] and params["body"] in ("suv", "estate")
     if "panelled" not in options:
         params["panelled"] = params["panelled"] and params["body"] == "van"
-    sheltered = options.get("sheltered", when == "night" and params["state"] == "parked_cold")
+    sheltered = options.get("sheltered", when in ("night", "dawn") and params["state"] == "parked_cold")
     params["sheltered"] = _CHECKS.flag("option sheltered", sheltered)
+    if when in LOW_SUN:
+        params["time_of_day"] = when
     return params
 
 
 def _require_params(params: Params) -> None:
-    _CHECKS.known("parameter", params, (*NOMINAL, SHADOW_PARAM))
+    _CHECKS.known("parameter", params, (*NOMINAL, SHADOW_PARAM, "time_of_day"))
     _CHECKS.complete(params, tuple(NOMINAL))
+    if "time_of_day" in params:
+        _CHECKS.one_of("parameter time_of_day", params["time_of_day"], LOW_SUN)
     for name in NOMINAL:
         where, value = f"parameter {name}", params[name]
         if name == "sheltered":
@@ -778,7 +825,7 @@ def _ground_rings(half_x_m: float, half_y_m: float) -> Piece:
 
 
 def _casts_shadow(params: Params) -> bool:
-    return bool(params["state"] == "day_sun")
+    return bool(params["state"] == "day_sun" or (params["state"] == "parked_cold" and "time_of_day" in params))
 
 
 def _ground_shadow(vertices: FloatArray, shift_xy: ArrayLike) -> Piece:
@@ -820,7 +867,7 @@ MODEL = ObjectModel(
     build=build_car,
     options={
         **{name: _option_text(name) for name in NOMINAL},
-        "time_of_day": "day or night: selects the states that can be drawn; by default that of the background",
+        "time_of_day": "day, dusk, night or dawn: the states that can be drawn; by default as in the background",
     },
     parts_for=parts_for,
     casts_shadow=_casts_shadow,

@@ -41,7 +41,7 @@ from infrablend.assets.anatomy import (
     withers_height,
 )
 from infrablend.assets.implicit import Body, Primitive, Tube, concatenate, ellipsoid, tube
-from infrablend.assets.model import MOMENTS, ObjectModel, Params, PartRange, moment, part_role
+from infrablend.assets.model import MOMENTS, TIMES, ObjectModel, Params, PartRange, moment, part_role
 from infrablend.assets.params import Checks, pick
 from infrablend.assets.shapes import loft, sweep
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
@@ -95,7 +95,6 @@ PARTS: Mapping[str, PartRange] = {
     "antler_velvet": part_role("fur", (6.0, 10.0), "growing antler with blood supply"),
 }
 PART_NAMES = tuple(PARTS)
-TIMES = ("night", "day")
 # Dark fur in direct sun is 15..25 K warmer than air and loses 18 K within two minutes of shade. Rise of the back (lower
 # values for weak sun), and the share of it that parts reach that face less of the sky (est.).
 SUN_K = (5.0, 20.0)
@@ -789,7 +788,7 @@ def build(params: Params) -> Mesh:
             spine_bend_rad: Angle between hips and shoulders about the vertical, positive to the deer's left, before
                 mirroring.
             mirror: Exchange left and right.
-            time_of_day: `night` or `day`; for the temperatures.
+            time_of_day: `night`, `day`, `dusk` or `dawn`; for the temperatures.
             warm_ground: Shift [x, y] of the ground that a lying deer has warmed, metres; None for none.
 
     Raises:
@@ -881,7 +880,7 @@ OPTIONS: Mapping[str, str] = {
     "shoulder_height_m": "a number from 0.4 to 1.6, or [low, high]; by default [0.7, 1.2]. Young ones: 0.25 to 0.9, by "
     "default [0.35, 0.7]",
     "bend_deg": "angle between hips and shoulders seen from above, 0 to 70 degrees, or [low, high]; by default 0",
-    "time_of_day": "day or night: by day the sun warms the coat; by default that of the background, or night",
+    "time_of_day": "day, dusk, night or dawn: by day the sun warms the coat; by default as in the background, or night",
     warm_ground.PARAM: warm_ground.OPTION,
 }
 

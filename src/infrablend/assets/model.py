@@ -17,12 +17,15 @@ import numpy as np
 
 from infrablend.core.mesh import Mesh
 from infrablend.core.surface_kinds import GROUND, Affinity
+from infrablend.thermal.daytime import between
 
 Params = Mapping[str, Any]
 # Moments of a cycle of legs that meshes are built for: few enough to keep their pieces in memory.
 MOMENTS = 48
 # Parameter of objects with a thermal shadow; see `ObjectModel.casts_shadow`.
 SHADOW_PARAM = "shadow_xy"
+TIMES = ("night", "day", "dusk", "dawn")
+LOW_SUN = ("dusk", "dawn")
 Range = tuple[float, float]
 
 
@@ -34,11 +37,14 @@ class SunResponse:
         shade_k: (low, high) surface minus air temperature without sunlight.
         rise_k: (low, high) rise by an irradiance of 1 kW/m², kelvin.
         surface: Name shared by the parts of one surface (a garment, a coat of paint), which absorb the same share.
+        overcast_k: The same as `shade_k` under a closed cloud cover, which does not cool as a clear sky does; None for
+            a part with no temperature of its own there.
     """
 
     shade_k: Range
     rise_k: Range
     surface: str
+    overcast_k: Range | None = None
 
 
 def sun_response(kind: str, shade_k: Range, surface: str, absorptivity: Range | None = None) -> SunResponse:
@@ -197,6 +203,19 @@ def warmed_by_sun(parts: Mapping[str, PartRange], sun_k: Range, shares: Mapping[
         delta = (coldest + share * low, warmest + share * high)
         warmed[name] = replace(role, delta_t_k=delta, sun=sun_response(role.kind, role.delta_t_k, "coat"))
     return warmed
+
+
+def at_low_sun(night: Mapping[str, PartRange], day: Mapping[str, PartRange], time_of_day: str) -> dict[str, PartRange]:
+    """Return the thermal roles at dusk or dawn of surfaces that follow the air within minutes.
+
+    Without sunlight they are as by night at dawn, and halfway between that and the shade by day at dusk (est.).
+    """
+    share, roles = 0.5 if time_of_day == "dusk" else 0.0, {}
+    for name, role in night.items():
+        sun = day[name].sun
+        shade_k = role.delta_t_k if sun is None else between(role.delta_t_k, sun.shade_k, share)
+        roles[name] = replace(role, delta_t_k=shade_k, sun=None if sun is None else replace(sun, shade_k=shade_k))
+    return roles
 
 
 @dataclass(frozen=True)

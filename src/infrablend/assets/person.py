@@ -31,10 +31,13 @@ from infrablend.assets import warm_ground
 from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import (
+    LOW_SUN,
+    TIMES,
     ObjectModel,
     Params,
     PartRange,
     SunResponse,
+    at_low_sun,
     moment,
     part_role,
     sun_response,
@@ -144,7 +147,6 @@ _DEEP = {"knees": 0.285, "waist": 0.600, "chest": 0.720}
 WATERS = ("none", *_DEEP)
 PART_NAMES = tuple(PARTS)
 CLOTHING = ("winter", "light", "bundled")
-TIMES = ("night", "day")
 # Additional rise of clothes and hair in the sun (est.), for scenes without a sun of their own; the low end applies
 # under clouds, too.
 SUN_K = (3.0, 12.0)
@@ -172,11 +174,12 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
     parts = {n: role for n, role in PARTS.items() if rare.get(n, True)}
     own = {**_WORN.get(params.get("clothing", "winter"), {}), **_WET.get(params.get("water", "none"), {})}
     parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in own.items()}
-    if params.get("time_of_day", "night") == "day":
-        shade = {n: role.delta_t_k for n, role in parts.items()}
-        parts = warmed_by_sun(parts, SUN_K, {n: 1.0 for n in parts if n in _SUNLIT})
-        parts = {n: replace(role, sun=_in_the_sun(n, role.kind, shade[n])) for n, role in parts.items()}
-    return {**parts, **warm_ground.roles(params)}
+    bed, time = warm_ground.roles(params), params.get("time_of_day", "night")
+    if time == "night":
+        return {**parts, **bed}
+    by_day = warmed_by_sun(parts, SUN_K, {n: 1.0 for n in parts if n in _SUNLIT})
+    by_day = {n: replace(role, sun=_in_the_sun(n, role.kind, parts[n].delta_t_k)) for n, role in by_day.items()}
+    return {**(at_low_sun(parts, by_day, time) if time in LOW_SUN else by_day), **bed}
 
 
 def _lays_backpack(params: Params) -> bool:
@@ -188,7 +191,7 @@ def _lays_backpack(params: Params) -> bool:
 
 def _in_the_sun(part: str, kind: str, night_k: tuple[float, float]) -> SunResponse:
     low, high = night_k if kind == "skin" else (SHADE_SHARE[0] * night_k[0], SHADE_SHARE[1] * night_k[1])
-    return sun_response(kind, (low, high), _SURFACE.get(part, part))
+    return replace(sun_response(kind, (low, high), _SURFACE.get(part, part)), overcast_k=night_k)
 
 
 _NUMBER = {name: i for i, name in enumerate(PART_NAMES)}
@@ -678,7 +681,7 @@ def build(params: Params) -> Mesh:
             head_turn_rad, head_nod_rad: Turn to the left before mirroring, and forward nod in addition to that of the
                 pose.
             mirror: Exchange left and right.
-            time_of_day: `night` or `day`; for the temperatures.
+            time_of_day: `night`, `day`, `dusk` or `dawn`; for the temperatures.
             clothing: See `CLOTHING`; for the temperatures, and the thickness of those of the bundled up.
             sleeves, legs: See `LENGTHS`; coats and puffers always have long sleeves.
             water: How deep someone who stands, walks or waves is in water; see `WATERS`. Only what is above it is
@@ -952,7 +955,7 @@ OPTIONS: Mapping[str, str] = {
     "height_m": "a number or [low, high]: "
     + ", ".join(f"{low:g} to {high:g} ({age})" for age, (low, high) in HEIGHTS_M.items())
     + "; by default adults of both sexes, and children of all heights",
-    "time_of_day": "day or night: by day the sun warms clothes; by default that of the background, or night",
+    "time_of_day": "day, dusk, night or dawn: by day the sun warms clothes; by default as in the background, or night",
     "clothing": f"one of {', '.join(CLOTHING)}{_LIST}; light clothes have a warmer outer surface, and many layers are "
     "thicker and colder outside; by default winter",
     "sleeves": "long or short, or both for one person in two: short ones leave the forearms bare; jackets only",

@@ -57,9 +57,9 @@ OTHER_LEAST = Least(17, 1.6)
 
 
 def real_least(category: str, time_of_day: TimeOfDay | None) -> Least:
-    """Return what 99 of 100 real objects of a class show; by an unknown time of day the lesser of both."""
+    """Return what 99 of 100 real objects of a class show; at dusk, dawn and an unknown time the lesser of both."""
     known = known_class(category)
-    times: tuple[TimeOfDay, ...] = ("night", "day") if time_of_day is None else (time_of_day,)
+    times: tuple[TimeOfDay, ...] = (time_of_day,) if time_of_day in ("night", "day") else ("night", "day")
     found = [REAL_LEAST[known, t] for t in times if known is not None and (known, t) in REAL_LEAST]
     return min(found, key=lambda least: least.change) if found else OTHER_LEAST
 

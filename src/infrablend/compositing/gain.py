@@ -86,7 +86,8 @@ class Backdrop:
     Attributes:
         pixels: (h, w) grey levels, 8 or 16 bit.
         labels: The background's own annotated objects: excluded from the ground, used as anchors.
-        time_of_day: Time of day, None if unknown; by day no object is an anchor, by night people and cars are.
+        time_of_day: Time of day, None if unknown; by day no object is an anchor, by night people and cars are, else
+            people.
         levels: Darkest and brightest level that the dataset uses.
     """
 

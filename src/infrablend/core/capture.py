@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 if TYPE_CHECKING:  # the command line completes names of formats, which have facts, without NumPy
     from infrablend.core.temperature import Radiometry, TemperatureScale
 
-TimeOfDay = Literal["day", "night"]
+TimeOfDay = Literal["day", "dusk", "night", "dawn"]
 AltitudeOrigin = Literal["take-off", "laser"]
 
 
@@ -87,7 +87,7 @@ class Capture:
     Attributes:
         pitch_deg: Depression of the optical axis: 0 level, 90 straight down, negative looking up.
         altitude_m: Height above the ground according to the source.
-        time_of_day: Day or night.
+        time_of_day: Day, dusk, night or dawn.
         hfov_deg: Field of view across the width of the picture.
         roll_deg: Rotation of the camera about its axis, positive clockwise as seen from behind it.
         altitude_from: Origin of a height that the aircraft measured: above the take-off point, or with a laser.
@@ -98,11 +98,13 @@ class Capture:
         camera: Maker and model of the camera, from the picture's header.
         radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air. Each format
             has its own form for it.
+        time_from: What a run took the time of day from instead of the dataset: its recipe, or the sun at the time of
+            capture.
     """
 
     pitch_deg: float | None = field(default=None, metadata={"fact": _number(-90, 90, "degrees")})
     altitude_m: float | None = field(default=None, metadata={"fact": _number(0, 1e5, "metres")})
-    time_of_day: TimeOfDay | None = field(default=None, metadata={"fact": _one_of("day", "night")})
+    time_of_day: TimeOfDay | None = field(default=None, metadata={"fact": _one_of(*get_args(TimeOfDay))})
     hfov_deg: float | None = field(default=None, metadata={"fact": _number(0.1, 170, "degrees")})
     roll_deg: float | None = field(default=None, metadata={"fact": _roll()})
     altitude_from: AltitudeOrigin | None = field(default=None, metadata={"fact": _one_of("take-off", "laser")})
@@ -118,6 +120,7 @@ class Capture:
     )  # fmt: skip
     camera: str | None = field(default=None, metadata={"fact": Fact(_text, "a name")})
     radiometry: Radiometry | None = None
+    time_from: Literal["recipe", "sun"] | None = field(default=None, repr=False)
 
     @property
     def scale(self) -> TemperatureScale | None:
@@ -125,7 +128,7 @@ class Capture:
         return None if self.radiometry is None else self.radiometry.scale
 
     def to_json(self) -> dict[str, Any]:
-        """Return the known facts but for `radiometry` as plain JSON values, from which `from_json` restores them."""
+        """Return the known facts of `FACTS` as plain JSON values, from which `from_json` restores them."""
         return {name: value for name in FACTS if (value := getattr(self, name)) is not None}
 
     @classmethod
@@ -163,7 +166,7 @@ class Capture:
 
 
 FACTS: Mapping[str, Fact] = {f.name: f.metadata["fact"] for f in fields(Capture) if "fact" in f.metadata}
-"""All facts but `radiometry`, by name, in the order in which tables list them."""
+"""All facts but `radiometry` and `time_from`, by name, in the order in which tables list them."""
 
 UNKNOWN = Capture()
 """Nothing is known of a picture."""

@@ -130,7 +130,7 @@ class Weather:
         cloud: Share of the sky that clouds cover, in [0, 1].
         cloud_base_k: Temperature of the clouds.
         ground_k: Apparent temperature of the ground.
-        sun: The sun; None by night and at an unknown time of day.
+        sun: The sun, at dusk and dawn also below the horizon; None by night and at an unknown time of day.
     """
 
     air_k: float
@@ -139,6 +139,11 @@ class Weather:
     cloud_base_k: float
     ground_k: float
     sun: Sun | None = None
+
+    @property
+    def overcast(self) -> bool:
+        """Whether clouds cover the whole sky."""
+        return self.cloud == 1
 
 
 @dataclass(frozen=True)

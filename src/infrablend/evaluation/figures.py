@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord
 from infrablend.evaluation.coco import coco_precisions
 from infrablend.evaluation.detections import FloatArray
@@ -225,7 +226,7 @@ def image_strata(images: Sequence[ImageRecord]) -> dict[str, dict[str, NDArray[n
     return {
         "pitch": _binned([i.capture.pitch_deg for i in images], PITCH_EDGES_DEG),
         "altitude": _binned([i.capture.altitude_m for i in images], ALTITUDE_EDGES_M),
-        "time": _bins([i.capture.time_of_day for i in images], ("day", "night")),
+        "time": _bins([i.capture.time_of_day for i in images], get_args(TimeOfDay)),
     }
 
 

@@ -26,6 +26,7 @@ from infrablend.formats.capture import pitch_note
 from infrablend.formats.rjpeg.facts import FIELDS, CameraFacts, read_facts
 from infrablend.formats.time_zones import BREAK_S, with_agreed_zones
 from infrablend.formats.values import is_place, to_time
+from infrablend.thermal.daytime import time_of_sun
 from infrablend.thermal.sky import sun_position, time_of
 
 _JPEG, _TIFF = (".jpg", ".jpeg"), (".tif", ".tiff")
@@ -39,6 +40,7 @@ _CLOCKS_S = (60.0, 25 * 3600.0)
 _LEAST_PAIRS = 3
 # A local clock is within this of the sun's time: time zones and daylight saving.
 _CLOCK_OFF_H = (-2, -1, 0, 1, 2)
+# By a clock of an unknown zone, it is day or night where the sun is beyond these at all times that it may mean.
 _DAY_ABOVE_DEG, _NIGHT_BELOW_DEG = 3.0, -3.0
 _NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
 _ANY_NUMBER = re.compile(r"[+-]?\d[\d.]*(?:[eE][+-]?\d+)?", re.ASCII)
@@ -244,7 +246,7 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
 
 
 def time_of_day(captured: str | None, latitude: float | None, longitude: float | None) -> TimeOfDay | None:
-    """Return day or night from the sun's elevation; None if time or place are unknown or the clock leaves both open.
+    """Return the time of day by the sun; None if time or place are unknown or the clock leaves several open.
 
     Args:
         captured: Time, ISO 8601; without a zone it is local time.
@@ -264,6 +266,9 @@ def time_of_day(captured: str | None, latitude: float | None, longitude: float |
             times = [local - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
         except (ValueError, OverflowError):
             return None
+    found = {time_of_sun(t, latitude, longitude) for t in times}
+    if len(found) == 1:
+        return found.pop()
     up = [math.degrees(sun_position(t, latitude, longitude)[1]) for t in times]
     if min(up) > _DAY_ABOVE_DEG:
         return "day"

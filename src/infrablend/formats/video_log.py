@@ -68,7 +68,7 @@ def value_text(field_name: str, value: float) -> str:
 def telemetry_of(sampled: Sampled, k: int) -> dict[str, str]:
     """Return what a log states at one of the times it was sampled at, by the names of columns; empty where unknown.
 
-    Day or night follows from the sun where time and place leave no doubt.
+    The time of day follows from the sun where time and place leave no doubt.
     """
     row = {name: value_text(name, float(values[k])) for name, values in sampled.values.items()}
     latitude, longitude = (float(row[n]) if row.get(n) else None for n in ("latitude_deg", "longitude_deg"))

@@ -24,7 +24,7 @@ from infrablend.realism.features import LEAST_PX, Picture
 
 Level = Literal["high", "middle"]
 LEVELS: tuple[Level, ...] = get_args(Level)
-TIMES = ("night", "day", "unknown")
+TIMES = ("night", "day", "dusk", "dawn", "unknown")
 
 QUANTILES = (1, 5, 25, 50, 75, 95)
 UNCLIPPED = (22.0, 225.0)
@@ -46,7 +46,7 @@ class ObjectContrast:
     Attributes:
         category: Class of the object.
         image: Key of the picture.
-        time_of_day: `night`, `day` or `unknown`.
+        time_of_day: `night`, `day`, `dusk`, `dawn` or `unknown`.
         contrast: Its contrast against the ring around its box.
         picture_level: Median level of the picture, 8-bit levels.
     """

@@ -40,7 +40,7 @@ class BoxExtent:
     Attributes:
         category: Class of the object.
         image: Key of the picture.
-        time_of_day: `night`, `day` or `unknown`.
+        time_of_day: `night`, `day`, `dusk`, `dawn` or `unknown`.
         box_wh: Width and height of the box, px.
         extent_wh: Width and height of what can be seen, px.
     """

@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, boxes_of
 from infrablend.core.files import write_bytes
 from infrablend.core.format_table import FORMATS
@@ -165,7 +166,9 @@ def inspect_dataset(dataset: Dataset, reason: str = "", *, decode: bool = False)
         pitches=pitches,
         altitudes=altitudes,
         time_of_day={
-            s: _counted((i.capture.time_of_day or UNKNOWN for i in images if i.split == s), ("day", "night", UNKNOWN))
+            s: _counted(
+                (i.capture.time_of_day or UNKNOWN for i in images if i.split == s), (*get_args(TimeOfDay), UNKNOWN)
+            )
             for s in present
         },
         labels=_label_kinds(images),
@@ -296,7 +299,7 @@ def write_charts(facts: Inspection, path: Path) -> Path:
             coverage.text(x, y, f"{grid[y, x]:.0f}", ha="center", va="center", fontsize=8, color=colour)
     coverage.set(title="Images by pitch and altitude", xlabel="altitude", ylabel="pitch below the horizon")
 
-    kinds = [k for k in ("day", "night", UNKNOWN) if any(k in of for of in facts.time_of_day.values())]
+    kinds = [k for k in (*get_args(TimeOfDay), UNKNOWN) if any(k in of for of in facts.time_of_day.values())]
     _stacked_bars(times, kinds, {s: [facts.time_of_day[s].get(k, 0) for k in kinds] for s in splits})
     times.set(title="Images by time of day", xlabel="images")
 

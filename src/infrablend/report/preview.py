@@ -471,7 +471,7 @@ def _title(layout: RunFolder, frame_id: str) -> str:
     if facts.get("altitude_m") is not None:
         parts.append(f"altitude {float(facts['altitude_m']):g} m")
     if facts.get("time_of_day"):
-        parts.append(str(facts["time_of_day"]))
+        parts.append(str(facts["time_of_day"]) + (f" ({facts['time_from']})" if facts.get("time_from") else ""))
     return "   ".join(parts)
 
 

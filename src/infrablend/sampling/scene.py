@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from infrablend.assets.model import ObjectModel, PartRange
+from infrablend.assets.model import ObjectModel, PartRange, Range
 from infrablend.config.recipe import ALL_PARTS, Object, Recipe
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import Mesh
@@ -27,6 +27,7 @@ from infrablend.sampling.placer import Placer, Streams
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
 from infrablend.sampling.site import FrameKey, Site
 from infrablend.sampling.weather import draw_air_k, draw_weather
+from infrablend.thermal.daytime import SKY_COOLING_SHARE
 
 PitchFrom = Literal["metadata", "horizon", "recipe", "nothing"]
 
@@ -237,6 +238,7 @@ class _Light:
         """Start the streams of temperatures and emissivities, and in the sun that of surfaces' absorptivities."""
         self._air_k, self._camera, self._site = air_k, camera, site
         self._sun = None if weather is None else weather.sun
+        self._overcast = weather is not None and weather.overcast
         self._heat = streams("heat")
         self._lit = None if self._sun is None else streams("sun")
         self._shift = streams("shift")
@@ -266,6 +268,8 @@ class _Light:
             override = kind.part_override(name, ground=role.ground)
             sun, rise_k = role.sun if absorbs else None, 0.0
             delta = role.delta_t_k if sun is None else sun.shade_k
+            if self._overcast:
+                delta = under_clouds(role, lit=sun is not None)
             if override and override.delta_t_k:
                 # What a recipe states includes the sun.
                 delta, sun = override.delta_t_k, None
@@ -292,11 +296,24 @@ def _shade(
     item: PlacementRequest, pose: Pose, camera: CameraSpec, sun: Sun, site: Site
 ) -> tuple[PlacementRequest, bool]:
     """Return a placed object with any thermal shadow of its own, and whether it stands in the shade itself."""
-    if not item.model.stands:
+    if not item.model.stands or sun.direct_w_m2 == 0:
         return item, False
     if in_shade(camera, item.in_world(pose), site):
         return item, True
     return with_shadow(item, pose, camera, sun, site.labels), False
+
+
+def under_clouds(role: PartRange, *, lit: bool) -> Range:
+    """Return a part's range above the air under a closed cloud cover, which is nearly as warm as the air itself.
+
+    Parts that a clear sky cools are hardly colder than the air, and ground that objects shield from it hardly warmer
+    than the rest. `lit` is whether diffuse sunlight warms the part in addition.
+    """
+    delta_k = role.delta_t_k
+    if lit and role.sun is not None:
+        delta_k = role.sun.overcast_k or role.sun.shade_k
+    low, high = (SKY_COOLING_SHARE * v if v < 0 or role.glow else v for v in delta_k)
+    return low, high
 
 
 def _before_camera(

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from infrablend.config.recipe import Environment, SkyEnvironment
+from infrablend.core.capture import Capture
 from infrablend.core.rng import stream
 from infrablend.core.scene import Sun, Weather
 from infrablend.sampling.site import FrameKey
+from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, time_of_sun
 from infrablend.thermal.radiometry import ZERO_C_K
-from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
+from infrablend.thermal.sky import dew_point, irradiance, low_irradiance, sun_position, time_of
 
 
 def draw_air_k(frame: FrameKey, environment: Environment, rng: np.random.Generator) -> float:
@@ -31,6 +34,23 @@ def air_source(frame: FrameKey, environment: Environment) -> Literal["metadata",
     return "stated" if low == high else "drawn"
 
 
+def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:
+    """Return how a picture was taken with the time of day that counts, and what this is taken from.
+
+    A stated time counts first, then that of the sun by time and place of capture, then the dataset's own. Where one of
+    the last two says day and the other night, something is wrong, and the dataset's own stays.
+    """
+    if environment.time_of_day is not None:
+        return replace(capture, time_of_day=environment.time_of_day, time_from="recipe")
+    when, place = time_of(capture.captured), environment.place
+    if when is None or place is None:
+        return capture
+    found = time_of_sun(when, place.latitude_deg, place.longitude_deg)
+    if {found, capture.time_of_day} == {"day", "night"}:
+        return capture
+    return replace(capture, time_of_day=found, time_from="sun")
+
+
 def draw_weather(frame: FrameKey, e: SkyEnvironment, air_k: float, seed: int) -> Weather:
     """Draw air, sky and ground of the frame, from a stream of its own.
 
@@ -41,26 +61,34 @@ def draw_weather(frame: FrameKey, e: SkyEnvironment, air_k: float, seed: int) ->
     below = float(rng.uniform(*e.dew_point_below_air_k))
     rng.random()  # unused; keeps the later draws the same as before a quantity was removed
     clear, cover, base = (float(v) for v in rng.random(3))
-    day = frame.capture.time_of_day == "day"
-    above = e.ground_above_air_k(day)
-    ground_k = air_k if above is None else air_k + float(rng.uniform(*above))
+    time = frame.capture.time_of_day
+    above = e.ground_above_air_k(time)
+    ground_above_k = 0.0 if above is None else float(rng.uniform(*above))
     humidity = None if frame.capture.radiometry is None else frame.capture.radiometry.plausible_humidity
     if e.air_of_picture and humidity is not None:
         below = air_k - dew_point(air_k, humidity)
     sun = None
-    if day:
+    if time not in ("night", None):
         # The sun and the clouds are those of the whole sequence.
         together = stream(seed, "sun", frame.capture.sequence or frame.capture.captured or frame.frame_id)
         clear, cover, share, turn = (float(v) for v in together.random(4))
-        sun = _sun(frame, e, share, turn, 0.0 if clear < e.clear_share else cover)
+        sun = _sun(frame, e, share, turn, _cloud(e, clear, cover))
+    cloud = _cloud(e, clear, cover)
     return Weather(
         air_k=air_k,
         dew_point_k=air_k - below,
-        cloud=0.0 if clear < e.clear_share else cover,
+        cloud=cloud,
         cloud_base_k=air_k - (5 + 5 * base),
-        ground_k=ground_k,
+        ground_k=air_k + (OVERCAST_SHARE * ground_above_k if cloud == 1 else ground_above_k),
         sun=sun,
     )
+
+
+def _cloud(environment: SkyEnvironment, clear: float, cover: float) -> float:
+    """Return the share of the sky that clouds cover; `clear` and `cover` are drawn numbers in [0, 1)."""
+    if clear >= 1 - environment.overcast_share:
+        return 1.0
+    return 0.0 if clear < environment.clear_share else cover
 
 
 def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float, cloud: float) -> Sun:
@@ -69,15 +97,16 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
     Its azimuth is relative to the camera's heading, which no dataset states, and is therefore always drawn. `share` and
     `turn` are drawn numbers in [0, 1) that set elevation and azimuth; `cloud` is the share that clouds cover.
     """
-    low, high = environment.sun_elevation_deg
+    is_low = frame.capture.time_of_day != "day"
+    low, high = LOW_SUN_DEG if is_low else environment.sun_elevation_deg
     elevation = math.radians(low + (high - low) * share)
     source: Literal["computed", "drawn", "contradicted"] = "drawn"
     when, place = time_of(frame.capture.captured), environment.place
     if place is not None and when is not None:
         _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
-        if computed > 0:
+        if low <= math.degrees(computed) <= high if is_low else computed > 0:
             elevation, source = computed, "computed"
-        else:
+        elif frame.capture.time_from != "recipe":
             source = "contradicted"
-    direct, diffuse = irradiance(elevation, cloud)
+    direct, diffuse = (low_irradiance if is_low else irradiance)(elevation, cloud)
     return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)

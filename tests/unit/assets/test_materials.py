@@ -148,7 +148,7 @@ def test_models_receive_the_time_of_day_of_their_frame(model: str) -> None:
     (tuned_day,), (tuned_night,) = (spec(w, look="artistic").objects for w in ("day", "night"))
     assert tuned_day == tuned_night
     with pytest.raises(ModelError, match="time_of_day"):
-        models[model].sample(stream(0), {"time_of_day": "dusk"})
+        models[model].sample(stream(0), {"time_of_day": "noon"})
 
 
 def test_sunlit_clothes_and_coats() -> None:

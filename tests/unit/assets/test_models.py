@@ -127,7 +127,7 @@ BAD_OPTIONS: dict[str, list[tuple[dict[str, object], str]]] = {
         ({"body": "coupe"}, r"option body: found 'coupe'; expected one of saloon, hatchback, suv, estate, van"),
         ({"exhausts": True}, r"option exhausts: found True"),
         ({"colour": 3}, r"option colour: found 3"),
-        ({"time_of_day": "dusk"}, r"option time_of_day: found 'dusk'; expected one of night, day"),
+        ({"time_of_day": "noon"}, r"option time_of_day: found 'noon'; expected one of night, day, dusk, dawn"),
     ],
     "deer": [
         ({"pose": "sitting"}, r"option pose: found 'sitting'; expected one of standing, walking, grazing, lying"),

@@ -368,7 +368,7 @@ def test_a_link_that_leads_out_is_refused(tmp_path: Path) -> None:
 
 def test_options_are_checked_together(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35))
-    bad = {"pitch_sign": "2", "angle_unit": "grad", "time_of_day": "dusk", "split": "dev", "pitch_key": "a..b"}
+    bad = {"pitch_sign": "2", "angle_unit": "grad", "time_of_day": "noon", "split": "dev", "pitch_key": "a..b"}
     with pytest.raises(DatasetError) as caught:
         detection.read(tmp_path, Reading(options=bad))
     assert {p.where for p in caught.value.problems} == {f"option {k}" for k in bad}

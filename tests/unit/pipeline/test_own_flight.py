@@ -136,7 +136,7 @@ def test_daylight_that_is_not_stated_is_reported(tmp_path: Path) -> None:
         return [str(p) for p in plan.problems if p.code == "sun-above-horizon"]
 
     (remark,) = remarks(102.7)
-    assert "in 1 picture(s) not stated to be by day" in remark
+    assert "in 1 picture(s) stated to be by night" in remark
     assert remarks(-77.3) == []
 
 

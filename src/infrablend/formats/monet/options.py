@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import SPLITS, Split
@@ -17,7 +17,7 @@ OPTIONS = {
     "altitude_key": "key of the altitude in metres, likewise",
     "time_key": "key of the time of capture, likewise",
     "angle_unit": "unit of the pitch: deg (default) or rad",
-    "time_of_day": "time of day of every image: day or night",
+    "time_of_day": "time of day of every image: day, dusk, night or dawn",
     "exclude": "sequences to leave out: a,b,c",
     "empty": "sequences without any pitch: exclude (default) or keep",
     "split": "split of every image: train, val or test; taken from folder and file names by default",
@@ -74,7 +74,7 @@ def check_options(root: Path, options: Mapping[str, str | None]) -> MonetOptions
     allowed: dict[str, Mapping[str, Any]] = {
         "pitch_sign": {"-1": -1, "+1": 1, "1": 1},
         "angle_unit": {"deg": False, "rad": True},
-        "time_of_day": {"day": "day", "night": "night"},
+        "time_of_day": {time: time for time in get_args(TimeOfDay)},
         "empty": {"exclude": False, "keep": True},
         "split": {s: s for s in SPLITS},
     }

@@ -143,10 +143,14 @@ class PhysicalLook(ArtisticLook):
             return super().match(scene, frame, background)
         assert self._settings.levels is not None
         source = frame.as_read
-        backdrop = Backdrop(background.pixels, source.instances, source.capture.time_of_day, self._settings.levels)
+        time = source.capture.time_of_day
+        # Under clouds, roofs of cars are no anchors: as at an unknown time, people alone are.
+        overcast = scene.spec.weather is not None and scene.spec.weather.overcast
+        of_anchors = None if overcast and time == "night" else time
+        backdrop = Backdrop(background.pixels, source.instances, of_anchors, self._settings.levels)
         # The same stream at each attempt, so that a moved object does not influence the gain.
         rng = stream(self._settings.seed, frame.frame_id, "matching")
-        settings = local_settings(self._matching, source.capture.time_of_day, self._headroom)
+        settings = local_settings(self._matching, time, self._headroom)
         found = match_locally(scene, backdrop, settings, rng, self._settled(earlier))
         facts = {"matching": found.facts}
         height_at_limit = scene.spec.view is not None and scene.spec.view.at_limit
@@ -155,7 +159,7 @@ class PhysicalLook(ArtisticLook):
             return Match(empty, super().match(empty, frame, background).mapping, facts)
         faint = {}
         for k, (placed, contrast) in enumerate(zip(scene.objects, found.contrasts, strict=True)):
-            least = least_contrast(self._recipe, placed.spec.category, source.capture.time_of_day)
+            least = least_contrast(self._recipe, placed.spec.category, time)
             if least is not None and contrast < least.change * backdrop.grey_unit:
                 faint[k] = contrast / backdrop.grey_unit
         return Match(scene, found.mapping, facts, faint, found.settled)

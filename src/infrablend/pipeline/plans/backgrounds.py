@@ -95,5 +95,6 @@ def background_facts(source: ImageRecord, background: Background, data_root: Pat
         "sha256": digest,
         "size_wh": list(background.size_wh),
         **source.capture.to_json(),
+        **({} if source.capture.time_from is None else {"time_from": source.capture.time_from}),
         "source_id": source.source_id,
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,7 +25,6 @@ from infrablend.formats.write_settings import WriteSettings
 from infrablend.formats.writing import unwritable
 from infrablend.pipeline.plans.backgrounds import is_ground
 from infrablend.pipeline.plans.selection import similar
-from infrablend.thermal.sky import sun_position, time_of
 
 LENS_REPLACED = "lens-replaced"
 """Code of the warning about a lens of the recipe that replaces others in the files."""
@@ -38,8 +36,6 @@ HEIGHT_REPLACED = "height-replaced"
 _WIDE_DEG, _FILM_MM = 75.0, 36.0
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
-# Clear of the horizon, where day and night are a matter of opinion.
-_SUN_IS_UP_RAD = math.radians(6)
 # A stated pitch that differs by more from the files' is reported.
 _PITCH_TOLERANCE_DEG = 15.0
 # A stated height that differs by a larger share from the files' is reported.
@@ -134,13 +130,13 @@ def data_warnings(recipe: Recipe, images: Sequence[ImageRecord], root: Path) -> 
         what = "no labels in any image, so objects in the backgrounds stay unlabelled"
         todo = "check --data, or set labels.mode to new if the data has no labels"
         found.append(Problem(root.name, "no-labels", what, "labels to merge with", todo, "warning"))
-    found += [
+    return [
+        *found,
         *_wide_lens(recipe, images),
         *_other_lens(recipe, images),
         *_other_pitch(recipe, images),
         *_other_height(recipe, images),
     ]
-    return [*found, *_sun_unused(recipe, images)]
 
 
 def without_mask(recipe: Recipe, images: Sequence[ImageRecord], known: Sequence[ImageRecord]) -> list[Problem]:
@@ -247,23 +243,6 @@ def _other_height(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem
     found += f"{min(other):.0f} to {max(other):.0f} m"
     todo = "set camera.altitude to metadata, unless another size of the objects is wanted or the files are wrong"
     return [Problem("camera.altitude", HEIGHT_REPLACED, found, "the height of each picture", todo, "warning")]
-
-
-def _sun_unused(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
-    sky = recipe.environment.sky
-    if sky is None or sky.place is None:
-        return []
-    place, count = sky.place, 0
-    for image in images:
-        when = None if image.capture.time_of_day == "day" else time_of(image.capture.captured)
-        if when is not None:
-            _, elevation = sun_position(when, place.latitude_deg, place.longitude_deg)
-            count += elevation > _SUN_IS_UP_RAD
-    if not count:
-        return []
-    found = f"the sun is above the horizon in {count} picture(s) not stated to be by day, and is not used there"
-    todo = "state time_of_day as day in the pictures' metadata, or check capture times, time zone and place"
-    return [Problem("environment.place", "sun-above-horizon", found, "pictures by night", todo, "warning")]
 
 
 def require_classes(recipe: Recipe, field: str, names: Collection[str], dataset: Dataset) -> None:

@@ -40,6 +40,7 @@ from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
 from infrablend.pipeline.plans.sequences import plan_sequences
+from infrablend.pipeline.plans.times import time_warnings, with_used_times
 from infrablend.places.surfaces import model_version
 from infrablend.sampling.scene import require_parts
 
@@ -69,6 +70,7 @@ def make_plan(
     classes = [o.category or models[o.model].category for o in recipe.objects]
     require_loosened(recipe, {*classes})
     require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
+    read, dataset = dataset, with_used_times(dataset, recipe)
     renamed = rename_classes(dataset, recipe.labels.rename)
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
     require_distinct_classes(recipe, classes, renamed)
@@ -94,7 +96,11 @@ def make_plan(
         usable = [image for image in usable if id(image) in drawn]
         recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
         names = frame_names(renamed.images, recipe)
-    problems += data_warnings(recipe, usable, dataset.root) + without_mask(recipe, usable, renamed.images)
+    problems += (
+        data_warnings(recipe, usable, dataset.root)
+        + time_warnings(recipe, read.images, usable)
+        + without_mask(recipe, usable, renamed.images)
+    )
     problems += unknown_by_hand(recipe, renamed.images)
     require_ids(recipe, usable)
     require_pitch_of_pixels(recipe, usable)

@@ -24,6 +24,7 @@ from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
+from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import forecast_objects
 from infrablend.pipeline.runs.run import RunReport, run_plan
 from infrablend.pipeline.runs.sharded import run_shards
@@ -72,7 +73,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     """
     plan = prepare_run(request)
     wanted = _wanted(request, plan)
-    shown = (KEPT, LENS_REPLACED, PITCH_REPLACED, HEIGHT_REPLACED)
+    shown = (KEPT, LENS_REPLACED, PITCH_REPLACED, HEIGHT_REPLACED, TIME_REPLACED)
     others = [p for p in plan.problems if p.severity == "warning" and p.code not in (DROPPED, *shown)]
     shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
     expected, absent = forecast_objects(plan)

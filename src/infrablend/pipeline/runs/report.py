@@ -90,6 +90,7 @@ def _frame_facts(record: FrameRecord) -> FrameFacts:
         size_wh=(int(width), int(height)),
         background=frozenset(n for n in names if n),
         time_of_day=background.get("time_of_day"),
+        time_from=background.get("time_from"),
         pitch_deg=None if pitch is None else float(pitch),
         altitude_m=altitude,
         inserts=_insert_facts(record),

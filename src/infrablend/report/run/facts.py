@@ -76,6 +76,7 @@ class FrameFacts:
         removed: Labels that were left out.
         dropped: Reasons why wanted objects are absent or have no label, one per object.
         warnings: Codes of the warnings that the frame contributes to.
+        time_from: What its time of day was taken from: `recipe`, `sun` at the time of capture, or None for the dataset.
     """
 
     frame_id: str
@@ -89,6 +90,12 @@ class FrameFacts:
     removed: tuple[RemovedLabel, ...] = ()
     dropped: tuple[str, ...] = ()
     warnings: frozenset[str] = frozenset()
+    time_from: str | None = None
+
+    @property
+    def time_text(self) -> str | None:
+        """Time of day, and what it was taken from where that is not the dataset: `dusk (recipe)`."""
+        return self.time_of_day if self.time_from is None else f"{self.time_of_day} ({self.time_from})"
 
 
 @dataclass(frozen=True)

@@ -166,7 +166,7 @@ def _share_groups(run: RunFacts, filters: Filters) -> list[tuple[str, list[Share
         return shares([(name, len(m), f"{len(m)}", filters.add(f"{what}: {name}", m)) for name, m in members.items()])
 
     return [
-        ("Frames by time of day", rows(lambda f: f.time_of_day or "unknown", "Time of day")),
+        ("Frames by time of day", rows(lambda f: f.time_text or "unknown", "Time of day")),
         ("Frames by split", rows(lambda f: f.frame_id.partition("/")[0], "Split")),
         ("Frames by number of inserted objects", rows(lambda f: str(len(f.inserts)), "Inserted objects per frame")),
     ]
@@ -340,7 +340,7 @@ def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: S
     facts = [
         *([] if frame.pitch_deg is None else [f"pitch {compact(round(frame.pitch_deg, 1))}°"]),
         *([] if frame.altitude_m is None else [f"altitude {compact(frame.altitude_m)} m"]),
-        *([] if frame.time_of_day is None else [frame.time_of_day]),
+        *([] if frame.time_text is None else [frame.time_text]),
     ]
     dropped, removed = Counter(frame.dropped), Counter(r.category for r in frame.removed)
     notes = [f"dropped: {n} {_why(reason)}" for reason, n in sorted(dropped.items())]

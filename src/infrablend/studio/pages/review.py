@@ -7,13 +7,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 from urllib.parse import urlencode
 
 from nicegui import ui
 from nicegui.element import Element
 from nicegui.events import KeyEventArguments
 
+from infrablend.core.capture import TimeOfDay
 from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.runs.review import Verdict
 from infrablend.studio.frame_index import SORTS, FrameRow, View
@@ -91,7 +92,7 @@ class ReviewPage:
             ui.switch("Largest first", value=view.descending, on_change=lambda e: self._change(descending=e.value))
             options = {"": "Any class", **{name: name for name in classes}, "none": "No inserts"}
             self._select("Class", options, view.category, "category")
-            times = {"": "Any time", "day": "Day", "night": "Night", "unknown": "Unknown"}
+            times = {"": "Any time", **{t: t.capitalize() for t in (*get_args(TimeOfDay), "unknown")}}
             self._select("Time of day", times, view.time_of_day, "time_of_day")
             verdicts = {"": "Any verdict", "open": "Open", "accept": "Accepted", "reject": "Rejected"}
             self._select("Verdict", verdicts, view.verdict, "verdict")

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from nicegui import run, ui
 from nicegui.element import Element
@@ -16,6 +16,7 @@ from nicegui.events import GenericEventArguments
 
 from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
+from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError
 from infrablend.report.preview import Rgb
@@ -89,7 +90,7 @@ class TunePage:
         with ui.element("div").classes("studio-row"):
             text = ui.input("Search").props("dense outlined debounce=200").classes("w-full")
             text.on_value_change(lambda e: self._filter_by(text=e.value or ""))
-            times = {"": "Any time", "day": "Day", "night": "Night"}
+            times = {"": "Any time", **{t: t.capitalize() for t in get_args(TimeOfDay)}}
             show_choice("Time of day", times, "", lambda v: self._filter_by(time=v), dense=False)
             pitches = sorted({i.capture.pitch_deg for i in images if i.capture.pitch_deg is not None})
             options = {"": "Any pitch", **{f"{p:g}": f"{p:g}\u00b0" for p in pitches}}

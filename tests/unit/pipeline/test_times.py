@@ -1,0 +1,96 @@
+"""The time of day that a run uses, what it rests on, and what contradicts it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from infrablend import api
+from infrablend.config.loading import load_recipe
+from infrablend.core.capture import Capture
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.temperature import Radiometry, TemperatureScale
+from infrablend.errors import Problem
+from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.plans.times import time_warnings, with_used_times
+from infrablend.pipeline.runs.generate import describe_run, prepare_run
+from tests.flights import flight
+from tests.recipes import load_anywhere
+from tests.run_files import records
+
+PLACE = "environment.place={latitude_deg: 25.0, longitude_deg: 102.7}"
+DUSK = "environment.time_of_day=dusk"
+FLAT = api.Execution(renderer="flat", in_process=True)
+
+
+def table(data: Path, *captures: tuple[str, str]) -> Path:
+    rows = [f"DJI_{n:04}_T.JPG,{captured},{time}" for n, (captured, time) in enumerate(captures, 1)]
+    (data / "metadata.csv").write_text("\n".join(["file,captured,time_of_day", *rows]) + "\n")
+    return data
+
+
+def backgrounds(data: Path, out: Path, *settings: str) -> list[Any]:
+    api.generate("hit-uav-people", data, out, settings=["empty_share=1.0", *settings], execution=FLAT)
+    return [(r.background.get("time_of_day"), r.background.get("time_from")) for r in records(out)]
+
+
+def test_records_state_the_time_of_day_and_what_it_rests_on(tmp_path: Path) -> None:
+    at_dusk = ("2021-01-16T18:20:00+08:00", "day")
+    data = table(flight(tmp_path / "in", 2), at_dusk, ("2021-01-16T23:00:00+08:00", "night"))
+    assert backgrounds(data, tmp_path / "own") == [("day", None), ("night", None)]
+    assert backgrounds(data, tmp_path / "sun", PLACE) == [("dusk", "sun"), ("night", "sun")]
+    assert backgrounds(data, tmp_path / "stated", PLACE, DUSK) == [("dusk", "recipe")] * 2
+    page = (tmp_path / "stated" / "report.html").read_text()
+    assert "dusk (recipe)" in page and "dusk (sun)" in (tmp_path / "sun" / "report.html").read_text()
+
+
+def test_a_dataset_may_say_dusk_itself(tmp_path: Path) -> None:
+    data = table(flight(tmp_path / "in", 2), ("2021-01-16", "dusk"), ("2021-01-16", "dawn"))
+    assert backgrounds(data, tmp_path / "own") == [("dusk", None), ("dawn", None)]
+    table(data, ("2021-01-16", "evening"), ("2021-01-16", "day"))
+    (problem,) = [str(p) for p in api.read_dataset(data).problems if "evening" in str(p)]
+    assert "expected day, dusk, night or dawn" in problem
+
+
+def test_a_stated_time_that_replaces_others_is_reported_once(tmp_path: Path) -> None:
+    data = table(flight(tmp_path, 2), ("2021-01-16", "day"), ("2021-01-16", "night"))
+
+    def request(time: str) -> RunRequest:
+        return RunRequest("hit-uav-people", data, settings={"environment.time_of_day": time})
+
+    (remark,) = [str(p) for p in prepare_run(request("dusk")).problems if p.code == "time-replaced"]
+    assert "dusk for all pictures, but by their files or capture times they are: 1 by day, 1 by night" in remark
+    assert remark in describe_run(request("dusk"))["kept_fields"]
+
+
+def warned(captures: list[Capture], *settings: str) -> list[Problem]:
+    recipe = load_anywhere("hit-uav-person", list(settings))
+    images = tuple(ImageRecord(f"{k}", Path(f"{k}.png"), "train", (640, 512), (), c) for k, c in enumerate(captures))
+    dataset = Dataset(Path(), "folder", (), images)
+    return time_warnings(recipe, images, with_used_times(dataset, recipe).images)
+
+
+def test_times_without_zone_are_reported() -> None:
+    captures = [Capture(captured="2021-01-16T18:20:00"), Capture(captured="2021-01-16T18:20:00+08:00")]
+    (problem,) = warned(captures, PLACE)
+    assert problem.code == "capture-zone" and problem.found.startswith("1 picture(s)")
+    assert warned(captures) == [] == warned([Capture(captured="2021-01-16"), Capture(captured="dusk, perhaps")], PLACE)
+
+
+def test_a_stated_time_keeps_the_air_of_radiometric_pictures_and_says_so() -> None:
+    scale = Radiometry(TemperatureScale(0.01, 0.0), air_k=281.0)
+    radiometric = ["matching.mode=radiometric"]
+    (problem,) = warned([Capture(radiometry=scale)], DUSK, *radiometric)
+    assert problem.code == "time-replaced" and "the air of 1 picture(s) keeps the temperature" in problem.found
+    assert warned([Capture(time_of_day="dusk")], DUSK, *radiometric) == []
+    assert warned([Capture(radiometry=scale)], DUSK) == []
+
+
+@pytest.mark.parametrize("name", ["hit-uav-drone", "monet-deer"])
+def test_the_artistic_look_has_no_time_of_day(name: str) -> None:
+    recipe = load_recipe(name)
+    image = ImageRecord("a", Path("a.png"), "train", (640, 512), (), Capture(time_of_day="night"))
+    dataset = Dataset(Path(), "folder", (), (image,))
+    assert with_used_times(dataset, recipe) is dataset and time_warnings(recipe, (image,), (image,)) == []
