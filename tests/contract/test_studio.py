@@ -181,12 +181,15 @@ def test_a_sequence_is_played_with_its_tracks_on_their_frames(chromium: str, tmp
         page.locator(".verdict").wait_for()
         page.keyboard.press("p")
         wait_for(3)
-        page.get_by_text("24 frames; 1 inserted tracks, 1 original").wait_for()
+        page.get_by_text("24 frames; tracks: 1 inserted, 1 original").wait_for()
         page.keyboard.press("Space")
         watched = page.evaluate(_WATCH)
         assert watched["wrong"] == []
         assert watched["frames"] == list(range(watched["frames"][0], 24)), "every frame, in order"
-        for key, frame in (("ArrowLeft", 22), ("Home", 0), ("ArrowRight", 1), ("Shift+ArrowRight", 11)):
+        page.keyboard.press("Space")
+        page.wait_for_function("() => document.querySelector('input[type=range]').value == '12'")
+        page.keyboard.press("Space")
+        for key, frame in (("End", 23), ("ArrowLeft", 22), ("Home", 0), ("ArrowRight", 1), ("Shift+ArrowRight", 11)):
             page.keyboard.press(key)
             wait_for(frame)
         assert page.locator(".player-stage g").count() == 1, "the inserted one is out of view"
@@ -213,6 +216,21 @@ def test_a_sequence_is_played_with_its_tracks_on_their_frames(chromium: str, tmp
         page.get_by_role("alert").get_by_text("test/x: no such frame in a sequence of the run").wait_for()
         assert page.request.get(f"{opened.base}/run/sequences/1").status == 404
     assert opened.errors == []
+
+
+def test_a_sequence_goes_on_after_a_picture_that_is_gone(chromium: str, tmp_path: Path) -> None:
+    run = write_sequence(tmp_path / "run")
+    (run / "images/test/s_000005.png").unlink()
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/sequences?frame=test/s_000002")
+        page.locator('canvas[aria-label="Frame test/s_000002"]').wait_for()
+        page.keyboard.press("Space")
+        page.get_by_role("alert").get_by_text("s_000005.png: not a readable picture").wait_for()
+        page.locator('canvas[aria-label="Frame test/s_000005"]').wait_for()
+        page.keyboard.press("ArrowRight")
+        page.locator('canvas[aria-label="Frame test/s_000006"]').wait_for()
+        assert page.get_by_role("alert").count() == 0
 
 
 def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str, tmp_path: Path) -> None:

@@ -30,10 +30,13 @@ def show_sequence(run: OpenedRun, frame_id: str) -> None:
         return
     shown = sequences[chosen]
     with ui.element("div").classes("studio-row"):
-        first_frames = {ids[s.frames[0]]: s.name for s in sequences}
         show_choice(
-            "Sequence", first_frames, ids[shown.frames[0]], lambda to: ui.navigate.to(frame_address("/sequences", to))
+            "Sequence",
+            {ids[s.frames[0]]: s.name for s in sequences},
+            ids[shown.frames[0]],
+            lambda first: ui.navigate.to(frame_address("/sequences", first)),
+            classes="min-w-40",
         )
         inserted = sum(track.inserted for track in shown.tracks)
-        ui.label(f"{len(shown.frames)} frames; {inserted} inserted tracks, {len(shown.tracks) - inserted} original")
+        ui.label(f"{len(shown.frames)} frames; tracks: {inserted} inserted, {len(shown.tracks) - inserted} original")
     SequencePlayer(f"/run/sequences/{chosen}", 0 if number is None else shown.frames.index(number))

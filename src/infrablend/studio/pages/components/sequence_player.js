@@ -19,10 +19,10 @@ export default {
         <button type="button" @mousedown.prevent @click="toggle">{{ playing ? "Pause" : "Play" }} <kbd>Space</kbd></button>
         <button type="button" @mousedown.prevent @click="step(-1)">Previous <kbd>\u2190</kbd></button>
         <button type="button" @mousedown.prevent @click="step(1)">Next <kbd>\u2192</kbd></button>
-        <label>Speed <select v-model.number="speed">
+        <label>Speed <select v-model.number="speed" @change="$event.target.blur()">
           <option v-for="s in [0.25, 0.5, 1, 2]" :value="s">{{ s }} x</option>
         </select></label>
-        <label v-for="(name, key) in { b: 'Boxes', o: 'Original objects' }">
+        <label v-for="(name, key) in { b: 'Boxes', o: 'Original objects' }" @mousedown.prevent>
           <input type="checkbox" v-model="shown[key]"> {{ name }} <kbd>{{ key.toUpperCase() }}</kbd></label>
         <a :href="'/review?frame=' + id">Review this frame</a>
         <span class="player-time">{{ at + 1 }} of {{ count }}, {{ sequence.times[at].toFixed(2) }} s</span>
@@ -64,7 +64,7 @@ export default {
     },
   },
   async mounted() {
-    this.pictures = new Map(); // ImageBitmap by position; null while it is on its way
+    this.pictures = new Map(); // ImageBitmap, or its `problem`, by position; null while it is on its way
     this.clock = 0; // second of the sequence while it plays
     addEventListener("keydown", this.keyed);
     try {
@@ -93,7 +93,7 @@ export default {
     removeEventListener("keydown", this.keyed);
     this.playing = false;
     clearTimeout(this.timer);
-    this.pictures.forEach((picture) => picture?.close());
+    this.pictures.forEach((picture) => picture?.close?.());
   },
   methods: {
     textAt(box) {
@@ -119,39 +119,47 @@ export default {
     },
     tick(now) {
       if (!this.playing) return;
-      const times = this.sequence.times, next = this.at + 1;
+      const times = this.sequence.times, next = this.wanted + 1;
       this.clock += ((now - this.last) / 1000) * this.speed;
       this.last = now;
-      if (next === this.count) this.playing = false;
-      else if (this.at === this.wanted && this.clock >= times[next]) {
-        // Every frame is shown: where pictures come too slowly, the clock waits.
+      // Every frame is shown: where pictures come too slowly, the clock waits.
+      if (this.at !== this.wanted) this.clock = times[this.wanted];
+      else if (next === this.count) this.playing = false;
+      else if (this.clock >= times[next]) {
         this.wanted = next;
         this.clock = Math.min(this.clock, times[next] + LATE_S);
         this.paint();
-      } else if (this.at !== this.wanted) this.clock = Math.min(this.clock, times[this.wanted]);
+      }
       requestAnimationFrame(this.tick);
     },
     paint() {
       // Show the wanted frame if its picture is there, and fetch what comes next.
       const picture = this.pictures.get(this.wanted), canvas = this.$refs.canvas;
       if (picture && canvas) {
-        if (canvas.width !== picture.width || canvas.height !== picture.height) {
-          this.size = [(canvas.width = picture.width), (canvas.height = picture.height)];
-        }
-        canvas.getContext("2d").drawImage(picture, 0, 0);
+        this.problem = picture.problem || "";
+        if (this.problem) {
+          this.playing = false;
+          canvas.getContext("2d").clearRect(0, 0, canvas.width, canvas.height);
+        } else this.draw(picture, canvas);
         this.at = this.wanted;
         clearTimeout(this.timer);
         this.timer = setTimeout(() => history.replaceState(history.state, "", "?frame=" + this.id), QUIET_MS);
       }
       for (const [at, old] of this.pictures) {
         if (old && (at < this.wanted - BEHIND || at > this.wanted + AHEAD)) {
-          old.close();
+          old.close?.();
           this.pictures.delete(at);
         }
       }
       const underway = [...this.pictures.values()].filter((p) => !p).length;
       const due = Array.from({ length: AHEAD }, (_, k) => this.wanted + k);
       due.filter((at) => at < this.count && !this.pictures.has(at)).slice(0, AT_ONCE - underway).forEach((at) => this.load(at));
+    },
+    draw(picture, canvas) {
+      if (canvas.width !== picture.width || canvas.height !== picture.height) {
+        this.size = [(canvas.width = picture.width), (canvas.height = picture.height)];
+      }
+      canvas.getContext("2d").drawImage(picture, 0, 0);
     },
     async load(at) {
       this.pictures.set(at, null);
@@ -160,11 +168,8 @@ export default {
         const answer = await fetch(`/run/picture/${n}.png?d=${digest}`);
         if (!answer.ok) throw new Error(await answer.text());
         this.pictures.set(at, await createImageBitmap(await answer.blob()));
-        this.problem = "";
       } catch (error) {
-        this.problem = error.message;
-        this.playing = false;
-        return; // stays in the map, so that it is not asked for again and again
+        this.pictures.set(at, { problem: error.message });
       }
       this.paint();
     },
@@ -180,8 +185,8 @@ export default {
     keyed(event) {
       const target = event.target, key = event.key.toLowerCase();
       if (!this.sequence || event.ctrlKey || event.metaKey || event.altKey) return;
-      if (target.matches("input:not([type=range]), select, textarea, [role=combobox]")) return;
-      if (key === " " && target.matches("button, a")) return; // it presses them
+      if (target.matches("input:not([type=range], [type=checkbox]), select, textarea")) return;
+      if (key === " " && target.matches("button, a, [type=checkbox]")) return; // it presses them
       const by = event.shiftKey ? LEAP : 1;
       const actions = {
         " ": () => this.toggle(), arrowright: () => this.step(by), arrowleft: () => this.step(-by),
