@@ -1,4 +1,4 @@
-"""Takes the pictures of the studio for the docs: its pages on the virtual world and the run of `make demo`.
+"""Takes the pictures of the studio for the docs: its pages on the run of `make demo` and on a flight.
 
 Needs Chromium and what `make tools` installs.
 """
@@ -8,6 +8,8 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from playwright.sync_api import Page, sync_playwright
@@ -24,8 +26,28 @@ def main(demo: Path) -> None:
     infrablend = [sys.executable, "-m", "infrablend", "-q"]
     if not second.is_dir():
         subprocess.run([*infrablend, "generate", recipe, "--data", world, "--out", second], check=True)
-    command = [*infrablend, "studio", recipe, "--no-open", "--run", demo / "run", "--data", world]
-    command += ["--compare", second, "--results", ROOT / "docs" / "results"]
+    flight, people = demo / "flight", demo / "people"
+    if not people.is_dir():
+        world_of = [*infrablend, "world", "--layout", "flight", "--count", "150", "--out", flight]
+        subprocess.run(world_of, check=True)
+        subprocess.run([*infrablend, "generate", "people-video", "--data", flight, "--out", people], check=True)
+    compared = ["--compare", second, "--results", ROOT / "docs" / "results"]
+    with opened([*infrablend, "studio", recipe, "--run", demo / "run", "--data", world, *compared]) as (page, base):
+        take(page, f"{base}/review", ".frame-cell img", "review")
+        third = page.locator(".frame-name").nth(2).inner_text()
+        take(page, f"{base}/review?frame={third}", ".crops img", "frame")
+        take(page, f"{base}/results", "table.figures", "results")
+        take(page, f"{base}/compare", ".wipe img", "compare")
+        page.emulate_media(color_scheme="dark")
+        take(page, f"{base}/tune", ".tune-facts .studio-card", "tune")
+    with opened([*infrablend, "studio", "--run", people]) as (page, base):
+        take(page, f"{base}/sequences?frame=train/flight_000_000080", ".player canvas", "sequence")
+
+
+@contextmanager
+def opened(command: Sequence[str | Path]) -> Iterator[tuple[Page, str]]:
+    """Start a studio; yield a page of a browser that may see it, and its address."""
+    command = [*command, "--no-open"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as studio, sync_playwright() as playwright:
         assert studio.stdout is not None
         address = studio.stdout.readline().strip()
@@ -33,13 +55,7 @@ def main(demo: Path) -> None:
         page = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="light").new_page()
         page.set_default_timeout(WAIT_MS)
         page.goto(address)
-        base = address.partition("/?")[0]
-        take(page, f"{base}/review", ".frame-cell img", "review")
-        take(page, f"{base}/review?frame=2", ".crops img", "frame")
-        take(page, f"{base}/results", "table.figures", "results")
-        take(page, f"{base}/compare", ".wipe img", "compare")
-        page.emulate_media(color_scheme="dark")
-        take(page, f"{base}/tune", ".tune-facts .studio-card", "tune")
+        yield page, address.partition("/?")[0]
         browser.close()
         studio.terminate()
 

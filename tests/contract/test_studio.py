@@ -19,7 +19,7 @@ import cv2
 import pytest
 from tests.run_files import edit_ledger
 from tests.samples import picture
-from tests.studio_runs import frame_record, write_run
+from tests.studio_runs import frame_record, write_run, write_sequence
 from tests.unit.studio.test_results import REALISM
 
 from infrablend import api
@@ -85,7 +85,7 @@ def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str
         page.locator(".frame-cell img").first.wait_for()
         assert "token" not in page.url
         assert page.locator(".frame-cell").count() < 60, "only visible cells are in the page"
-        page.locator(".frame-cell").first.focus()
+        page.locator(".frame-cell:focus").wait_for()
         page.keyboard.press("ArrowRight")
         page.keyboard.press("Enter")
         for key, frame in (("a", "f0002"), ("r", "f0003"), ("3", "f0004")):
@@ -107,6 +107,132 @@ def test_a_run_is_reviewed_by_keyboard_and_a_kill_loses_no_verdict(chromium: str
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cache", "run"], "nothing else is written"
 
 
+def test_each_frame_has_an_address_and_back_keeps_the_view_and_its_place(chromium: str, tmp_path: Path) -> None:
+    run = write_run(tmp_path / "run", records_of(*(f"f{n:04}" for n in range(90))))
+
+    def place() -> int:
+        return int(page.evaluate("() => document.querySelector('.frame-grid').scrollTop"))
+
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.locator(".frame-cell img").first.wait_for()
+        page.get_by_role("switch", name="Largest first").click()
+        page.locator(".frame-cell", has_text="f0089").click()
+        page.wait_for_url(f"{opened.base}/review?descending=1&frame=test/f0089_c0")
+        page.keyboard.press("Escape")
+        page.wait_for_url(f"{opened.base}/review?descending=1")
+        page.locator(".frame-cell:focus", has_text="f0089").wait_for()
+        for _ in range(9):
+            page.keyboard.press("ArrowDown")
+        page.wait_for_function("() => history.state.top > 400")
+        top = place()
+        page.keyboard.press("Enter")
+        frame = page.locator(".verdict")
+        frame.wait_for()
+        page.keyboard.press("ArrowRight")
+        page.wait_for_function("n => !location.search.includes(n)", arg=frame.get_attribute("data-frame"))
+        shown = frame.get_attribute("data-frame")
+        assert page.url == f"{opened.base}/review?descending=1&frame={shown}"
+        page.reload()
+        page.locator(f'.verdict[data-frame="{shown}"]').wait_for()
+        page.go_back()
+        page.locator(".frame-cell:focus", has_text=shown).wait_for()
+        assert place() == top, "the place in the list, although the frame was loaded again"
+        page.go_forward()
+        page.locator(f'.verdict[data-frame="{shown}"]').wait_for()
+        page.go_back()
+        page.locator(".frame-cell:focus").wait_for()
+        page.reload()
+        page.locator(".frame-cell:focus").wait_for()
+        assert place() == top
+        assert page.get_by_role("switch", name="Largest first").is_checked()
+        page.goto(f"{opened.base}/review?frame=test/x_c0")
+        page.get_by_text("test/x_c0: no such frame; the run has 90").wait_for()
+    assert opened.errors == []
+
+
+_WATCH = """() => new Promise((done) => {
+  const canvas = document.querySelector("canvas"), found = { frames: [], wrong: [] };
+  function look() {
+    const at = +document.querySelector("input[type=range]").value;
+    const box = document.querySelector(".player-stage g:not(.original) rect");
+    if (found.frames.at(-1) !== at) {
+      found.frames.push(at);
+      const x = box ? +box.getAttribute("x") : 2 + 2 * at;
+      const pixel = (dx) => canvas.getContext("2d").getImageData(x + dx, 23, 1, 1).data[0] > 128;
+      if (pixel(0) !== !!box || pixel(5) !== !!box || pixel(-1)) found.wrong.push(at);
+    }
+    if (document.querySelector(".player button").innerText.startsWith("Play")) done(found);
+    else requestAnimationFrame(look);
+  }
+  requestAnimationFrame(look);
+})"""
+
+
+def test_a_sequence_is_played_with_its_tracks_on_their_frames(chromium: str, tmp_path: Path) -> None:
+    run = write_sequence(tmp_path / "run")
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+
+        def wait_for(frame: int) -> None:
+            page.locator(f'canvas[aria-label="Frame test/s_{frame:06d}"]').wait_for()
+
+        page.goto(f"{opened.base}/review?frame=test/s_000003")
+        page.locator(".verdict").wait_for()
+        page.keyboard.press("p")
+        wait_for(3)
+        page.get_by_text("24 frames; tracks: 1 inserted, 1 original").wait_for()
+        page.keyboard.press("Space")
+        watched = page.evaluate(_WATCH)
+        assert watched["wrong"] == []
+        assert watched["frames"] == list(range(watched["frames"][0], 24)), "every frame, in order"
+        page.keyboard.press("Space")
+        page.wait_for_function("() => document.querySelector('input[type=range]').value == '12'")
+        page.keyboard.press("Space")
+        for key, frame in (("End", 23), ("ArrowLeft", 22), ("Home", 0), ("ArrowRight", 1), ("Shift+ArrowRight", 11)):
+            page.keyboard.press(key)
+            wait_for(frame)
+        assert page.locator(".player-stage g").count() == 1, "the inserted one is out of view"
+        spans = page.locator(".timeline-bar:not(.original) rect")
+        ends = [tuple(float(s.get_attribute(k) or 0) for k in ("x", "width")) for s in spans.all()]
+        assert ends == [(0, 10), (14, 10)]
+        bar = page.locator(".timeline-bar").first.bounding_box()
+        page.mouse.click(bar["x"] + bar["width"] * 18.5 / 24, bar["y"] + 3)
+        wait_for(18)
+        page.wait_for_url(f"{opened.base}/sequences?frame=test/s_000018")
+        page.keyboard.press("o")
+        page.locator(".player-stage g.original").wait_for(state="detached")
+        page.keyboard.press("b")
+        page.locator(".player-stage g").wait_for(state="detached")
+        page.reload()
+        wait_for(18)
+        page.get_by_role("button", name="drone 2, inserted: frames 1 to 10, 15 to 24").click()
+        wait_for(0)
+        page.get_by_role("link", name="Review this frame").click()
+        page.locator('.verdict[data-frame="test/s_000000"]').wait_for()
+        page.go_back()
+        wait_for(0)
+        page.goto(f"{opened.base}/sequences?frame=test/x")
+        page.get_by_role("alert").get_by_text("test/x: no such frame in a sequence of the run").wait_for()
+        assert page.request.get(f"{opened.base}/run/sequences/1").status == 404
+    assert opened.errors == []
+
+
+def test_a_sequence_goes_on_after_a_picture_that_is_gone(chromium: str, tmp_path: Path) -> None:
+    run = write_sequence(tmp_path / "run")
+    (run / "images/test/s_000005.png").unlink()
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/sequences?frame=test/s_000002")
+        page.locator('canvas[aria-label="Frame test/s_000002"]').wait_for()
+        page.keyboard.press("Space")
+        page.get_by_role("alert").get_by_text("s_000005.png: not a readable picture").wait_for()
+        page.locator('canvas[aria-label="Frame test/s_000005"]').wait_for()
+        page.keyboard.press("ArrowRight")
+        page.locator('canvas[aria-label="Frame test/s_000006"]').wait_for()
+        assert page.get_by_role("alert").count() == 0
+
+
 def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str, tmp_path: Path) -> None:
     run = write_run(tmp_path / "run", records_of(*"abc"))
     with studio(chromium, tmp_path, "--run", run) as opened:
@@ -114,8 +240,8 @@ def test_pictures_records_and_connections_that_are_gone_are_named(chromium: str,
         page.locator(".frame-cell img").first.wait_for()
         (run / "images/test/b_c0.png").unlink()
         edit_ledger(run, "DELETE FROM records WHERE frame_id = 'test/c_c0'")
-        for number, words in ((1, "test/b_c0.png: not a readable picture"), (2, "no finished frame 'test/c_c0'")):
-            page.goto(f"{opened.base}/review?frame={number}")
+        for name, words in (("b", "test/b_c0.png: not a readable picture"), ("c", "no finished frame 'test/c_c0'")):
+            page.goto(f"{opened.base}/review?frame=test/{name}_c0")
             page.get_by_role("alert").get_by_text(words).wait_for()
             assert not page.locator("img.picture").is_visible()
         second = subprocess.run(
@@ -136,7 +262,7 @@ def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(ch
     with studio(chromium, tmp_path, "--run", run) as opened:
         page = opened.page
         page.locator(".frame-cell img").first.wait_for()
-        page.goto(f"{opened.base}/review?frame=1")
+        page.goto(f"{opened.base}/review?frame=test/b_c0")
         page.locator('.verdict[data-frame="test/b_c0"]').wait_for()
         # As `exclude` does: frame 1 is now another one.
         edit_ledger(run, "UPDATE frames SET excluded = 'x' WHERE frame_id = 'test/a_c0'")
@@ -186,12 +312,12 @@ def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> Non
 def test_axe_finds_no_serious_issue(
     chromium: str, theme: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    run = write_run(tmp_path / "run", records_of(*"abc"))
-    (run / "review.json").write_text('{"frames": {"test/a_c0": {"verdict": "accept"}}}')
-    other = write_run(tmp_path / "other", records_of(*"ab"))
+    run = write_sequence(tmp_path / "run")
+    (run / "review.json").write_text('{"frames": {"test/s_000000": {"verdict": "accept"}}}')
+    other = write_run(tmp_path / "other", {f"test/s_{k:06d}": frame_record(f"test/s_{k:06d}") for k in range(2)})
     data = write_tiny_hit_uav(tmp_path / "data")
-    shown = {"/review": ".frame-cell", "/review?frame=1": "img.picture", "/losses": "h2", "/tune": ".tune-form h2"}
-    shown |= {"/compare": ".wipe img", "/results": ".result-plots img"}
+    shown = {"/review": ".frame-cell", "/review?frame=test/s_000001": "img.picture", "/sequences": ".player canvas"}
+    shown |= {"/losses": "h2", "/tune": ".tune-form h2", "/compare": ".wipe img", "/results": ".result-plots img"}
     picture(run / "realism/car_random.png", 1)
     (run / "realism/realism.json").write_text(json.dumps(REALISM))
     found = []

@@ -139,7 +139,8 @@ class View:
 
     def to_query(self) -> dict[str, str]:
         """Return the view for an address; the inverse of `from_query`."""
-        found = {k: str(getattr(self, k)) for k in ("sort", "category", "time_of_day", "verdict", "text")}
+        found = {k: str(getattr(self, k)) for k in ("category", "time_of_day", "verdict", "text")}
+        found["sort"] = "" if self.sort == "id" else self.sort
         found |= {k: "1" for k in ("descending", "warned") if getattr(self, k)}
         for name, low, high in self.limits:
             found |= {f"{name}_{end}": f"{v:g}" for end, v in (("min", low), ("max", high)) if v is not None}

@@ -10,15 +10,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from infrablend.core.run_folder import IMAGES, RunFolder
+from infrablend.core.run_folder import IMAGES, TRACKS, RunFolder
 from infrablend.errors import DatasetError, InfraBlendError, OutputError
 from infrablend.evaluation.detections import RECORD
 from infrablend.pipeline.runs.review import REVIEW_FILE
-from infrablend.report.preview import draw_labels, to_rgb
+from infrablend.report.preview import draw_labels, to_8_bit, to_rgb
 from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.pictures import Thumbnails, enlarged, read_pixels, to_png, with_originals
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.run_labels import RunLabels
+from infrablend.studio.sequences import RunSequence, find_sequences
 from infrablend.studio.verdicts import Review
 
 if TYPE_CHECKING:
@@ -38,6 +39,8 @@ class RunFrames:
         thumbnails: Small pictures of its frames.
         labels: Labels of its frames.
     """
+
+    _sequences: list[RunSequence] | None
 
     def __init__(self, folder: Path) -> None:
         """Check the run, and begin to read its frames.
@@ -68,6 +71,20 @@ class RunFrames:
         """Rows of all frames, in the order of their ids; waits until they are read."""
         return self.reading.wait()
 
+    @property
+    def has_sequences(self) -> bool:
+        """Whether its objects move through sequences."""
+        return (self.layout.root / TRACKS).is_dir()
+
+    @property
+    def sequences(self) -> list[RunSequence]:
+        """Its sequences, by name; waits until all records are read."""
+        rows = self.rows
+        with self._guard:
+            if self._sequences is None:
+                self._sequences = find_sequences(rows, self.labels)
+            return self._sequences
+
     def row(self, number: int) -> FrameRow:
         """Return a row by its number, without waiting for the others.
 
@@ -92,7 +109,10 @@ class RunFrames:
             OutputError: Its record cannot be read.
         """
         row = self.row(number)
-        rgb = to_rgb(read_pixels(self.layout, row))
+        pixels = read_pixels(self.layout, row)
+        if not (boxes or originals):
+            return to_png(to_8_bit(pixels))
+        rgb = to_rgb(pixels)
         if originals:
             rgb = with_originals(rgb, [o.box_xyxy for o in self.labels.of(row.image) if not o.inserted])
         return to_png(draw_labels(rgb, self.layout.record(row.id).inserted) if boxes else rgb)
@@ -111,6 +131,7 @@ class RunFrames:
     def _begin(self) -> None:
         self._stamp = self._stamp_now()
         self.labels = RunLabels(self.layout)
+        self._sequences = None
         self._reading = RowReading(self.layout)
 
     def _stamp_now(self) -> int:

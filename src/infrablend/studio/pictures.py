@@ -76,9 +76,10 @@ def _thumbnail(pixels: NDArray[Any], row: FrameRow) -> bytes:
     return bytes(cv2.imencode(".jpg", small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1])
 
 
-def to_png(rgb: Rgb) -> bytes:
-    """Return a picture as a PNG, encoded quickly."""
-    return bytes(cv2.imencode(".png", rgb[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
+def to_png(picture: NDArray[np.uint8]) -> bytes:
+    """Return a picture, (h, w) or (h, w, 3), as a PNG, encoded quickly."""
+    bgr = picture if picture.ndim == 2 else picture[:, :, ::-1]
+    return bytes(cv2.imencode(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])
 
 
 def with_originals(rgb: Rgb, boxes_xyxy: Iterable[Sequence[float]]) -> Rgb:

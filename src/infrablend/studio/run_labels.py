@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,12 +17,28 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class RunLabel:
-    """A label of a frame; its box is in pixels, and `ignore` marks a region to ignore."""
+    """A label of a frame; its box is in pixels, and `ignore` marks a region to ignore.
+
+    `track` is the id of its track; empty without one.
+    """
 
     category: str
     box_xyxy: Box
     inserted: bool = False
     ignore: bool = False
+    track: str = ""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a frame is in its sequence, `<split>/<name>`: its number there, and its time."""
+
+    sequence: str
+    frame: int
+    time_s: float | None
+
+
+_Found = tuple[tuple[RunLabel, ...], Place | None]
 
 
 class RunLabels:
@@ -31,17 +47,24 @@ class RunLabels:
     def __init__(self, layout: RunFolder) -> None:
         self._layout = layout
         self._lock = threading.Lock()
-        self._found: dict[str, tuple[RunLabel, ...]] | None = None
+        self._found: dict[str, _Found] | None = None
 
     def of(self, image: str) -> tuple[RunLabel, ...]:
         """Return the labels of an image, a path below `images/`."""
+        return self._get(image)[0]
+
+    def place(self, image: str) -> Place | None:
+        """Return where an image is in its sequence; None if it is in none."""
+        return self._get(image)[1]
+
+    def _get(self, image: str) -> _Found:
         with self._lock:
             if self._found is None:
                 self._found = dict(_from_tables(self._layout)) or dict(_from_coco(self._layout))
-        return self._found.get(image, ())
+        return self._found.get(image, ((), None))
 
 
-def _from_tables(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
+def _from_tables(layout: RunFolder) -> Iterator[tuple[str, _Found]]:
     for split, name in zip(SPLITS, PICTURE_TABLES, strict=True):
         try:
             lines = read_regular(layout.root / name, layout.root).splitlines()
@@ -53,13 +76,22 @@ def _from_tables(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]
                 objects = row["objects"]
                 inserted = objects["inserted"]
                 ignore = objects.get("ignore", [False] * len(inserted))
-                columns = zip(objects["bbox"], objects["category"], inserted, ignore, strict=True)
-                yield f"{split}/{row['file_name']}", tuple(_label(*values) for values in columns)
+                tracks = objects.get("track_id", [""] * len(inserted))
+                columns = zip(objects["bbox"], objects["category"], inserted, ignore, tracks, strict=True)
+                labels = tuple(_label(*values) for values in columns)
+                yield f"{split}/{row['file_name']}", (labels, _place(split, row))
             except (ValueError, LookupError, TypeError):
                 continue
 
 
-def _from_coco(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
+def _place(split: str, row: Mapping[str, Any]) -> Place | None:
+    if not row.get("sequence"):
+        return None
+    time_s = row.get("time_s")
+    return Place(f"{split}/{row['sequence']}", int(row.get("frame") or 0), None if time_s is None else float(time_s))
+
+
+def _from_coco(layout: RunFolder) -> Iterator[tuple[str, _Found]]:
     """Yield the labels of runs that have no tables, which older versions did not write."""
     for split in SPLITS:
         try:
@@ -72,9 +104,9 @@ def _from_coco(layout: RunFolder) -> Iterator[tuple[str, tuple[RunLabel, ...]]]:
                 found.setdefault(files[label["image_id"]], []).append(one)
         except (OSError, ValueError, LookupError, TypeError, AttributeError):
             continue
-        yield from ((image, tuple(labels)) for image, labels in found.items())
+        yield from ((image, (tuple(labels), None)) for image, labels in found.items())
 
 
-def _label(bbox: Any, category: Any, inserted: Any, ignore: Any) -> RunLabel:
+def _label(bbox: Any, category: Any, inserted: Any, ignore: Any, track: Any = "") -> RunLabel:
     x, y, w, h = (float(v) for v in finite(bbox))
-    return RunLabel(str(category), (x, y, x + w, y + h), bool(inserted), bool(ignore))
+    return RunLabel(str(category), (x, y, x + w, y + h), bool(inserted), bool(ignore), str(track))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -15,7 +16,7 @@ from infrablend.studio.frame_index import FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.verdicts import Review
-from tests.studio_runs import frame_record, write_run
+from tests.studio_runs import frame_record, write_run, write_sequence
 
 ROWS = (
     FrameRow("test/a", classes=("drone",), size_px=40, visibility=1, contrast=9, time_of_day="day", inserted=1),
@@ -65,6 +66,32 @@ def test_rows_are_read_from_the_ledger(tmp_path: Path) -> None:
     assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (("drone",), 10, 12, 60)
     assert [row.id for row in others] == names[1:]
     assert reading.is_complete and reading.count == 3
+
+
+def test_the_frames_of_a_sequence_are_in_order_with_the_tracks_in_them(tmp_path: Path) -> None:
+    opened = OpenedRun(write_sequence(tmp_path / "run"))
+    assert opened.has_sequences
+    (found,) = opened.sequences
+    assert (found.name, found.frames, found.times_s[:3]) == ("test/s", tuple(range(24)), (0, 0.04, 0.08))
+    drone, original = found.tracks
+    assert [(t.category, t.id, t.inserted) for t in found.tracks] == [("drone", "2", True), ("drone", "0", False)]
+    assert [at for at, _ in drone.boxes] == [k for k in range(24) if not 10 <= k < 14]
+    assert drone.boxes[3] == (3, (8, 20, 14, 26)) and len(original.boxes) == 24
+    opened.close()
+
+
+def test_frames_without_times_are_played_at_30_per_second_and_those_without_a_sequence_are_not(tmp_path: Path) -> None:
+    run = write_sequence(tmp_path / "run", 4)
+    table = run / "images/test/metadata.jsonl"
+    rows = [json.loads(line) | {"time_s": None} for line in table.read_text().splitlines()]
+    table.write_text("\n".join(json.dumps(row) for row in [{**rows[0], "sequence": ""}, *rows[1:]]))
+    opened = OpenedRun(run)
+    (found,) = opened.sequences
+    assert found.frames == (1, 2, 3) and found.times_s == (0, 0.033333, 0.066667)
+    opened.close()
+    plain = OpenedRun(write_run(tmp_path / "plain", {"test/a_c0": frame_record("test/a_c0")}))
+    assert not plain.has_sequences and plain.sequences == []
+    plain.close()
 
 
 def test_every_verdict_is_in_the_file_at_once_and_can_be_undone(tmp_path: Path) -> None:

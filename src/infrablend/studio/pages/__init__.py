@@ -8,7 +8,7 @@ from starlette.responses import RedirectResponse, Response
 
 from infrablend.errors import InfraBlendError
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages import compare, layout, review, routes
+from infrablend.studio.pages import compare, layout, review, routes, sequences
 from infrablend.studio.session import Session
 
 
@@ -41,6 +41,12 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
     def review_page(request: Request) -> None:
         with layout.page_frame(session, request, "/review", "Review"):
             review.ReviewPage(opened, request.query_params)
+
+    @ui.page("/sequences")
+    def sequences_page(request: Request) -> None:
+        with layout.page_frame(session, request, "/sequences", "Sequences"):
+            frame = request.query_params.get("frame", "")
+            layout.when_read(opened, lambda: sequences.show_sequence(opened, frame))
 
     @ui.page("/losses")
     def losses_page(request: Request) -> None:

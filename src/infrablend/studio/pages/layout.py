@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 from nicegui import app, ui
 from nicegui.events import KeyEventArguments
@@ -30,11 +31,19 @@ def pages_of(session: Session) -> dict[str, str]:
     """Return the names of the pages that have something to show, by path."""
     found: dict[str, str] = {}
     if session.run is not None:
-        found |= {"/review": "Review", "/losses": "Lost labels", "/results": "Results"}
+        found["/review"] = "Review"
+        if session.run.has_sequences:
+            found["/sequences"] = "Sequences"
+        found |= {"/losses": "Lost labels", "/results": "Results"}
     found["/tune"] = "Tune"
     if session.comparison is not None:
         found["/compare"] = "Compare"
     return found
+
+
+def frame_address(path: str, frame_id: str, **query: str) -> str:
+    """Return the address of a frame on a page."""
+    return f"{path}?" + urlencode({**query, "frame": frame_id}, safe="/")
 
 
 @contextlib.contextmanager

@@ -21,6 +21,7 @@ from infrablend.studio.frame_index import SORTS, FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.pages.layout import (
     error_text,
+    frame_address,
     is_pressed,
     key_button,
     show_choice,
@@ -53,12 +54,16 @@ class FrameGrid(Element, component="components/frame_grid.js"):  # type: ignore[
         self._props["source"] = source
         self.update()
 
+    def set_address(self, address: str, *, new: bool) -> None:
+        """Set the address of the page, as a new entry in the browser's history or in place of the current one."""
+        self.run_method("address", address, new)
+
 
 class ReviewPage:
     """The review in one browser tab."""
 
     def __init__(self, run: OpenedRun, query: Mapping[str, str]) -> None:
-        """Build the page; `query` has the view, and `frame` the number of a frame to open."""
+        """Build the page; `query` has the view, and `frame` the id of a frame to open."""
         self._run = run
         self._view = View.from_query(query)
         self._order: list[int] = []
@@ -73,13 +78,13 @@ class ReviewPage:
             self._counted = ui.label().props("role=status")
             self._count_frames()
             self._grid = FrameGrid(self._source())
-            self._grid.on("open", lambda e: self._show(int(e.args["n"])))
+            self._grid.on("open", lambda e: self._go_to(int(e.args["n"]), new=True))
+            self._grid.on("moved", lambda e: self._follow(str(e.args["frame"])))
         self._detail = ui.column().classes("w-full gap-2")
         self._detail.set_visibility(False)
         ui.keyboard(self._key, ignore=["input", "select", "textarea"])
-        frame = query.get("frame", "")
-        if frame.isdecimal() and int(frame) < len(self._run.reading.ids):
-            self._show(int(frame))
+        if frame := query.get("frame"):
+            self._follow(frame)
 
     # ---- the list
 
@@ -99,10 +104,14 @@ class ReviewPage:
             ui.switch("With warnings", value=view.warned, on_change=lambda e: self._change(warned=e.value))
             text = ui.input("Name contains", value=view.text, on_change=lambda e: self._change(text=e.value or ""))
             text.props("dense outlined debounce=250").classes("w-40")
-            with ui.expansion("Limits").props("dense"), ui.element("div").classes("studio-row"):
+            limits = {name: ends for name, *ends in view.limits}
+            with (
+                ui.expansion("Limits", value=bool(limits)).props("dense"),
+                ui.element("div").classes("studio-row"),
+            ):
                 for name, title in _LIMITS.items():
                     for end, word in enumerate(("least", "most")):
-                        box = ui.number(f"{title}, {word}")
+                        box = ui.number(f"{title}, {word}", value=limits.get(name, (None, None))[end])
                         box.on_value_change(lambda e, n=name, k=end: self._limit(n, k, e.value))
                         box.props("dense outlined debounce=250").classes("w-44")
 
@@ -118,10 +127,17 @@ class ReviewPage:
     def _change(self, **fields: Any) -> None:
         self._view = replace(self._view, **fields)
         self._grid.show(self._source())
+        self._grid.set_address(self._address(), new=False)
         self._count_frames()
 
     def _source(self) -> str:
         return "/run/rows?" + urlencode(self._view.to_query())
+
+    def _address(self) -> str:
+        query = self._view.to_query()
+        if self._number is not None and self._shown is not None:
+            return frame_address("/review", self._shown.id, **query)
+        return "/review?" + urlencode(query)
 
     def _count_frames(self) -> None:
         review, reading = self._run.review, self._run.reading
@@ -133,6 +149,22 @@ class ReviewPage:
         )
 
     # ---- one frame
+
+    def _go_to(self, number: int, *, new: bool = False) -> None:
+        """Show a frame under its address, as a new entry in the browser's history if it was opened from the list."""
+        self._show(number)
+        if self._number == number:
+            self._grid.set_address(self._address(), new=new)
+
+    def _follow(self, frame_id: str) -> None:
+        """Show what the address of the page names: a frame, or the list if there is no id."""
+        ids = self._run.reading.ids
+        if not frame_id:
+            self._show_list()
+        elif frame_id in ids:
+            self._show(ids.index(frame_id))
+        else:
+            tell(DatasetError(f"{frame_id}: no such frame; the run has {len(ids)}, such as {', '.join(ids[:1])}"))
 
     def _show(self, number: int) -> None:
         try:
@@ -153,6 +185,8 @@ class ReviewPage:
             key_button("All frames", self._back, "Esc")
             key_button("Previous", partial(self._step, -1), "\u2190")
             key_button("Next", partial(self._step, 1), "\u2192")
+            if self._run.has_sequences:
+                key_button("Play", self._play, "P")
             ui.label("" if at is None else f"{at + 1} of {len(self._order)}").classes("faint")
             for name, title, key in (("boxes", "Boxes", "B"), ("originals", "Original objects", "O")):
                 self._switches[name] = ui.switch(title, value=self._labels[name]).tooltip(key)
@@ -253,7 +287,13 @@ class ReviewPage:
         self._switches[name].value = not self._labels[name]
 
     def _back(self) -> None:
+        self._show_list()
+        self._grid.run_method("leave", self._address())
+
+    def _show_list(self) -> None:
         number, self._number = self._number, None
+        if number is None:
+            return
         self._detail.clear()
         self._detail.set_visibility(False)
         self._list.set_visibility(True)
@@ -269,7 +309,11 @@ class ReviewPage:
             return
         at = self._order.index(self._number) + by
         if 0 <= at < len(self._order):
-            self._show(self._order[at])
+            self._go_to(self._order[at])
+
+    def _play(self) -> None:
+        if self._run.has_sequences and self._shown is not None:
+            ui.navigate.to(frame_address("/sequences", self._shown.id))
 
     def _decide(self, verdict: Verdict) -> None:
         if self._number is None:
@@ -283,7 +327,7 @@ class ReviewPage:
         if self._advance and not last:
             self._step(1)
         else:
-            self._show(self._number)
+            self._go_to(self._number)
         ui.notify(f"{_WORDS[verdict.word]}{': ' + verdict.reason if verdict.reason else ''}", timeout=900)
 
     def _frame_shown(self, number: int) -> str:
@@ -308,7 +352,7 @@ class ReviewPage:
             return
         ids = self._run.reading.ids
         if frame_id in ids:
-            self._show(ids.index(frame_id))
+            self._go_to(ids.index(frame_id))
         ui.notify(f"Undone: {frame_id}", timeout=900)
 
     def _key(self, event: KeyEventArguments) -> None:
@@ -320,6 +364,7 @@ class ReviewPage:
             "u": self._undo,
             "b": partial(self._toggle, "boxes"),
             "o": partial(self._toggle, "originals"),
+            "p": self._play,
             "arrowright": partial(self._step, 1),
             "arrowleft": partial(self._step, -1),
             "escape": self._back,
@@ -335,12 +380,12 @@ def _with_unit(value: float | None, unit: str) -> str | None:
 
 def show_losses(run: OpenedRun) -> None:
     """Show the original objects that lost their labels, each with the reason and a link to its frame."""
-    found = [(n, row.id, loss) for n, row in enumerate(run.rows) for loss in row.removed]
+    found = [(row.id, loss) for row in run.rows for loss in row.removed]
     ui.html("<h2>Original labels that the run removed</h2>", sanitize=False)
     if not found:
         ui.label("No original object lost its label.")
         return
-    counts = Counter(str(loss.get("reason", "unknown")) for _, _, loss in found)
+    counts = Counter(str(loss.get("reason", "unknown")) for _, loss in found)
     for reason, count in counts.most_common():
         ui.label(f"{count} {_LOSSES.get(reason, reason)}")
     show_table(("Frame", "Class", "Reason", "Covered"), [_loss_cells(*one) for one in found[:_MOST_LOSSES]])
@@ -350,7 +395,8 @@ def show_losses(run: OpenedRun) -> None:
         )
 
 
-def _loss_cells(number: int, frame_id: str, loss: Mapping[str, Any]) -> list[str | tuple[str, str]]:
+def _loss_cells(frame_id: str, loss: Mapping[str, Any]) -> list[str | tuple[str, str]]:
     reason, share = str(loss.get("reason", "")), loss.get("covered_share")
     covered = f"{100 * share:.0f} %" if isinstance(share, int | float) else ""
-    return [(frame_id, f"/review?frame={number}"), str(loss.get("category", "")), _LOSSES.get(reason, reason), covered]
+    link = (frame_id, frame_address("/review", frame_id))
+    return [link, str(loss.get("category", "")), _LOSSES.get(reason, reason), covered]

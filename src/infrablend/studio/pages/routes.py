@@ -38,6 +38,26 @@ def add_run_routes(run: OpenedRun) -> None:
 
         return answered(answer, "application/json", {"cache-control": "no-store"})
 
+    @app.get("/run/sequences/{number}")
+    def sequence(number: int) -> Response:
+        def answer() -> bytes:
+            found, rows = run.sequences, run.rows
+            if not 0 <= number < len(found):
+                raise DatasetError(f"sequence {number}: no such sequence; the run has {len(found)}")
+            shown = found[number]
+            tracks = [
+                {
+                    "category": track.category, "id": track.id, "inserted": track.inserted,
+                    "at": [at for at, _ in track.boxes],
+                    "boxes": [[round(v, 2) for v in box] for _, box in track.boxes],
+                }
+                for track in shown.tracks
+            ]  # fmt: skip
+            frames = [(n, rows[n].id, rows[n].digest[:12]) for n in shown.frames]
+            return json.dumps({"frames": frames, "times": shown.times_s, "tracks": tracks}).encode()
+
+        return answered(answer, "application/json", {"cache-control": "no-store"})
+
     @app.get("/run/thumb/{number}.jpg")
     def thumbnail(number: int) -> Response:
         return answered(lambda: run.thumbnails.get(run.row(number)), "image/jpeg", KEEP)
