@@ -7,7 +7,7 @@ import inspect
 from pathlib import Path
 
 from infrablend.errors import Problem
-from infrablend.pipeline.plans import checks
+from infrablend.pipeline.plans import checks, times
 from infrablend.pipeline.runs import warnings
 from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.summary import MEANINGS, plain_summary
@@ -52,7 +52,7 @@ def test_a_run_without_anything_says_so() -> None:
 def test_every_warning_about_runs_has_a_meaning() -> None:
     """Codes are the second argument of `Problem`, or the first field of a table of reasons."""
     codes = {r.code for r in warnings._REASONS.values()} | {d[0] for d in warnings._DOUBTS.values()}
-    for module in (warnings, checks):
+    for module in (warnings, checks, times):
         for call in ast.walk(ast.parse(inspect.getsource(module))):
             if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "Problem" and len(call.args) == 6:
                 code = ast.unparse(call.args[1])

@@ -20,6 +20,8 @@ MEANINGS: Mapping[str, str] = {
     "objects may be too bright or too faint there.",
     "anchors-off": "People or cars in these pictures are brighter or darker than the weather of the recipe "
     "explains. Check whether it was as warm as the recipe says, and whether warm is bright.",
+    "capture-zone": "When some pictures were taken is not quite known, because their times have no time zone; so the sun "
+    "over them is a guess.",
     "form-partial": "The dataset's own label files do not all have the same pictures; one of them was used.",
     "frame-rate": "How fast the video runs is not known, so the speed of moving objects is a guess.",
     "gain-at-limit": "The estimated temperature scale of these pictures is as far as it may go, so inserted objects "
@@ -55,6 +57,7 @@ MEANINGS: Mapping[str, str] = {
     "Check the clock, its time zone and the place.",
     "sun-below-horizon": "The pictures are said to be of the day, but the sun was down at that time and place. "
     "Check the clock, its time zone and the place.",
+    "time-replaced": "The recipe states another time of day than the pictures; the recipe's was used.",
     "too-hidden": "Many objects were left out because too much of them would have been hidden.",
     "track-faint": "In some frames nobody can see an object whose track goes on; its label is there.",
     "untrusted-left-out": "Objects were left out where the temperature scale of the picture is doubtful.",
