@@ -20,8 +20,8 @@ MEANINGS: Mapping[str, str] = {
     "objects may be too bright or too faint there.",
     "anchors-off": "People or cars in these pictures are brighter or darker than the weather of the recipe "
     "explains. Check whether it was as warm as the recipe says, and whether warm is bright.",
-    "capture-zone": "When some pictures were taken is not quite known, because their times have no time zone; so the sun "
-    "over them is a guess.",
+    "capture-zone": "When some pictures were taken is not quite known, because their times have no time zone, so "
+    "the sun over them is a guess.",
     "form-partial": "The dataset's own label files do not all have the same pictures; one of them was used.",
     "frame-rate": "How fast the video runs is not known, so the speed of moving objects is a guess.",
     "gain-at-limit": "The estimated temperature scale of these pictures is as far as it may go, so inserted objects "
