@@ -1,6 +1,6 @@
-"""Measure the studio: `redraw DATA`, the picture after a change of a setting; `open RUN`, a run of many frames.
+"""Measure the studio: `redraw DATA`, after a change of a setting; `open RUN`, many frames; `play RUN`, a sequence.
 
-`open` needs Chromium and what `make tools` installs.
+`open` and `play` need Chromium and what `make tools` installs.
 """
 
 from __future__ import annotations
@@ -47,8 +47,12 @@ def main() -> None:
     opened = commands.add_parser("open", help="from the start of the studio to the pictures of a run in the browser")
     opened.add_argument("run", type=Path, help="run to repeat")
     opened.add_argument("--frames", type=int, default=10_000, help="frames of the run that is opened")
+    played = commands.add_parser("play", help="frames per second of the first sequence of a run")
+    played.add_argument("run", type=Path, help="run with tracks")
+    played.add_argument("--seconds", type=float, default=8.0)
+    played.add_argument("--speed", choices=("0.25", "0.5", "1", "2"), default="1")
     options = vars(parser.parse_args())
-    measure = {"redraw": measure_redraw, "open": measure_open}[options.pop("command")]
+    measure = {"redraw": measure_redraw, "open": measure_open, "play": measure_play}[options.pop("command")]
     load = os.getloadavg()[0]
     print(json.dumps({**measure(**options), "load": [round(load, 1), round(os.getloadavg()[0], 1)]}))
 
@@ -111,15 +115,9 @@ def _open(run: Path, cache: Path) -> dict[str, float]:
     `opened` is from the command to the pictures of the first screen: the start of the server, the page, and the
     thumbnails. Then the grid jumps to its end. `filters` come last: they need all records.
     """
-    from playwright.sync_api import sync_playwright
-
     command = [sys.executable, "-m", "infrablend", "-q", "studio", "--run", str(run), "--no-open"]
     environment = {**os.environ, "INFRABLEND_CACHE": str(cache)}
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
-        page.set_default_timeout(_WAIT_MS)
-        page.goto("about:blank")
+    with _browser_page() as page:
         watch = _Watch()
         with _started(command, environment) as (server, address):
             watch.note("server", server)
@@ -134,7 +132,6 @@ def _open(run: Path, cache: Path) -> dict[str, float]:
             watch.note("end", server)
             page.get_by_label("Sort by").first.wait_for()
             watch.note("filters", server)
-        browser.close()
     parts = ("server", "page", "thumbnails")
     opened = {
         f"opened_{unit}": round(sum(watch.noted[f"{p}_{unit}"] for p in parts), 2) for unit in ("s", "server_cpu_s")
@@ -145,6 +142,35 @@ def _open(run: Path, cache: Path) -> dict[str, float]:
 def _count(run: Path) -> int:
     with RunFolder(run).ledger() as ledger:
         return len(ledger.frame_ids())
+
+
+def measure_play(run: Path, seconds: float, speed: str) -> dict[str, Any]:
+    """Return the frames per second that a sequence is played at, and the CPU seconds of the server per second."""
+    command = [sys.executable, "-m", "infrablend", "-q", "studio", "--run", str(run), "--no-open"]
+    with _browser_page() as page, _started(command, dict(os.environ)) as (server, address):
+        page.goto(address)
+        page.goto(address.partition("/?")[0] + "/sequences")
+        page.locator(".player canvas").wait_for()
+        page.wait_for_load_state("networkidle")  # what it fetches before it plays
+        page.locator(".player select").select_option(speed)
+        at, used, start = page.locator(".player input[type=range]"), _cpu_seconds(server), time.perf_counter()
+        page.keyboard.press("Space")
+        time.sleep(seconds)
+        frames, took = int(at.input_value()), time.perf_counter() - start
+        return {"per_s": round(frames / took, 1), "server_cpu": round((_cpu_seconds(server) - used) / took, 2)}
+
+
+@contextmanager
+def _browser_page() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_context(viewport={"width": 1280, "height": 800}).new_page()
+        page.set_default_timeout(_WAIT_MS)
+        page.goto("about:blank")
+        yield page
+        browser.close()
 
 
 class _Watch:

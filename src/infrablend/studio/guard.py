@@ -28,6 +28,8 @@ _POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; base-uri 'self'; "
     "form-action 'self'; object-src 'none'"
 )
+# Of Starlette, when a browser has left the page before it had the answer.
+_LEFT = ("No response returned.",)
 _HEADERS = (
     (b"content-security-policy", _POLICY.encode()),
     (b"referrer-policy", b"no-referrer"),
@@ -72,7 +74,11 @@ class Guard:
             if scope["type"] == "http" and any(name == QUERY for name, _ in query):
                 await _redirect(scope, send, query, None)
                 return
-            await self._app(scope, receive, _with_headers(send))
+            try:
+                await self._app(scope, receive, _with_headers(send))
+            except RuntimeError as error:
+                if error.args != _LEFT:
+                    raise
         elif own and scope["type"] == "http" and self._matches(dict(query).get(QUERY, "")):
             await _redirect(scope, send, query, f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict")
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Any
 
 import pytest
@@ -86,3 +87,15 @@ def test_other_machines_are_let_in_only_on_request() -> None:
         with pytest.raises(ArgumentError, match="--yes-expose"):
             Address(host)
         assert Address(host, expose=True).host == host
+
+
+@pytest.mark.parametrize("message", ["No response returned.", "a fault"])
+def test_a_browser_that_leaves_before_the_answer_is_no_fault(message: str) -> None:
+    async def left(scope: Any, receive: Any, send: Any) -> None:
+        raise RuntimeError(message)
+
+    guard = Guard(left, PORT)
+    headers = [(b"host", b"localhost"), (b"cookie", cookie(guard.token).encode())]
+    call = guard({"type": "http", "path": "/", "query_string": b"", "headers": headers}, None, None)  # type: ignore[arg-type]
+    with contextlib.nullcontext() if message.startswith("No response") else pytest.raises(RuntimeError, match=message):
+        asyncio.run(call)  # type: ignore[arg-type]

@@ -111,7 +111,8 @@ export default {
       const { top = 0, focused = 0 } = history.state || {};
       const box = this.$refs.box;
       box.scrollTop = this.top = top;
-      if (box.clientHeight && document.activeElement === document.body) this.focus(this.isVisible(focused) ? focused : this.first());
+      if (!box.clientHeight || document.activeElement !== document.body) return;
+      this.focus(this.isVisible(focused) ? focused : this.first());
     },
     scrolled() {
       if (!this.$refs.box.clientHeight) return; // hidden by a frame

@@ -27,21 +27,25 @@ export default {
         <a :href="'/review?frame=' + id">Review this frame</a>
         <span class="player-time">{{ at + 1 }} of {{ count }}, {{ sequence.times[at].toFixed(2) }} s</span>
       </div>
-      <div class="timeline">
-        <span class="faint">Frame</span>
-        <div class="timeline-ruler">
-          <input type="range" min="0" :max="count - 1" :value="at" aria-label="Frame" :aria-valuetext="id"
-                 @input="seek(+$event.target.value)">
+      <div class="timeline-scroll">
+        <div class="timeline">
+          <span class="faint">Frame</span>
+          <div class="timeline-ruler">
+            <input type="range" min="0" :max="count - 1" :value="at" aria-label="Frame" :aria-valuetext="id"
+                   @input="seek(+$event.target.value)">
+          </div>
+          <template v-for="t in sequence.tracks">
+            <button type="button" :title="t.title" :aria-label="t.title" @mousedown.prevent @click="seek(t.at[0])">
+              {{ t.category }} {{ t.id }}<span v-if="!t.inserted" class="faint"> original</span></button>
+            <svg class="timeline-bar" :class="{ original: !t.inserted }" :viewBox="'0 0 ' + count + ' 1'" aria-hidden="true"
+                 preserveAspectRatio="none" @pointerdown.prevent="grab" @pointermove="drag">
+              <rect v-for="[from, to] in t.spans" :x="from" :width="to + 1 - from" height="1"></rect>
+            </svg>
+          </template>
+          <div class="timeline-now" aria-hidden="true">
+            <span :style="{ left: (100 * (at + 0.5)) / count + '%' }"></span>
+          </div>
         </div>
-        <template v-for="t in sequence.tracks">
-          <button type="button" :title="t.title" :aria-label="t.title" @mousedown.prevent @click="seek(t.at[0])">
-            {{ t.category }} {{ t.id }}<span v-if="!t.inserted" class="faint"> original</span></button>
-          <svg class="timeline-bar" :class="{ original: !t.inserted }" :viewBox="'0 0 ' + count + ' 1'" aria-hidden="true"
-               preserveAspectRatio="none" @pointerdown.prevent="grab" @pointermove="drag">
-            <rect v-for="[from, to] in t.spans" :x="from" :width="to + 1 - from" height="1"></rect>
-          </svg>
-        </template>
-        <div class="timeline-now" aria-hidden="true"><span :style="{ left: (100 * (at + 0.5)) / count + '%' }"></span></div>
       </div>
     </section>
     <p v-else-if="!problem" class="faint">Reading the sequence...</p>`,
@@ -153,7 +157,8 @@ export default {
       }
       const underway = [...this.pictures.values()].filter((p) => !p).length;
       const due = Array.from({ length: AHEAD }, (_, k) => this.wanted + k);
-      due.filter((at) => at < this.count && !this.pictures.has(at)).slice(0, AT_ONCE - underway).forEach((at) => this.load(at));
+      const missing = due.filter((at) => at < this.count && !this.pictures.has(at));
+      missing.slice(0, AT_ONCE - underway).forEach((at) => this.load(at));
     },
     draw(picture, canvas) {
       if (canvas.width !== picture.width || canvas.height !== picture.height) {
