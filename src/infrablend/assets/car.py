@@ -84,8 +84,10 @@ _GROUND_K = (0.0, 4.0)
 SHADOW = "ground_shadow"
 _SHADOW_K = (-1.0, 3.0)
 _SHADOW_OPACITY = 0.6
-# A long shadow moves by its own width within the hour, and the low sun hardly warms what lies beside it.
-_LONG_SHADOW_OPACITY = 0.25
+# A long shadow at dusk moves by its own width within the hour, and the low sun hardly warms what lies beside it. At
+# dawn there is none: the ground has the temperature of the night inside and outside (est.).
+_DUSK_SHADOW_K = (-1.0, 0.5)
+_DUSK_SHADOW_OPACITY = 0.25
 
 # Clear night, parked for hours: surfaces that face the sky are below air temperature, a roof by 8.5 K without wind and
 # by 4 K at 3 m/s (energy balance). The middle of that range is drawn: the middle of HIT-UAV's median car is 46 +- 12
@@ -166,7 +168,7 @@ def parts_for(params: Params) -> dict[str, PartRange]:
         assert role.sun is not None
         roles[part] = replace(role, delta_t_k=delta, sun=replace(role.sun, shade_k=delta))
     if SHADOW in roles:
-        roles[SHADOW] = replace(roles[SHADOW], opacity=_LONG_SHADOW_OPACITY)
+        roles[SHADOW] = replace(roles[SHADOW], delta_t_k=_DUSK_SHADOW_K, opacity=_DUSK_SHADOW_OPACITY)
     return roles
 
 
@@ -825,7 +827,9 @@ def _ground_rings(half_x_m: float, half_y_m: float) -> Piece:
 
 
 def _casts_shadow(params: Params) -> bool:
-    return bool(params["state"] == "day_sun" or (params["state"] == "parked_cold" and "time_of_day" in params))
+    if params.get("time_of_day") is None:
+        return bool(params["state"] == "day_sun")
+    return params["time_of_day"] == "dusk" and params["state"] in ("day_sun", "parked_cold")
 
 
 def _ground_shadow(vertices: FloatArray, shift_xy: ArrayLike) -> Piece:

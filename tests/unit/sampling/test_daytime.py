@@ -1,5 +1,6 @@
 """Scenes at dusk and dawn, and under closed clouds."""
 
+import itertools
 import math
 from dataclasses import replace
 from typing import Any
@@ -129,8 +130,8 @@ def test_drones_keep_their_own_heat() -> None:
 
 def test_a_car_at_dusk_throws_a_faint_shadow_while_the_sun_is_up() -> None:
     shadows = set()
-    for seed in range(16):
-        found = scene("car", "dusk", "objects.0.options={state: [parked_cold]}", seed=seed)
+    for seed, time in itertools.product(range(12), ("dusk", "dawn")):
+        found = scene("car", time, "objects.0.options={state: [parked_cold]}", seed=seed)
         assert found.spec.weather is not None and found.spec.weather.sun is not None
         up = found.spec.weather.sun.direct_w_m2 > 0
         for o in found.spec.objects:
