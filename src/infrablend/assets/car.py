@@ -161,12 +161,16 @@ def parts_for(params: Params) -> dict[str, PartRange]:
     roles = at_low_sun(night, day, time)
     for part in _STORES:
         at_night, role = night[part].delta_t_k, roles[part]
+        by_day = day[part].sun
+        assert role.sun is not None and by_day is not None
         if time == "dusk":
             delta = between(at_night, day[part].delta_t_k, STORED_SHARE[time])
+            overcast = between(at_night, by_day.shade_k, STORED_SHARE[time])
         else:
-            delta = between(at_night, (0.0, 0.0), _AT_DAWN if _BY_NIGHT.get(state, state) == "parked_cold" else 0.0)
-        assert role.sun is not None
-        roles[part] = replace(role, delta_t_k=delta, sun=replace(role.sun, shade_k=delta))
+            parked = _BY_NIGHT.get(state, state) == "parked_cold"
+            delta = overcast = between(at_night, (0.0, 0.0), _AT_DAWN if parked else 0.0)
+        sun = replace(role.sun, shade_k=delta, overcast_k=overcast)
+        roles[part] = replace(role, delta_t_k=delta, sun=sun)
     if SHADOW in roles:
         roles[SHADOW] = replace(roles[SHADOW], delta_t_k=_DUSK_SHADOW_K, opacity=_DUSK_SHADOW_OPACITY)
     return roles

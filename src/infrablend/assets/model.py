@@ -37,8 +37,7 @@ class SunResponse:
         shade_k: (low, high) surface minus air temperature without sunlight.
         rise_k: (low, high) rise by an irradiance of 1 kW/m², kelvin.
         surface: Name shared by the parts of one surface (a garment, a coat of paint), which absorb the same share.
-        overcast_k: The same as `shade_k` under a closed cloud cover, which does not cool as a clear sky does; None for
-            a part with no temperature of its own there.
+        overcast_k: The same as `shade_k` under a closed cloud cover, where that differs.
     """
 
     shade_k: Range

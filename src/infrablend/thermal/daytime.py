@@ -42,9 +42,8 @@ def time_of_sun(when: datetime, latitude_deg: float, longitude_deg: float) -> Ti
     if math.sin(azimuth) >= 0:  # east of the meridian
         return "dawn"
     latitude = math.radians(latitude_deg)
-    declination = math.asin(
-        math.sin(elevation) * math.sin(latitude) + math.cos(elevation) * math.cos(latitude) * math.cos(azimuth)
-    )
+    north = math.sin(elevation) * math.sin(latitude) + math.cos(elevation) * math.cos(latitude) * math.cos(azimuth)
+    declination = math.asin(max(-1.0, min(1.0, north)))
     return "dusk" if math.pi / 2 - abs(latitude - declination) > high else "dawn"
 
 

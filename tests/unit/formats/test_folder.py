@@ -124,7 +124,7 @@ def test_tables_give_pitch_and_altitude(tmp_path: Path) -> None:
     for name in ("a.png", "b.png", "c.png", "0_60_30_0_00001.png"):
         picture(tmp_path / name)
     rows = ["file,pitch_deg,altitude_m,time_of_day", "a.png,35.5,80,night", "0_60_30_0_00001.png,40,,", "z.png,1,1,"]
-    rows += ["b.png,nan,3,", "a.png,1,1,day", "c.png,-12,,dusk"]
+    rows += ["b.png,nan,3,", "a.png,1,1,day", "c.png,-12,,noon"]
     (tmp_path / "metadata.csv").write_text("\n".join(rows))
     d = detection.read(tmp_path)
     by_id = {i.id: i for i in d.images}

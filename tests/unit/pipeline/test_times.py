@@ -13,6 +13,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import Problem
+from infrablend.formats.flight import time_of_day
 from infrablend.pipeline.plans.request import RunRequest
 from infrablend.pipeline.plans.times import time_warnings, with_used_times
 from infrablend.pipeline.runs.generate import describe_run, prepare_run
@@ -94,3 +95,12 @@ def test_the_artistic_look_has_no_time_of_day(name: str) -> None:
     image = ImageRecord("a", Path("a.png"), "train", (640, 512), (), Capture(time_of_day="night"))
     dataset = Dataset(Path(), "folder", (), (image,))
     assert with_used_times(dataset, recipe) is dataset and time_warnings(recipe, (image,), (image,)) == []
+
+
+def test_pictures_with_a_position_have_the_time_of_the_sun() -> None:
+    place = 25.0, 102.7
+    for clock, expected in (("08:20", "dawn"), ("13:00", "day"), ("18:20", "dusk"), ("23:00", "night")):
+        assert time_of_day(f"2021-01-16T{clock}:00+08:00", *place) == expected
+    # Without a zone, the clock may be two hours off.
+    found = [time_of_day(f"2021-01-16T{clock}:00", *place) for clock in ("13:00", "18:20", "23:30")]
+    assert found == ["day", None, "night"]

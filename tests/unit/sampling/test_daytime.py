@@ -114,6 +114,14 @@ def test_under_closed_clouds_nothing_is_much_colder_than_the_air() -> None:
     assert mean("car", "night", "roof", parked, stated, "environment.overcast_share=1") == pytest.approx(-6)
 
 
+def test_tyres_are_hardly_warm_at_dusk_if_the_day_was_overcast() -> None:
+    parked = "objects.0.options={state: [parked_cold]}"
+    clear, overcast = (
+        mean("car", "dusk", "tyre", parked, f"environment.overcast_share={k}", sun=False) for k in (0, 1)
+    )
+    assert clear > overcast + 2 > 2
+
+
 def test_people_keep_their_heat_under_closed_clouds() -> None:
     """By day in the shade of a clear sky, clothes keep half of it at most."""
     night, overcast, clear = (
