@@ -29,11 +29,20 @@ from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pictures import enlarged, with_originals
+from infrablend.studio.pictures import cached_thumbnail, enlarged, with_originals
 from infrablend.studio.request import StudioRequest
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240
+_WHY = {
+    "no_place": "no place was found where it fits",
+    "no_ground": "no ground in this background suits it",
+    "no_horizon": "no horizon was found in this background",
+    "behind_camera": "its place is behind the camera",
+    "min_visibility": "too little of it would be visible",
+    "too_hidden": "structures of the background hide too much of it",
+    "low_contrast": "its contrast with the background is too low",
+}
 FIRST_RECIPE = "hit-uav-drone-physical"
 """Recipe to tune where neither a recipe nor a run is given."""
 
@@ -100,12 +109,35 @@ class Tuned:
             found.append(lines)
         return found
 
+    def left_out(self) -> dict[int, str]:
+        """Return which objects of the frame are not in its picture, and why, in words, by their numbers."""
+        scene = self.trial.frame.scene
+        if scene is None:
+            return {}
+        counts, objects = scene.draws.get("wanted_by_kind", {}), self.recipe.objects
+        names = [
+            kind.category or load_model(kind.model).category
+            for k, kind in enumerate(objects)
+            for _ in range(counts.get(str(k), 0))
+        ]
+        rejected = sorted(scene.draws.get("rejected", {}).items(), key=lambda item: (-item[1], item[0]))[:2]
+        most = " and ".join(f"{count} {why.replace('_', ' ')}" for why, count in rejected)
+        found = {}
+        for number, reason in sorted(scene.left_out.items()):
+            name = f", {names[number]}" if number < len(names) else ""
+            why = _WHY.get(reason, reason.replace("_", " "))
+            if reason == "no_place" and most:
+                why += f" (of the frame's {scene.draws['attempts']} draws, {most})"
+            found[number] = f"Object {number + 1}{name}, was left out: {why}."
+        return found
+
     def remarks(self) -> list[str]:
         """Return what the picture rests on, in words: gain, absent objects, lost labels, warnings."""
         record = self.trial.frame.record
         found = gain_words(record.facts.get("matching") or {})
         absent = {} if record.scene is None else record.scene.draws.get("absent", {})
-        found += [f"{count} not inserted: {str(why).replace('_', ' ')}" for why, count in sorted(absent.items())]
+        if record.scene is None or not record.scene.left_out:  # otherwise, `left_out` names them
+            found += [f"{count} not inserted: {str(why).replace('_', ' ')}" for why, count in sorted(absent.items())]
         if record.removed:
             found.append(f"{len(record.removed)} original label(s) removed")
         return [*found, *(str(p) for p in self.trial.problems)]
@@ -116,6 +148,7 @@ class Tuning:
 
     Attributes:
         recipe: Name or path of the recipe at the start.
+        name: Its own name.
         data: Folder of the backgrounds.
         seed: Seed of the frames.
         backgrounds: All backgrounds, in the order of the dataset.
@@ -135,6 +168,7 @@ class Tuning:
         self._trials = Trials(request)
         try:
             start = read_recipe(request.recipe).recipe
+            self.name = start.name
             dataset = detection.read(request.data, reading_for(start, request.reading, request.data))
             self.backgrounds: tuple[ImageRecord, ...] = dataset.images
             self.ignored = frozenset(c.name for c in dataset.categories if c.ignore)
@@ -160,15 +194,30 @@ class Tuning:
         """
         return read_recipe(recipe, settings).recipe
 
-    def compose(self, recipe: str, settings: Mapping[str, Any], background: ImageRecord) -> Tuned:
-        """Return the first frame of a background.
+    def number_of(self, name: str) -> int | None:
+        """Return the number of the background `<split>/<id>`; None if there is none."""
+        return next((n for n, i in enumerate(self.backgrounds) if f"{i.split}/{i.id}" == name), None)
+
+    def thumbnail(self, number: int) -> bytes:
+        """Return a small JPEG of a background, from the user's cache folder if its file has not changed.
+
+        Raises:
+            DatasetError: There is no such background, or it cannot be read.
+        """
+        path = real_path(self.background(number).path)
+        return cached_thumbnail(path, lambda: decode_picture(path, "a background"))
+
+    def compose(
+        self, recipe: str, settings: Mapping[str, Any], background: ImageRecord, configuration: int = 0
+    ) -> Tuned:
+        """Return a frame of a background.
 
         Raises:
             InfraBlendError: The recipe or the background cannot be used.
         """
         with self._lock:
             checked = self.read(recipe, settings)
-            frame = f"{background.split}/{background.id}"
+            frame = f"{background.split}/{background.id}_c{configuration}"
             trial = self._trials.again(recipe=recipe, settings=dict(settings), frame=frame)
             return Tuned(checked, trial, background)
 
@@ -190,8 +239,8 @@ class Tuning:
             return None
         return _crop(to_rgb(decode_picture(real_path(best[1].path), "a background")), best[2])
 
-    def save(self, recipe: Recipe, path: Path, frame_id: str) -> str:
-        """Write a recipe as YAML; return the command that gives the frame from the shell.
+    def save(self, recipe: Recipe, path: Path, frame_id: str) -> tuple[Path, str]:
+        """Write a recipe as YAML; return its whole path, and the command that gives the frame from the shell.
 
         Raises:
             ArgumentError: The name does not end in .yaml.
@@ -208,7 +257,7 @@ class Tuning:
         reading = asdict(self._reading)
         if self._reading.metadata is not None:
             reading["metadata"] = Path(self._reading.metadata).resolve()
-        return shlex.join(str(w) for w in (*words, *reading_words(reading)))
+        return path, shlex.join(str(w) for w in (*words, *reading_words(reading)))
 
     def close(self) -> None:
         """End the renderer."""
