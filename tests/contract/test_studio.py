@@ -23,6 +23,7 @@ from tests.studio_runs import frame_record, write_run
 from tests.unit.studio.test_results import REALISM
 
 from infrablend import api
+from infrablend.config.loading import load_recipe
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.runs.review import Verdict, read_verdicts
 
@@ -330,6 +331,45 @@ def test_all_wrong_fields_are_marked_in_their_places(
         assert not (tmp_path / "hit-uav-drone-tuned.yaml").exists()
         assert serious_issues(page) == []
         assert opened.errors == []
+
+
+def test_options_are_chosen_from_lists_and_a_run_is_made(
+    chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-drone", data, run, limit=1, execution=flat)
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/tune")
+        page.locator("img.picture[src]").wait_for()
+        page.get_by_role("combobox", name="model").click()
+        page.wait_for_function("() => document.querySelectorAll('.q-menu .tune-model').length > 3")
+        page.get_by_role("option", name="deer", exact=True).click()
+        page.get_by_role("button", name="options of deer").click()
+        page.get_by_role("combobox", name="pose").click()
+        for pose in ("walking", "lying"):
+            page.get_by_role("option", name=pose, exact=True).click()
+        page.keyboard.press("Escape")
+        page.get_by_label("weight of walking", exact=True).fill("3")
+        page.get_by_role("button", name="temperatures of deer").click()
+        page.get_by_label("belly, K, from", exact=True).fill("4")
+        page.get_by_label("shoulder height m, from", exact=True).fill("90")
+        page.locator(".q-field--error", has_text="90").first.wait_for()
+        page.get_by_label("shoulder height m, from", exact=True).fill("")
+        page.get_by_role("status").get_by_text("last valid recipe").wait_for(state="hidden")
+        page.get_by_label("Output folder", exact=True).fill("made")
+        page.get_by_label("Pictures at most, empty for all", exact=True).fill("1")
+        page.get_by_role("button", name="Save and generate").click()
+        page.get_by_text("Done. Review it with").wait_for()
+        assert serious_issues(page) == []
+        assert opened.errors == []
+    saved = (tmp_path / "hit-uav-drone-tuned.yaml").read_text()
+    (kind,) = load_recipe(tmp_path / "hit-uav-drone-tuned.yaml").objects
+    assert kind.model == "deer", saved
+    assert kind.options == {"pose": {"walking": 3.0, "lying": 1.0}}
+    assert kind.parts["belly"].delta_t_k == (4.0, 4.0)
+    assert (tmp_path / "made/run.json").is_file()
 
 
 def test_a_mask_is_painted_over_a_map(chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:

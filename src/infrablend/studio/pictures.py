@@ -67,8 +67,13 @@ def cached_thumbnail(path: Path, read: Callable[[], NDArray[Any]]) -> bytes:
         state = path.stat()
     except OSError:  # `read` says what is wrong
         return _jpeg(to_rgb(read()), ())
-    marks = f"{_VERSION} {path} {state.st_mtime_ns} {state.st_size}".encode(errors="surrogateescape")
-    cached = cache_folder() / "studio" / "backgrounds" / f"{hashlib.sha256(marks).hexdigest()[:32]}.jpg"
+    return cached_picture("backgrounds", f"{path} {state.st_mtime_ns} {state.st_size}", read)
+
+
+def cached_picture(folder: str, marks: str, read: Callable[[], NDArray[Any]]) -> bytes:
+    """Return a small JPEG of what `read` returns, from a folder of the user's cache folder under its marks."""
+    name = hashlib.sha256(f"{_VERSION} {marks}".encode(errors="surrogateescape")).hexdigest()[:32]
+    cached = cache_folder() / "studio" / folder / f"{name}.jpg"
     try:
         return read_regular(cached)
     except (OSError, ValueError):

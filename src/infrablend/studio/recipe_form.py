@@ -15,12 +15,13 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.scene import ObjectSpec, SceneSpec
 from infrablend.core.yaml_text import read_yaml
 
-Kind = Literal["switch", "choice", "number", "whole", "range", "yaml"]
+Kind = Literal["switch", "choice", "number", "whole", "range", "yaml", "model", "options", "parts"]
 
 SECTIONS = ("objects", "placement", "camera", "environment", "appearance", "matching", "sensor", "overlay", "occlusion",
             "render", "labels")  # fmt: skip
 """Sections that change a picture or its labels, in the order of the form."""
 
+_OF_MODELS: Mapping[str, Kind] = {"model": "model", "options": "options", "parts": "parts"}
 _UNITS = {
     "deg": "\u00b0", "m": "m", "mm": "mm", "k": "K", "c": "\u00b0C", "px": "px", "grey": "grey levels",
     "grey_per_k": "grey levels per K",
@@ -53,7 +54,7 @@ class FormField:
     def read(self, given: Any) -> Any:
         """Return what a browser sent as a value for the recipe; `ValueError` for text that is not YAML."""
         if self.kind == "yaml":
-            return read_yaml(str(given))
+            return read_yaml(str(given)) if str(given).strip() else None
         if self.kind == "range":
             return [float(v) for v in given]
         if self.kind == "whole":
@@ -63,7 +64,7 @@ class FormField:
     @property
     def shown(self) -> Any:
         """The value as the input shows it."""
-        return json.dumps(self.value) if self.kind == "yaml" else self.value
+        return self.value if self.kind != "yaml" else "" if self.value is None else json.dumps(self.value)
 
 
 def form_of(recipe: Recipe) -> dict[str, list[FormField]]:
@@ -113,6 +114,9 @@ def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormFie
 
 
 def _kind(key: str, about: Mapping[str, Any], value: Any) -> tuple[Kind, float | None, float | None, tuple[str, ...]]:
+    section, _, last = key.partition(".")
+    if section == "objects" and (own := _OF_MODELS.get(last.partition(".")[2])) is not None:
+        return own, None, None, ()
     if key in CHOICES:
         return "choice", None, None, CHOICES[key]
     kind = about.get("type")

@@ -13,14 +13,16 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from infrablend.assets.catalogue import load_model
+from infrablend import __version__
+from infrablend.assets.catalogue import list_models, load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.core.typed_command import reading_words
-from infrablend.errors import ArgumentError, DatasetError, OutputError
+from infrablend.engine.turntable import draw_model
+from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_words, how_visible
@@ -28,8 +30,10 @@ from infrablend.pipeline.plans.planning import reading_for
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
+from infrablend.studio.generation import Generation
+from infrablend.studio.object_form import model_problems
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pictures import cached_thumbnail, enlarged, with_originals
+from infrablend.studio.pictures import cached_picture, cached_thumbnail, enlarged, with_originals
 from infrablend.studio.request import StudioRequest
 from infrablend.thermal.radiometry import ZERO_C_K
 
@@ -153,6 +157,7 @@ class Tuning:
         seed: Seed of the frames.
         backgrounds: All backgrounds, in the order of the dataset.
         ignored: Names of the categories that mark ignore regions.
+        generation: The run that was started last; None if none was.
     """
 
     def __init__(self, request: TrialRequest) -> None:
@@ -163,8 +168,9 @@ class Tuning:
         """
         self.recipe, self.data, self.seed = str(request.recipe), Path(request.data), request.seed
         self._reading = request.reading
-        self._lock = threading.Lock()
+        self._lock, self._drawing = threading.Lock(), threading.Lock()
         self._saved: set[Path] = set()
+        self.generation: Generation | None = None
         self._trials = Trials(request)
         try:
             start = read_recipe(request.recipe).recipe
@@ -192,7 +198,22 @@ class Tuning:
         Raises:
             RecipeError: With every wrong field.
         """
-        return read_recipe(recipe, settings).recipe
+        made = read_recipe(recipe, settings).recipe
+        if problems := model_problems(made):
+            raise RecipeError(f"recipe {made.name}: {len(problems)} field(s) are wrong", problems)
+        return made
+
+    def model_picture(self, name: str) -> bytes:
+        """Return a picture of a shipped model as a JPEG, drawn once and then taken from the user's cache folder.
+
+        Raises:
+            DatasetError: No such model is shipped.
+            InfraBlendError: It cannot be drawn.
+        """
+        if name not in list_models():
+            raise DatasetError(f"model {name!r}: no such model; expected one of {', '.join(list_models())}")
+        with self._drawing:
+            return cached_picture("models", f"{__version__} {name}", lambda: draw_model(name))
 
     def number_of(self, name: str) -> int | None:
         """Return the number of the background `<split>/<id>`; None if there is none."""
@@ -253,14 +274,32 @@ class Tuning:
             raise OutputError(f"{path}: exists already, and was not saved by this studio; give another name")
         write_text(path, _to_yaml(recipe))
         self._saved.add(path)
-        words = ["infrablend", "try", path, "--data", self.data.resolve(), "--frame", frame_id, "--seed", self.seed]
+        return path, shlex.join(["infrablend", "try", str(path), *self._words(), "--frame", frame_id])
+
+    def generate(self, recipe: Path, out: Path, *, limit: int | None, resume: bool) -> Generation:
+        """Start the run of a saved recipe on all backgrounds, or of the first `limit` ones.
+
+        Raises:
+            ArgumentError: One is being made.
+        """
+        if self.generation is not None and self.generation.is_running:
+            raise ArgumentError(f"{self.generation.out}: is being made; stop it first, or wait for its end")
+        words = ["generate", str(recipe), *self._words(), "--out", str(out)]
+        words += [] if limit is None else ["--limit", str(limit)]
+        self.generation = Generation([*words, *(["--resume"] if resume else [])], out)
+        return self.generation
+
+    def _words(self) -> list[str]:
+        """Return the options that name the backgrounds, how to read them, and the seed."""
         reading = asdict(self._reading)
         if self._reading.metadata is not None:
             reading["metadata"] = Path(self._reading.metadata).resolve()
-        return path, shlex.join(str(w) for w in (*words, *reading_words(reading)))
+        return ["--data", str(self.data.resolve()), "--seed", str(self.seed), *reading_words(reading)]
 
     def close(self) -> None:
-        """End the renderer."""
+        """End the renderer, and stop the run that is being made."""
+        if self.generation is not None:
+            self.generation.close()
         self._trials.close()
 
 

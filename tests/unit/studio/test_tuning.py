@@ -84,8 +84,8 @@ def test_a_saved_recipe_gives_the_bytes_of_the_picture(tuning: Tuning, data: Pat
     saved, words = tuning.save(tuned.recipe, path, frame.id)
     command = shlex.split(words)
     assert saved == path.resolve()
-    assert command == ["infrablend", "try", str(path), "--data", str(data), "--frame", frame.id, "--seed", "3"]
-    again = api.try_recipe(command[2], command[4], command[6], seed=int(command[8]), execution=FLAT)
+    assert command == ["infrablend", "try", str(path), "--data", str(data), "--seed", "3", "--frame", frame.id]
+    again = api.try_recipe(command[2], command[4], command[8], seed=int(command[6]), execution=FLAT)
     assert again.frame.image_bytes == frame.image_bytes
     plain = tuning.compose(RECIPE, {}, background).trial.frame
     assert plain.image_bytes != frame.image_bytes
@@ -105,7 +105,7 @@ def test_the_command_of_a_saved_recipe_reads_the_backgrounds_in_the_same_way(
     command = shlex.split(tuning.save(tuning.read(RECIPE, {}), Path("a.yaml"), frame.id)[1])
     tuning.close()
     assert frame.image.capture.pitch_deg == 85
-    assert command[9:] == ["--format", "folder", "--metadata", str(tmp_path / "table.csv")]
+    assert command[7:-2] == ["--format", "folder", "--metadata", str(tmp_path / "table.csv")]
 
 
 def test_a_recipe_is_saved_over_nothing_of_others(tuning: Tuning, tmp_path: Path) -> None:

@@ -64,8 +64,12 @@ def answered(make: Callable[[], bytes], media_type: str, headers: dict[str, str]
 
 
 def add_tune_routes(open_tuning: Callable[[], Tuning]) -> Pictures:
-    """Add the routes of the pictures and of the backgrounds' thumbnails; return where to put the pictures."""
+    """Add the routes of the pictures and of small ones of models and backgrounds; return where to put the pictures."""
     pictures: Pictures = OrderedDict()
+
+    @app.get("/tune/model/{name}.jpg")
+    def model(name: str) -> Response:
+        return answered(lambda: open_tuning().model_picture(name), "image/jpeg", KEEP)
 
     @app.get("/tune/background/{number}.jpg")
     def background(number: int) -> Response:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError, Problem
 from infrablend.report.preview import Rgb
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
+from infrablend.studio.pages.object_inputs import Input, show_models, show_options, show_parts
 from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.pictures import to_png
 from infrablend.studio.places import Legend, paint, show_places, show_surfaces
@@ -68,21 +69,6 @@ class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
         self.update()
 
 
-@dataclass
-class _Input:
-    """A field of the form.
-
-    Attributes:
-        parts: Parts of the form that it is in.
-        shown: Its inputs.
-        marked: What is wrong, as it shows; empty for nothing.
-    """
-
-    parts: Sequence[Any]
-    shown: Sequence[Any]
-    marked: str = ""
-
-
 class TunePage:
     """The tuning in one browser tab."""
 
@@ -100,7 +86,7 @@ class TunePage:
         self._busy = False
         self._unread: dict[str, str] = {}
         self._problems: tuple[Problem, ...] = ()
-        self._inputs: dict[str, _Input] = {}
+        self._inputs: dict[str, Input] = {}
         with ui.element("div").classes("tune-view"):
             with ui.element("section").props('aria-label="Backgrounds"').classes("studio-card tune-backgrounds"):
                 self._build_backgrounds()
@@ -364,6 +350,53 @@ class TunePage:
         ui.label(f"Names without a folder are in {Path.cwd()}").classes("faint tune-help tune-path")
         ui.button("Save recipe", on_click=self._save).props("no-caps outline")
         self._saved = ui.label().classes("tune-command").props("role=status")
+        self._build_generate()
+
+    def _build_generate(self) -> None:
+        """Build what starts and shows a run; one that another tab has started is shown, too."""
+        ui.html("<h3>Generate</h3>", sanitize=False)
+        out = ui.input("Output folder", value=f"runs/{self._tuning.name}-tuned").props("dense outlined")
+        most = ui.number("Pictures at most, empty for all", min=1, precision=0).props("dense outlined")
+        resume = ui.switch("Resume a stopped run")
+        for made in (out, most):
+            made.classes("w-full tune-field")
+
+        async def start() -> None:
+            recipe = await self._save()
+            if recipe is None:
+                return
+            try:
+                limit = None if most.value is None else int(most.value)
+                folder = Path(out.value or "run").absolute()
+                self._tuning.generate(recipe, folder, limit=limit, resume=bool(resume.value))
+            except InfraBlendError as error:
+                tell(error)
+            look()
+
+        def stop() -> None:
+            if self._tuning.generation is not None:
+                self._tuning.generation.stop()
+
+        with ui.element("div").classes("studio-row"):
+            starts = ui.button("Save and generate", on_click=start).props("no-caps outline")
+            stops = ui.button("Stop", on_click=stop).props("no-caps outline")
+        bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Finished frames" instant-feedback')
+        state = ui.label().classes("tune-command").props("role=status")
+        said = ui.label().classes("tune-command faint")
+
+        def look() -> None:
+            run_made = self._tuning.generation
+            running = run_made is not None and run_made.is_running
+            starts.set_enabled(not running)
+            stops.set_visibility(running)
+            bar.set_visibility(running)
+            if run_made is not None:
+                bar.value = run_made.done / max(1, run_made.total)
+                state.set_text(run_made.state)
+                said.set_text("\n".join(run_made.lines))
+
+        look()
+        ui.timer(0.5, look)
 
     def _fill_form(self) -> None:
         try:
@@ -384,11 +417,17 @@ class TunePage:
     def _build_field(self, field: FormField, part: Any) -> None:
         title = f"{field.title}, {field.unit}" if field.unit else field.title
         with ui.element("div").classes("tune-field"):
-            if field.kind == "range":
-                self._inputs[field.key] = _Input((part,), self._build_range(field, title))
+            if field.kind == "model":
+                self._inputs[field.key] = Input((part,), show_models(title, field.value, self._change_model(field.key)))
+            elif field.kind in ("options", "parts"):
+                show = show_options if field.kind == "options" else show_parts
+                model = str(self._inputs[field.key.rpartition(".")[0] + ".model"].shown[0].value)
+                self._inputs |= show(field, model, part, self._unread, lambda value: self._set(field, value))
+            elif field.kind == "range":
+                self._inputs[field.key] = Input((part,), self._build_range(field, title))
             else:
                 made = self._build_input(field, title).classes("w-full")
-                self._inputs[field.key] = _Input((part,), (made,))
+                self._inputs[field.key] = Input((part,), (made,))
                 made.on_value_change(lambda e: self._set(field, e.value))
             if field.help:
                 ui.label(field.help).classes("faint tune-help")
@@ -448,6 +487,17 @@ class TunePage:
             return
         self._settings = fitting(settings, modes_of(data.model_dump(mode="json")))
         self._fill_form()
+
+    def _change_model(self, key: str) -> Callable[[str], None]:
+        """Return what changes the model of an object: the options and the parts of another mean nothing to it."""
+
+        def change(name: str) -> None:
+            of = key.rpartition(".")[0]
+            self._settings |= {key: name, f"{of}.options": {}, f"{of}.parts": {}}
+            self._fill_form()
+            self._request()
+
+        return change
 
     def _start_from(self, name: str) -> None:
         self._recipe, self._settings = name, {}
