@@ -23,6 +23,7 @@ from tests.studio_runs import frame_record, write_run, write_sequence
 from tests.unit.studio.test_results import REALISM
 
 from infrablend import api
+from infrablend.config.loading import load_recipe
 from infrablend.pipeline.plans.request import Execution
 from infrablend.pipeline.runs.review import Verdict, read_verdicts
 
@@ -365,7 +366,7 @@ def test_a_run_alone_can_be_tuned_or_says_what_is_missing(
             page.get_by_role("link", name="Tune").click()
             if words is None:
                 page.locator("img.picture[src]").wait_for()
-                assert page.get_by_label("File", exact=True).input_value() == "run-tuned.yaml"
+                assert page.get_by_label("File", exact=True).input_value() == "hit-uav-drone-tuned.yaml"
                 assert page.get_by_label("distance, m, to", exact=True).input_value() == "4"
             else:
                 page.get_by_role("alert").get_by_text(words).wait_for()
@@ -393,6 +394,108 @@ def test_a_wrong_field_is_marked_and_the_last_picture_stays(
         opened.process.send_signal(signal.SIGINT)
         assert opened.process.wait(timeout=30) == 0
     assert opened.errors == []
+
+
+def test_backgrounds_have_addresses_and_the_saved_recipe_a_path(
+    chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    many = {"objects.0.count": 3, "objects.0.scale": [6, 6], "placement.min_visibility": 0.9, "configurations": 2}
+    api.generate("hit-uav-drone", data, run, limit=1, settings=many, execution=flat)
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/tune")
+        page.locator("img.picture[src]").wait_for()
+        page.get_by_text("hit-uav-drone (as opened)").wait_for()
+        page.get_by_text("drone, was left out: ").first.wait_for()
+        assert page.locator(".stage-handle").count() > 0
+        before = page.locator(".stage-handle").count()
+        page.get_by_role("button", name="Place object").first.click()
+        page.wait_for_function("n => document.querySelectorAll('.stage-handle').length > n", arg=before)
+        page.wait_for_function("() => [...document.querySelectorAll('.tune-list img')].every(i => i.naturalWidth)")
+        rows = page.locator(".tune-list .q-virtual-scroll__content tr")
+        name = rows.nth(1).locator("td").nth(1).inner_text().strip()
+        shown = page.get_by_role("status").get_by_text(f"{name}_c0")
+        rows.nth(1).click()
+        shown.wait_for()
+        page.wait_for_function("end => location.href.endsWith(end)", arg=f"/tune?background={name}&configuration=0")
+        page.get_by_label("Configuration", exact=True).fill("1")
+        page.get_by_role("status").get_by_text(f"{name}_c1").wait_for()
+        page.reload()
+        page.get_by_role("status").get_by_text(f"{name}_c1").wait_for()
+        page.go_back()
+        shown.wait_for()
+        assert page.get_by_label("Configuration", exact=True).input_value() == "0"
+        page.get_by_role("button", name="Save recipe").click()
+        saved = tmp_path / "hit-uav-drone-tuned.yaml"
+        page.get_by_text(f"Saved as {saved}").wait_for()
+        assert page.get_by_label("File", exact=True).input_value() == str(saved)
+        assert serious_issues(page) == []
+        assert opened.errors == []
+
+
+def test_all_wrong_fields_are_marked_in_their_places(
+    chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-drone", data, run, limit=1, execution=flat)
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/tune")
+        page.locator("img.picture[src]").wait_for()
+        page.get_by_label("scale, from", exact=True).fill("5")
+        page.get_by_role("button", name="camera").click()
+        page.get_by_label("pitch", exact=True).fill("{fixed_deg: x}")
+        page.get_by_label("distance, m, from", exact=True).fill("")
+        page.locator(".q-field--error", has_text="expected a number").first.wait_for()
+        page.locator(".q-field--error", has_text="fixed_deg").wait_for()
+        page.locator(".q-field--error", has_text="low end").first.wait_for()
+        page.get_by_role("button", name="Save recipe").click()
+        page.get_by_text("correct the marked fields first").wait_for()
+        assert not (tmp_path / "hit-uav-drone-tuned.yaml").exists()
+        assert serious_issues(page) == []
+        assert opened.errors == []
+
+
+def test_options_are_chosen_from_lists_and_a_run_is_made(
+    chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
+) -> None:
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-drone", data, run, limit=1, execution=flat)
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/tune")
+        page.locator("img.picture[src]").wait_for()
+        page.get_by_role("combobox", name="model").click()
+        page.wait_for_function("() => document.querySelectorAll('.q-menu .tune-model').length > 3")
+        page.get_by_role("option", name="deer", exact=True).click()
+        page.get_by_role("button", name="options of deer").click()
+        page.get_by_role("combobox", name="pose").click()
+        for pose in ("walking", "lying"):
+            page.get_by_role("option", name=pose, exact=True).click()
+        page.keyboard.press("Escape")
+        page.get_by_label("weight of walking", exact=True).fill("3")
+        page.get_by_role("button", name="temperatures of deer").click()
+        page.get_by_label("belly, K, from", exact=True).fill("4")
+        page.get_by_label("shoulder height m, from", exact=True).fill("90")
+        page.locator(".q-field--error", has_text="90").first.wait_for()
+        page.get_by_label("shoulder height m, from", exact=True).fill("")
+        page.get_by_role("status").get_by_text("last valid recipe").wait_for(state="hidden")
+        page.get_by_label("Output folder", exact=True).fill("made")
+        page.get_by_label("Pictures at most, empty for all", exact=True).fill("1")
+        page.get_by_role("button", name="Save and generate").click()
+        page.get_by_text("Done. Review it with").wait_for()
+        assert serious_issues(page) == []
+        assert opened.errors == []
+    saved = (tmp_path / "hit-uav-drone-tuned.yaml").read_text()
+    (kind,) = load_recipe(tmp_path / "hit-uav-drone-tuned.yaml").objects
+    assert kind.model == "deer", saved
+    assert kind.options == {"pose": {"walking": 3.0, "lying": 1.0}}
+    assert kind.parts["belly"].delta_t_k == (4.0, 4.0)
+    assert (tmp_path / "made/run.json").is_file()
 
 
 def test_a_mask_is_painted_over_a_map(chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:

@@ -79,6 +79,8 @@ class ObjectSpec:
         shaded: Whether the sun's rays do not reach the object, by day.
         by_hand: Whether the recipe states the object's place.
         track: Number of the object in its sequence; None in single pictures.
+        number: Number among the objects drawn for the frame, from 0, whether or not the others have a place; None
+            in scenes that were read from their JSON, which does not have it.
     """
 
     model: str
@@ -93,6 +95,7 @@ class ObjectSpec:
     shaded: bool = False
     by_hand: bool = False
     track: int | None = None
+    number: int | None = field(default=None, compare=False)
 
     @property
     def stays(self) -> bool:
@@ -205,6 +208,8 @@ class SceneSpec:
         motion_px: Mean displacement (right, down) by the motion tail. The tail stretches this way while the objects
             move the other way; `objects` and `camera` already include the displacement. (0, 0) for none.
         view: Height of the real camera over the ground; None with the paper's placement.
+        left_out: Why objects of the frame are not in the scene, by their numbers; not in its JSON, which counts them in
+            `draws`.
     """
 
     frame_id: str
@@ -221,6 +226,7 @@ class SceneSpec:
     weather: Weather | None = None
     motion_px: tuple[float, float] = (0.0, 0.0)
     view: View | None = None
+    left_out: Mapping[int, str] = field(default_factory=dict, compare=False)
 
     def without(self, numbers: Collection[int], reason: str) -> SceneSpec:
         """Return the scene without some of its objects, counted in `draws` as absent for `reason`."""
@@ -229,12 +235,16 @@ class SceneSpec:
         absent = dict(draws.get("absent", {}))
         absent[reason] = absent.get(reason, 0) + len(gone)
         draws["absent"] = absent
-        return replace(self, objects=tuple(o for k, o in enumerate(self.objects) if k not in gone), draws=draws)
+        left_out = {**self.left_out, **{n: reason for k in gone if (n := self.objects[k].number) is not None}}
+        kept = tuple(o for k, o in enumerate(self.objects) if k not in gone)
+        return replace(self, objects=kept, draws=draws, left_out=left_out)
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
         data: dict[str, Any] = _plain(self)
+        del data["left_out"]
         for o in data["objects"]:
+            del o["number"]
             if not o["by_hand"]:
                 del o["by_hand"]
             if o["track"] is None:

@@ -5,6 +5,7 @@ The small views have passed the blur and grain of a thermal camera, which leave 
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -59,6 +60,18 @@ def make_turntable(_settings: Any) -> Any:
         return str(out)
 
     return run
+
+
+def draw_model(name: str) -> NDArray[np.uint8]:
+    """Return (CELL_PX, CELL_PX) grey levels of one individual of a model that fills them, seen from above.
+
+    Raises:
+        ModelError: There is no such model.
+        RenderError: The renderer fails.
+    """
+    (first, *_) = _individuals(load_model(name), name, 0, {})
+    with contextlib.closing(BlenderRenderer()) as renderer:
+        return _large(renderer, first, 30, 30)
 
 
 def write_turntable(renderer: BlenderRenderer, individuals: Sequence[_Individual], out: Path) -> None:

@@ -210,7 +210,7 @@ class _Search:
         """Draw poses until one is fit, and return it; None if none is. Rejections are counted by reason."""
         suitable = self._suitable_ground(item)
         if suitable is not None and not suitable.exists:
-            self._tally.absent["no_ground"] += 1
+            self._tally.left_out[item.number] = "no_ground"
             return None
         in_a_row = self._missed.get(id(item.kind), 0)
         attempts = attempts_after(in_a_row, self._rules.attempts)
@@ -238,7 +238,7 @@ class _Search:
                     self._placed.append((item, pose))
                     return pose
                 self._tally.rejected[reason] += 1
-        self._tally.absent["no_place"] += 1
+        self._tally.left_out[item.number] = "no_place"
         self._missed[id(item.kind)] = in_a_row + 1
         return None
 

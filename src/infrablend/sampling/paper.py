@@ -82,7 +82,7 @@ class PaperPlacer(Placer):
                     break
                 tally.rejected[reason] += 1
             if not accepted:
-                tally.absent["no_place"] += 1
+                tally.left_out[item.number] = "no_place"
             missed[id(item.kind)] = 0 if accepted else in_a_row + 1
             poses.append(pose if accepted else None)
         return Arrangement(camera, None, poses)

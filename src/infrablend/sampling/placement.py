@@ -39,6 +39,7 @@ class PlacementRequest:
         mesh: Geometry in object coordinates, unscaled.
         scale: Extra factor on the model's size.
         visible_aim: Visible share that structures of the background should leave, or None.
+        number: Number among the objects drawn for the frame, from 0.
     """
 
     kind: Object
@@ -47,6 +48,7 @@ class PlacementRequest:
     mesh: Mesh
     scale: float
     visible_aim: float | None = None
+    number: int = 0
 
     @cached_property
     def labelled(self) -> NDArray[np.bool_]:
@@ -87,14 +89,14 @@ class DrawStatistics:
         attempts: Number of poses drawn.
         first_distance_m: Camera distance of the first draw.
         rejected: Rejected draws by reason.
-        absent: Objects without a place, by reason.
+        left_out: Why objects have no place, by their numbers.
         too_small_px: Longer side of the largest box that was too small; None if none was.
     """
 
     attempts: int = 0
     first_distance_m: float | None = None
     rejected: Counter[str] = field(default_factory=Counter)
-    absent: Counter[str] = field(default_factory=Counter)
+    left_out: dict[int, str] = field(default_factory=dict)
     too_small_px: float | None = None
 
     def note_size(self, reason: str | None, box_xyxy: FloatArray | None) -> None:
@@ -103,13 +105,18 @@ class DrawStatistics:
             size = float(max(box_xyxy[2] - box_xyxy[0], box_xyxy[3] - box_xyxy[1]))
             self.too_small_px = max(size, self.too_small_px or 0.0)
 
+    @property
+    def absent(self) -> Counter[str]:
+        """Number of objects without a place, by reason."""
+        return Counter(self.left_out.values())
+
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return {
             "attempts": self.attempts,
             "first_distance_m": self.first_distance_m,
             "rejected": dict(sorted(self.rejected.items())),
-            "absent": {reason: count for reason, count in sorted(self.absent.items()) if count},
+            "absent": dict(sorted(self.absent.items())),
             **({} if self.too_small_px is None else {"too_small_px": round(self.too_small_px, 2)}),
         }
 

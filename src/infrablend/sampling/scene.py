@@ -74,12 +74,12 @@ class RecipeSampler:
         unfit = "no_horizon" if pitch_deg is None else site.unfit if site is not None else None
         wanted = asked if unfit is None else []
         if unfit is not None:
-            tally.absent[unfit] += len(asked)
+            tally.left_out.update((item.number, unfit) for item in asked)
         like = _camera_of(frame, recipe, 0.0 if pitch_deg is None else pitch_deg)
         found = self.placer.arrange(like, wanted, site, streams, tally)
         poses, by_hand = place_by_hand(frame.frame_id, recipe, wanted, found.poses, found.camera, found.view)
-        if placed := sum(found.poses[k] is None for k in by_hand):
-            tally.absent["no_place"] -= placed
+        for number in by_hand:
+            tally.left_out.pop(number, None)
         if weather is not None:
             poses = _before_camera(wanted, poses, found.camera, tally)
 
@@ -112,6 +112,7 @@ class RecipeSampler:
             weather=weather,
             motion_px=_motion(recipe, streams("motion")) if objects else (0.0, 0.0),
             view=found.view,
+            left_out=tally.left_out,
         )
         return place(spec, meshes)
 
@@ -132,10 +133,10 @@ class RecipeSampler:
                 drawn.append(PlacementRequest(kind, model, params, model.build(params), scale))
         rng, (low, high) = streams("occlusion"), recipe.occlusion.visible
         wanted = []
-        for item in drawn:
+        for number, item in enumerate(drawn):
             chosen, share = (float(v) for v in rng.random(2))
             aim = round(low + (high - low) * share, 4) if chosen < recipe.occlusion.share else None
-            wanted.append(replace(item, visible_aim=aim))
+            wanted.append(replace(item, visible_aim=aim, number=number))
         return wanted
 
     def _in_place(
@@ -168,6 +169,7 @@ class RecipeSampler:
                     visible_aim=item.visible_aim,
                     shaded=shaded,
                     by_hand=number in by_hand,
+                    number=number,
                 )
             )
         return objects, meshes
@@ -183,7 +185,7 @@ class RecipeSampler:
         for k, placed in enumerate(scene.objects):
             o = placed.spec
             kind, model = self._recipe.objects[o.kind], self._models[o.model]
-            request = PlacementRequest(kind, model, o.params, placed.mesh, o.scale, o.visible_aim)
+            request = PlacementRequest(kind, model, o.params, placed.mesh, o.scale, o.visible_aim, o.number or 0)
             if k in numbers:
                 requests.append(without_shadow(request))
             else:
@@ -207,7 +209,9 @@ class RecipeSampler:
         for name, counts in (("rejected", tally.rejected), ("absent", tally.absent)):
             merged = Counter(draws[name]) + counts
             draws[name] = dict(sorted(merged.items()))
-        return PlacedScene(replace(spec, objects=tuple(o.spec for o in objects), draws=draws), tuple(objects))
+        left_out = {**spec.left_out, **tally.left_out}
+        arranged = replace(spec, objects=tuple(o.spec for o in objects), draws=draws, left_out=left_out)
+        return PlacedScene(arranged, tuple(objects))
 
 
 def _moved(placed: PlacedObject, item: PlacementRequest, pose: Pose, spec: SceneSpec, site: Site) -> PlacedObject:
@@ -327,7 +331,7 @@ def _before_camera(
     for item, pose in zip(wanted, poses, strict=True):
         behind = pose is not None and not (camera.project(item.in_world(pose))[1] > 0).any()
         if behind:
-            tally.absent["behind_camera"] += 1
+            tally.left_out[item.number] = "behind_camera"
         kept.append(None if behind else pose)
     return kept
 

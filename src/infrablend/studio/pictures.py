@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -50,10 +51,36 @@ class Thumbnails:
         try:
             return read_regular(path)
         except (OSError, ValueError):
-            data = _thumbnail(read_pixels(self._layout, row), row)
+            data = _jpeg(to_rgb(read_pixels(self._layout, row)), row.boxes)
         with contextlib.suppress(OutputError):  # a full or read-only cache costs time only
             write_bytes(path, data)
         return data
+
+
+def cached_thumbnail(path: Path, read: Callable[[], NDArray[Any]]) -> bytes:
+    """Return a small JPEG of a picture, cached in the user's cache folder as long as its file does not change.
+
+    Raises:
+        DatasetError: `read` cannot read it.
+    """
+    try:
+        state = path.stat()
+    except OSError:  # `read` says what is wrong
+        return _jpeg(to_rgb(read()), ())
+    return cached_picture("backgrounds", f"{path} {state.st_mtime_ns} {state.st_size}", read)
+
+
+def cached_picture(folder: str, marks: str, read: Callable[[], NDArray[Any]]) -> bytes:
+    """Return a small JPEG of what `read` returns, from a folder of the user's cache folder under its marks."""
+    name = hashlib.sha256(f"{_VERSION} {marks}".encode(errors="surrogateescape")).hexdigest()[:32]
+    cached = cache_folder() / "studio" / folder / f"{name}.jpg"
+    try:
+        return read_regular(cached)
+    except (OSError, ValueError):
+        data = _jpeg(to_rgb(read()), ())
+    with contextlib.suppress(OutputError):  # a full or read-only cache costs time only
+        write_bytes(cached, data)
+    return data
 
 
 def read_pixels(layout: RunFolder, row: FrameRow) -> NDArray[Any]:
@@ -65,12 +92,11 @@ def read_pixels(layout: RunFolder, row: FrameRow) -> NDArray[Any]:
     return decode_picture(layout.image(row.image), "a frame of the run. Run `generate --resume`", layout.root)
 
 
-def _thumbnail(pixels: NDArray[Any], row: FrameRow) -> bytes:
-    rgb = to_rgb(pixels)
+def _jpeg(rgb: Rgb, boxes_xyxy: Iterable[Sequence[float]]) -> bytes:
     h, w = rgb.shape[:2]
     size = (THUMBNAIL_PX, max(1, round(h * THUMBNAIL_PX / w)))
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    for box in row.boxes:
+    for box in boxes_xyxy:
         x0, y0, x1, y1 = (round(v * THUMBNAIL_PX / w) for v in box)
         cv2.rectangle(small, (x0 - 2, y0 - 2), (x1 + 2, y1 + 2), INSERTED["boxes"], 1)
     return bytes(cv2.imencode(".jpg", small[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,12 +15,13 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.scene import ObjectSpec, SceneSpec
 from infrablend.core.yaml_text import read_yaml
 
-Kind = Literal["switch", "choice", "number", "whole", "range", "yaml"]
+Kind = Literal["switch", "choice", "number", "whole", "range", "yaml", "model", "options", "parts"]
 
 SECTIONS = ("objects", "placement", "camera", "environment", "appearance", "matching", "sensor", "overlay", "occlusion",
             "render", "labels")  # fmt: skip
 """Sections that change a picture or its labels, in the order of the form."""
 
+_OF_MODELS: Mapping[str, Kind] = {"model": "model", "options": "options", "parts": "parts"}
 _UNITS = {
     "deg": "\u00b0", "m": "m", "mm": "mm", "k": "K", "c": "\u00b0C", "px": "px", "grey": "grey levels",
     "grey_per_k": "grey levels per K",
@@ -53,7 +54,7 @@ class FormField:
     def read(self, given: Any) -> Any:
         """Return what a browser sent as a value for the recipe; `ValueError` for text that is not YAML."""
         if self.kind == "yaml":
-            return read_yaml(str(given))
+            return read_yaml(str(given)) if str(given).strip() else None
         if self.kind == "range":
             return [float(v) for v in given]
         if self.kind == "whole":
@@ -63,7 +64,7 @@ class FormField:
     @property
     def shown(self) -> Any:
         """The value as the input shows it."""
-        return json.dumps(self.value) if self.kind == "yaml" else self.value
+        return self.value if self.kind != "yaml" else "" if self.value is None else json.dumps(self.value)
 
 
 def form_of(recipe: Recipe) -> dict[str, list[FormField]]:
@@ -95,6 +96,13 @@ def fitting(settings: Mapping[str, Any], modes: Modes) -> dict[str, Any]:
     return {key: value for key, value in settings.items() if key != "frames" and fits(key)}
 
 
+def input_of(where: str, keys: Container[str]) -> str | None:
+    """Return the key of the field that a problem is in: the nearest one above it; None if there is none."""
+    while where and where not in keys:
+        where = where.rpartition(".")[0]
+    return where or None
+
+
 def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormField:
     help_text = " ".join(str(about.get("description", "")).split())
     title = name.replace("_", " ")
@@ -106,6 +114,9 @@ def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormFie
 
 
 def _kind(key: str, about: Mapping[str, Any], value: Any) -> tuple[Kind, float | None, float | None, tuple[str, ...]]:
+    section, _, last = key.partition(".")
+    if section == "objects" and (own := _OF_MODELS.get(last.partition(".")[2])) is not None:
+        return own, None, None, ()
     if key in CHOICES:
         return "choice", None, None, CHOICES[key]
     kind = about.get("type")
@@ -145,13 +156,8 @@ def origin_px(scene: SceneSpec, number: int) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def can_move(scene: SceneSpec) -> bool:
-    """Return whether the numbers of the scene's objects are those of the recipe: none was left out."""
-    return bool(scene.draws.get("wanted") == len(scene.objects))
-
-
 def moved(frames: Mapping[str, Any], scene: SceneSpec, number: int, move: Move, *, stands: bool) -> dict[str, Any]:
-    """Return the recipe's field `frames` with one object of a scene, as it is shown, moved.
+    """Return the recipe's field `frames` with one object of a scene, which has a number, moved from where it is shown.
 
     The distance of an object that `stands` on real ground follows from its place.
     """
@@ -163,15 +169,19 @@ def moved(frames: Mapping[str, Any], scene: SceneSpec, number: int, move: Move, 
     if not stands:
         away = float(np.linalg.norm(np.asarray(o.position_m) - scene.camera.position_m))
         entry["range_m"] = round(away * move.away, 3)
-    return _with_entry(frames, scene.frame_id, number, entry)
+    return with_place(frames, scene.frame_id, o.number, entry)
 
 
 def released(frames: Mapping[str, Any], scene: SceneSpec, number: int) -> dict[str, Any]:
     """Return the recipe's field `frames` with one object of a scene as drawn again."""
-    return _with_entry(frames, scene.frame_id, number, {})
+    return with_place(frames, scene.frame_id, scene.objects[number].number, {})
 
 
-def _with_entry(frames: Mapping[str, Any], frame_id: str, number: int, entry: dict[str, float]) -> dict[str, Any]:
+def with_place(
+    frames: Mapping[str, Any], frame_id: str, number: int | None, entry: Mapping[str, float]
+) -> dict[str, Any]:
+    """Return the recipe's field `frames` with this place of an object, by its number among the drawn ones."""
+    assert number is not None, "only objects of single pictures are placed by hand"
     entries = list((frames.get(frame_id) or {}).get("objects", ()))
     entries += [{}] * (number + 1 - len(entries))
     entries[number] = entry

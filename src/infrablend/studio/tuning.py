@@ -13,14 +13,16 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
-from infrablend.assets.catalogue import load_model
+from infrablend import __version__
+from infrablend.assets.catalogue import list_models, load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import write_text
 from infrablend.core.typed_command import reading_words
-from infrablend.errors import ArgumentError, DatasetError, OutputError
+from infrablend.engine.turntable import draw_model
+from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_words, how_visible
@@ -28,12 +30,23 @@ from infrablend.pipeline.plans.planning import reading_for
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
+from infrablend.studio.generation import Generation
+from infrablend.studio.object_form import model_problems
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pictures import enlarged, with_originals
+from infrablend.studio.pictures import cached_picture, cached_thumbnail, enlarged, with_originals
 from infrablend.studio.request import StudioRequest
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240
+_WHY = {
+    "no_place": "no place was found where it fits",
+    "no_ground": "no ground in this background suits it",
+    "no_horizon": "no horizon was found in this background",
+    "behind_camera": "its place is behind the camera",
+    "min_visibility": "too little of it would be visible",
+    "too_hidden": "structures of the background hide too much of it",
+    "low_contrast": "its contrast with the background is too low",
+}
 FIRST_RECIPE = "hit-uav-drone-physical"
 """Recipe to tune where neither a recipe nor a run is given."""
 
@@ -100,12 +113,35 @@ class Tuned:
             found.append(lines)
         return found
 
+    def left_out(self) -> dict[int, str]:
+        """Return which objects of the frame are not in its picture, and why, in words, by their numbers."""
+        scene = self.trial.frame.scene
+        if scene is None:
+            return {}
+        counts, objects = scene.draws.get("wanted_by_kind", {}), self.recipe.objects
+        names = [
+            kind.category or load_model(kind.model).category
+            for k, kind in enumerate(objects)
+            for _ in range(counts.get(str(k), 0))
+        ]
+        rejected = sorted(scene.draws.get("rejected", {}).items(), key=lambda item: (-item[1], item[0]))[:2]
+        most = " and ".join(f"{count} {why.replace('_', ' ')}" for why, count in rejected)
+        found = {}
+        for number, reason in sorted(scene.left_out.items()):
+            name = f", {names[number]}" if number < len(names) else ""
+            why = _WHY.get(reason, reason.replace("_", " "))
+            if reason == "no_place" and most:
+                why += f" (of the frame's {scene.draws['attempts']} draws, {most})"
+            found[number] = f"Object {number + 1}{name}, was left out: {why}."
+        return found
+
     def remarks(self) -> list[str]:
         """Return what the picture rests on, in words: gain, absent objects, lost labels, warnings."""
         record = self.trial.frame.record
         found = gain_words(record.facts.get("matching") or {})
         absent = {} if record.scene is None else record.scene.draws.get("absent", {})
-        found += [f"{count} not inserted: {str(why).replace('_', ' ')}" for why, count in sorted(absent.items())]
+        if record.scene is None or not record.scene.left_out:  # otherwise, `left_out` names them
+            found += [f"{count} not inserted: {str(why).replace('_', ' ')}" for why, count in sorted(absent.items())]
         if record.removed:
             found.append(f"{len(record.removed)} original label(s) removed")
         return [*found, *(str(p) for p in self.trial.problems)]
@@ -116,10 +152,12 @@ class Tuning:
 
     Attributes:
         recipe: Name or path of the recipe at the start.
+        name: Its own name.
         data: Folder of the backgrounds.
         seed: Seed of the frames.
         backgrounds: All backgrounds, in the order of the dataset.
         ignored: Names of the categories that mark ignore regions.
+        generation: The run that was started last; None if none was.
     """
 
     def __init__(self, request: TrialRequest) -> None:
@@ -130,11 +168,13 @@ class Tuning:
         """
         self.recipe, self.data, self.seed = str(request.recipe), Path(request.data), request.seed
         self._reading = request.reading
-        self._lock = threading.Lock()
+        self._lock, self._drawing = threading.Lock(), threading.Lock()
         self._saved: set[Path] = set()
+        self.generation: Generation | None = None
         self._trials = Trials(request)
         try:
             start = read_recipe(request.recipe).recipe
+            self.name = start.name
             dataset = detection.read(request.data, reading_for(start, request.reading, request.data))
             self.backgrounds: tuple[ImageRecord, ...] = dataset.images
             self.ignored = frozenset(c.name for c in dataset.categories if c.ignore)
@@ -158,17 +198,47 @@ class Tuning:
         Raises:
             RecipeError: With every wrong field.
         """
-        return read_recipe(recipe, settings).recipe
+        made = read_recipe(recipe, settings).recipe
+        if problems := model_problems(made):
+            raise RecipeError(f"recipe {made.name}: {len(problems)} field(s) are wrong", problems)
+        return made
 
-    def compose(self, recipe: str, settings: Mapping[str, Any], background: ImageRecord) -> Tuned:
-        """Return the first frame of a background.
+    def model_picture(self, name: str) -> bytes:
+        """Return a picture of a shipped model as a JPEG, drawn once and then taken from the user's cache folder.
+
+        Raises:
+            DatasetError: No such model is shipped.
+            InfraBlendError: It cannot be drawn.
+        """
+        if name not in list_models():
+            raise DatasetError(f"model {name!r}: no such model; expected one of {', '.join(list_models())}")
+        with self._drawing:
+            return cached_picture("models", f"{__version__} {name}", lambda: draw_model(name))
+
+    def number_of(self, name: str) -> int | None:
+        """Return the number of the background `<split>/<id>`; None if there is none."""
+        return next((n for n, i in enumerate(self.backgrounds) if f"{i.split}/{i.id}" == name), None)
+
+    def thumbnail(self, number: int) -> bytes:
+        """Return a small JPEG of a background, from the user's cache folder if its file has not changed.
+
+        Raises:
+            DatasetError: There is no such background, or it cannot be read.
+        """
+        path = real_path(self.background(number).path)
+        return cached_thumbnail(path, lambda: decode_picture(path, "a background"))
+
+    def compose(
+        self, recipe: str, settings: Mapping[str, Any], background: ImageRecord, configuration: int = 0
+    ) -> Tuned:
+        """Return a frame of a background.
 
         Raises:
             InfraBlendError: The recipe or the background cannot be used.
         """
         with self._lock:
             checked = self.read(recipe, settings)
-            frame = f"{background.split}/{background.id}"
+            frame = f"{background.split}/{background.id}_c{configuration}"
             trial = self._trials.again(recipe=recipe, settings=dict(settings), frame=frame)
             return Tuned(checked, trial, background)
 
@@ -190,8 +260,8 @@ class Tuning:
             return None
         return _crop(to_rgb(decode_picture(real_path(best[1].path), "a background")), best[2])
 
-    def save(self, recipe: Recipe, path: Path, frame_id: str) -> str:
-        """Write a recipe as YAML; return the command that gives the frame from the shell.
+    def save(self, recipe: Recipe, path: Path, frame_id: str) -> tuple[Path, str]:
+        """Write a recipe as YAML; return its whole path, and the command that gives the frame from the shell.
 
         Raises:
             ArgumentError: The name does not end in .yaml.
@@ -204,14 +274,32 @@ class Tuning:
             raise OutputError(f"{path}: exists already, and was not saved by this studio; give another name")
         write_text(path, _to_yaml(recipe))
         self._saved.add(path)
-        words = ["infrablend", "try", path, "--data", self.data.resolve(), "--frame", frame_id, "--seed", self.seed]
+        return path, shlex.join(["infrablend", "try", str(path), *self._words(), "--frame", frame_id])
+
+    def generate(self, recipe: Path, out: Path, *, limit: int | None, resume: bool) -> Generation:
+        """Start the run of a saved recipe on all backgrounds, or of the first `limit` ones.
+
+        Raises:
+            ArgumentError: One is being made.
+        """
+        if self.generation is not None and self.generation.is_running:
+            raise ArgumentError(f"{self.generation.out}: is being made; stop it first, or wait for its end")
+        words = ["generate", str(recipe), *self._words(), "--out", str(out)]
+        words += [] if limit is None else ["--limit", str(limit)]
+        self.generation = Generation([*words, *(["--resume"] if resume else [])], out)
+        return self.generation
+
+    def _words(self) -> list[str]:
+        """Return the options that name the backgrounds, how to read them, and the seed."""
         reading = asdict(self._reading)
         if self._reading.metadata is not None:
             reading["metadata"] = Path(self._reading.metadata).resolve()
-        return shlex.join(str(w) for w in (*words, *reading_words(reading)))
+        return ["--data", str(self.data.resolve()), "--seed", str(self.seed), *reading_words(reading)]
 
     def close(self) -> None:
-        """End the renderer."""
+        """End the renderer, and stop the run that is being made."""
+        if self.generation is not None:
+            self.generation.close()
         self._trials.close()
 
 

@@ -15,7 +15,17 @@ from infrablend.config.modes import modes_of
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.pipeline.compose.trial import TrialRequest, gain_words
 from infrablend.pipeline.plans.request import Execution
-from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
+from infrablend.studio.recipe_form import (
+    FormField,
+    Move,
+    fitting,
+    form_of,
+    input_of,
+    moved,
+    origin_px,
+    released,
+    with_place,
+)
 from infrablend.studio.tuning import Tuning
 
 FLAT = Execution(renderer="flat", in_process=True)
@@ -71,9 +81,11 @@ def test_a_saved_recipe_gives_the_bytes_of_the_picture(tuning: Tuning, data: Pat
     tuned = tuning.compose(RECIPE, settings, background)
     frame = tuned.trial.frame
     path = tmp_path / "tuned.yaml"
-    command = shlex.split(tuning.save(tuned.recipe, path, frame.id))
-    assert command == ["infrablend", "try", str(path), "--data", str(data), "--frame", frame.id, "--seed", "3"]
-    again = api.try_recipe(command[2], command[4], command[6], seed=int(command[8]), execution=FLAT)
+    saved, words = tuning.save(tuned.recipe, path, frame.id)
+    command = shlex.split(words)
+    assert saved == path.resolve()
+    assert command == ["infrablend", "try", str(path), "--data", str(data), "--seed", "3", "--frame", frame.id]
+    again = api.try_recipe(command[2], command[4], command[8], seed=int(command[6]), execution=FLAT)
     assert again.frame.image_bytes == frame.image_bytes
     plain = tuning.compose(RECIPE, {}, background).trial.frame
     assert plain.image_bytes != frame.image_bytes
@@ -90,10 +102,10 @@ def test_the_command_of_a_saved_recipe_reads_the_backgrounds_in_the_same_way(
     reading = api.Reading(format="folder", metadata=Path("table.csv"))
     tuning = Tuning(TrialRequest(RECIPE, pictures, reading=reading, execution=FLAT))
     frame = tuning.compose(RECIPE, {}, tuning.backgrounds[0]).trial.frame
-    command = shlex.split(tuning.save(tuning.read(RECIPE, {}), Path("a.yaml"), frame.id))
+    command = shlex.split(tuning.save(tuning.read(RECIPE, {}), Path("a.yaml"), frame.id)[1])
     tuning.close()
     assert frame.image.capture.pitch_deg == 85
-    assert command[9:] == ["--format", "folder", "--metadata", str(tmp_path / "table.csv")]
+    assert command[7:-2] == ["--format", "folder", "--metadata", str(tmp_path / "table.csv")]
 
 
 def test_a_recipe_is_saved_over_nothing_of_others(tuning: Tuning, tmp_path: Path) -> None:
@@ -144,7 +156,7 @@ def test_the_gain_is_explained_in_words() -> None:
 def test_an_insert_moved_by_hand_is_where_it_was_put_and_saved_so(tuning: Tuning, tmp_path: Path) -> None:
     background = tuning.backgrounds[-1]
     before = tuning.compose(RECIPE, {}, background).trial.frame
-    assert before.scene is not None and can_move(before.scene)
+    assert before.scene is not None
     x, y = origin_px(before.scene, 0)
     frames = moved({}, before.scene, 0, Move(-40, 25, turn_deg=90, away=1.5), stands=False)
     tuned = tuning.compose(RECIPE, {"frames": frames}, background)
@@ -157,6 +169,51 @@ def test_an_insert_moved_by_hand_is_where_it_was_put_and_saved_so(tuning: Tuning
     assert again.image_bytes == after.image_bytes != before.image_bytes
     assert released(frames, after.scene, 0) == {}
     assert tuning.compose(RECIPE, {"frames": {}}, background).trial.frame.image_bytes == before.image_bytes
+
+
+def test_inserts_can_be_moved_where_others_were_left_out(tuning: Tuning) -> None:
+    background, many = (
+        tuning.backgrounds[-1],
+        {"objects.0.count": 3, "objects.0.scale": [6, 6], "placement.min_visibility": 0.9},
+    )
+    tuned = tuning.compose(RECIPE, many, background)
+    scene = tuned.trial.frame.scene
+    assert scene is not None and 0 < len(scene.objects) < 3
+    absent = tuned.left_out()
+    assert sorted([*absent, *(o.number for o in scene.objects if o.number is not None)]) == list(range(3))
+    assert all("drone, was left out: " in line for line in absent.values())
+    assert not any("not inserted" in line for line in tuned.remarks())
+    last = len(scene.objects) - 1
+    x, y = origin_px(scene, last)
+    frames = moved({}, scene, last, Move(-3, 2), stands=False)
+    after = tuning.compose(RECIPE, {**many, "frames": frames}, background).trial.frame.scene
+    assert after is not None
+    (at,) = (k for k, o in enumerate(after.objects) if o.number == scene.objects[last].number)
+    assert after.objects[at].by_hand and origin_px(after, at) == pytest.approx((x - 3, y + 2), abs=0.02)
+    gone = min(absent)
+    frames = with_place({}, scene.frame_id, gone, {"x_px": 320.0, "y_px": 300.0})
+    placed = tuning.compose(RECIPE, {**many, "frames": frames}, background)
+    assert gone not in placed.left_out()
+
+
+def test_a_problem_is_shown_in_the_nearest_field_above_it() -> None:
+    keys = {"objects.0.scale", "objects.0.options", "objects.0.options.pose"}
+    assert input_of("objects.0.options.pose", keys) == "objects.0.options.pose"
+    assert input_of("objects.0.options.age.0", keys) == "objects.0.options"
+    assert input_of("camera.pitch", keys) is None
+
+
+def test_a_background_has_a_thumbnail_until_it_changes(
+    tuning: Tuning, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path))
+    first = tuning.thumbnail(0)
+    assert first[:2] == b"\xff\xd8" and tuning.thumbnail(0) == first
+    assert len([*tmp_path.rglob("backgrounds/*.jpg")]) == 1
+    with pytest.raises(DatasetError, match="no such picture"):
+        tuning.thumbnail(99)
+    assert tuning.number_of("test/none") is None
+    assert all(tuning.number_of(f"{i.split}/{i.id}") == n for n, i in enumerate(tuning.backgrounds))
 
 
 def test_the_ground_is_shown_only_where_there_is_one(tuning: Tuning) -> None:

@@ -73,7 +73,7 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
 
 
 def _add_tune_page(session: Session) -> None:
-    pictures = routes.add_tune_routes()
+    pictures = routes.add_tune_routes(session.open_tuning)
 
     @ui.page("/tune")
     def tune_page(request: Request) -> None:
@@ -94,6 +94,6 @@ def _add_tune_page(session: Session) -> None:
 
                 place.clear()
                 with place:
-                    tune.TunePage(tuning, pictures)
+                    tune.TunePage(tuning, pictures, request.query_params)
 
             ui.timer(0.01, fill, once=True)

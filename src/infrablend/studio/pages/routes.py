@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import OrderedDict
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from nicegui import app
 from starlette.requests import Request
@@ -13,6 +14,9 @@ from starlette.responses import PlainTextResponse, Response
 from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.studio.frame_index import View
 from infrablend.studio.opened_run import OpenedRun
+
+if TYPE_CHECKING:
+    from infrablend.studio.tuning import Tuning
 
 KEEP = {"cache-control": "private, max-age=3600"}
 Pictures = OrderedDict[int, bytes]
@@ -79,9 +83,17 @@ def answered(make: Callable[[], bytes], media_type: str, headers: dict[str, str]
         return PlainTextResponse(error.message, 404 if isinstance(error, DatasetError) else 500)
 
 
-def add_tune_routes() -> Pictures:
-    """Add the route of the pictures; return where to put them."""
+def add_tune_routes(open_tuning: Callable[[], Tuning]) -> Pictures:
+    """Add the routes of the pictures and of small ones of models and backgrounds; return where to put the pictures."""
     pictures: Pictures = OrderedDict()
+
+    @app.get("/tune/model/{name}.jpg")
+    def model(name: str) -> Response:
+        return answered(lambda: open_tuning().model_picture(name), "image/jpeg", KEEP)
+
+    @app.get("/tune/background/{number}.jpg")
+    def background(number: int) -> Response:
+        return answered(lambda: open_tuning().thumbnail(number), "image/jpeg", KEEP)
 
     @app.get("/tune/picture/{number}.png")
     def picture(number: int) -> Response:

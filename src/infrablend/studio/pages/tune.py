@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
+from urllib.parse import parse_qsl, urlencode
 
 from nicegui import run, ui
 from nicegui.element import Element
@@ -18,13 +19,24 @@ from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord
-from infrablend.errors import InfraBlendError
+from infrablend.errors import InfraBlendError, Problem
 from infrablend.report.preview import Rgb
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
+from infrablend.studio.pages.object_inputs import Input, show_models, show_options, show_parts
 from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.pictures import to_png
 from infrablend.studio.places import Legend, paint, show_places, show_surfaces
-from infrablend.studio.recipe_form import FormField, Move, can_move, fitting, form_of, moved, origin_px, released
+from infrablend.studio.recipe_form import (
+    FormField,
+    Move,
+    fitting,
+    form_of,
+    input_of,
+    moved,
+    origin_px,
+    released,
+    with_place,
+)
 from infrablend.studio.tuning import Tuned, Tuning
 
 _KEPT = 48
@@ -61,18 +73,21 @@ class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
 class TunePage:
     """The tuning in one browser tab."""
 
-    def __init__(self, tuning: Tuning, pictures: Pictures) -> None:
-        """Build the page with the recipe as it is, on the first background, and ask for the first picture."""
+    def __init__(self, tuning: Tuning, pictures: Pictures, address: Mapping[str, str]) -> None:
+        """Build the page with the recipe as it is, on the background of an address, and ask for the first picture."""
         self._tuning, self._pictures = tuning, pictures
         self._recipe = tuning.recipe
         self._settings: dict[str, Any] = {}
         self._background: ImageRecord = tuning.backgrounds[0]
+        self._configuration = 0
+        self._go_to(address)
         self._filter = {"time": "", "text": "", "pitch": ""}
         self._tuned: Tuned | None = None
         self._wanted = 0
         self._busy = False
-        self._wrong: dict[str, Any] = {}
-        self._inputs: dict[str, Any] = {}
+        self._unread: dict[str, str] = {}
+        self._problems: tuple[Problem, ...] = ()
+        self._inputs: dict[str, Input] = {}
         with ui.element("div").classes("tune-view"):
             with ui.element("section").props('aria-label="Backgrounds"').classes("studio-card tune-backgrounds"):
                 self._build_backgrounds()
@@ -80,7 +95,30 @@ class TunePage:
                 self._build_picture()
             with ui.element("section").props('aria-label="Recipe"').classes("studio-card tune-form"):
                 self._build_recipe()
+        ui.on("tune-address", self._walked)
+        ui.run_javascript("window.addEventListener('popstate', () => emitEvent('tune-address', location.search))")
         ui.timer(0.05, self._redraw, once=True)
+
+    # ---- address
+
+    def _go_to(self, address: Mapping[str, str]) -> None:
+        """Take background and configuration from the query of an address; the first ones by default."""
+        name, configuration = address.get("background"), address.get("configuration", "0")
+        number = 0 if name is None else self._tuning.number_of(name)
+        if number is None:
+            ui.notify(f"{name}: no such background in this dataset; the first one is shown", type="warning")
+        self._background = self._tuning.backgrounds[number or 0]
+        self._configuration = int(configuration) if configuration.isdecimal() else 0
+
+    def _walked(self, event: GenericEventArguments) -> None:
+        """Show what the address names that the browser has gone back or forward to."""
+        self._go_to(dict(parse_qsl(str(event.args).lstrip("?"))))
+        self._select_row()
+        self._request()
+
+    def _note_address(self) -> None:
+        query = {"background": f"{self._background.split}/{self._background.id}", "configuration": self._configuration}
+        ui.navigate.history.push(f"/tune?{urlencode(query, safe='/')}")
 
     # ---- backgrounds
 
@@ -103,6 +141,11 @@ class TunePage:
         self._table.add_slot("header-selection", '<span class="unseen">Chosen</span>')
         self._table.add_slot(
             "body-selection", '<q-checkbox v-model="props.selected" :aria-label="props.row.id" dense />'
+        )
+        self._table.add_slot(
+            "body-cell-id",
+            '<q-td :props="props"><img loading="lazy" alt="" :src="`/tune/background/${props.row.n}.jpg`" />'
+            "{{ props.value }}</q-td>",
         )
         self._table.props('virtual-scroll dense flat hide-bottom :rows-per-page-options="[0]"').classes("tune-list")
         self._table.on("rowClick", lambda e: self._choose(int(e.args[1]["n"])), [[], ["n"], None])
@@ -135,7 +178,15 @@ class TunePage:
         if background is self._background:
             return
         self._background = background
+        self._note_address()
         self._select_row()
+        self._request()
+
+    def _configure(self, number: Any) -> None:
+        if number is None or int(number) == self._configuration:
+            return
+        self._configuration = int(number)
+        self._note_address()
         self._request()
 
     def _select_row(self) -> None:
@@ -150,6 +201,9 @@ class TunePage:
             self._ground = ui.switch("Ground and people of 1.7 m", on_change=self._show_picture)
             maps = {"": "None", "surfaces": "Surfaces", "stand": "Where objects may stand"}
             self._map = show_choice("Map", maps, "", lambda _: self._show_picture())
+            self._configurations = ui.number("Configuration", value=self._configuration, min=0, precision=0)
+            self._configurations.props("dense outlined debounce=300").classes("tune-number")
+            self._configurations.on_value_change(lambda e: self._configure(e.value))
             self._state = ui.label("Starting the renderer...").classes("faint").props("role=status")
         with ui.element("div").classes("studio-row").bind_visibility_from(self._map, "value", backward=bool):
             self._legend = ui.element("div").classes("studio-row tune-legend").props("role=status")
@@ -203,7 +257,7 @@ class TunePage:
             return
         try:
             folder = paint(tuned, self._tuning.data, line, int(self._pen.value), allowed=self._brush.value != "forbid")
-            field.value = json.dumps(rules.model_dump(mode="json") | {"masks": str(folder)})
+            field.shown[0].value = json.dumps(rules.model_dump(mode="json") | {"masks": str(folder)})
             self._tuned = replace(tuned, recipe=self._tuning.read(self._recipe, self._settings))
         except InfraBlendError as error:
             tell(error)
@@ -211,9 +265,9 @@ class TunePage:
         self._request()
 
     def _marks(self) -> list[dict[str, Any]]:
-        """Return the handles: none where objects were left out, since the rest then have other numbers."""
+        """Return the handles."""
         frame = None if self._tuned is None else self._tuned.trial.frame
-        if frame is None or frame.scene is None or not can_move(frame.scene):
+        if frame is None or frame.scene is None:
             return []
         found = []
         for label in sorted(frame.inserted, key=lambda i: int(i.extra.get("object", 0))):
@@ -262,24 +316,88 @@ class TunePage:
                                 show_picture(_address(self._pictures, found), alt, "real")
                     for line in lines:
                         ui.label(line)
+            for number, line in tuned.left_out().items():
+                with ui.element("div").classes("studio-card studio-row"):
+                    ui.label(line)
+                    if not tuned.recipe.in_sequences:
+                        ui.button("Place it by hand", on_click=partial(self._place, number)).props(
+                            f'no-caps outline dense aria-label="Place object {number + 1} by hand"'
+                        )
             for line in tuned.remarks():
                 ui.label(line)
+
+    def _place(self, number: int) -> None:
+        """Place an object that was left out below the middle of the picture, from where it can be moved."""
+        assert self._tuned is not None
+        frame = self._tuned.trial.frame
+        height, width = frame.pixels.shape[:2]
+        entry = {"x_px": width / 2, "y_px": 0.75 * height}
+        self._settings["frames"] = with_place(self._settings.get("frames", {}), frame.id, number, entry)
+        self._request()
 
     # ---- recipe
 
     def _build_recipe(self) -> None:
         ui.html("<h2>Recipe</h2>", sanitize=False)
-        names = [*list_recipes()]
+        names = {name: name for name in list_recipes()}
         if self._tuning.recipe not in names:
-            names.insert(0, self._tuning.recipe)
+            own = self._tuning.name
+            names = {self._tuning.recipe: f"{own} (as opened)" if own in names else own, **names}
         show_choice("Start from", names, self._recipe, self._start_from, dense=False)
         self._form = ui.element("div")
         self._fill_form()
         ui.html("<h3>Save</h3>", sanitize=False)
-        own = Path(self._tuning.recipe).stem + "-tuned.yaml"
-        path = ui.input("File", value=own).props("dense outlined").classes("w-full")
-        ui.button("Save recipe", on_click=lambda: self._save(path.value or "")).props("no-caps outline")
+        self._file = ui.input("File", value=f"{self._tuning.name}-tuned.yaml").props("dense outlined").classes("w-full")
+        ui.label(f"Names without a folder are in {Path.cwd()}").classes("faint tune-help tune-path")
+        ui.button("Save recipe", on_click=self._save).props("no-caps outline")
         self._saved = ui.label().classes("tune-command").props("role=status")
+        self._build_generate()
+
+    def _build_generate(self) -> None:
+        """Build what starts and shows a run; one that another tab has started is shown, too."""
+        ui.html("<h3>Generate</h3>", sanitize=False)
+        out = ui.input("Output folder", value=f"runs/{self._tuning.name}-tuned").props("dense outlined")
+        most = ui.number("Pictures at most, empty for all", min=1, precision=0).props("dense outlined")
+        resume = ui.switch("Resume a stopped run")
+        for made in (out, most):
+            made.classes("w-full tune-field")
+
+        async def start() -> None:
+            recipe = await self._save()
+            if recipe is None:
+                return
+            try:
+                limit = None if most.value is None else int(most.value)
+                folder = Path(out.value or "run").absolute()
+                self._tuning.generate(recipe, folder, limit=limit, resume=bool(resume.value))
+            except InfraBlendError as error:
+                tell(error)
+            look()
+
+        def stop() -> None:
+            if self._tuning.generation is not None:
+                self._tuning.generation.stop()
+
+        with ui.element("div").classes("studio-row"):
+            starts = ui.button("Save and generate", on_click=start).props("no-caps outline")
+            stops = ui.button("Stop", on_click=stop).props("no-caps outline")
+        bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Finished frames" instant-feedback')
+        state = ui.label().classes("tune-command").props("role=status")
+        said = ui.label().classes("tune-command faint")
+
+        def look() -> None:
+            run_made = self._tuning.generation
+            running = run_made is not None and run_made.is_running
+            starts.set_enabled(not running)
+            stops.set_visibility(running)
+            bar.set_visibility(running)
+            if run_made is not None:
+                bar.value = run_made.done / max(1, run_made.total)
+                state.set_text(run_made.state)
+                said.set_text("\n".join(run_made.lines))
+
+        look()
+        ui.timer(0.5, look)
 
     def _fill_form(self) -> None:
         try:
@@ -289,20 +407,28 @@ class TunePage:
             return
         self._form.clear()
         self._inputs.clear()
+        self._unread.clear()
         with self._form:
             for section, fields in form.items():
-                with ui.expansion(section.replace(".", " "), value=section in _OPEN).props("dense").classes("w-full"):
+                with ui.expansion(section.replace(".", " "), value=section in _OPEN) as part:
+                    part.props("dense").classes("w-full")
                     for field in fields:
-                        self._build_field(field)
+                        self._build_field(field, part)
 
-    def _build_field(self, field: FormField) -> None:
+    def _build_field(self, field: FormField, part: Any) -> None:
         title = f"{field.title}, {field.unit}" if field.unit else field.title
         with ui.element("div").classes("tune-field"):
-            if field.kind == "range":
-                self._build_range(field, title)
+            if field.kind == "model":
+                self._inputs[field.key] = Input((part,), show_models(title, field.value, self._change_model(field.key)))
+            elif field.kind in ("options", "parts"):
+                show = show_options if field.kind == "options" else show_parts
+                model = str(self._inputs[field.key.rpartition(".")[0] + ".model"].shown[0].value)
+                self._inputs |= show(field, model, part, self._unread, lambda value: self._set(field, value))
+            elif field.kind == "range":
+                self._inputs[field.key] = Input((part,), self._build_range(field, title))
             else:
                 made = self._build_input(field, title).classes("w-full")
-                self._inputs[field.key] = made
+                self._inputs[field.key] = Input((part,), (made,))
                 made.on_value_change(lambda e: self._set(field, e.value))
             if field.help:
                 ui.label(field.help).classes("faint tune-help")
@@ -323,26 +449,29 @@ class TunePage:
             slider.props(f'aria-label="{title}"').bind_value(made, "value")
         return made
 
-    def _build_range(self, field: FormField, title: str) -> None:
-        values = list(field.value)
+    def _build_range(self, field: FormField, title: str) -> Sequence[Any]:
+        values, boxes = list(field.value), []
         with ui.element("div").classes("studio-row"):
             for end, word in enumerate(("from", "to")):
                 box = ui.number(f"{title}, {word}", value=values[end], min=field.low, max=field.high)
                 box.props("dense outlined debounce=150").classes("tune-end")
-                self._inputs.setdefault(field.key, box)
+                boxes.append(box)
 
                 def change(value: Any, end: int = end) -> None:
                     values[end] = value
                     self._set(field, list(values))
 
                 box.on_value_change(lambda e, c=change: c(e.value))
+        return boxes
 
     def _set(self, field: FormField, given: Any) -> None:
         try:
             value = field.read(given)
         except (ValueError, TypeError) as error:
-            self._mark({field.key: str(error)})
+            self._unread[field.key] = str(error) if field.kind == "yaml" else "expected a number"
+            self._mark()
             return
+        self._unread.pop(field.key, None)
         if field.key in CHOICES:
             self._change_mode(field.key, value)
         else:
@@ -360,21 +489,40 @@ class TunePage:
         self._settings = fitting(settings, modes_of(data.model_dump(mode="json")))
         self._fill_form()
 
+    def _change_model(self, key: str) -> Callable[[str], None]:
+        """Return what changes the model of an object: the options and the parts of another mean nothing to it."""
+
+        def change(name: str) -> None:
+            of = key.rpartition(".")[0]
+            self._settings |= {key: name, f"{of}.options": {}, f"{of}.parts": {}}
+            self._fill_form()
+            self._request()
+
+        return change
+
     def _start_from(self, name: str) -> None:
         self._recipe, self._settings = name, {}
         self._fill_form()
         self._request()
 
-    async def _save(self, name: str) -> None:
+    async def _save(self) -> Path | None:
+        """Save the recipe under the name in its field, and show its whole path; None if it cannot be saved."""
         if self._tuned is None:
             self._saved.set_text("There is no picture yet.")
-            return
+            return None
+        if self._unread:
+            self._saved.set_text("Not saved: correct the marked fields first.")
+            return None
         try:
             recipe = self._tuning.read(self._recipe, self._settings)
-            command = await run.io_bound(self._tuning.save, recipe, Path(name), self._tuned.trial.frame.id)
-            self._saved.set_text(f"Saved. This frame from the shell: {command}")
+            name = Path(self._file.value or "")
+            saved: tuple[Path, str] = await run.io_bound(self._tuning.save, recipe, name, self._tuned.trial.frame.id)
         except InfraBlendError as error:
             self._saved.set_text(error_text(error))
+            return None
+        self._file.value = str(saved[0])
+        self._saved.set_text(f"Saved as {saved[0]}\nThis frame from the shell: {saved[1]}")
+        return saved[0]
 
     # ---- drawing
 
@@ -397,7 +545,9 @@ class TunePage:
             self._busy = False
 
     async def _redraw_once(self) -> None:
-        compose = partial(self._tuning.compose, self._recipe, dict(self._settings), self._background)
+        compose = partial(
+            self._tuning.compose, self._recipe, dict(self._settings), self._background, self._configuration
+        )
         try:
             tuned = await run.io_bound(compose)
         except InfraBlendError as error:
@@ -406,7 +556,11 @@ class TunePage:
         self._tuned = tuned
         self._error.set_visibility(False)
         self._image.classes(remove="stale")
-        self._mark({})
+        self._problems = ()
+        self._mark()
+        self._configurations.set_visibility(tuned.recipe.configurations > 1)
+        self._configurations.max = tuned.recipe.configurations - 1
+        self._configurations.value = self._configuration
         self._show_picture()
         self._state.set_text(f"{tuned.trial.frame.id}, {tuned.trial.seconds:.2f} s")
         inserted = tuned.trial.frame.inserted[:_MOST_CROPS]
@@ -420,17 +574,25 @@ class TunePage:
         self._error.set_visibility(True)
         self._image.classes(add="stale")
         self._state.set_text("The picture is that of the last valid recipe.")
-        self._mark({p.where: str(p.found) for p in error.problems})
+        self._problems = error.problems
+        self._mark()
 
-    def _mark(self, wrong: dict[str, str]) -> None:
-        for key, shown in self._inputs.items():
-            text = next((t for where, t in wrong.items() if where == key or where.startswith(f"{key}.")), None)
-            before = self._wrong.get(key)
-            if text == before:
+    def _mark(self) -> None:
+        """Mark every wrong field in its place, in a part of the form that is then open, with what is wrong."""
+        words: dict[str, list[str]] = {key: [text] for key, text in self._unread.items()}
+        for problem in self._problems:
+            key = input_of(problem.where, self._inputs)
+            if key is not None and key not in self._unread:
+                below = problem.where.removeprefix(key).lstrip(".")
+                expected = f"; expected {problem.expected}" if problem.expected else ""
+                words.setdefault(key, []).append(f"{below}: " * bool(below) + problem.found + expected)
+        for key, made in self._inputs.items():
+            text = "; ".join(words.get(key, ()))
+            if text == made.marked:
                 continue
-            self._wrong[key] = text
-            if text is None:
-                shown.props(remove="error error-message")
-            else:
-                shown.props["error"], shown.props["error-message"] = True, text
-            shown.update()
+            made.marked = text
+            for part in made.parts if text else ():
+                part.value = True
+            for shown in made.shown:
+                shown.props["error"], shown.props["error-message"] = bool(text), text
+                shown.update()
