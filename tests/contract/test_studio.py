@@ -498,6 +498,43 @@ def test_options_are_chosen_from_lists_and_a_run_is_made(
     assert (tmp_path / "made/run.json").is_file()
 
 
+def test_a_path_is_drawn_on_the_picture(chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
+    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate("hit-uav-drone-physical", data, run, limit=1, execution=flat)
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/tune")
+        page.locator("img.picture[src]").wait_for()
+        page.get_by_role("combobox", name="Path").click()
+        page.get_by_role("option", name="objects 0", exact=True).click()
+        box = page.locator(".stage-paint").bounding_box()
+        for number, share in enumerate((0.25, 0.5, 0.75), 1):
+            page.mouse.click(box["x"] + share * box["width"], box["y"] + box["height"] / 4)
+            page.locator(".stage-point").nth(number - 1).wait_for()
+
+        def path() -> list[dict[str, float]]:
+            return list((json.loads(page.get_by_label("motion", exact=True).input_value()) or {})["path"])
+
+        assert [p["time_s"] for p in path()] == [0, 1, 2]
+        assert [p["x_px"] for p in path()] == pytest.approx([160, 320, 480], abs=1)
+        page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + box["height"] / 4)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + box["height"] / 2)
+        page.mouse.up()
+        page.wait_for_timeout(1000)  # the inputs below are those of the moved point
+        page.get_by_label("point 2, time, s", exact=True).fill("1.5")
+        page.get_by_label("point 1, distance, m", exact=True).fill("60")
+        page.wait_for_timeout(1500)
+        page.locator(".stage-point").nth(2).press("Delete")
+        page.locator(".stage-point").nth(2).wait_for(state="detached")
+        first, second = path()
+        assert first["range_m"] == 60 and second["time_s"] == 1.5
+        assert second["y_px"] == pytest.approx(256, abs=2)
+        assert serious_issues(page) == []
+        assert opened.errors == []
+
+
 def test_a_mask_is_painted_over_a_map(chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
     data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
     flat = Execution(renderer="flat", in_process=True)

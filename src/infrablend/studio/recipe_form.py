@@ -103,6 +103,36 @@ def input_of(where: str, keys: Container[str]) -> str | None:
     return where or None
 
 
+Point = dict[str, Any]
+"""A point of a path by hand, as in the recipe: `x_px`, `y_px`, `time_s`, and `range_m` where it is stated."""
+
+
+def path_of(motion: Any) -> list[Point]:
+    """Return the path in an object's `motion` as the recipe has it; empty if it has none in the picture."""
+    points = motion.get("path") if isinstance(motion, Mapping) else None
+    if not isinstance(points, list) or not all(isinstance(p, Mapping) and _is_in_picture(p) for p in points):
+        return []
+    return [dict(p) for p in points]
+
+
+def _is_in_picture(point: Mapping[str, Any]) -> bool:
+    return all(isinstance(point.get(k), int | float) for k in ("time_s", "x_px", "y_px"))
+
+
+def with_path(motion: Any, points: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Return an object's `motion` with this path, its points in the order of their times; None for no motion left."""
+    rest = {k: v for k, v in motion.items() if k != "path"} if isinstance(motion, Mapping) else {}
+    path = sorted(({k: v for k, v in p.items() if v is not None} for p in points), key=lambda p: float(p["time_s"]))
+    return {**rest, **({"path": path} if path else {})} or None
+
+
+def with_point(points: Sequence[Point], x_px: float, y_px: float) -> list[Point]:
+    """Return a path with one more point, a second after the last one, at its distance."""
+    last = points[-1] if points else {"time_s": -1.0}
+    range_m = {"range_m": last["range_m"]} if last.get("range_m") is not None else {}
+    return [*points, {"time_s": last["time_s"] + 1.0, "x_px": round(x_px, 1), "y_px": round(y_px, 1), **range_m}]
+
+
 def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormField:
     help_text = " ".join(str(about.get("description", "")).split())
     title = name.replace("_", " ")

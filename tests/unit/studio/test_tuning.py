@@ -23,8 +23,11 @@ from infrablend.studio.recipe_form import (
     input_of,
     moved,
     origin_px,
+    path_of,
     released,
+    with_path,
     with_place,
+    with_point,
 )
 from infrablend.studio.tuning import Tuning
 
@@ -194,6 +197,23 @@ def test_inserts_can_be_moved_where_others_were_left_out(tuning: Tuning) -> None
     frames = with_place({}, scene.frame_id, gone, {"x_px": 320.0, "y_px": 300.0})
     placed = tuning.compose(RECIPE, {**many, "frames": frames}, background)
     assert gone not in placed.left_out()
+
+
+def test_a_path_by_hand_is_what_the_recipe_takes() -> None:
+    points = with_point(with_point([], 100.04, 80), 300, 90)
+    points[0]["range_m"] = 60.0
+    points = with_point(points[:1], 310, 95) + points[1:]
+    points[1]["time_s"] = 4
+    motion = with_path({"kind": "fly", "path": []}, points)
+    assert motion is not None and [p["time_s"] for p in motion["path"]] == [0.0, 1.0, 4]
+    recipe = load_recipe("drone-video", {"objects.0.motion": motion})
+    (kind, *_) = recipe.objects
+    assert path_of(kind.model_dump(mode="json")["motion"])[0] | {"offset_m": None} == {
+        "time_s": 0.0, "x_px": 100.0, "y_px": 80.0, "range_m": 60.0, "offset_m": None,
+    }  # fmt: skip
+    assert path_of(motion) == motion["path"]
+    assert path_of({"path": [{"time_s": 0, "offset_m": [0, 0, 0]}]}) == path_of("walk") == path_of(None) == []
+    assert with_path({"path": points}, []) is None
 
 
 def test_a_problem_is_shown_in_the_nearest_field_above_it() -> None:

@@ -19,6 +19,7 @@ from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord
+from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import InfraBlendError, Problem
 from infrablend.report.preview import Rgb
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
@@ -29,13 +30,17 @@ from infrablend.studio.places import Legend, paint, show_places, show_surfaces
 from infrablend.studio.recipe_form import (
     FormField,
     Move,
+    Point,
     fitting,
     form_of,
     input_of,
     moved,
     origin_px,
+    path_of,
     released,
+    with_path,
     with_place,
+    with_point,
 )
 from infrablend.studio.tuning import Tuned, Tuning
 
@@ -62,11 +67,16 @@ class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
 
     def __init__(self, alt: str) -> None:
         super().__init__()
-        self._props.update(source="", alt=alt, marks=[], size=[1, 1], pen=0)
+        self._props.update(source="", alt=alt, marks=[], size=[1, 1], pen=0, path=None)
 
     def show(self, source: str, marks: list[dict[str, Any]], size_wh: tuple[int, int], pen_px: int) -> None:
         """Show a picture of a frame of this size; 0 px is no brush."""
         self._props.update(source=source, marks=marks, size=list(size_wh), pen=pen_px)
+        self.update()
+
+    def draw(self, path: list[list[float]] | None) -> None:
+        """Show a path whose points can be added, moved and deleted; None for none."""
+        self._props["path"] = path
         self.update()
 
 
@@ -201,6 +211,7 @@ class TunePage:
             self._ground = ui.switch("Ground and people of 1.7 m", on_change=self._show_picture)
             maps = {"": "None", "surfaces": "Surfaces", "stand": "Where objects may stand"}
             self._map = show_choice("Map", maps, "", lambda _: self._show_picture())
+            self._path_of = show_choice("Path", {"": "None"}, "", lambda _: self._show_path(), classes="min-w-24")
             self._configurations = ui.number("Configuration", value=self._configuration, min=0, precision=0)
             self._configurations.props("dense outlined debounce=300").classes("tune-number")
             self._configurations.on_value_change(lambda e: self._configure(e.value))
@@ -215,7 +226,12 @@ class TunePage:
         self._image = Stage("The frame with the recipe as it is in the form")
         self._image.on("place", self._placed)
         self._image.on("adjust", self._adjusted)
+        self._image.on(
+            "add", lambda e: self._set_path(with_point(self._path(), float(e.args["x"]), float(e.args["y"])))
+        )
+        self._image.on("point", self._change_point)
         self._image.on("paint", lambda e: self._paint(e.args["line"]))
+        self._points = ui.element("div").classes("studio-card tune-points")
         self._error = ui.label().classes("studio-error").props("role=alert")
         self._error.set_visibility(False)
         self._facts = ui.element("div").classes("tune-facts")
@@ -275,6 +291,77 @@ class TunePage:
             box = [round(float(v), 1) for v in label.box_xyxy]
             found.append({"n": number, "name": label.category, "box": box, "origin": origin_px(frame.scene, number)})
         return found
+
+    # ---- path by hand
+
+    def _path(self) -> list[Point]:
+        return path_of(self._motion())
+
+    def _motion(self) -> Any:
+        """Return the motion in the form of the object whose path is drawn; None for none, and for what is no YAML."""
+        made = self._inputs.get(f"objects.{self._path_of.value}.motion")
+        try:
+            return None if made is None else read_yaml(made.shown[0].value or "")
+        except ValueError:
+            return None
+
+    def _set_path(self, points: Sequence[Point], *, again: bool = True) -> None:
+        motion = with_path(self._motion(), points)
+        self._inputs[f"objects.{self._path_of.value}.motion"].shown[0].value = (
+            "" if motion is None else json.dumps(motion)
+        )
+        if again:
+            self._show_path()
+
+    def _change_point(self, event: GenericEventArguments) -> None:
+        """Move or delete the point that an event names."""
+        points, given = self._path(), event.args
+        number = int(given["k"])
+        if number >= len(points):
+            return
+        if given.get("remove"):
+            del points[number]
+        else:
+            points[number] |= {"x_px": round(float(given["x"]), 1), "y_px": round(float(given["y"]), 1)}
+        self._set_path(points)
+
+    def _show_path(self) -> None:
+        """Show the path in the picture, and times and distances of its points below it."""
+        drawn, points = self._path_of.value != "", self._path()
+        self._points.set_visibility(drawn)
+        self._image.draw([[p["x_px"], p["y_px"]] for p in points] if drawn else None)
+        self._points.clear()
+        if not drawn:
+            return
+        motion = self._motion()
+        with self._points:
+            if not points and isinstance(motion, dict) and motion.get("path"):
+                ui.label("This path is not in the picture: change it in the field motion.")
+                self._image.draw(None)
+                return
+            ui.label(
+                "Click in the first picture of the sequence to add points; drag them, or focus one and use the arrow "
+                "keys and Delete."
+            )
+            for number, point in enumerate(points):
+                with ui.element("div").classes("studio-row"):
+                    for key, name in (("time_s", "time, s"), ("range_m", "distance, m")):
+                        box = ui.number(f"point {number + 1}, {name}", value=point.get(key), min=0)
+                        box.props("dense outlined debounce=400").classes("tune-end")
+                        box.on_value_change(lambda e, n=number, k=key: self._set_point(n, k, e.value))
+            height, width = (512, 640) if self._tuned is None else self._tuned.trial.frame.pixels.shape[:2]
+            add = partial(with_point, points, width / 2, height / 2)
+            ui.button("Add a point in the middle", on_click=lambda: self._set_path(add())).props(
+                "no-caps outline dense"
+            )
+
+    def _set_point(self, number: int, key: str, value: float | None) -> None:
+        points = self._path()
+        if number < len(points) and (value is not None or key == "range_m"):
+            points[number] |= {key: value}
+            # The inputs stay while one is typed in, unless the order of the points changes.
+            in_order = all(a["time_s"] < b["time_s"] for a, b in itertools.pairwise(points))
+            self._set_path(points, again=not in_order)
 
     def _placed(self, event: GenericEventArguments) -> None:
         given, (x, y) = event.args, self._marks()[int(event.args["k"])]["origin"]
@@ -414,6 +501,12 @@ class TunePage:
                     part.props("dense").classes("w-full")
                     for field in fields:
                         self._build_field(field, part)
+
+        kinds = [key.split(".")[1] for key in self._inputs if key.startswith("objects.") and key.endswith(".motion")]
+        chosen = self._path_of.value if self._path_of.value in kinds else ""
+        self._path_of.set_options({"": "None", **{k: f"objects {k}" for k in kinds}}, value=chosen)
+        self._path_of.set_visibility(bool(kinds))
+        self._show_path()
 
     def _build_field(self, field: FormField, part: Any) -> None:
         title = f"{field.title}, {field.unit}" if field.unit else field.title
