@@ -33,14 +33,20 @@ def test_numbers_and_links_of_a_run() -> None:
     text = plain_summary(run_of(*frames, problems=(problem, problem)))
     assert [t for t, _ in text] == [
         "3 objects were inserted into 2 of 3 pictures: 2 x person, 1 x deer. Each has a label.",
-        "Half of them are larger than 20 pixels, the smallest is 7 pixels long; 1 of 3 are smaller than 10 pixels.",
-        "1 object was partly hidden, for example by trees.",
+        "Half of them are larger than 20 pixels, the smallest is 7.0 pixels long; 1 of 3 is below 10 pixels.",
+        "1 object was partly hidden, or cut by the picture's edge.",
         "Time of day: 1 by night, 1 by day, 1 at an unknown time.",
         "2 objects more were wanted and left out, for the reasons listed below.",
         "1 label of real objects was removed; all others stay.",
         "There is one thing to check before the run is used.",
     ]
     assert dict(text)["There is one thing to check before the run is used."] == "#warnings"
+
+
+def test_tracks_are_objects_with_many_labels() -> None:
+    one, two = InsertFacts("person", (0, 0, 8, 20), track="1"), InsertFacts("person", (0, 0, 8, 20), track="2")
+    said = plain_summary(run_of(frame(0, one), frame(1, one, two)))[0][0]
+    assert said == "2 objects with 3 labels were inserted into 2 of 2 pictures: 3 x person."
 
 
 def test_a_run_without_anything_says_so() -> None:

@@ -43,8 +43,8 @@ class _Reason(NamedTuple):
 
 
 _OTHER_GROUND = (
-    "nothing, if few pictures show ground that suits them (`infrablend places map` shows what is found); or set "
-    "placement.where.surfaces or masks, or placement.where=anywhere"
+    "leave it so if few pictures show ground that suits them; or set placement.where.surfaces or masks, or "
+    "placement.where=anywhere"
 )
 # Reasons with a remedy of their own; all others are a matter of placement.
 _REASONS: Mapping[str, _Reason] = {

@@ -35,8 +35,8 @@ MEANINGS: Mapping[str, str] = {
     "lens-replaced": "The recipe states another lens than the pictures; the recipe's was used, so sizes are those "
     "that its camera would see.",
     "lens-wide": "The field of view that the pictures state is very wide; sizes follow from it. Check the lens.",
-    "low-contrast": "Many objects were left out because nobody could see them. A detector learns nothing of such "
-    "cases.",
+    "low-contrast": "Many objects were left out because nobody could see them, so the pictures are easier than "
+    "reality.",
     "masks-missing": "Some pictures have no mask that says where objects may stand, so any suitable ground was used.",
     "no-anchor": "Nothing of known temperature is in sight in these pictures, so how bright the inserted objects "
     "are is an estimate for this kind of camera, not a measurement. Look at some of them beside real ones.",
@@ -76,17 +76,24 @@ def plain_summary(run: RunFacts) -> list[Sentence]:
     named = ", ".join(f"{n} x {name}" for name, n in kinds.most_common())
     found = [("Nothing was inserted.", "")]
     if inserts:
+        tracks = {i.track for i in inserts if i.track}
         what = (
-            f"{_count(len(inserts), 'object')} {_were(len(inserts))} inserted into {filled} of {len(frames)} pictures"
+            f"{_count(len(tracks), 'object')} with {len(inserts)} labels" if tracks else _count(len(inserts), "object")
         )
-        found = [(f"{what}: {named}. Each has a label.", "#frames")]
+        were = _were(len(tracks) or len(inserts))
+        text = f"{what} {were} inserted into {filled} of {len(frames)} pictures: {named}."
+        found = [(text if tracks else f"{text} Each has a label.", "#frames")]
         sizes = [i.size_px for i in inserts]
         small = sum(s < SMALL_PX for s in sizes)
-        text = f"Half of them are larger than {median(sizes):.0f} pixels, the smallest is {min(sizes):.0f} pixels long"
-        found.append((f"{text}; {small} of {len(sizes)} are smaller than {SMALL_PX} pixels.", "#charts"))
+        text = f"Half of them are larger than {median(sizes):.0f} pixels, the smallest is {min(sizes):.1f} pixels long"
+        found.append(
+            (f"{text}; {small} of {len(sizes)} {'is' if small == 1 else 'are'} below {SMALL_PX} pixels.", "#charts")
+        )
     hidden = sum(i.visibility is not None and i.visibility < 0.95 for i in inserts)
     if hidden:
-        found.append((f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, for example by trees.", "#extremes"))
+        found.append(
+            (f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, or cut by the picture's edge.", "#extremes")
+        )
     found += _times(frames)
     if dropped := sum(len(f.dropped) for f in frames):
         text = f"{_count(dropped, 'object')} more {_were(dropped)} wanted and left out, for the reasons listed below."
