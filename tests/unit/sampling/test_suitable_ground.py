@@ -155,6 +155,13 @@ def test_people_in_water_are_in_water_whatever_the_recipe_says_of_others(where):
     assert sum(s.draws["absent"].get("no_ground", 0) for s in dry) > 10
 
 
+def test_people_in_water_have_no_ground_in_the_placement_of_the_paper():
+    options = ["objects.0.model=person", "objects.0.options={pose: standing, water: knees}", "objects.0.count=2"]
+    (scene,) = drawn(load_recipe("hit-uav-drone", options), halves("water", "water"), scenes=1)
+    assert not scene.objects
+    assert scene.draws["absent"] == {"no_ground": 2} and scene.left_out == {0: "no_ground", 1: "no_ground"}
+
+
 def test_neighbours_stand_on_suitable_ground_as_well():
     group = "objects.0.group={share: 1, apart_m: [2.5, 6], in_row: true, max_overlap: 0.4}"
     xy = places_px(drawn(load_recipe("hit-uav-car", [*BY_HAND, group]), halves("grass", "road")))
