@@ -44,13 +44,13 @@ def write_run(folder: Path, frames: Mapping[str, Mapping[str, Any]]) -> Path:
     return folder
 
 
-def write_sequence(folder: Path, count: int = 24) -> Path:
-    """Write a run of one sequence, `test/s`, at 25 frames per second, and return its folder.
+def write_sequence(folder: Path, count: int = 24, name: str = "s") -> Path:
+    """Write a run of one sequence, `test/<name>`, at 25 frames per second, and return its folder.
 
     A bright square, the inserted drone 2, moves by two pixels a frame; frames 10 to 13 do not show it. The original
     drone 0 stands still, and has no picture.
     """
-    ids = [f"test/s_{k:06d}" for k in range(count)]
+    ids = [f"test/{name}_{k:06d}" for k in range(count)]
     write_run(folder, {frame_id: frame_record(frame_id) for frame_id in ids})
     lines = []
     for k, frame_id in enumerate(ids):
@@ -61,8 +61,8 @@ def write_sequence(folder: Path, count: int = 24) -> Path:
         cv2.imwrite(str(folder / "images" / f"{frame_id}.png"), pixels)
         boxes = [[50, 2, 8, 6], [x, 20, 6, 6]][: 1 + shown]
         objects = {"bbox": boxes, "category": ["drone"] * 2, "inserted": [False, True], "track_id": ["0", "2"]}
-        row = {"file_name": f"{frame_id[5:]}.png", "sequence": "s", "frame": k, "time_s": k / 25}
+        row = {"file_name": f"{frame_id[5:]}.png", "sequence": name, "frame": k, "time_s": k / 25}
         lines.append(json.dumps({**row, "objects": {name: values[: len(boxes)] for name, values in objects.items()}}))
     (folder / "images/test/metadata.jsonl").write_text("\n".join(lines))
-    (folder / "tracks/test/s/gt").mkdir(parents=True)
+    (folder / f"tracks/test/{name}/gt").mkdir(parents=True)
     return folder

@@ -219,6 +219,24 @@ def test_a_sequence_is_played_with_its_tracks_on_their_frames(chromium: str, tmp
     assert opened.errors == []
 
 
+def test_any_name_of_a_sequence_is_kept_in_addresses(chromium: str, tmp_path: Path) -> None:
+    name = "Flug #1 & 50%2F+é 'x'"
+    run = write_sequence(tmp_path / "run", 3, name)
+    with studio(chromium, tmp_path, "--run", run) as opened:
+        page = opened.page
+        page.goto(f"{opened.base}/sequences")
+        last = page.get_by_label(f"Frame test/{name}_000002", exact=True)
+        page.get_by_label(f"Frame test/{name}_000000", exact=True).wait_for()
+        page.keyboard.press("End")
+        last.wait_for()
+        page.get_by_role("link", name="Review this frame").click()
+        page.locator(".verdict").wait_for()
+        assert page.locator(".verdict").get_attribute("data-frame") == f"test/{name}_000002"
+        page.go_back()
+        last.wait_for()
+        assert opened.errors == []
+
+
 def test_a_sequence_goes_on_after_a_picture_that_is_gone(chromium: str, tmp_path: Path) -> None:
     run = write_sequence(tmp_path / "run")
     (run / "images/test/s_000005.png").unlink()

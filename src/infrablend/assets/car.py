@@ -183,7 +183,7 @@ def _parts_for(params: Params) -> dict[str, PartRange]:
     for part, (_, opacity) in GROUND_RINGS.items():
         # Black, because the sky that ground mirrors is part of its apparent temperature already.
         role = part_role("asphalt", _GROUND_K, what, emissivity=(1.0, 1.0), ior=1.0, label=False, opacity=opacity)
-        roles[part] = replace(role, glow=True, ground=True)
+        roles[part] = replace(role, glow=True, ground=True, sheltered=True)
     if params.get(SHADOW_PARAM):
         roles[SHADOW] = _shadow_role()
     if params["state"] in ("day_sun", "day_driven"):

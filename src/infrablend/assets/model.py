@@ -73,6 +73,7 @@ class PartRange:
         sun: Response to sunlight, which replaces `delta_t_k` in scenes with a sun; None for none.
         glow: Whether a translucent part is ground that the object warms, see `core.scene.PartState`.
         ground: Whether it is ground beside the object, which has no part in the temperature of the whole object.
+        sheltered: Whether it is warm because the object shields it from the sky, which closed clouds do as well.
 
     Raises:
         ValueError: A range is reversed or a value is outside its limits.
@@ -90,6 +91,7 @@ class PartRange:
     sun: SunResponse | None = None
     glow: bool = False
     ground: bool = False
+    sheltered: bool = False
 
     def __post_init__(self) -> None:
         (cold, warm), (low, high) = self.delta_t_k, self.emissivity

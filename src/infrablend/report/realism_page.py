@@ -45,7 +45,7 @@ _KEPT = (
     "chain_off_logistic", "chain_off_boosting", "valid", "invalid_because", "mmd_dct", "box_looseness",
 )  # fmt: skip
 _SCORES = ("auc_boosting", "floor_logistic", "hard_paste_logistic", "chain_off_logistic")
-_TIMES = ("night", "day", "all", "unknown")
+_TIMES = ("night", "day", "dusk", "dawn", "all", "unknown")
 
 
 def add_to_page(facts: Mapping[str, Any], out: Path) -> Path:

@@ -254,7 +254,12 @@ class _Search:
         group = _kind(item).group
         if group is None or not item.model.stands or self._rng.random() >= group.share:
             return []
-        return [pose for other, pose in self._placed[self._known :] if other.kind is item.kind]
+        ground = item.model.needed_ground(item.params)  # people in water have none beside them who stand dry
+        return [
+            pose
+            for other, pose in self._placed[self._known :]
+            if other.kind is item.kind and other.model.needed_ground(other.params) == ground
+        ]
 
     def _ground_aim(self, item: PlacementRequest) -> Callable[[Pose, float, bool], bool] | None:
         """Draw the ground that the object looks for, and return whether a pose has it; None for any ground.

@@ -55,7 +55,7 @@ class PaperPlacer(Placer):
         for number, item in enumerate(wanted):
             pose = _draw_pose(item, rng)
             if item.model.needed_ground(item.params) is not None:  # there is no ground here
-                tally.absent["no_ground"] += 1
+                tally.left_out[item.number] = "no_ground"
                 poses.append(None)
                 continue
             if rules.on_miss == "keep":

@@ -316,7 +316,7 @@ def under_clouds(role: PartRange, *, lit: bool) -> Range:
     delta_k = role.delta_t_k
     if lit and role.sun is not None:
         delta_k = role.sun.overcast_k or role.sun.shade_k
-    low, high = (SKY_COOLING_SHARE * v if v < 0 or role.glow else v for v in delta_k)
+    low, high = (SKY_COOLING_SHARE * v if v < 0 or role.sheltered else v for v in delta_k)
     return low, high
 
 

@@ -15,7 +15,8 @@ from pathlib import Path
 from infrablend.core.child_process import describe_exit
 
 _PROGRESS = re.compile(r"(\d+)/(\d+) frames\b")
-_INTERRUPTED = 130
+# Of the command, and of a process that was stopped before the command could see to it, or twice.
+_STOPPED = (130, -signal.SIGTERM)
 _KEPT_LINES = 200
 _CLOSE_S = 20
 
@@ -80,14 +81,16 @@ class Generation:
             return self.progress or "Starting..."
         if code == 0:
             return f"Done. Review it with: {shlex.join(['infrablend', 'studio', '--run', str(self.out)])}"
-        if code == _INTERRUPTED:
+        if code in _STOPPED and not self.total:
+            return "Stopped before it began."
+        if code in _STOPPED:
             return f"Stopped. To go on, choose Resume, or: {self.command.removesuffix(' --resume')} --resume"
         return f"It {describe_exit(code)}."
 
     def stop(self) -> None:
         """Do what Ctrl-C does: finished frames are kept for `--resume`. A second time ends it at once."""
         if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
+            self._process.terminate()  # where a studio in the background has children that ignore SIGINT, too
 
     def close(self) -> None:
         """Stop it, and wait for its end."""

@@ -26,6 +26,7 @@ from infrablend.studio.tuning import Tuned
 
 Legend = dict[str, Colour | None]
 _LEAST_SHARE = 0.0005
+_INDIVIDUALS = 30  # drawn of a kind, to find what ground they need
 
 
 def show_surfaces(tuned: Tuned, ignored: Collection[str]) -> tuple[Rgb, Legend]:
@@ -102,9 +103,12 @@ def _suits(recipe: Recipe, site: Site) -> dict[str, NDArray[np.float32]]:
     found = dict[str, NDArray[np.float32]]()
     for kind in recipe.objects:
         model = load_model(kind.model)
-        params = model.sample(stream(0, "options"), kind.options)
-        item = PlacementRequest(kind, model, params, model.build(params), 1.0)
-        if (ground := suitable_ground(recipe.placement.surfaces, site, item)) is not None:
+        drawn = [model.sample(stream(0, f"options/{n}"), kind.options) for n in range(_INDIVIDUALS)]
+        # One of those that need ground of their own, such as people in water, and one of the others.
+        each = {tuple(model.needed_ground(p) or ()): p for p in drawn}.values()
+        items = [PlacementRequest(kind, model, params, model.build(params), 1.0) for params in each]
+        grounds = [g for i in items if (g := suitable_ground(recipe.placement.surfaces, site, i)) is not None]
+        if len(grounds) == len(items):
             name = kind.category or model.category
-            found[name] = np.maximum(found.get(name, np.float32(0)), ground.suits)
+            found[name] = np.max([*(g.suits for g in grounds), found.get(name, grounds[0].suits)], axis=0)
     return found

@@ -19,7 +19,7 @@ from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
-from infrablend.core.files import write_text
+from infrablend.core.files import read_regular, write_text
 from infrablend.core.typed_command import reading_words
 from infrablend.engine.turntable import draw_model
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
@@ -265,14 +265,15 @@ class Tuning:
 
         Raises:
             ArgumentError: The name does not end in .yaml.
-            OutputError: The file exists and was not saved here, or cannot be written.
+            OutputError: The file exists, is not the same and was not saved here, or cannot be written.
         """
         if path.suffix.lower() not in (".yaml", ".yml"):
             raise ArgumentError(f"{path}: expected the name of a file that ends in .yaml")
-        path = path.resolve()
-        if path.exists() and path not in self._saved:
+        path, text = path.resolve(), _to_yaml(recipe)
+        # The same recipe is what a run of an earlier studio is resumed with.
+        if path.exists() and path not in self._saved and not _has_text(path, text):
             raise OutputError(f"{path}: exists already, and was not saved by this studio; give another name")
-        write_text(path, _to_yaml(recipe))
+        write_text(path, text)
         self._saved.add(path)
         return path, shlex.join(["infrablend", "try", str(path), *self._words(), "--frame", frame_id])
 
@@ -301,6 +302,13 @@ class Tuning:
         if self.generation is not None:
             self.generation.close()
         self._trials.close()
+
+
+def _has_text(path: Path, text: str) -> bool:
+    try:
+        return read_regular(path) == text.encode()
+    except OSError:
+        return False
 
 
 def _size(label: Instance) -> float:

@@ -153,6 +153,12 @@ def test_a_page_collects_comparisons_by_class_and_time(tmp_path):
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
+def test_a_page_shows_dusk_and_dawn(tmp_path):
+    both = [[*crowd(k, time="dusk"), *crowd(k, time="dawn")] for k in (0.0, 0.1)]
+    text = add_to_page(report("all", *both), tmp_path).read_text()
+    assert "| person by dusk: slope of the middle |" in text and "| person by dawn: slope of the middle |" in text
+
+
 def test_a_file_of_that_name_that_is_no_page_is_kept(tmp_path):
     (tmp_path / "realism.json").write_text('{"classes": {}}')
     with pytest.raises(OutputError, match="is not a page on realism"):

@@ -114,6 +114,17 @@ def test_under_closed_clouds_nothing_is_much_colder_than_the_air() -> None:
     assert mean("car", "night", "roof", parked, stated, "environment.overcast_share=1") == pytest.approx(-6)
 
 
+def test_ground_under_a_body_is_as_warm_under_closed_clouds() -> None:
+    lying = "objects.0.options={pose: lying, warm_ground: 1}"
+    clear, overcast = (mean("deer", "night", "bed", lying, f"environment.overcast_share={k}") for k in (0, 1))
+    assert clear == overcast > 1
+    sheltered = "objects.0.options={state: [parked_cold], sheltered: true}"
+    clear, overcast = (
+        mean("car", "night", "ground_near", sheltered, f"environment.overcast_share={k}") for k in (0, 1)
+    )
+    assert 0 < overcast < 0.2 * clear
+
+
 def test_tyres_are_hardly_warm_at_dusk_if_the_day_was_overcast() -> None:
     parked = "objects.0.options={state: [parked_cold]}"
     clear, overcast = (

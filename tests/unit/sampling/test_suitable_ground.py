@@ -155,6 +155,28 @@ def test_people_in_water_are_in_water_whatever_the_recipe_says_of_others(where):
     assert sum(s.draws["absent"].get("no_ground", 0) for s in dry) > 10
 
 
+def test_nobody_stands_dry_beside_people_in_water():
+    """With `anywhere`, nothing but the group would lead the others into the water."""
+    water = np.full((128, 160), "grass", dtype="U10")
+    water[44:84, 60:100] = "water"  # 160 px, 8 % of the picture
+    group = "objects.0.group={share: 1, apart_m: [0.6, 2], max_overlap: 0.5}"
+    options = "objects.0.options={pose: standing, water: {waist: 1, none: 1}}"
+    settings = [*BY_HAND, "placement.where=anywhere", group, options, "camera.altitude={fixed_m: 80}"]
+    found = drawn(load_recipe("hit-uav-person", settings), surfaces(water), scenes=20)
+    wet = np.array(["water" in o.params for s in found for o in s.objects])
+    xy = places_px(found)
+    inside = (np.abs(xy - (320, 256)) < 80).all(axis=1)
+    assert wet.sum() > 20 and inside[wet].all()
+    assert inside[~wet].mean() < 0.16
+
+
+def test_people_in_water_have_no_ground_in_the_placement_of_the_paper():
+    options = ["objects.0.model=person", "objects.0.options={pose: standing, water: knees}", "objects.0.count=2"]
+    (scene,) = drawn(load_recipe("hit-uav-drone", options), halves("water", "water"), scenes=1)
+    assert not scene.objects
+    assert scene.draws["absent"] == {"no_ground": 2} and scene.left_out == {0: "no_ground", 1: "no_ground"}
+
+
 def test_neighbours_stand_on_suitable_ground_as_well():
     group = "objects.0.group={share: 1, apart_m: [2.5, 6], in_row: true, max_overlap: 0.4}"
     xy = places_px(drawn(load_recipe("hit-uav-car", [*BY_HAND, group]), halves("grass", "road")))

@@ -48,6 +48,13 @@ def test_a_run_is_made_stopped_and_resumed(write_tiny_hit_uav: Callable[..., Pat
     tuning.close()
 
 
+def test_a_run_may_be_stopped_before_it_begins(tmp_path: Path) -> None:
+    made = Generation(["generate", "no-recipe", "--data", str(tmp_path), "--out", "out"], tmp_path / "out")
+    made.stop()
+    wait_for(lambda: not made.is_running)
+    assert made.state == "Stopped before it began." and not made.lines
+
+
 @pytest.mark.slow
 def test_an_error_is_shown_as_the_command_words_it(tmp_path: Path) -> None:
     made = Generation(

@@ -9,13 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
+from infrablend.config.loading import load_recipe
 from infrablend.errors import DatasetError, OutputError, RecipeError
 from infrablend.pipeline.compose.trial import TrialRequest
 from infrablend.pipeline.plans.request import Execution
 from infrablend.report.place_sheet import COLOURS
 from infrablend.report.preview import to_rgb
-from infrablend.studio.places import paint, show_places, show_surfaces
+from infrablend.studio.places import _suits, paint, show_places, show_surfaces
 from infrablend.studio.tuning import Tuned, Tuning
+from tests.unit.sampling.test_suitable_ground import halves, site_of
 
 PAPER, METRIC = "hit-uav-drone", "hit-uav-person"
 MASKS = "placement.where.masks"
@@ -54,6 +56,17 @@ def test_places_are_bright_where_objects_may_stand(tuning: Tuning) -> None:
         assert [*show_places(tuned_with(tuning, recipe, **settings), tuning.ignored)[1]] == [
             "This recipe asks for no surface."
         ]
+
+
+def test_people_in_water_and_others_of_a_kind_have_their_places() -> None:
+    def shares(*settings: str) -> list[float]:
+        recipe = load_recipe(METRIC, [f"objects.0.options={{pose: standing, water: {settings[0]}}}", *settings[1:]])
+        return [float((s > 0).mean()) for s in _suits(recipe, site_of(halves("grass", "water"))).values()]
+
+    on_grass = "placement.where.surfaces={grass: 1}"
+    assert shares("none", on_grass) == shares("waist", on_grass) == shares("waist", "placement.where=anywhere") == [0.5]
+    assert shares("{none: 1, waist: 1}", on_grass) == [1.0]
+    assert shares("{none: 1, waist: 1}", "placement.where=anywhere") == []
 
 
 def test_a_painted_mask_is_beside_the_dataset_and_used_by_the_next_frame(tuning: Tuning) -> None:

@@ -122,6 +122,12 @@ def test_a_recipe_is_saved_over_nothing_of_others(tuning: Tuning, tmp_path: Path
     tuning.save(recipe, tmp_path / "a.yaml", "test/a_c0")
     tuning.save(recipe, tmp_path / "a.yaml", "test/a_c0")
     assert mine.read_text() == "mine"
+    # Another studio takes the same recipe for its own, to go on with a run of it.
+    tuning._saved.clear()
+    tuning.save(recipe, tmp_path / "a.yaml", "test/a_c0")
+    tuning._saved.clear()
+    with pytest.raises(OutputError, match="exists already"):
+        tuning.save(tuning.read(RECIPE, {"configurations": 3}), tmp_path / "a.yaml", "test/a_c0")
 
 
 def test_wrong_fields_and_deleted_backgrounds_are_named(

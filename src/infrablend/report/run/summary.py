@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from statistics import median
+from statistics import median_high
 
-from infrablend.report.run.facts import FrameFacts, RunFacts
+from infrablend.report.run.facts import FrameFacts, InsertFacts, RunFacts
 
 Sentence = tuple[str, str]
 """A sentence, and the link to the section that it is about; empty for none."""
@@ -71,43 +71,56 @@ def plain_summary(run: RunFacts) -> list[Sentence]:
     """Return the run in a few sentences for readers who do not know the program."""
     frames = run.frames
     inserts = [i for f in frames for i in f.inserts]
-    filled = sum(bool(f.inserts) for f in frames)
-    kinds = Counter(i.category for i in inserts)
-    named = ", ".join(f"{n} x {name}" for name, n in kinds.most_common())
-    found = [("Nothing was inserted.", "")]
-    if inserts:
-        tracks = {i.track for i in inserts if i.track}
-        what = (
-            f"{_count(len(tracks), 'object')} with {len(inserts)} labels" if tracks else _count(len(inserts), "object")
-        )
-        were = _were(len(tracks) or len(inserts))
-        text = f"{what} {were} inserted into {filled} of {len(frames)} pictures: {named}."
-        found = [(text if tracks else f"{text} Each has a label.", "#frames")]
-        sizes = [i.size_px for i in inserts]
-        small = sum(s < SMALL_PX for s in sizes)
-        text = f"Half of them are larger than {median(sizes):.0f} pixels, the smallest is {min(sizes):.1f} pixels long"
-        found.append(
-            (f"{text}; {small} of {len(sizes)} {'is' if small == 1 else 'are'} below {SMALL_PX} pixels.", "#charts")
-        )
-    hidden = sum(i.visibility is not None and i.visibility < 0.95 for i in inserts)
-    if hidden:
-        found.append(
-            (f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, or cut by the picture's edge.", "#extremes")
-        )
+    found = _inserted(frames, inserts)
+    if hidden := _objects([i for i in inserts if i.visibility is not None and i.visibility < 0.95]):
+        text = f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, or cut by the picture's edge."
+        found.append((text, "#extremes"))
     found += _times(frames)
     if dropped := sum(len(f.dropped) for f in frames):
-        text = f"{_count(dropped, 'object')} more {_were(dropped)} wanted and left out, for the reasons listed below."
-        found.append((text, "#dropped"))
+        text = f"{_count(dropped, 'more object')} {_were(dropped)} wanted, but {_are(dropped)} missing or without label"
+        found.append((f"{text}, for the reasons listed below.", "#dropped"))
     removed = sum(not r.inserted for f in frames for r in f.removed)
-    lost = f"{_count(removed, 'label')} of real objects {_were(removed)} removed; all others stay."
-    found.append((lost, "#removed") if removed else ("All labels of real objects stay.", ""))
+    real = sum(run.counts.get("labels", {}).values()) - len(inserts)
+    lost = f"{_count(removed, 'label')} of real objects {_were(removed)} removed"
+    if removed:
+        found.append((f"{lost}; all others stay." if real else f"{lost}, and none is left.", "#removed"))
+    elif real:
+        found.append(("All labels of real objects stay.", ""))
     warnings = {p.code for p in run.problems if p.severity == "warning"}
     if warnings:
         what = "is one thing" if len(warnings) == 1 else f"are {len(warnings)} things"
         found.append((f"There {what} to check before the run is used.", "#warnings"))
+    if skipped := run.counts.get("skipped_backgrounds", 0):
+        found.append((f"{_count(skipped, 'background')} could not be used.", "#problems"))
     if failed := run.counts.get("failed_frames", 0):
         found.append((f"{_count(failed, 'picture')} could not be made.", "#problems"))
     return found
+
+
+def _inserted(frames: Sequence[FrameFacts], inserts: Sequence[InsertFacts]) -> list[Sentence]:
+    """Return what was inserted, and of what size."""
+    if not inserts:
+        bare = sum(r.inserted for f in frames for r in f.removed)
+        text = f"{_count(bare, 'object')} {_were(bare)} inserted without label, as the recipe asks for."
+        return [(text, "#removed") if bare else ("Nothing was inserted.", "")]
+    filled = sum(bool(f.inserts) for f in frames)
+    named = ", ".join(f"{n} x {name}" for name, n in Counter(i.category for i in inserts).most_common())
+    count, of_all = _objects(inserts), _count(len(frames), "picture")
+    what = f"{_count(count, 'object')} {_were(count)} inserted into {filled} of {of_all}"
+    if count < len(inserts):
+        what += f", with {_count(len(inserts), 'label')}"
+    found = [(f"{what}: {named}. Each has a label.", "#frames")]
+    sizes = [i.size_px for i in inserts]
+    small = sum(s < SMALL_PX for s in sizes)
+    if len(sizes) == 1:
+        return [*found, (f"It is {sizes[0]:.0f} pixels long.", "#charts")]
+    text = f"Half of them are at least {median_high(sizes):.0f} pixels long, the smallest is {min(sizes):.0f}"
+    return [*found, (f"{text}; {small} of {len(sizes)} {_are(small)} smaller than {SMALL_PX} pixels.", "#charts")]
+
+
+def _objects(inserts: Sequence[InsertFacts]) -> int:
+    """Return the number of objects, each of which a sequence shows in many pictures."""
+    return len({i.track for i in inserts if i.track}) + sum(not i.track for i in inserts)
 
 
 def _times(frames: Sequence[FrameFacts]) -> list[Sentence]:
@@ -126,3 +139,7 @@ def _count(n: int, what: str) -> str:
 
 def _were(n: int) -> str:
     return "was" if n == 1 else "were"
+
+
+def _are(n: int) -> str:
+    return "is" if n == 1 else "are"

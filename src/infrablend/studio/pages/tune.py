@@ -118,7 +118,7 @@ class TunePage:
         if number is None:
             ui.notify(f"{name}: no such background in this dataset; the first one is shown", type="warning")
         self._background = self._tuning.backgrounds[number or 0]
-        self._configuration = int(configuration) if configuration.isdecimal() else 0
+        self._configuration = int(configuration) if configuration.isdecimal() and len(configuration) < 7 else 0
 
     def _walked(self, event: GenericEventArguments) -> None:
         """Show what the address names that the browser has gone back or forward to."""

@@ -24,7 +24,7 @@ export default {
         </select></label>
         <label v-for="(name, key) in { b: 'Boxes', o: 'Original objects' }" @mousedown.prevent>
           <input type="checkbox" v-model="shown[key]"> {{ name }} <kbd>{{ key.toUpperCase() }}</kbd></label>
-        <a :href="'/review?frame=' + id">Review this frame</a>
+        <a :href="'/review' + query" @click="keep">Review this frame</a>
         <span class="player-time">{{ at + 1 }} of {{ count }}, {{ sequence.times[at].toFixed(2) }} s</span>
       </div>
       <div class="timeline-scroll">
@@ -61,6 +61,9 @@ export default {
     },
     id() {
       return this.sequence.frames[this.at][1];
+    },
+    query() {
+      return "?frame=" + encodeURIComponent(this.id).replaceAll("%2F", "/"); // as elsewhere in the studio
     },
     marks() {
       if (!this.shown.b) return [];
@@ -147,7 +150,7 @@ export default {
         } else this.draw(picture, canvas);
         this.at = this.wanted;
         clearTimeout(this.timer);
-        this.timer = setTimeout(() => history.replaceState(history.state, "", "?frame=" + this.id), QUIET_MS);
+        this.timer = setTimeout(this.keep, QUIET_MS);
       }
       for (const [at, old] of this.pictures) {
         if (old && (at < this.wanted - BEHIND || at > this.wanted + AHEAD)) {
@@ -159,6 +162,10 @@ export default {
       const due = Array.from({ length: AHEAD }, (_, k) => this.wanted + k);
       const missing = due.filter((at) => at < this.count && !this.pictures.has(at));
       missing.slice(0, AT_ONCE - underway).forEach((at) => this.load(at));
+    },
+    keep() {
+      clearTimeout(this.timer);
+      history.replaceState(history.state, "", this.query);
     },
     draw(picture, canvas) {
       if (canvas.width !== picture.width || canvas.height !== picture.height) {
