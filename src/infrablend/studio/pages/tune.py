@@ -12,35 +12,32 @@ from typing import Any, get_args
 from urllib.parse import parse_qsl, urlencode
 
 from nicegui import run, ui
-from nicegui.element import Element
 from nicegui.events import GenericEventArguments
 
 from infrablend.config.loading import list_recipes
 from infrablend.config.modes import CHOICES, modes_of
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import InfraBlendError, Problem
 from infrablend.report.preview import Rgb
+from infrablend.studio.pages.generation_panel import show_generation
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
 from infrablend.studio.pages.object_inputs import Input, show_models, show_options, show_parts
+from infrablend.studio.pages.path_editor import PathEditor
 from infrablend.studio.pages.routes import Pictures
+from infrablend.studio.pages.stage import Stage
 from infrablend.studio.pictures import to_png
 from infrablend.studio.places import Legend, paint, show_places, show_surfaces
 from infrablend.studio.recipe_form import (
     FormField,
     Move,
-    Point,
     fitting,
     form_of,
     input_of,
     moved,
     origin_px,
-    path_of,
     released,
-    with_path,
     with_place,
-    with_point,
 )
 from infrablend.studio.tuning import Tuned, Tuning
 
@@ -60,24 +57,6 @@ def _address(pictures: Pictures, rgb: Rgb) -> str:
     while len(pictures) > _KEPT:
         pictures.popitem(last=False)
     return f"/tune/picture/{number}.png"
-
-
-class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
-    """The picture, with a handle on each insert, or a brush over it."""
-
-    def __init__(self, alt: str) -> None:
-        super().__init__()
-        self._props.update(source="", alt=alt, marks=[], size=[1, 1], pen=0, path=None)
-
-    def show(self, source: str, marks: list[dict[str, Any]], size_wh: tuple[int, int], pen_px: int) -> None:
-        """Show a picture of a frame of this size; 0 px is no brush."""
-        self._props.update(source=source, marks=marks, size=list(size_wh), pen=pen_px)
-        self.update()
-
-    def draw(self, path: list[list[float]] | None) -> None:
-        """Show a path whose points can be added, moved and deleted; None for none."""
-        self._props["path"] = path
-        self.update()
 
 
 class TunePage:
@@ -211,7 +190,7 @@ class TunePage:
             self._ground = ui.switch("Ground and people of 1.7 m", on_change=self._show_picture)
             maps = {"": "None", "surfaces": "Surfaces", "stand": "Where objects may stand"}
             self._map = show_choice("Map", maps, "", lambda _: self._show_picture())
-            self._path_of = show_choice("Path", {"": "None"}, "", lambda _: self._show_path(), classes="min-w-24")
+            self._path = PathEditor(self._inputs, self._frame_wh)
             self._configurations = ui.number("Configuration", value=self._configuration, min=0, precision=0)
             self._configurations.props("dense outlined debounce=300").classes("tune-number")
             self._configurations.on_value_change(lambda e: self._configure(e.value))
@@ -226,15 +205,18 @@ class TunePage:
         self._image = Stage("The frame with the recipe as it is in the form")
         self._image.on("place", self._placed)
         self._image.on("adjust", self._adjusted)
-        self._image.on(
-            "add", lambda e: self._set_path(with_point(self._path(), float(e.args["x"]), float(e.args["y"])))
-        )
-        self._image.on("point", self._change_point)
         self._image.on("paint", lambda e: self._paint(e.args["line"]))
-        self._points = ui.element("div").classes("studio-card tune-points")
+        self._path.show_points(self._image)
         self._error = ui.label().classes("studio-error").props("role=alert")
         self._error.set_visibility(False)
         self._facts = ui.element("div").classes("tune-facts")
+
+    def _frame_wh(self) -> tuple[int, int]:
+        """Return the size of the picture, px."""
+        if self._tuned is None:
+            return 640, 512
+        height, width = self._tuned.trial.frame.pixels.shape[:2]
+        return width, height
 
     def _show_picture(self) -> None:
         if self._tuned is None:
@@ -243,13 +225,12 @@ class TunePage:
         self._ground.set_enabled(tuned.has_ground)
         base, legend = self._mapped(tuned)
         rgb = tuned.picture(boxes=bool(self._boxes.value), ground=bool(self._ground.value), base=base)
-        height, width = tuned.trial.frame.pixels.shape[:2]
         can_paint = tuned.recipe.placement.surfaces is not None
         pen_px = int(self._pen.value) if can_paint and self._map.value and self._brush.value else 0
         self._brush.set_visibility(can_paint)
         self._pen.set_visibility(pen_px > 0)
         self._all.set_visibility(pen_px > 0)
-        self._image.show(_address(self._pictures, rgb), self._marks(), (width, height), pen_px)
+        self._image.show(_address(self._pictures, rgb), self._marks(), self._frame_wh(), pen_px)
         self._legend.clear()
         with self._legend:
             for text, colour in legend.items():
@@ -291,77 +272,6 @@ class TunePage:
             box = [round(float(v), 1) for v in label.box_xyxy]
             found.append({"n": number, "name": label.category, "box": box, "origin": origin_px(frame.scene, number)})
         return found
-
-    # ---- path by hand
-
-    def _path(self) -> list[Point]:
-        return path_of(self._motion())
-
-    def _motion(self) -> Any:
-        """Return the motion in the form of the object whose path is drawn; None for none, and for what is no YAML."""
-        made = self._inputs.get(f"objects.{self._path_of.value}.motion")
-        try:
-            return None if made is None else read_yaml(made.shown[0].value or "")
-        except ValueError:
-            return None
-
-    def _set_path(self, points: Sequence[Point], *, again: bool = True) -> None:
-        motion = with_path(self._motion(), points)
-        self._inputs[f"objects.{self._path_of.value}.motion"].shown[0].value = (
-            "" if motion is None else json.dumps(motion)
-        )
-        if again:
-            self._show_path()
-
-    def _change_point(self, event: GenericEventArguments) -> None:
-        """Move or delete the point that an event names."""
-        points, given = self._path(), event.args
-        number = int(given["k"])
-        if number >= len(points):
-            return
-        if given.get("remove"):
-            del points[number]
-        else:
-            points[number] |= {"x_px": round(float(given["x"]), 1), "y_px": round(float(given["y"]), 1)}
-        self._set_path(points)
-
-    def _show_path(self) -> None:
-        """Show the path in the picture, and times and distances of its points below it."""
-        drawn, points = self._path_of.value != "", self._path()
-        self._points.set_visibility(drawn)
-        self._image.draw([[p["x_px"], p["y_px"]] for p in points] if drawn else None)
-        self._points.clear()
-        if not drawn:
-            return
-        motion = self._motion()
-        with self._points:
-            if not points and isinstance(motion, dict) and motion.get("path"):
-                ui.label("This path is not in the picture: change it in the field motion.")
-                self._image.draw(None)
-                return
-            ui.label(
-                "Click in the first picture of the sequence to add points; drag them, or focus one and use the arrow "
-                "keys and Delete."
-            )
-            for number, point in enumerate(points):
-                with ui.element("div").classes("studio-row"):
-                    for key, name in (("time_s", "time, s"), ("range_m", "distance, m")):
-                        box = ui.number(f"point {number + 1}, {name}", value=point.get(key), min=0)
-                        box.props("dense outlined debounce=400").classes("tune-end")
-                        box.on_value_change(lambda e, n=number, k=key: self._set_point(n, k, e.value))
-            height, width = (512, 640) if self._tuned is None else self._tuned.trial.frame.pixels.shape[:2]
-            add = partial(with_point, points, width / 2, height / 2)
-            ui.button("Add a point in the middle", on_click=lambda: self._set_path(add())).props(
-                "no-caps outline dense"
-            )
-
-    def _set_point(self, number: int, key: str, value: float | None) -> None:
-        points = self._path()
-        if number < len(points) and (value is not None or key == "range_m"):
-            points[number] |= {key: value}
-            # The inputs stay while one is typed in, unless the order of the points changes.
-            in_order = all(a["time_s"] < b["time_s"] for a, b in itertools.pairwise(points))
-            self._set_path(points, again=not in_order)
 
     def _placed(self, event: GenericEventArguments) -> None:
         given, (x, y) = event.args, self._marks()[int(event.args["k"])]["origin"]
@@ -438,53 +348,7 @@ class TunePage:
         ui.label(f"Names without a folder are in {Path.cwd()}").classes("faint tune-help tune-path")
         ui.button("Save recipe", on_click=self._save).props("no-caps outline")
         self._saved = ui.label().classes("tune-command").props("role=status")
-        self._build_generate()
-
-    def _build_generate(self) -> None:
-        """Build what starts and shows a run; one that another tab has started is shown, too."""
-        ui.html("<h3>Generate</h3>", sanitize=False)
-        out = ui.input("Output folder", value=f"runs/{self._tuning.name}-tuned").props("dense outlined")
-        most = ui.number("Pictures at most, empty for all", min=1, precision=0).props("dense outlined")
-        resume = ui.switch("Resume a stopped run")
-        for made in (out, most):
-            made.classes("w-full tune-field")
-
-        async def start() -> None:
-            recipe = await self._save()
-            if recipe is None:
-                return
-            try:
-                limit = None if most.value is None else int(most.value)
-                folder = Path(out.value or "run").absolute()
-                self._tuning.generate(recipe, folder, limit=limit, resume=bool(resume.value))
-            except InfraBlendError as error:
-                tell(error)
-            look()
-
-        def stop() -> None:
-            if self._tuning.generation is not None:
-                self._tuning.generation.stop()
-
-        with ui.element("div").classes("studio-row"):
-            starts = ui.button("Save and generate", on_click=start).props("no-caps outline")
-            stops = ui.button("Stop", on_click=stop).props("no-caps outline")
-        bar = ui.linear_progress(0.0, show_value=False).props('aria-label="Finished frames" instant-feedback')
-        state = ui.label().classes("tune-command").props("role=status")
-        said = ui.label().classes("tune-command faint")
-
-        def look() -> None:
-            run_made = self._tuning.generation
-            running = run_made is not None and run_made.is_running
-            starts.set_enabled(not running)
-            stops.set_visibility(running)
-            bar.set_visibility(running)
-            if run_made is not None:
-                bar.value = run_made.done / max(1, run_made.total)
-                state.set_text(run_made.state)
-                said.set_text("\n".join(run_made.lines))
-
-        look()
-        ui.timer(0.5, look)
+        show_generation(self._tuning, self._save)
 
     def _fill_form(self) -> None:
         try:
@@ -503,10 +367,7 @@ class TunePage:
                         self._build_field(field, part)
 
         kinds = [key.split(".")[1] for key in self._inputs if key.startswith("objects.") and key.endswith(".motion")]
-        chosen = self._path_of.value if self._path_of.value in kinds else ""
-        self._path_of.set_options({"": "None", **{k: f"objects {k}" for k in kinds}}, value=chosen)
-        self._path_of.set_visibility(bool(kinds))
-        self._show_path()
+        self._path.offer(kinds)
 
     def _build_field(self, field: FormField, part: Any) -> None:
         title = f"{field.title}, {field.unit}" if field.unit else field.title

@@ -1,0 +1,25 @@
+"""The picture of a frame with handles, a brush, or a path over it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui.element import Element
+
+
+class Stage(Element, component="components/stage.js"):  # type: ignore[call-arg]
+    """The picture, with a handle on each insert, or a brush over it."""
+
+    def __init__(self, alt: str) -> None:
+        super().__init__()
+        self._props.update(source="", alt=alt, marks=[], size=[1, 1], pen=0, path=None)
+
+    def show(self, source: str, marks: list[dict[str, Any]], size_wh: tuple[int, int], pen_px: int) -> None:
+        """Show a picture of a frame of this size; 0 px is no brush."""
+        self._props.update(source=source, marks=marks, size=list(size_wh), pen=pen_px)
+        self.update()
+
+    def draw(self, path: list[list[float]] | None) -> None:
+        """Show a path whose points can be added, moved and deleted; None for none."""
+        self._props["path"] = path
+        self.update()
