@@ -74,6 +74,20 @@ def studio(chromium: str, folder: Path, *words: object, **options: Any) -> Itera
             process.kill()
 
 
+@contextmanager
+def tuned_run(
+    chromium: str, write: Callable[..., Path], folder: Path, recipe: str, settings: dict[str, Any] | None = None
+) -> Iterator[Any]:
+    """Tune a run of one picture, over backgrounds in `folder`: yield as `studio` does, at the first picture."""
+    data, run = write(folder / "data"), folder / "run"
+    flat = Execution(renderer="flat", in_process=True)
+    api.generate(recipe, data, run, limit=1, settings=settings or {}, execution=flat)
+    with studio(chromium, folder, "--run", run) as opened:
+        opened.page.goto(f"{opened.base}/tune")
+        opened.page.locator("img.picture[src]").wait_for()
+        yield opened
+
+
 def records_of(*names: str, **changes: Any) -> dict[str, dict[str, Any]]:
     """Return the records of frames by id."""
     return {f"test/{n}_c0": frame_record(f"test/{n}_c0", **changes) for n in names}
@@ -417,14 +431,9 @@ def test_a_wrong_field_is_marked_and_the_last_picture_stays(
 def test_backgrounds_have_addresses_and_the_saved_recipe_a_path(
     chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
-    flat = Execution(renderer="flat", in_process=True)
     many = {"objects.0.count": 3, "objects.0.scale": [6, 6], "placement.min_visibility": 0.9, "configurations": 2}
-    api.generate("hit-uav-drone", data, run, limit=1, settings=many, execution=flat)
-    with studio(chromium, tmp_path, "--run", run) as opened:
+    with tuned_run(chromium, write_tiny_hit_uav, tmp_path, "hit-uav-drone", settings=many) as opened:
         page = opened.page
-        page.goto(f"{opened.base}/tune")
-        page.locator("img.picture[src]").wait_for()
         page.get_by_text("hit-uav-drone (as opened)").wait_for()
         page.get_by_text("drone, was left out: ").first.wait_for()
         assert page.locator(".stage-handle").count() > 0
@@ -456,13 +465,8 @@ def test_backgrounds_have_addresses_and_the_saved_recipe_a_path(
 def test_all_wrong_fields_are_marked_in_their_places(
     chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
-    flat = Execution(renderer="flat", in_process=True)
-    api.generate("hit-uav-drone", data, run, limit=1, execution=flat)
-    with studio(chromium, tmp_path, "--run", run) as opened:
+    with tuned_run(chromium, write_tiny_hit_uav, tmp_path, "hit-uav-drone") as opened:
         page = opened.page
-        page.goto(f"{opened.base}/tune")
-        page.locator("img.picture[src]").wait_for()
         page.get_by_label("scale, from", exact=True).fill("5")
         page.get_by_role("button", name="camera").click()
         page.get_by_label("pitch", exact=True).fill("{fixed_deg: x}")
@@ -480,13 +484,8 @@ def test_all_wrong_fields_are_marked_in_their_places(
 def test_options_are_chosen_from_lists_and_a_run_is_made(
     chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
-    flat = Execution(renderer="flat", in_process=True)
-    api.generate("hit-uav-drone", data, run, limit=1, execution=flat)
-    with studio(chromium, tmp_path, "--run", run) as opened:
+    with tuned_run(chromium, write_tiny_hit_uav, tmp_path, "hit-uav-drone") as opened:
         page = opened.page
-        page.goto(f"{opened.base}/tune")
-        page.locator("img.picture[src]").wait_for()
         page.get_by_role("combobox", name="model").click()
         page.wait_for_function("() => document.querySelectorAll('.q-menu .tune-model').length > 3")
         page.get_by_role("option", name="deer", exact=True).click()
@@ -517,13 +516,8 @@ def test_options_are_chosen_from_lists_and_a_run_is_made(
 
 
 def test_a_path_is_drawn_on_the_picture(chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
-    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
-    flat = Execution(renderer="flat", in_process=True)
-    api.generate("hit-uav-drone-physical", data, run, limit=1, execution=flat)
-    with studio(chromium, tmp_path, "--run", run) as opened:
+    with tuned_run(chromium, write_tiny_hit_uav, tmp_path, "hit-uav-drone-physical") as opened:
         page = opened.page
-        page.goto(f"{opened.base}/tune")
-        page.locator("img.picture[src]").wait_for()
         page.get_by_role("combobox", name="Path").click()
         page.get_by_role("option", name="objects 0", exact=True).click()
         box = page.locator(".stage-paint").bounding_box()
@@ -554,13 +548,8 @@ def test_a_path_is_drawn_on_the_picture(chromium: str, write_tiny_hit_uav: Calla
 
 
 def test_a_mask_is_painted_over_a_map(chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> None:
-    data, run = write_tiny_hit_uav(tmp_path / "data"), tmp_path / "run"
-    flat = Execution(renderer="flat", in_process=True)
-    api.generate("hit-uav-person", data, run, limit=1, execution=flat)
-    with studio(chromium, tmp_path, "--run", run) as opened:
+    with tuned_run(chromium, write_tiny_hit_uav, tmp_path, "hit-uav-person") as opened:
         page = opened.page
-        page.goto(f"{opened.base}/tune")
-        page.locator("img.picture[src]").wait_for()
         for label, option in (("Map", "Surfaces"), ("Brush", "Not allowed"), ("Pen", "64 px")):
             page.get_by_role("combobox", name=label).click()
             page.get_by_role("option", name=option, exact=True).click()

@@ -31,6 +31,7 @@ from infrablend.assets.model import (
     at_low_sun,
     part_role,
     sun_response,
+    warm_ground_role,
 )
 from infrablend.assets.params import Checks, Range
 from infrablend.assets.shapes import Solid
@@ -181,9 +182,7 @@ def _parts_for(params: Params) -> dict[str, PartRange]:
     roles = {part: part_role(kind, deltas[part], what) for part, (kind, what) in _SURFACES.items()}
     what = "ground sheltered from the sky, measured on HIT-UAV's cars by night"
     for part, (_, opacity) in GROUND_RINGS.items():
-        # Black, because the sky that ground mirrors is part of its apparent temperature already.
-        role = part_role("asphalt", _GROUND_K, what, emissivity=(1.0, 1.0), ior=1.0, label=False, opacity=opacity)
-        roles[part] = replace(role, glow=True, ground=True, sheltered=True)
+        roles[part] = warm_ground_role("asphalt", _GROUND_K, what, opacity, sheltered=True)
     if params.get(SHADOW_PARAM):
         roles[SHADOW] = _shadow_role()
     if params["state"] in ("day_sun", "day_driven"):
@@ -810,21 +809,15 @@ def _build_pieces(params: Params) -> list[Piece]:
 
 
 def _ground_rings(half_x_m: float, half_y_m: float) -> Piece:
-    """Return flat rings around the car just above the ground; the innermost starts well under the car.
-
-    Neighbouring rings share their vertices, so that their opacities blend and the glow shows no steps.
-    """
+    """Return flat rings around the car just above the ground; the innermost starts well under the car."""
     loops = [shapes.rounded_rectangle(half_x_m - 0.5, half_y_m - 0.3, 0.3, 5)]
     loops += [
         shapes.rounded_rectangle(half_x_m + out_m, half_y_m + out_m, 0.3 + out_m, 5)
         for out_m, _ in GROUND_RINGS.values()
     ]
-    n = len(loops[0])
-    i = np.arange(n)
-    j = (i + 1) % n
-    ring = np.concatenate([np.stack([i, i + n, j], 1), np.stack([j, i + n, j + n], 1)])
-    triangles = np.concatenate([ring + k * n for k in range(len(GROUND_RINGS))]).astype(np.int32)
-    parts = np.repeat([_PART_NAMES.index(part) for part in GROUND_RINGS], len(ring)).astype(np.int32)
+    triangles = shapes.ring_strips(len(loops[0]), len(loops))
+    of_ring = len(triangles) // len(GROUND_RINGS)
+    parts = np.repeat([_PART_NAMES.index(part) for part in GROUND_RINGS], of_ring).astype(np.int32)
     flat = np.concatenate(loops)
     vertices = np.concatenate([flat, np.full((len(flat), 1), 0.005)], axis=1)
     return parts, vertices, triangles, True

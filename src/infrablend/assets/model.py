@@ -126,6 +126,17 @@ def part_role(
     )  # fmt: skip
 
 
+def warm_ground_role(
+    kind: str, delta_t_k: tuple[float, float], what: str, opacity: float, *, sheltered: bool = False
+) -> PartRange:
+    """Return the role of a sheet of ground that an object warms; `sheltered` as in `PartRange`.
+
+    It is black, because the sky that ground mirrors is part of its apparent temperature already.
+    """
+    role = part_role(kind, delta_t_k, what, emissivity=(1.0, 1.0), ior=1.0, label=False, opacity=opacity)
+    return replace(role, glow=True, ground=True, sheltered=sheltered)
+
+
 @dataclass(frozen=True)
 class ObjectModel:
     """Kind of object that can be inserted into a scene.

@@ -135,6 +135,21 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
+def ring_strips(corners: int, loops: int) -> IntArray:
+    """Return the triangles of flat rings between loops of vertices, counter-clockwise seen from above.
+
+    Neighbouring rings share their vertices, so that what differs between them blends without steps.
+
+    Args:
+        corners: Vertices of each loop, counter-clockwise.
+        loops: Number of loops, whose vertices follow each other from the innermost to the outermost.
+    """
+    i = np.arange(corners)
+    j = (i + 1) % corners
+    ring = np.concatenate([np.stack([i, i + corners, j], 1), np.stack([j, i + corners, j + corners], 1)])
+    return np.concatenate([ring + k * corners for k in range(loops - 1)]).astype(np.int32)
+
+
 def box(size: ArrayLike, bevel: float, *, corner: float | None = None, steps: int = 1) -> Solid:
     """Return a box around the origin with bevelled edges.
 

@@ -51,8 +51,8 @@ def above_water(piece: Piece, level: float) -> Piece:
     rim: dict[int, tuple[int, int]] = {}  # start of an edge on the surface -> its end and part, as the caps run
     cut: list[tuple[int, int, int]] = []
     own: list[int] = []
-    for t, up, part in zip(triangles[(count > 0) & (count < 3)], above[(count > 0) & (count < 3)],
-                           parts[(count > 0) & (count < 3)], strict=True):  # fmt: skip
+    crossed = (count > 0) & (count < 3)
+    for t, up, part in zip(triangles[crossed], above[crossed], parts[crossed], strict=True):
         lone = int(np.argmax(up if up.sum() == 1 else ~up))
         a, b, c = (int(t[(lone + k) % 3]) for k in range(3))
         ab, ca = crossing(a, b), crossing(c, a)

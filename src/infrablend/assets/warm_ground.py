@@ -15,8 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from infrablend.assets.model import Params, PartRange, part_role
+from infrablend.assets.model import Params, PartRange, warm_ground_role
 from infrablend.assets.params import Checks
+from infrablend.assets.shapes import ring_strips
 from infrablend.core.mesh import Mesh
 
 PARAM = "warm_ground"
@@ -29,9 +30,7 @@ OPTION = (
 _RINGS: Mapping[str, tuple[float, float]] = {"bed": (0.02, 0.55), "bed_rim": (0.10, 0.30), "bed_edge": (0.20, 0.08)}
 _EXCESS_K = (1.0, 6.0)
 _WHAT = "ground that the body has warmed (energy balance)"
-# Black, because the sky that ground mirrors is part of its apparent temperature already.
-_BLACK = part_role("soil", _EXCESS_K, _WHAT, emissivity=(1.0, 1.0), ior=1.0, label=False, opacity=0.5)
-PARTS: Mapping[str, PartRange] = {n: replace(_BLACK, opacity=o, glow=True, ground=True) for n, (_, o) in _RINGS.items()}
+PARTS: Mapping[str, PartRange] = {n: warm_ground_role("soil", _EXCESS_K, _WHAT, o) for n, (_, o) in _RINGS.items()}
 _MOST_M = 0.35  # how far the body has moved from the middle of the warm ground
 _CORNERS = 24
 _LOW = 0.6  # share of its height below which a lying body touches the ground, or nearly
@@ -81,13 +80,10 @@ def with_warm_ground(mesh: Mesh, params: Params) -> Mesh:
     loops = [centre + (radius + out_m)[:, None] * ways for out_m, _ in _RINGS.values()]
     flat = np.concatenate([centre[None], *loops]) + np.asarray(params[PARAM], np.float64)
     i = np.arange(_CORNERS)
-    j = (i + 1) % _CORNERS
-    fan = np.stack([np.zeros_like(i), i + 1, j + 1], axis=1)
-    # Neighbouring rings share their vertices, so that their opacities blend and the sheet shows no steps.
-    strip = np.concatenate([np.stack([i, i + _CORNERS, j], 1), np.stack([j, i + _CORNERS, j + _CORNERS], 1)]) + 1
-    triangles = np.concatenate([fan, strip, strip + _CORNERS])
+    fan = np.stack([np.zeros_like(i), i + 1, (i + 1) % _CORNERS + 1], axis=1)
+    triangles = np.concatenate([fan, 1 + ring_strips(_CORNERS, len(loops))])
     first = len(mesh.part_names)
-    parts = np.repeat(np.arange(first, first + len(_RINGS)), [len(fan), len(strip), len(strip)])
+    parts = np.repeat(np.arange(first, first + len(_RINGS)), [_CORNERS, *[2 * _CORNERS] * (len(loops) - 1)])
     sheet = np.concatenate([flat, np.full((len(flat), 1), 0.005)], axis=1)
     return replace(
         mesh,
