@@ -484,8 +484,14 @@ def test_all_wrong_fields_are_marked_in_their_places(
 def test_options_are_chosen_from_lists_and_a_run_is_made(
     chromium: str, write_tiny_hit_uav: Callable[..., Path], tmp_path: Path
 ) -> None:
-    with tuned_run(chromium, write_tiny_hit_uav, tmp_path, "hit-uav-drone") as opened:
+    drawn = {"objects.0.count": {"values": [1, 2], "weights": [3, 1]}}
+    with tuned_run(chromium, write_tiny_hit_uav, tmp_path, "hit-uav-drone", settings=drawn) as opened:
         page = opened.page
+        page.get_by_label("category", exact=True).fill("roe deer")
+        page.get_by_label("count 2, weight", exact=True).fill("")
+        page.get_by_label("count 1, weight", exact=True).fill("")
+        page.locator(".q-field--error", has_text="not all 0").first.wait_for()
+        page.get_by_label("count 3, weight", exact=True).fill("2")
         page.get_by_role("combobox", name="model").click()
         page.wait_for_function("() => document.querySelectorAll('.q-menu .tune-model').length > 3")
         page.get_by_role("option", name="deer", exact=True).click()
@@ -509,7 +515,8 @@ def test_options_are_chosen_from_lists_and_a_run_is_made(
         assert opened.errors == []
     saved = (tmp_path / "hit-uav-drone-tuned.yaml").read_text()
     (kind,) = load_recipe(tmp_path / "hit-uav-drone-tuned.yaml").objects
-    assert kind.model == "deer", saved
+    assert (kind.model, kind.category) == ("deer", "roe deer"), saved
+    assert kind.count.model_dump(include={"values", "weights"}) == {"values": (3,), "weights": (2.0,)}
     assert kind.options == {"pose": {"walking": 3.0, "lying": 1.0}}
     assert kind.parts["belly"].delta_t_k == (4.0, 4.0)
     assert (tmp_path / "made/run.json").is_file()

@@ -1,7 +1,8 @@
 """What a browser changes of an object in a recipe: the options of its model, and the temperatures of its parts.
 
 A model says in words what values its options take. Where these are a list of values or a range, the option has inputs
-of its own; others are written as in YAML. The model itself checks what is given.
+of its own; others are written as in YAML. The model itself checks what is given. The numbers of objects that are drawn
+for frames have a weight each.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from infrablend.errors import ModelError, Problem
 
 _END = re.compile(r"[;:]|,? (?:a list|or a list|or each|or both)\b")
 _VALUE = re.compile(r"[\w.-]+")
+_GROUP = re.compile(r"[\w-]+: ")
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,10 @@ def options_of(model: str) -> list[OptionField]:
 def _option(name: str, words: str) -> OptionField:
     if "[low, high]" in words:
         return OptionField(name, "range", words)
-    listed = _END.split(words.replace(" (default)", ""))[0].removeprefix("one of ")
+    groups = words.replace(" (default)", "").split("; ")
+    if len(groups) > 1 and all(_GROUP.match(g) for g in groups):  # values by those of another option
+        groups = [", ".join(_END.split(_GROUP.sub("", g, count=1))[0] for g in groups)]
+    listed = _END.split(groups[0])[0].removeprefix("one of ")
     values = [v.strip() for v in re.split(r", | or ", listed) if v.strip()]
     if len(values) < 2 or not all(_VALUE.fullmatch(v) for v in values):
         return OptionField(name, "yaml", words)
@@ -83,6 +88,21 @@ def fits_choice(option: OptionField, given: Any) -> bool:
     # Python takes 1 for True.
     known = {json.dumps(v) for v in option.values}
     return all(isinstance(v, str | int | float) and json.dumps(v) in known for v in chosen)
+
+
+def weights_of(count: Mapping[str, Any]) -> dict[int, float]:
+    """Return the numbers of objects that a recipe draws from with their weights, and two larger ones of weight 0."""
+    weights = count["weights"] or [1.0] * len(count["values"])
+    found = dict.fromkeys(range(max(count["values"]) + 3), 0.0)
+    for value, weight in zip(count["values"], weights, strict=True):
+        found[value] += weight
+    return found
+
+
+def count_of(weights: Mapping[int, float | None]) -> dict[str, Any]:
+    """Return what a recipe gives to `count` for numbers of objects with their weights; None counts as 0."""
+    given = {value: weight for value, weight in weights.items() if weight} or {0: 0.0}
+    return {"values": list(given), "weights": list(given.values())}
 
 
 def range_of_ends(low: float | None, high: float | None) -> Any:

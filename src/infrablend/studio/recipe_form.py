@@ -15,7 +15,7 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.scene import ObjectSpec, SceneSpec
 from infrablend.core.yaml_text import read_yaml
 
-Kind = Literal["switch", "choice", "number", "whole", "range", "yaml", "model", "options", "parts"]
+Kind = Literal["switch", "choice", "number", "whole", "range", "text", "counts", "yaml", "model", "options", "parts"]
 
 SECTIONS = ("objects", "placement", "camera", "environment", "appearance", "matching", "sensor", "overlay", "occlusion",
             "render", "labels")  # fmt: skip
@@ -39,6 +39,7 @@ class FormField:
         unit: Unit; may be empty.
         low: Least value.
         high: Largest value.
+        choices: Values to choose from; with None, nothing is a value, too.
     """
 
     key: str
@@ -49,12 +50,14 @@ class FormField:
     unit: str = ""
     low: float | None = None
     high: float | None = None
-    choices: tuple[str, ...] = ()
+    choices: tuple[str | None, ...] = ()
 
     def read(self, given: Any) -> Any:
         """Return what a browser sent as a value for the recipe; `ValueError` for text that is not YAML."""
         if self.kind == "yaml":
             return read_yaml(str(given)) if str(given).strip() else None
+        if self.kind == "text":
+            return str(given or "").strip() or None
         if self.kind == "range":
             return [float(v) for v in given]
         if self.kind == "whole":
@@ -143,12 +146,16 @@ def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormFie
     return FormField(key, title, kind, value, help_text, _UNITS.get(end, ""), low, high, choices)
 
 
-def _kind(key: str, about: Mapping[str, Any], value: Any) -> tuple[Kind, float | None, float | None, tuple[str, ...]]:
+def _kind(
+    key: str, about: Mapping[str, Any], value: Any
+) -> tuple[Kind, float | None, float | None, tuple[str | None, ...]]:
     section, _, last = key.partition(".")
     if section == "objects" and (own := _OF_MODELS.get(last.partition(".")[2])) is not None:
         return own, None, None, ()
     if key in CHOICES:
         return "choice", None, None, CHOICES[key]
+    if "anyOf" in about:
+        return _kind_of_several(key, about["anyOf"], value)
     kind = about.get("type")
     if kind == "boolean":
         return "switch", None, None, ()
@@ -159,10 +166,25 @@ def _kind(key: str, about: Mapping[str, Any], value: Any) -> tuple[Kind, float |
     items: Sequence[Mapping[str, Any]] = about.get("prefixItems", ())
     if len(items) == 2 and all(item.get("type") == "number" for item in items):
         return "range", *_limits(items[0]), ()
-    for option in about.get("anyOf", ()):
-        # A number or nothing: a number where the recipe has one.
-        if option.get("type") in ("number", "integer") and isinstance(value, int | float):
-            return "whole" if option["type"] == "integer" else "number", *_limits(option), ()
+    return "yaml", None, None, ()
+
+
+def _kind_of_several(
+    key: str, options: Sequence[Mapping[str, Any]], value: Any
+) -> tuple[Kind, float | None, float | None, tuple[str | None, ...]]:
+    """Return the input of a field that takes values of several types, by the value that the recipe has."""
+    kinds = {option.get("type"): option for option in options}
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if set(kinds) == {"string", "null"} and "enum" in kinds["string"]:
+        return "choice", None, None, (*kinds["string"]["enum"], None)
+    if set(kinds) == {"string", "null"}:
+        return "text", None, None, ()
+    if is_number and (found := kinds.get("number") or kinds.get("integer")):
+        return _kind(key, found, value)
+    if isinstance(value, list) and "array" in kinds:
+        return _kind(key, kinds["array"], value)
+    if isinstance(value, Mapping) and {"values", "weights"} <= set(value) and not value.get("by_flight"):
+        return "counts", None, None, ()
     return "yaml", None, None, ()
 
 

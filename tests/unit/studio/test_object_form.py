@@ -11,15 +11,18 @@ import pytest
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.core.rng import stream
+from infrablend.errors import RecipeError
 from infrablend.studio.object_form import (
     OptionField,
     choice_of,
     chosen_of,
+    count_of,
     fits_choice,
     model_problems,
     options_of,
     parts_of,
     range_of_ends,
+    weights_of,
     with_temperature,
     with_value,
 )
@@ -50,7 +53,9 @@ def test_the_kinds_of_options_follow_from_their_words() -> None:
     assert not deer["antlers"].several
     assert deer["bend_deg"].kind == "range"
     person = {o.name: o for o in options_of("person")}
-    assert person["variant"].kind == "yaml"
+    variant = person["variant"]
+    assert variant.weighted and {"upright", "back-spread", "heels", "recovery"} < set(variant.values)
+    assert person["warm_ground"].kind == "yaml"
     assert person["age"].weighted
     assert {o.name: o for o in options_of("drone")}["blades"].values == (2, 3)
 
@@ -66,6 +71,14 @@ def test_the_kinds_of_options_follow_from_their_words() -> None:
 def test_choices_are_read_and_written(given: Any, chosen: dict[str, float | None]) -> None:
     assert chosen_of(given) == chosen
     assert choice_of(chosen) == given
+
+
+def test_numbers_of_objects_have_weights() -> None:
+    assert weights_of({"values": [0, 0, 2], "weights": None}) == {0: 2.0, 1: 0.0, 2: 1.0, 3: 0.0, 4: 0.0}
+    assert weights_of({"values": [1], "weights": [0.5]}) == {0: 0.0, 1: 0.5, 2: 0.0, 3: 0.0}
+    assert count_of({0: 2.0, 1: None, 2: 1.0, 3: 0.0}) == {"values": [0, 2], "weights": [2.0, 1.0]}
+    with pytest.raises(RecipeError, match="not all 0"):
+        load_recipe("drone-sky", {"objects.0.count": count_of({0: None, 1: 0.0})})
 
 
 def test_half_given_weights_and_ends_are_completed() -> None:

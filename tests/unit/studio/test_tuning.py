@@ -57,7 +57,25 @@ def test_the_form_knows_units_ranges_and_modes() -> None:
     assert metric["camera.calibrate"].kind == "switch"
     assert metric["placement.mode"].choices == ("paper", "metric")
     assert metric["camera.pitch"].kind == "yaml"
+    assert metric["environment.time_of_day"].choices == ("day", "dusk", "night", "dawn", None)
     assert "objects.0.range_m" not in paper and "camera.distance_m" in paper
+
+
+def test_the_inputs_of_fields_with_several_types_follow_from_their_values() -> None:
+    drones = fields("drone-sky")
+    category, count = drones["objects.0.category"], drones["objects.0.count"]
+    assert (category.kind, category.shown, category.read(" quad "), category.read("")) == (
+        "text",
+        "drone",
+        "quad",
+        None,
+    )
+    assert count.kind == "counts" and fields(RECIPE)["objects.0.count"].kind == "whole"
+    by_flight = {"values": [1], "by_flight": [{"values": [2], "below_m": 60}]}
+    assert fields("drone-sky", **{"objects.0.count": by_flight})["objects.0.count"].kind == "yaml"
+    size = fields("sar-people")["placement.size_px"]
+    assert (size.kind, size.value, size.low) == ("range", [6.0, 160.0], 0)
+    assert fields("sar-people")["placement.min_contrast"].kind == "yaml"
 
 
 def test_a_change_of_mode_drops_settings_without_a_meaning() -> None:

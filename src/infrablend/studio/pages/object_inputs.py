@@ -1,9 +1,9 @@
-"""Inputs for the model of an object, the options of the model, and the temperatures of its parts."""
+"""Inputs for the model of an object, its options, the temperatures of its parts, and the number of objects."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +16,12 @@ from infrablend.studio.object_form import (
     OptionField,
     choice_of,
     chosen_of,
+    count_of,
     fits_choice,
     options_of,
     parts_of,
     range_of_ends,
+    weights_of,
     with_temperature,
     with_value,
 )
@@ -62,6 +64,23 @@ def show_models(title: str, value: str, on_choice: Callable[[str], None]) -> lis
         if value in shipped:
             ui.element("img").props(f'alt="" src="/tune/model/{value}.jpg"').classes("tune-model")
     return [made]
+
+
+def show_counts(title: str, value: Mapping[str, Any], on_change: Change) -> list[Any]:
+    """Show the numbers of objects that are drawn for a frame, each with its weight."""
+    weights: dict[int, float | None] = {**weights_of(value)}
+    boxes = []
+
+    def weigh(number: int, weight: float | None) -> None:
+        weights[number] = weight
+        on_change(count_of(weights))
+
+    with ui.element("div").classes("studio-row"):
+        for number, weight in weights.items():
+            box = ui.number(f"{title} {number}, weight", value=weight, min=0).props("dense outlined debounce=300")
+            box.classes("tune-end").on_value_change(lambda e, n=number: weigh(n, e.value))
+            boxes.append(box)
+    return boxes
 
 
 def show_options(field: FormField, model: str, part: Any, unread: dict[str, str], on_change: Change) -> Inputs:

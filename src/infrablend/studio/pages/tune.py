@@ -22,7 +22,7 @@ from infrablend.errors import InfraBlendError, Problem
 from infrablend.report.preview import Rgb
 from infrablend.studio.pages.generation_panel import show_generation
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
-from infrablend.studio.pages.object_inputs import Input, show_models, show_options, show_parts
+from infrablend.studio.pages.object_inputs import Input, show_counts, show_models, show_options, show_parts
 from infrablend.studio.pages.path_editor import PathEditor
 from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.pages.stage import Stage
@@ -378,6 +378,8 @@ class TunePage:
                 show = show_options if field.kind == "options" else show_parts
                 model = str(self._inputs[field.key.rpartition(".")[0] + ".model"].shown[0].value)
                 self._inputs |= show(field, model, part, self._unread, lambda value: self._set(field, value))
+            elif field.kind == "counts":
+                self._inputs[field.key] = Input((part,), show_counts(title, field.value, partial(self._set, field)))
             elif field.kind == "range":
                 self._inputs[field.key] = Input((part,), self._build_range(field, title))
             else:
@@ -392,9 +394,10 @@ class TunePage:
         if field.kind == "switch":
             return ui.switch(title, value=field.value)
         if field.kind == "choice":
-            words = list(dict.fromkeys([*field.choices, field.value]))
-            return ui.select(words, value=field.value, label=title).props(f'dense outlined aria-label="{title}"')
-        if field.kind == "yaml":
+            words = [w for w in dict.fromkeys([*field.choices, field.value]) if w is not None]
+            made = ui.select(words, value=field.value, label=title, clearable=None in field.choices)
+            return made.props(f'dense outlined aria-label="{title}"')
+        if field.kind in ("text", "yaml"):
             return ui.input(title, value=field.shown).props("dense outlined debounce=500")
         made = ui.number(title, value=field.value, min=field.low, max=field.high).props("dense outlined debounce=150")
         if field.low is not None and field.high is not None and field.high - field.low <= _SLIDER_SPAN:
