@@ -24,6 +24,7 @@ import numpy as np
 
 from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.run_folder import RunFolder
+from infrablend.core.yaml_text import read_yaml
 from infrablend.pipeline.compose.trial import TrialRequest
 from infrablend.studio.pictures import to_png
 from infrablend.studio.tuning import Tuning
@@ -43,6 +44,7 @@ def main() -> None:
     redraw.add_argument("data", type=Path)
     redraw.add_argument("--recipe", default="hit-uav-drone-physical")
     redraw.add_argument("--size-px", type=float, default=60.0, help="size of the drone in the picture")
+    redraw.add_argument("--set", action="append", dest="settings", help="setting instead of the size; repeatable")
     redraw.add_argument("--repeats", type=int, default=40)
     opened = commands.add_parser("open", help="from the start of the studio to the pictures of a run in the browser")
     opened.add_argument("run", type=Path, help="run to repeat")
@@ -57,18 +59,19 @@ def main() -> None:
     print(json.dumps({**measure(**options), "load": [round(load, 1), round(os.getloadavg()[0], 1)]}))
 
 
-def measure_redraw(data: Path, recipe: str, size_px: float, repeats: int) -> dict[str, Any]:
+def measure_redraw(data: Path, recipe: str, size_px: float, settings: list[str] | None, repeats: int) -> dict[str, Any]:
     """Return median and 95 % quantile of the seconds from a changed temperature to the picture."""
     tuning = Tuning(TrialRequest(recipe, data))
     try:
         background = tuning.backgrounds[0]
         # A drone has this size at a distance of 10 to 20 m.
         size = {"placement.size_px": [size_px * 0.9, size_px * 1.1], "objects.0.range_m": [10, 20]}
+        chosen = size if settings is None else {k: read_yaml(v) for k, _, v in (s.partition("=") for s in settings)}
         seconds = []
         for warmth in np.linspace(2.0, 20.0, repeats + 2):
-            settings = {**size, "environment.air_temperature_c": [warmth, warmth]}
+            changed = {**chosen, "environment.air_temperature_c": [warmth, warmth]}
             start = time.perf_counter()
-            tuned = tuning.compose(recipe, settings, background)
+            tuned = tuning.compose(recipe, changed, background)
             to_png(tuned.picture(boxes=True))
             seconds.append(time.perf_counter() - start)
         drawn = [max(i.box_xyxy[2:] - i.box_xyxy[:2]) for i in tuned.trial.frame.inserted]

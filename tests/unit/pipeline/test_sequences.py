@@ -118,6 +118,13 @@ def test_frames_alone_are_those_of_the_whole_run_and_workers_do_not_matter(data,
         assert (tmp_path / "two" / name).read_bytes() == (run / name).read_bytes()
 
 
+def test_a_frame_is_also_named_by_its_background_and_configuration_as_the_studio_does(data, made, tmp_path):
+    run, _ = made
+    generate(data, tmp_path / "one", selection=api.FrameSelection(frames=["train/clip_007_c0"]))
+    (picture,) = (tmp_path / "one/images").rglob("*.png")
+    assert picture.read_bytes() == (run / "images/train/clip_000007.png").read_bytes()
+
+
 def test_a_frame_is_rendered_again_from_its_record(made, tmp_path):
     run, _ = made
     name = "train/clip_000007"

@@ -109,6 +109,8 @@ Names = Mapping[tuple[int, int | None], str]
 def find_frames(wanted: Sequence[str], images: Sequence[ImageRecord], names: Names) -> set[tuple[int, int | None]]:
     """Return the keys in `names` of the frames with these ids, or of these backgrounds.
 
+    A frame is also found by its background and configuration (`<split>/<id>_c0`), whatever the recipe names it.
+
     Raises:
         ArgumentError: There is no such frame or background; `problems` names each of them, with similar ones.
     """
@@ -118,7 +120,7 @@ def find_frames(wanted: Sequence[str], images: Sequence[ImageRecord], names: Nam
     for key, name in names.items():
         image = of_image[key[0]]
         known.setdefault(f"{image.split}/{name}", []).append(key)
-        for background in (f"{image.split}/{image.id}", image.id):
+        for background in (f"{image.split}/{image.id}", image.id, f"{image.split}/{image.id}_c{key[1]}"):
             backgrounds.setdefault(background, []).append(key)
     found: set[tuple[int, int | None]] = set()
     problems = []
