@@ -147,7 +147,9 @@ def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None
 
 def _show_run(report: api.RunReport, session: Session) -> None:
     record = report.record_file or report.out / "run.json"
-    lines = [table(_run_rows(report.counts)), *loss_lines(report.losses), shown(report.out)]
+    page = report.out / "report.html"
+    rows = _run_rows(report.counts) | ({"report": str(page)} if page.is_file() else {})
+    lines = [table(rows), *loss_lines(report.losses), shown(report.out)]
     show_report(session, report, record, report.to_json(), lambda: "\n".join(lines).lstrip("\n"))
 
 

@@ -134,6 +134,8 @@ def test_a_frame_is_rendered_again_from_its_record(made, tmp_path):
 
 def test_tracks_go_to_motchallenge_and_come_back(made):
     run, _ = made
+    card = (run / "README.md").read_text()
+    assert all(f"{folder}/<split>/" in card and (run / folder).is_dir() for folder in ("tracks", "video"))
     lines = (run / "tracks" / "train" / "clip" / "gt" / "gt.txt").read_text().splitlines()
     boxes = labels(run)
     assert len(lines) == sum(len(f) for f in boxes.values())

@@ -9,7 +9,7 @@ from infrablend.annotation.looseness import Looseness, loosened_text
 from infrablend.annotation.merge import RemovalReason
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.ledger import LEDGER
-from infrablend.core.run_folder import EIGHT_BIT, IMAGES, RUN_FILE
+from infrablend.core.run_folder import EIGHT_BIT, IMAGES, RUN_FILE, TRACKS, VIDEO
 from infrablend.errors import Problem
 from infrablend.formats.temperatures import describe_scales
 from infrablend.pipeline.datasets.origin import invalid_texts, origin_of, renamed_texts, run_inserts
@@ -114,6 +114,11 @@ def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
     rows += [(f"{name}/", "labels") for name in plan.recipe.output.formats]
     if plan.recipe.output.agc is not None:
         rows.append((f"{EIGHT_BIT}/", "the same dataset with 8-bit pictures: `images/`, and labels per format"))
+    if plan.recipe.in_sequences:
+        rows.append(
+            (f"{TRACKS}/<split>/", "tracks of each sequence, as MOTChallenge and TrackEval have them")
+        )
+        rows.append((f"{VIDEO}/<split>/", "each sequence as a video, to look at; not lossless"))
     return (
         *rows,
         (LEDGER, "scene and labels of each picture; `infrablend show` prints them"),
