@@ -190,21 +190,13 @@ class Scenery:
         Returns:
             The occluder; None if the picture has too little structure there.
         """
-        rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
-        if not rows.size:
+        if (at := self._at(silhouette, offset_xy)) is None:
             return None
-        (x, y), (h, w) = offset_xy, self.pixels.shape
-        left, top = max(x + int(columns[0]) - _MARGIN_PX, 0), max(y + int(rows[0]) - _MARGIN_PX, 0)
-        right, bottom = min(x + int(columns[-1]) + 1 + _MARGIN_PX, w), min(y + int(rows[-1]) + 1 + _MARGIN_PX, h)
-        window = (left, top, right, bottom)
-        share = np.zeros((bottom - top, right - left), np.float32)
-        inner = silhouette[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        at_x, at_y = x + int(columns[0]) - left, y + int(rows[0]) - top
-        share[at_y : at_y + inner.shape[0], at_x : at_x + inner.shape[1]] = inner
+        window, share, shape_hw = at
         if not lines and not self.is_tangled(np.array(window, np.float64)):
             return None
         best, most = None, 0.0
-        for width in _widths(inner.shape):
+        for width in _widths(shape_hw):
             for bright in (True, False):
                 strength = self.strength(window, bright, width)
                 found = self._steer(strength, share, wanted)
@@ -216,6 +208,45 @@ class Scenery:
                 if merit > most and self._is_outlined(window, matte, share, lines):
                     best, most = occluder, merit
         return best
+
+    def again(
+        self, occluder: Occluder, silhouette: Share, offset_xy: tuple[int, int], *, in_tangle: bool
+    ) -> Occluder | None:
+        """Return the structures of the same strength in front of an object in another frame of its sequence.
+
+        Args:
+            occluder: What was in front of it in a frame, with strengths in the levels of this one.
+            silhouette: (h, w) share of each pixel of a crop that the object covers.
+            offset_xy: Column and row of the crop in the picture.
+            in_tangle: Whether nothing is in front unless structures in all directions are around the object.
+        """
+        if (at := self._at(silhouette, offset_xy)) is None:
+            return None
+        window, share, _ = at
+        if in_tangle and not self.is_tangled(np.array(window, np.float64)):
+            return None
+        matte = self.matte(replace(occluder, window=window))
+        hidden = float((matte * share).sum(dtype=np.float64)) / float(share.sum(dtype=np.float64))
+        return replace(occluder, window=window, visible=round(1 - hidden, 4))
+
+    def _at(
+        self, silhouette: Share, offset_xy: tuple[int, int]
+    ) -> tuple[tuple[int, int, int, int], Share, tuple[int, int]] | None:
+        """Return the window around a silhouette, the share of its pixels that the object covers, and its own size.
+
+        None for an empty silhouette.
+        """
+        rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
+        if not rows.size:
+            return None
+        (x, y), (h, w) = offset_xy, self.pixels.shape
+        left, top = max(x + int(columns[0]) - _MARGIN_PX, 0), max(y + int(rows[0]) - _MARGIN_PX, 0)
+        right, bottom = min(x + int(columns[-1]) + 1 + _MARGIN_PX, w), min(y + int(rows[-1]) + 1 + _MARGIN_PX, h)
+        share = np.zeros((bottom - top, right - left), np.float32)
+        inner = silhouette[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        at_x, at_y = x + int(columns[0]) - left, y + int(rows[0]) - top
+        share[at_y : at_y + inner.shape[0], at_x : at_x + inner.shape[1]] = inner
+        return (left, top, right, bottom), share, (inner.shape[0], inner.shape[1])
 
     def _steer(self, strength: Share, share: Share, wanted: Wanted) -> Occluder | None:
         """Choose the threshold that leaves the wanted share visible; None if no threshold does."""

@@ -137,6 +137,12 @@ class Track:
     path: Path
     phase: float = 0.0
 
+    @property
+    def stays(self) -> bool:
+        """Whether the object stays in its place."""
+        shown = self.xy_px[np.isfinite(self.xy_px).all(axis=1)]
+        return bool((shown == shown[:1]).all())
+
 
 def find_track(
     number: int, placed: PlacedObject, model: ObjectModel, motion: Motion, view: View, anchor: int, footage: Footage,

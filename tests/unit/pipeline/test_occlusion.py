@@ -220,6 +220,31 @@ def test_the_box_that_is_written_does_not_decide_what_is_seen(tmp_path: Path) ->
     assert measured[0] == measured[1]
 
 
+def test_what_is_in_front_of_an_object_that_stays_is_the_same_in_all_frames(tmp_path: Path) -> None:
+    rng, data = np.random.default_rng(1), tmp_path / "data"
+    data.mkdir()
+    whole = wood(0).astype(float)
+    for k in range(8):  # the camera glides, and loses a fifth of its contrast
+        shown = (1 - 0.03 * k) * whole[k : 440 + k, 4 * k : 560 + 4 * k] + 10 + rng.normal(0, 2, (440, 560))
+        Image.fromarray(np.clip(shown, 0, 255).round().astype(np.uint8)).save(data / f"wood_{k:03}.png")
+    camera = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 60}", "placement.max_noise_grey=50"]
+    generate(data, tmp_path / "run", SHARE, *camera, "objects.0.motion={kind: still}")
+    fronts: dict[int, list[dict[str, Any]]] = {}
+    for record in records(tmp_path / "run"):
+        found = {o["object"]: o for o in record.facts["occlusion"] if "window" in o}
+        for label in record.inserted:
+            fronts.setdefault(label.track_id, []).append(found.get(label.extra["object"], {}))
+    hidden = [fs for fs in fronts.values() if any(fs)]
+    assert len(hidden) >= 2
+    for front in hidden:
+        assert len(front) == 8 and all(front)
+        assert len({(f["bright"], f["width_px"]) for f in front}) == 1
+        visible, limits = [f["visible"] for f in front], [f["limit_grey"] for f in front]
+        # What is left is grain, of a tenth of the structures, at the edges of a few hundred pixels.
+        assert max(visible) - min(visible) < 0.1
+        assert limits == sorted(limits, reverse=True) and limits[-1] == pytest.approx(0.79 * limits[0], rel=0.05)
+
+
 def test_nothing_hides_an_object_outside_the_frame() -> None:
     cover = Cover(Occlusion(share=1), Scenery(wood(0)), {})
     outside = np.array([[[-30.0, 100.0], [-10.0, 100.0], [-20.0, 140.0]]])

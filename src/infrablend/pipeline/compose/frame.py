@@ -21,7 +21,7 @@ from infrablend.annotation.labels import LabelReport, annotate
 from infrablend.annotation.merge import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, grey_unit, measure_levels
-from infrablend.compositing.occlusion import Scenery
+from infrablend.compositing.occlusion import Occluder, Scenery
 from infrablend.compositing.other_camera import OtherCamera
 from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, focus_missed
 from infrablend.config.modes import recipe_from_json
@@ -93,6 +93,7 @@ class Picture:
         inserts: Objects with a label.
         report: What became of the others.
         sensor: The camera that was imitated; None for none.
+        occluders: What of the background is in front of objects, by their numbers.
         facts: Facts for the frame's record.
     """
 
@@ -103,6 +104,7 @@ class Picture:
     inserts: Sequence[MeasuredInsert]
     report: LabelReport
     sensor: Sensor | None
+    occluders: Mapping[int, Occluder]
     facts: Mapping[str, Any]
 
 
@@ -204,7 +206,7 @@ class FrameComposer:
     def _settle(self, frame: PlannedFrame) -> Anchored:
         """Draw the objects of an anchor of a sequence."""
         canvas, picture = self._own_picture(frame)
-        return Anchored(picture.scene, canvas.site, picture.match, picture.sensor)
+        return Anchored(picture.scene, canvas.site, picture.match, picture.sensor, picture.occluders)
 
     def place(self, frame: PlannedFrame) -> FrameRecord:
         """Return the record of a frame whose objects have their places, with their boxes; nothing is drawn.
@@ -309,7 +311,7 @@ class FrameComposer:
         known = before.sensor if take is None else take.sensor
         sensor = self._sensor(scene, canvas.background, match.mapping.scale, known)
         rendered = self._renderer.render(scene)
-        occluders = {} if canvas.cover is None else canvas.cover.find(scene)
+        occluders = {} if canvas.cover is None else canvas.cover.find(scene, {} if take is None else take.fronts)
         front = front_of(occluders, None if canvas.cover is None else canvas.cover.scenery, rendered)
         pixels = self._look.paint(match, rendered, ground, sensor, front)
         written = None if take is None else covered_text(take.written, pixels, ground)
@@ -336,7 +338,7 @@ class FrameComposer:
             **({"faint": unseen} if take is not None and unseen else {}),
             **({} if written is None else {"written": Mask.from_array(written).to_coco()}),
         }
-        return Picture(scene, match, rendered, pixels, inserts, report, sensor, facts)
+        return Picture(scene, match, rendered, pixels, inserts, report, sensor, occluders, facts)
 
     def _match(self, scene: PlacedScene, canvas: Canvas, take: Take | None) -> Match:
         """Return the map to grey levels: that of a frozen picture is that of the picture which it shows."""

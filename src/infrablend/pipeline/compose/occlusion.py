@@ -29,6 +29,19 @@ _LEAST_TEXTURE = 0.5
 _AROUND_PX = 10.0
 
 
+@dataclass(frozen=True)
+class Front:
+    """What is in front of a track, as it was found in its anchor.
+
+    Attributes:
+        occluder: The structures, with strengths in the levels of the frame; None for none.
+        stays: Whether the object stays in its place, so that the same structures are in front of it in all frames.
+    """
+
+    occluder: Occluder | None
+    stays: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Cover:
     """What a background can hide, for the objects of one frame.
@@ -59,8 +72,12 @@ class Cover:
         xy = project_triangles(camera, world_m, item.mesh.triangles[labelled]).xy
         return self._find(xy, camera.size_wh, item.visible_aim, item.model.stands) is not None
 
-    def find(self, scene: PlacedScene) -> dict[int, Occluder]:
-        """Return the occluder of each object that is to be hidden and can be, by its number."""
+    def find(self, scene: PlacedScene, fronts: Mapping[int, Front]) -> dict[int, Occluder]:
+        """Return the occluder of each object that is to be hidden and can be, by its number.
+
+        `fronts`, by track, is what was in front of objects in the anchors of their sequence. Objects that move and had
+        nothing in front of them there may get behind something later.
+        """
         found = {}
         for k, placed in enumerate(scene.objects):
             spec = placed.spec
@@ -68,23 +85,28 @@ class Cover:
                 continue
             labelled = np.array([spec.parts[n].label for n in placed.mesh.part_names])[placed.mesh.part_of_triangle]
             xy = placed.triangles_of(labelled).xy
-            occluder = self._find(xy, placed.camera.size_wh, spec.visible_aim, self.models[spec.model].stands)
+            stands, front = self.models[spec.model].stands, fronts.get(spec.track or 0)
+            occluder = self._find(xy, placed.camera.size_wh, spec.visible_aim, stands, front)
             if occluder is not None:
                 found[k] = occluder
         return found
 
-    def _find(self, xy: FloatArray, size_wh: tuple[int, int], aim: float, stands: bool) -> Occluder | None:
+    def _find(
+        self, xy: FloatArray, size_wh: tuple[int, int], aim: float, stands: bool, front: Front | None = None
+    ) -> Occluder | None:
         if not len(xy):
             return None
         box = np.clip(box_of_points(xy.reshape(-1, 2)), 0, np.array([*size_wh, *size_wh]))
         if (box[2:] <= box[:2]).any():  # outside the frame
             return None
-        low, high = self.rules.visible
         offset_xy = (math.floor(box[0]), math.floor(box[1]))
         crop_wh = (math.ceil(box[2]) - offset_xy[0], math.ceil(box[3]) - offset_xy[1])
-        return self.scenery.find(
-            silhouette(xy, offset_xy, crop_wh), offset_xy, Wanted(aim, low, high), lines=not stands
-        )
+        shape = silhouette(xy, offset_xy, crop_wh)
+        if front is not None and front.occluder is not None:
+            return self.scenery.again(front.occluder, shape, offset_xy, in_tangle=stands and not front.stays)
+        if front is not None and front.stays:
+            return None
+        return self.scenery.find(shape, offset_xy, Wanted(aim, *self.rules.visible), lines=not stands)
 
 
 def front_of(occluders: Mapping[int, Occluder], scenery: Scenery | None, rendered: RenderResult) -> Share | None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.assets.model import ObjectModel
+from infrablend.compositing.occlusion import Occluder
 from infrablend.compositing.sensor import Sensor
 from infrablend.config.recipe import MetricRecipe, Motion
 from infrablend.config.sensor_profile import find_profile
@@ -28,6 +29,7 @@ from infrablend.motion.paths import Fits
 from infrablend.motion.shift import moved
 from infrablend.pipeline.capture.camera_motion import sample_of
 from infrablend.pipeline.compose.looks import Earlier, Match
+from infrablend.pipeline.compose.occlusion import Front
 from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence
 from infrablend.sampling.placement import PlacementRequest
@@ -62,12 +64,14 @@ class Anchored:
         site: Its background as placement sees it.
         match: Its map to grey levels.
         sensor: Its sensor; None for no imitation, or without objects.
+        occluders: What is in front of its objects, by their numbers.
     """
 
     scene: PlacedScene
     site: Site
     match: Match
     sensor: Sensor | None
+    occluders: Mapping[int, Occluder]
 
     def without_meshes(self) -> Anchored:
         """Return what other frames need of it, a few MB less."""
@@ -85,6 +89,7 @@ class Take:
         earlier: The map of the sequence to grey levels; None without objects.
         sensor: The sensor of the sequence.
         written: (h, w) mask of text and reticle, which stay in front; None without any.
+        fronts: What else stays in front, by track.
     """
 
     scene: PlacedScene
@@ -92,6 +97,7 @@ class Take:
     earlier: Earlier | None
     sensor: Sensor | None
     written: NDArray[np.bool_] | None
+    fronts: Mapping[int, Front]
 
 
 @dataclass(eq=False)
@@ -99,6 +105,7 @@ class _Span:
     """The tracks of a span, the anchor that they share their look with, and whether its last anchor asked for any."""
 
     tracks: list[Track] = field(default_factory=list)
+    fronts: dict[int, Front] = field(default_factory=dict)
     first: tuple[int, Anchored] | None = None
     asked: bool = False
 
@@ -149,7 +156,8 @@ class Sequences:
         away = len(span.tracks) - len(objects)
         scene = scene_in(anchored.scene, key, objects, camera, view, of_shown("render"), motion_px, away)
         earlier = Earlier(anchored.match, *footage.levels(anchor, m)) if objects else None
-        return Take(scene, shown, earlier, sensor, self._text(sequence.name))
+        fronts = {t.number: _in_levels(span.fronts[t.number], footage.levels(t.anchor, m)[0]) for t in span.tracks}
+        return Take(scene, shown, earlier, sensor, self._text(sequence.name), fronts)
 
     def shown_in(self, frame: PlannedFrame) -> PlannedFrame | None:
         """Return the frame whose picture a frame of a sequence shows; None for one of no sequence."""
@@ -227,7 +235,9 @@ class Sequences:
                 assert anchored.scene.spec.view is not None
                 model, fits = self._models[placed.spec.model], self._fits(placed, anchored.site)
                 view = anchored.scene.spec.view
-                span.tracks.append(find_track(number, placed, model, motion, view, n, footage, rng, fits))
+                track = find_track(number, placed, model, motion, view, n, footage, rng, fits)
+                span.tracks.append(track)
+                span.fronts[number] = Front(anchored.occluders.get(k), track.stays)
                 number += 1
         return spans
 
@@ -279,6 +289,14 @@ def _are_shown(footage: Footage, xy: FloatArray, n: int, anchors: list[int]) -> 
             places = moved(xy, footage.from_to(n, a))
             found |= ((places >= 0) & (places < footage.size_of(n))).all(axis=1)
     return found
+
+
+def _in_levels(front: Front, gain: float) -> Front:
+    """Return what is in front of a track in a frame that has `gain` times the contrast of its anchor."""
+    if front.occluder is None:
+        return front
+    limit, soft = round(front.occluder.limit_grey * gain, 3), round(front.occluder.soft_grey * gain, 3)
+    return replace(front, occluder=replace(front.occluder, limit_grey=limit, soft_grey=soft))
 
 
 def _air_k(spans: Mapping[int, _Span], anchored: Anchored) -> float:

@@ -115,9 +115,7 @@ def _layout(plan: RunPlan) -> tuple[tuple[str, str], ...]:
     if plan.recipe.output.agc is not None:
         rows.append((f"{EIGHT_BIT}/", "the same dataset with 8-bit pictures: `images/`, and labels per format"))
     if plan.recipe.in_sequences:
-        rows.append(
-            (f"{TRACKS}/<split>/", "tracks of each sequence, as MOTChallenge and TrackEval have them")
-        )
+        rows.append((f"{TRACKS}/<split>/", "tracks of each sequence, as MOTChallenge and TrackEval have them"))
         rows.append((f"{VIDEO}/<split>/", "each sequence as a video, to look at; not lossless"))
     return (
         *rows,
