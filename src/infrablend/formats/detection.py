@@ -70,7 +70,7 @@ def detect(root: Path) -> Detection:
 
 def with_every_frame(reading: Reading, root: Path) -> Reading:
     """Return how to read all frames of videos, unless the reading states a step."""
-    if "every" in reading.options:
+    if "every" in reading.options or not root.exists():  # which `read` reports
         return reading
     name = reading.format or detect(root).format
     if name is None or "every" not in reader_options(find_format(name)):

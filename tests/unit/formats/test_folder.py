@@ -681,6 +681,8 @@ def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no such folder.*Check the path") as caught:
         detection.read(tmp_path / "absent")
     assert str(caught.value).count("absent") == 1
+    with pytest.raises(DatasetError, match=r"no such folder.*Check the path"):  # as commands that need every frame do
+        detection.read(tmp_path / "absent", detection.with_every_frame(Reading(), tmp_path / "absent"))
 
 
 @pytest.mark.parametrize("count", [1, 3, 5])
