@@ -309,6 +309,19 @@ def test_run_writes_a_page_and_repeating_it_does_nothing(bench: Bench, data: Pat
     assert files_of(work) == before
 
 
+def test_the_page_names_start_weights_and_what_was_found(bench: Bench, data: Path, tmp_path: Path) -> None:
+    (tmp_path / "start.pt").write_bytes(b"weights")
+    report = run("hit-uav-drone", data, tmp_path / "work", weights=str(tmp_path / "start.pt"))
+    assert " --scale smoke --weights start.pt --data hit-uav\n" in report.page.read_text("utf-8")
+    (row,) = {r["evaluation"]: r for t in report.facts["tables"] for r in t["rows"]}.values()
+    row["means_of"] = ["aligned", "aligned-1"]
+    for name, found in (("aligned", 1), ("aligned-1", 3)):
+        by = {"size": {"8-16": {"objects": 5, "found": found}}, "visibility": {"<0.5": {"objects": 0, "found": 0}}}
+        report.facts["evaluations"][name] = report.facts["evaluations"]["aligned"] | {"targets": {"by": by}}
+    page = page_text(report.facts)
+    assert "|  | 8-16 px | <0.5 visible |" in page and "| `aligned` | 0.40 of 10 | - |" in page
+
+
 def test_only_what_is_needed_is_generated(bench: Bench, data: Path, tmp_path: Path) -> None:
     report = run("pitch-alignment", data, tmp_path / "work")
     images = {s["stage"]: s["images"] for s in report.facts["stages"]}

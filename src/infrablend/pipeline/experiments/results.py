@@ -14,6 +14,7 @@ from infrablend.evaluation.truth import class_key
 from infrablend.pipeline.experiments.graph import OTHER_SCALES, StageGraph
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage
+from infrablend.training.weights import AUTO
 
 Finished = Mapping[str, FinishedStage]
 
@@ -123,6 +124,7 @@ def _command(prepared: PreparedExperiment) -> str:
     request = prepared.request
     words = ["infrablend experiment", prepared.experiment.name, "--scale", request.scale]
     words += [f"--set {k}={v}" for k, v in request.training.items()]
+    words += [] if request.weights == AUTO else ["--weights", Path(request.weights).name]
     formats = Counter(s.format for s in prepared.experiment.sources.values())
     for name, path in prepared.graph.given.items():
         of_several = formats[prepared.experiment.sources[name].format] > 1

@@ -82,6 +82,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         "\n".join(f"* {line}" for line in list_differences(facts)),
         *(["## Plots", *(f"![{title}]({name})" for name, title in plots)] if plots else []),
         *_ultralytics(evaluations),
+        *_found_by(facts["tables"], evaluations),
         *_strata(evaluations, facts["strata_class"]),
         "## Stages",
         _stages_table(facts["stages"]),
@@ -203,6 +204,31 @@ def _ap_pair(figures: Mapping[str, Any] | None) -> str:
     if figures is None or figures["map50"] is None:
         return "-"
     return f"{figures['map50']:.3f} / {figures['map50_95']:.3f}"
+
+
+def _found_by(tables: Sequence[Mapping[str, Any]], evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield the section on objects found by size and visible share, if some were partly hidden.
+
+    The trainings of an evaluation are counted together.
+    """
+    counts: dict[str, dict[tuple[str, str], list[int]]] = {}
+    trainings = {r["evaluation"]: r.get("means_of") or [r["evaluation"]] for t in tables for r in t["rows"]}
+    for evaluation, names in trainings.items():
+        of_row = counts.setdefault(f"`{evaluation}`", {})
+        for name in names:
+            by = (evaluations.get(name, {}).get("targets") or {}).get("by", {})
+            for kind, stratum in ((k, s) for k in by if "visibility" in by for s in by[k]):
+                found = of_row.setdefault((kind, stratum), [0, 0])
+                found[0] += by[kind][stratum]["found"]
+                found[1] += by[kind][stratum]["objects"]
+    columns = sorted({c for of in counts.values() for c in of}, key=lambda c: (c[0], stratum_order(c[1])))
+    if columns:
+        words = [f"{s} {'px' if k == 'size' else 'visible'}" for k, s in columns]
+        cells = {t: [of.get(c, (0, 0)) for c in columns] for t, of in counts.items() if of}
+        lines = [[t, *(f"{a / n:.2f} of {n:,}" if n else "-" for a, n in row)] for t, row in cells.items()]
+        yield "## Found, by size and visible share"
+        yield "Share of the objects that any detection overlaps, at the confidence of the best F1, over all trainings."
+        yield markdown_table(["", *words], lines)
 
 
 def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iterator[str]:
