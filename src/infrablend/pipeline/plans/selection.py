@@ -120,7 +120,9 @@ def find_frames(wanted: Sequence[str], images: Sequence[ImageRecord], names: Nam
     for key, name in names.items():
         image = of_image[key[0]]
         known.setdefault(f"{image.split}/{name}", []).append(key)
-        for background in (f"{image.split}/{image.id}", image.id, f"{image.split}/{image.id}_c{key[1]}"):
+        aliases = [f"{image.split}/{image.id}", image.id]
+        aliases += [] if key[1] is None else [f"{image.split}/{image.id}_c{key[1]}"]
+        for background in aliases:
             backgrounds.setdefault(background, []).append(key)
     found: set[tuple[int, int | None]] = set()
     problems = []

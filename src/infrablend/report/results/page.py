@@ -217,7 +217,9 @@ def _found_by(tables: Sequence[Mapping[str, Any]], evaluations: Mapping[str, Map
         of_row = counts.setdefault(f"`{evaluation}`", {})
         for name in names:
             by = (evaluations.get(name, {}).get("targets") or {}).get("by", {})
-            for kind, stratum in ((k, s) for k in by if "visibility" in by for s in by[k]):
+            if "visibility" not in by:
+                continue
+            for kind, stratum in ((k, s) for k in by for s in by[k]):
                 found = of_row.setdefault((kind, stratum), [0, 0])
                 found[0] += by[kind][stratum]["found"]
                 found[1] += by[kind][stratum]["objects"]
