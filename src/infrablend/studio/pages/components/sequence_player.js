@@ -122,6 +122,7 @@ export default {
       if (!this.playing) return;
       if (this.wanted === this.count - 1) this.seek(0);
       this.last = performance.now();
+      this.waits = true;
       requestAnimationFrame(this.tick);
     },
     tick(now) {
@@ -129,14 +130,15 @@ export default {
       const times = this.sequence.times, next = this.wanted + 1;
       this.clock += ((now - this.last) / 1000) * this.speed;
       this.last = now;
-      // Every frame is shown: where pictures come too slowly, the clock waits.
-      if (this.at !== this.wanted) this.clock = times[this.wanted];
+      // Every frame is seen: the clock waits for its picture, and for one tick after it has come.
+      if (this.waits) this.clock = times[this.wanted];
       else if (next === this.count) this.playing = false;
       else if (this.clock >= times[next]) {
         this.wanted = next;
         this.clock = Math.min(this.clock, times[next] + LATE_S);
         this.paint();
       }
+      this.waits = this.at !== this.wanted;
       requestAnimationFrame(this.tick);
     },
     paint() {
