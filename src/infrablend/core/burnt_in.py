@@ -7,6 +7,7 @@ lines of a reticle, bright before what is dark and dark before what is bright.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
@@ -109,16 +110,21 @@ def _rows(glyphs: list[_Glyph]) -> list[list[_Glyph]]:
     Takes them from left to right.
     """
     rows: list[list[_Glyph]] = []
+    numbers: defaultdict[int, list[int]] = defaultdict(list)  # of rows, by the top of their last glyph
     for glyph in glyphs:
         same = max(1.0, _SAME * glyph.h)
-        for row in rows:
-            last = row[-1]
+        tops = range(glyph.y - int(same), glyph.y + int(same) + 1)
+        for number in sorted(k for top in tops for k in numbers[top]):
+            last = rows[number][-1]
             near = 0 <= glyph.x - (last.x + last.w) <= _GAP_HEIGHTS * glyph.h
-            if near and abs(glyph.y - last.y) <= same and abs(glyph.h - last.h) <= same:
-                row.append(glyph)
+            if near and abs(glyph.h - last.h) <= same:
+                rows[number].append(glyph)
+                numbers[last.y].remove(number)
                 break
         else:
+            number = len(rows)
             rows.append([glyph])
+        numbers[glyph.y].append(number)
     return [row for row in rows if len(row) >= _LEAST_GLYPHS]
 
 
