@@ -135,7 +135,7 @@ def exercise(path: Path, outside: Path, outcomes: Counter[str]) -> None:
             try:
                 result = read(path)
                 if name == "layer":
-                    _ = result.object_k, result.apparent_k  # type: ignore[attr-defined]
+                    _ = result.apparent_k  # type: ignore[attr-defined]
                 codes = sorted({p.code for p in getattr(result, "problems", ())})
                 outcomes[f"{name}: {', '.join(codes) or 'read'}"] += 1
             except DatasetError as error:

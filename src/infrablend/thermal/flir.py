@@ -1,13 +1,6 @@
-"""FLIR's published conversion between raw counts and temperatures.
+"""FLIR's published conversion between raw counts and temperatures: `S(T) = R1 / (R2 (exp(B / T) - F)) - O`.
 
-The detector's signal is `S(T) = R1 / (R2 (exp(B / T) - F)) - O`. What the camera measures of an object of emissivity
-`e` through a window of transmission `w`, half-way through air whose halves have a transmission of `t` each, is
-
-    S = t w t (e S(object) + (1 - e) S(reflected)) + t w (1 - t) S(air) + t (1 - w) S(window) + (1 - t) S(air).
-
-This is the formula of Minkina and Dudzik ("Infrared Thermography", 2009) that other open programs use as well. Treating
-the air as one layer where there is no window, as FLIR's manuals do, gives temperatures that differ by 0.1 K at 1 m and
-0.4 K at 20 m, because FLIR's transmission depends on the square root of the distance.
+This is the formula of Minkina and Dudzik ("Infrared Thermography", 2009) that other open programs use as well.
 """
 
 from __future__ import annotations
@@ -16,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-
-from infrablend.thermal.radiometry import ZERO_C_K
 
 
 @dataclass(frozen=True)
@@ -42,26 +33,6 @@ class Planck:
 
 
 @dataclass(frozen=True)
-class Atmosphere:
-    """Constants of the transmission of air, as FLIR names them; the defaults are those of every known camera."""
-
-    alpha1: float = 0.006569
-    alpha2: float = 0.01262
-    beta1: float = -0.002276
-    beta2: float = -0.00667
-    x: float = 1.9
-
-    def transmission(self, distance_m: float, air_k: float, humidity: float) -> float:
-        """Return the share of radiation that passes through air; `humidity` is relative, from 0 to 1."""
-        c = air_k - ZERO_C_K
-        water = humidity * np.exp(1.5587 + 0.06939 * c - 2.7816e-4 * c**2 + 6.8455e-7 * c**3)
-        far, wet = np.sqrt(distance_m), np.sqrt(water)
-        first = self.x * np.exp(-far * (self.alpha1 + self.beta1 * wet))
-        second = (1 - self.x) * np.exp(-far * (self.alpha2 + self.beta2 * wet))
-        return float(np.clip(first + second, 0.01, 1.0))
-
-
-@dataclass(frozen=True)
 class ObjectSettings:
     """What the camera was told about the scene.
 
@@ -82,23 +53,3 @@ class ObjectSettings:
     humidity: float = 0.5
     window_k: float = 293.15
     window_transmission: float = 1.0
-
-
-def object_kelvin(
-    counts: NDArray[np.uint16], planck: Planck, settings: ObjectSettings, atmosphere: Atmosphere
-) -> NDArray[np.float64]:
-    """Return the (h, w) temperatures of the objects, kelvin: emissivity, reflection and air taken out."""
-    e, w = settings.emissivity, settings.window_transmission
-    t = atmosphere.transmission(settings.distance_m / 2, settings.air_k, settings.humidity)
-    through = t * w * t
-    foreign = (
-        through * (1 - e) * planck.counts(settings.reflected_k)
-        + (t * w * (1 - t) + 1 - t) * planck.counts(settings.air_k)
-        + t * (1 - w) * planck.counts(settings.window_k)
-    )
-    return planck.kelvin((counts.astype(np.float64) - foreign) / (through * e))
-
-
-def apparent_kelvin(counts: NDArray[np.uint16], planck: Planck) -> NDArray[np.float64]:
-    """Return the (h, w) apparent temperatures at the sensor, kelvin: those of black bodies that give the counts."""
-    return planck.kelvin(counts.astype(np.float64))

@@ -20,7 +20,7 @@ from PIL import Image
 
 from infrablend.errors import DatasetError
 from infrablend.formats.rjpeg.segments import APP1, JpegHeader, Segment, bad_file
-from infrablend.thermal.flir import Atmosphere, ObjectSettings, Planck
+from infrablend.thermal.flir import ObjectSettings, Planck
 
 SIGNATURE = b"FLIR\0"
 # Contents of a FLIR segment: signature, a fixed byte, number of the segment, number of the last one, FFF bytes.
@@ -36,8 +36,7 @@ _RAW_HEADER_BYTES = 0x20
 _CAMERA_INFO_BYTES = 0x310
 _FLOATS = {
     "emissivity": 0x20, "distance_m": 0x24, "reflected_k": 0x28, "air_k": 0x2C, "window_k": 0x30,
-    "window_transmission": 0x34, "humidity": 0x3C, "r1": 0x58, "b": 0x5C, "f": 0x60, "alpha1": 0x70, "alpha2": 0x74,
-    "beta1": 0x78, "beta2": 0x7C, "x": 0x80, "r2": 0x30C,
+    "window_transmission": 0x34, "humidity": 0x3C, "r1": 0x58, "b": 0x5C, "f": 0x60, "r2": 0x30C,
 }  # fmt: skip
 # Settings and what they can be; records that were never filled in contain zeros or NaN.
 _SETTINGS = {
@@ -57,7 +56,6 @@ class CameraRecord:
         captured: Local date and time, ISO 8601, and `+HH:MM`.
         planck: Constants of the conversion.
         settings: Emissivity, distance and temperatures that the camera was set to.
-        atmosphere: Constants of the atmosphere's transmission.
         stated: Names of the settings that the record contains; the others have their usual values.
     """
 
@@ -66,7 +64,6 @@ class CameraRecord:
     captured: str | None
     planck: Planck | None
     settings: ObjectSettings
-    atmosphere: Atmosphere
     stated: frozenset[str] = frozenset(f.name for f in fields(ObjectSettings))
 
 
@@ -116,7 +113,6 @@ class FlirBlock:
             date,
             _planck(values),
             ObjectSettings(**stated),
-            _atmosphere(values),
             frozenset(stated),
         )
 
@@ -206,12 +202,6 @@ def _planck(values: Mapping[str, float]) -> Planck | None:
     if not all(math.isfinite(v) and abs(v) < 1e12 for v in found) or min(values["r1"], values["b"], values["r2"]) <= 0:
         return None
     return Planck(*map(float, found))
-
-
-def _atmosphere(values: Mapping[str, float]) -> Atmosphere:
-    found = [float(values[k]) for k in ("alpha1", "alpha2", "beta1", "beta2", "x")]
-    known = all(math.isfinite(v) and abs(v) < 100 for v in found) and found[-1] > 0
-    return Atmosphere(*found) if known else Atmosphere()
 
 
 def _date(data: bytes, order: str) -> str | None:

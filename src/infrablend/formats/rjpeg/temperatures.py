@@ -14,7 +14,6 @@ from infrablend.formats.pictures import open_picture
 from infrablend.formats.rjpeg import dji
 from infrablend.formats.rjpeg.flir import MAX_LAYER_PIXELS, SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.rjpeg.segments import APP1, bad_file, read_header
-from infrablend.thermal.flir import apparent_kelvin, object_kelvin
 
 CONVERTED_UNITS: dict[str, tuple[float, float]] = {
     "celsius": (1.0, 273.15), "kelvin": (1.0, 0.0), "decikelvin": (0.1, 0.0), "centikelvin": (0.01, 0.0),
@@ -44,15 +43,7 @@ class RawTemperatures:
         """(h, w) apparent temperatures at the sensor, kelvin; None where only counts are known."""
         if self.camera is None or self.camera.planck is None:
             return None
-        return apparent_kelvin(self.counts, self.camera.planck)
-
-    @property
-    def object_k(self) -> NDArray[np.float64] | None:
-        """(h, w) temperatures of the objects with the camera's own settings, kelvin; None where they are unknown."""
-        c = self.camera
-        if c is None or c.planck is None:
-            return None
-        return object_kelvin(self.counts, c.planck, c.settings, c.atmosphere)
+        return self.camera.planck.kelvin(self.counts.astype(np.float64))
 
     def facts(self, scale: TemperatureScale | None, source: str) -> Radiometry:
         """Return a scale together with what the file states about the air and the objects."""

@@ -20,7 +20,7 @@ from PIL import Image
 from infrablend.formats.rjpeg import flir, xmp
 from infrablend.formats.rjpeg.facts import DJI, FLIR, PIX4D, fov_of_35mm
 from infrablend.formats.rjpeg.segments import APP1, APP3
-from infrablend.thermal.flir import Atmosphere, ObjectSettings, Planck
+from infrablend.thermal.flir import ObjectSettings, Planck
 
 Maker = Literal["dji", "flir"]
 MAKERS: tuple[Maker, ...] = ("dji", "flir")
@@ -31,6 +31,8 @@ _RDF_HEAD = '<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#"><r
 
 PLANCK = Planck(17_096.453, 1428.0, 1.0, -267.0, 0.046582058)
 """Constants of a real camera, for made-up FLIR files."""
+# Constants of the air's transmission by their place in the camera record: those of every known camera.
+_AIR = {0x70: 0.006569, 0x74: 0.01262, 0x78: -0.002276, 0x7C: -0.00667, 0x80: 1.9}
 
 
 @dataclass(frozen=True)
@@ -157,11 +159,11 @@ def _fff(counts: NDArray[np.uint16], shot: Shot, size_wh: tuple[int, int]) -> by
 def _camera_record(shot: Shot, size_wh: tuple[int, int]) -> bytes:
     data = bytearray(0x480)
     struct.pack_into("<HHH", data, 0, 2, *size_wh)
-    s, a = shot.settings, Atmosphere()
+    s = shot.settings
     floats = {
         0x20: s.emissivity, 0x24: s.distance_m, 0x28: s.reflected_k, 0x2C: s.air_k, 0x30: s.window_k,
         0x34: s.window_transmission, 0x3C: s.humidity, 0x58: PLANCK.r1, 0x5C: PLANCK.b, 0x60: PLANCK.f,
-        0x70: a.alpha1, 0x74: a.alpha2, 0x78: a.beta1, 0x7C: a.beta2, 0x80: a.x, 0x30C: PLANCK.r2,
+        **_AIR, 0x30C: PLANCK.r2,
     }  # fmt: skip
     for at, value in floats.items():
         struct.pack_into("<f", data, at, value)
