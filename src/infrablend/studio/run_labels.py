@@ -60,7 +60,7 @@ class RunLabels:
     def _get(self, image: str) -> _Found:
         with self._lock:
             if self._found is None:
-                self._found = dict(_from_tables(self._layout)) or dict(_from_coco(self._layout))
+                self._found = dict(_from_tables(self._layout))
         return self._found.get(image, ((), None))
 
 
@@ -89,22 +89,6 @@ def _place(split: str, row: Mapping[str, Any]) -> Place | None:
         return None
     time_s = row.get("time_s")
     return Place(f"{split}/{row['sequence']}", int(row.get("frame") or 0), None if time_s is None else float(time_s))
-
-
-def _from_coco(layout: RunFolder) -> Iterator[tuple[str, _Found]]:
-    """Yield the labels of runs that have no tables, which older versions did not write."""
-    for split in SPLITS:
-        try:
-            content = json.loads(read_regular(layout.coco_file(split), layout.root))
-            names = {c["id"]: str(c["name"]) for c in content["categories"]}
-            files = {i["id"]: f"{split}/{i['file_name']}" for i in content["images"]}
-            found: dict[str, list[RunLabel]] = {}
-            for label in content["annotations"]:
-                one = _label(label["bbox"], names[label["category_id"]], label.get("inserted"), label.get("iscrowd"))
-                found.setdefault(files[label["image_id"]], []).append(one)
-        except (OSError, ValueError, LookupError, TypeError, AttributeError):
-            continue
-        yield from ((image, (tuple(labels), None)) for image, labels in found.items())
 
 
 def _label(bbox: Any, category: Any, inserted: Any, ignore: Any, track: Any = "") -> RunLabel:

@@ -109,7 +109,7 @@ def show_options(field: FormField, model: str, part: Any, unread: dict[str, str]
                 if option.kind == "choice" and (given is None or fits_choice(option, given)):
                     shown = _show_choices(option, given, change)
                 elif option.kind == "range" and (given is None or _is_range(given)):
-                    shown = _show_ends(option.name.replace("_", " "), given, change)
+                    shown = show_ends(option.name.replace("_", " "), given, change)
                 else:
                     shown = _show_text(option.name.replace("_", " "), key, given, unread, change)
                 ui.label(option.help).classes("faint tune-help")
@@ -140,7 +140,7 @@ def show_parts(field: FormField, model: str, part: Any, unread: dict[str, str], 
             given = (field.value.get(one.name) or {}).get("delta_t_k")
             with ui.element("div").classes("tune-field"):
                 title = "all parts" if one.delta_t_k is None else one.name.replace("_", " ")
-                shown = _show_ends(f"{title}, K", given, _setter(one.name, set_part))
+                shown = show_ends(f"{title}, K", given, _setter(one.name, set_part))
                 own = "" if one.delta_t_k is None else f"By default {one.delta_t_k[0]:+g} to {one.delta_t_k[1]:+g} K. "
                 ui.label(own + one.help).classes("faint tune-help")
             found[f"{field.key}.{one.name}"] = Input((part, inner), shown)
@@ -198,20 +198,28 @@ def _show_choices(option: OptionField, given: Any, on_change: Change) -> list[An
     return [made]
 
 
-def _show_ends(title: str, given: Any, on_change: Change) -> list[Any]:
-    """Show two ends of a range, both empty for the model's own; a range with one end is a number."""
+def show_ends(
+    title: str,
+    given: Any,
+    on_change: Change,
+    low: float | None = None,
+    high: float | None = None,
+    joined: Callable[[Any, Any], Any] = range_of_ends,
+) -> list[Any]:
+    """Show two ends of a range, which may be from `low` to `high`; `joined` makes its value of them.
+
+    As `range_of_ends` does, both empty stands for the model's own, and a range with one end is a number.
+    """
     ends = [None, None] if given is None else list(given) if isinstance(given, list) else [given, given]
     boxes = []
     with ui.element("div").classes("studio-row"):
         for end, word in enumerate(("from", "to")):
-            box = (
-                ui.number(f"{title}, {word}", value=ends[end]).props("dense outlined debounce=300").classes("tune-end")
-            )
-            boxes.append(box)
+            box = ui.number(f"{title}, {word}", value=ends[end], min=low, max=high)
+            boxes.append(box.props("dense outlined debounce=300").classes("tune-end"))
 
             def change(value: float | None, end: int = end) -> None:
                 ends[end] = value
-                on_change(range_of_ends(*ends))
+                on_change(joined(*ends))
 
             box.on_value_change(lambda e, c=change: c(e.value))
     return boxes

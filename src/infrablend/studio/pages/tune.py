@@ -22,7 +22,7 @@ from infrablend.errors import InfraBlendError, Problem
 from infrablend.report.preview import Rgb
 from infrablend.studio.pages.generation_panel import show_generation
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
-from infrablend.studio.pages.object_inputs import Input, show_counts, show_models, show_options, show_parts
+from infrablend.studio.pages.object_inputs import Input, show_counts, show_ends, show_models, show_options, show_parts
 from infrablend.studio.pages.path_editor import PathEditor
 from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.pages.stage import Stage
@@ -381,7 +381,10 @@ class TunePage:
             elif field.kind == "counts":
                 self._inputs[field.key] = Input((part,), show_counts(title, field.value, partial(self._set, field)))
             elif field.kind == "range":
-                self._inputs[field.key] = Input((part,), self._build_range(field, title))
+                ends = (field.low, field.high, lambda low, high: [low, high])
+                self._inputs[field.key] = Input(
+                    (part,), show_ends(title, field.value, partial(self._set, field), *ends)
+                )
             else:
                 made = self._build_input(field, title).classes("w-full")
                 self._inputs[field.key] = Input((part,), (made,))
@@ -405,21 +408,6 @@ class TunePage:
             slider = ui.slider(min=field.low, max=field.high, step=step, value=field.value)
             slider.props(f'aria-label="{title}"').bind_value(made, "value")
         return made
-
-    def _build_range(self, field: FormField, title: str) -> Sequence[Any]:
-        values, boxes = list(field.value), []
-        with ui.element("div").classes("studio-row"):
-            for end, word in enumerate(("from", "to")):
-                box = ui.number(f"{title}, {word}", value=values[end], min=field.low, max=field.high)
-                box.props("dense outlined debounce=150").classes("tune-end")
-                boxes.append(box)
-
-                def change(value: Any, end: int = end) -> None:
-                    values[end] = value
-                    self._set(field, list(values))
-
-                box.on_value_change(lambda e, c=change: c(e.value))
-        return boxes
 
     def _set(self, field: FormField, given: Any) -> None:
         try:
