@@ -33,7 +33,7 @@ from infrablend.assets.model import (
     sun_response,
     warm_ground_role,
 )
-from infrablend.assets.params import Checks, Range
+from infrablend.assets.params import Checks, Choice, Dials, Number, Range
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.thermal.daytime import STORED_SHARE, between
@@ -275,45 +275,31 @@ _BODIES: Mapping[str, _Body] = {
     ),
 }  # fmt: skip
 
-CHOICES: Mapping[str, tuple[Any, ...]] = {
-    "body": tuple(_BODIES),
-    "state": ("parked_cold", "driven", "day_sun", "day_driven"),
-    "colour": ("black", "grey", "silver", "white"),
-    "sunroof": (False, True),
-    "rails": (False, True),
-    "panelled": (False, True),
-    "exhausts": (0, 1, 2),
-    "spokes": (5, 7, 10),
-}
-_ODDS: Mapping[str, tuple[float, ...]] = {
-    "body": (0.36, 0.22, 0.24, 0.06, 0.12),
-    "state": (0.5, 0.25, 0.19, 0.06),
-    "colour": (0.25, 0.17, 0.2, 0.38),
-    "sunroof": (0.7, 0.3),
-    "rails": (0.35, 0.65),
-    "panelled": (0.65, 0.35),
-    "exhausts": (0.2, 0.55, 0.25),
-    "spokes": (0.5, 0.2, 0.3),
-}
 # Shares of cars that are parked and that have been driven within the last hour: by night fitted to the share of cars
 # with bright parts in HIT-UAV's train, by day estimated.
-_STATE_ODDS: Mapping[str, tuple[float, ...]] = {
+_STATES: Mapping[str, tuple[float, ...]] = {
     "night": (0.8, 0.2, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25),
     "dusk": (0.75, 0.25, 0.0, 0.0), "dawn": (0.8, 0.2, 0.0, 0.0),
 }  # fmt: skip
-DRAWN: Mapping[str, Range] = {
-    "length_m": (3.6, 5.4),
-    "width": (0.97, 1.04),
-    "height": (0.96, 1.04),
-    "wheelbase": (0.98, 1.02),
-    "wheel_radius": (0.95, 1.06),
-    "screen_rake": (-0.02, 0.02),
-    "nose_taper": (0.7, 1.2),
-    "tail_taper": (0.7, 1.2),
-}
-"""Ranges that numbers are drawn from; `length_m` within the narrower range of the body type."""
-ALLOWED: Mapping[str, Range] = {**DRAWN, "length_m": (3.0, 6.5)}
-"""Ranges that `build_car` accepts."""
+_STATE = Choice(("parked_cold", "driven", "day_sun", "day_driven"), (0.5, 0.25, 0.19, 0.06))
+DIALS = Dials("car", {
+    "body": Choice(tuple(_BODIES), (0.36, 0.22, 0.24, 0.06, 0.12)),
+    "state": _STATE,
+    "colour": Choice(("black", "grey", "silver", "white"), (0.25, 0.17, 0.2, 0.38)),
+    "sunroof": Choice((False, True), (0.7, 0.3)),
+    "rails": Choice((False, True), (0.35, 0.65), "by default only on an suv or estate"),
+    "panelled": Choice((False, True), (0.65, 0.35), "by default only a van"),
+    "exhausts": Choice((0, 1, 2), (0.2, 0.55, 0.25)),
+    "spokes": Choice((5, 7, 10), (0.5, 0.2, 0.3)),
+    "length_m": Number((3.6, 5.4), (3.0, 6.5), by="body", ranges={name: b.lengths_m for name, b in _BODIES.items()}),
+    "width": Number((0.97, 1.04), (0.97, 1.04)),
+    "height": Number((0.96, 1.04), (0.96, 1.04)),
+    "wheelbase": Number((0.98, 1.02), (0.98, 1.02)),
+    "wheel_radius": Number((0.95, 1.06), (0.95, 1.06)),
+    "screen_rake": Number((-0.02, 0.02), (-0.02, 0.02)),
+    "nose_taper": Number((0.7, 1.2), (0.7, 1.2)),
+    "tail_taper": Number((0.7, 1.2), (0.7, 1.2)),
+})  # fmt: skip
 
 NOMINAL: Mapping[str, Any] = {
     "sheltered": False,
@@ -345,25 +331,15 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
     Args:
         rng: Random stream to draw from.
-        options: Any parameter by name: a value; for numbers also [low, high] to draw from; for choices also a list
-            to choose from with equal odds.
+        options: Values of parameters, as `DIALS` draws them, `sheltered` and `time_of_day`.
     """
     _CHECKS.known("option", options, (*NOMINAL, "time_of_day"))
-    when = options.get("time_of_day")
+    given = {name: value for name, value in options.items() if name not in ("sheltered", "time_of_day")}
+    when, dials = options.get("time_of_day"), DIALS
     if when is not None:
-        _CHECKS.one_of("option time_of_day", when, tuple(_STATE_ODDS))
-    dice = {name: float(rng.random()) for name in CHOICES}
-    dials = {name: float(rng.random()) for name in DRAWN}
-    odds = _ODDS if when is None else {**_ODDS, "state": _STATE_ODDS[when]}
-    params: dict[str, Any] = {
-        name: _CHECKS.choose(name, options, CHOICES[name], odds[name], dice[name]) for name in CHOICES
-    }
-    body = _BODIES[params["body"]]
-    for name in DRAWN:
-        low, high = body.lengths_m if name == "length_m" else DRAWN[name]
-        if name in options:
-            low, high = _CHECKS.number_range(f"option {name}", options[name], *ALLOWED[name])
-        params[name] = low + (high - low) * dials[name]
+        _CHECKS.one_of("option time_of_day", when, tuple(_STATES))
+        dials = replace(DIALS, table={**DIALS.table, "state": replace(_STATE, odds=_STATES[when])})
+    params = dials.sample(rng, given)
     # Set only for bodies that may have them, so that equal cars have equal parameters.
     if "rails" not in options:
         params["rails"] = params["rails"] and params["body"] in ("suv", "estate")
@@ -377,18 +353,11 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
 
 def _require_params(params: Params) -> None:
-    _CHECKS.known("parameter", params, (*NOMINAL, SHADOW_PARAM, "time_of_day"))
-    _CHECKS.complete(params, tuple(NOMINAL))
+    DIALS.require({k: v for k, v in params.items() if k not in ("sheltered", "time_of_day", SHADOW_PARAM)})
+    _CHECKS.complete(params, ("sheltered",))
+    _CHECKS.flag("parameter sheltered", params["sheltered"])
     if "time_of_day" in params:
         _CHECKS.one_of("parameter time_of_day", params["time_of_day"], LOW_SUN)
-    for name in NOMINAL:
-        where, value = f"parameter {name}", params[name]
-        if name == "sheltered":
-            _CHECKS.flag(where, value)
-        elif name in CHOICES:
-            _CHECKS.one_of(where, value, CHOICES[name])
-        else:
-            _CHECKS.number(where, value, *ALLOWED[name])
 
 
 # --- plan: the curves that pieces share -----------------------------------------------------------------------
@@ -844,17 +813,6 @@ def _ground_shadow(vertices: FloatArray, shift_xy: ArrayLike) -> Piece:
     return np.full(len(triangles), _PART_NAMES.index(SHADOW), np.int32), sheet, triangles, False
 
 
-def _option_text(name: str) -> str:
-    if name == "sheltered":
-        return (
-            "true or false: warm rim of ground that the car shields from the sky; by default for cars parked at night"
-        )
-    if name in CHOICES:
-        return f"one of {', '.join(map(str, CHOICES[name]))}, or a list of several"
-    low, high = DRAWN[name]
-    return f"a number or [low, high]; by default [{low:g}, {high:g}]"
-
-
 MODEL = ObjectModel(
     name="car",
     category="car",
@@ -867,7 +825,10 @@ MODEL = ObjectModel(
     sample=sample_params,
     build=build_car,
     options={
-        **{name: _option_text(name) for name in NOMINAL},
+        **DIALS.options,
+        "sheltered": (
+            "true or false: warm rim of ground that the car shields from the sky; by default for cars parked at night"
+        ),
         "time_of_day": "day, dusk, night or dawn: the states that can be drawn; by default as in the background",
     },
     parts_for=parts_for,

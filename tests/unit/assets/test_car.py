@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from infrablend.assets import car
-from infrablend.assets.car import CHOICES, MODEL, NOMINAL
+from infrablend.assets.car import MODEL, NOMINAL
 from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
@@ -19,10 +19,13 @@ from infrablend.sampling.scene import sample_scene
 from infrablend.sampling.site import FrameKey
 from tests.meshes import areas, check_pieces, vertices_of
 
+BODIES = ("hatchback", "saloon", "suv", "estate", "van")
+STATES = ("parked_cold", "driven", "day_sun", "day_driven")
+COLOURS = ("black", "grey", "silver", "white")
 DRAWS = [MODEL.sample(stream(7, "car", k), {}) for k in range(24)]
 CORNERS = [
     {**NOMINAL, "body": body, "length_m": length, "rails": True, "sunroof": True, "exhausts": 2, "wheel_radius": wheel}
-    for body, length, wheel in itertools.product(CHOICES["body"], (3.0, 4.6, 6.5), (0.95, 1.06))
+    for body, length, wheel in itertools.product(BODIES, (3.0, 4.6, 6.5), (0.95, 1.06))
 ]
 
 
@@ -55,7 +58,7 @@ def test_every_piece_of_extreme_cars_is_closed_and_faces_outward(params: dict[st
     check_pieces(car._build_pieces(params))
 
 
-@pytest.mark.parametrize("body", CHOICES["body"])
+@pytest.mark.parametrize("body", BODIES)
 def test_body_has_a_cars_proportions(body: str) -> None:
     plan = {**NOMINAL, "body": body, "length_m": car._BODIES[body].length_m}
     mesh = MODEL.build(plan)
@@ -74,7 +77,7 @@ def test_body_has_a_cars_proportions(body: str) -> None:
     assert extent(mesh, "tyre")[1][2] < extent(mesh, "wing")[1][2]
 
 
-@pytest.mark.parametrize("body", CHOICES["body"])
+@pytest.mark.parametrize("body", BODIES)
 def test_left_and_right_are_alike(body: str) -> None:
     v = MODEL.build({**NOMINAL, "body": body, "exhausts": 2}).vertices_m
     a = np.unique(v.round(6), axis=0)
@@ -96,9 +99,9 @@ def test_visible_options() -> None:
     assert glass(panel) < glass(bare) and "rear_window" not in panel.part_names
 
 
-@pytest.mark.parametrize("state", CHOICES["state"])
+@pytest.mark.parametrize("state", STATES)
 def test_roles_cover_the_same_parts_in_every_state(state: str) -> None:
-    for colour in CHOICES["colour"]:
+    for colour in COLOURS:
         roles = MODEL.roles({**NOMINAL, "state": state, "colour": colour})
         assert [*roles, "ground_shadow"] == list(MODEL.parts)
         shadowed = MODEL.roles({**NOMINAL, "state": state, "colour": colour, "shadow_xy": [1.0, 0.5]})
@@ -145,7 +148,7 @@ def test_the_time_of_day_decides_which_states_come_up() -> None:
     assert night["sheltered"] == (night["state"] == "parked_cold") and not day["sheltered"]
 
 
-@pytest.mark.parametrize("state", CHOICES["state"])
+@pytest.mark.parametrize("state", STATES)
 def test_a_scene_draws_from_the_individuals_own_ranges(state: str) -> None:
     assert load_model("car") is MODEL
     recipe = load_recipe(
