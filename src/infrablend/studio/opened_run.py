@@ -1,17 +1,15 @@
-"""Runs that the studio has opened: checked, read in the background, and locked against a second studio to review."""
+"""Runs that the studio has opened: checked, read in the background, and reviewed."""
 
 from __future__ import annotations
 
-import fcntl
 import logging
-import os
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from infrablend.core.run_folder import IMAGES, TRACKS, RunFolder
-from infrablend.errors import DatasetError, InfraBlendError, OutputError
+from infrablend.core.run_folder import TRACKS, RunFolder
+from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.evaluation.detections import RECORD
 from infrablend.pipeline.runs.review import REVIEW_FILE
 from infrablend.report.preview import draw_labels, to_8_bit, to_rgb
@@ -142,7 +140,7 @@ class RunFrames:
 
 
 class OpenedRun(RunFrames):
-    """A run to review: only one studio has it open.
+    """A run to review.
 
     Attributes:
         review: Verdicts on its frames.
@@ -151,7 +149,7 @@ class OpenedRun(RunFrames):
     """
 
     def __init__(self, folder: Path, results: Sequence[Path] = ()) -> None:
-        """Check and lock the run, and begin to read its frames.
+        """Check the run, and begin to read its frames.
 
         Args:
             folder: Folder of the run.
@@ -159,11 +157,10 @@ class OpenedRun(RunFrames):
 
         Raises:
             DatasetError: The run has no frames.
-            OutputError: The folder is not a finished run, its review is damaged, or another studio has it open.
+            OutputError: The folder is not a finished run, or its review is damaged.
         """
         super().__init__(folder)
         self.review = Review(folder / REVIEW_FILE)
-        self._lock = self._locked()
         reports = (path for path in (*inner_folders(folder), *results) if (path / RECORD).is_file())
         self.evaluation = next(reports, None)
         self.disagreement: Mapping[str, Disagreement] = {}
@@ -179,26 +176,6 @@ class OpenedRun(RunFrames):
             self.disagreement = read_disagreement(evaluation, self.labels, images)
         except InfraBlendError as error:
             log.warning("%s", error)
-
-    def close(self) -> None:
-        """Release the run."""
-        os.close(self._lock)
-
-    def _locked(self) -> int:
-        """Lock the folder of the pictures: it leaves no file, and does not keep commands from writing the run."""
-        folder = self.layout.root / IMAGES
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            os.close(handle)
-            raise OutputError(
-                f"{self.layout.root}: open in another studio; expected one per run, since both would write its "
-                f"{REVIEW_FILE}. Use the page of the other one, or close it with Ctrl-C in its terminal"
-            ) from error
-        except OSError as error:  # file systems without locks
-            log.warning("%s: cannot be locked (%s); do not open it in two studios", folder, error)
-        return handle
 
 
 def inner_folders(run: Path) -> list[Path]:

@@ -82,8 +82,6 @@ class Session:
         return "" if opened is None else opened.resolve().name
 
     def close(self) -> None:
-        """Release the run, and end the renderer."""
+        """End the renderer."""
         if self._tuning is not None:
             self._tuning.close()
-        if self.run is not None:
-            self.run.close()

@@ -77,7 +77,6 @@ def test_the_frames_of_a_sequence_are_in_order_with_the_tracks_in_them(tmp_path:
     assert [(t.category, t.id, t.inserted) for t in found.tracks] == [("drone", "2", True), ("drone", "0", False)]
     assert [at for at, _ in drone.boxes] == [k for k in range(24) if not 10 <= k < 14]
     assert drone.boxes[3] == (3, (8, 20, 14, 26)) and len(original.boxes) == 24
-    opened.close()
 
 
 def test_frames_without_times_are_played_at_30_per_second_and_those_without_a_sequence_are_not(tmp_path: Path) -> None:
@@ -88,10 +87,8 @@ def test_frames_without_times_are_played_at_30_per_second_and_those_without_a_se
     opened = OpenedRun(run)
     (found,) = opened.sequences
     assert found.frames == (1, 2, 3) and found.times_s == (0, 0.033333, 0.066667)
-    opened.close()
     plain = OpenedRun(write_run(tmp_path / "plain", {"test/a_c0": frame_record("test/a_c0")}))
     assert not plain.has_sequences and plain.sequences == []
-    plain.close()
 
 
 def test_every_verdict_is_in_the_file_at_once_and_can_be_undone(tmp_path: Path) -> None:
@@ -123,10 +120,6 @@ def test_runs_that_cannot_be_opened_say_why(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="without frames"):
         OpenedRun(empty)
     run = write_run(tmp_path / "run", {"test/a_c0": frame_record("test/a_c0")})
-    first = OpenedRun(run)
-    with pytest.raises(OutputError, match="another studio"):
-        OpenedRun(run)
-    first.close()
     (run / "review.json").write_text("[]")
     with pytest.raises(OutputError, match="as a review"):
         OpenedRun(run)
@@ -135,7 +128,6 @@ def test_runs_that_cannot_be_opened_say_why(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no such frame"):
         opened.row(1)
     assert opened.row(0).id == "test/a_c0"
-    opened.close()
 
 
 def test_a_run_that_is_written_again_is_read_again(tmp_path: Path) -> None:
@@ -148,7 +140,6 @@ def test_a_run_that_is_written_again_is_read_again(tmp_path: Path) -> None:
     shutil.rmtree(run)
     with pytest.raises(DatasetError, match="its frames are gone"):
         opened.row(0)
-    opened.close()
 
 
 def test_thumbnails_are_made_once_and_nothing_outside_the_run_is_shown(
@@ -169,4 +160,3 @@ def test_thumbnails_are_made_once_and_nothing_outside_the_run_is_shown(
     (tmp_path / "run/images" / opened.row(1).image).symlink_to(secret)
     with pytest.raises(DatasetError, match="link out of"):
         opened.thumbnails.get(opened.row(1))
-    opened.close()

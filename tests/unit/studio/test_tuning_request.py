@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,15 +26,13 @@ def data(write_tiny_hit_uav: Callable[..., Path], tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def run(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[OpenedRun]:
+def run(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> OpenedRun:
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
     api.generate(
         "hit-uav-drone", data, tmp_path / "run", seed=7, limit=2, settings=SETTINGS, execution=FLAT,
         reading=Reading(splits=("test",)),
     )  # fmt: skip
-    opened = OpenedRun(tmp_path / "run")
-    yield opened
-    opened.close()
+    return OpenedRun(tmp_path / "run")
 
 
 def test_a_run_alone_is_tuned_with_its_own_recipe_and_gives_its_own_frames(run: OpenedRun) -> None:
