@@ -57,8 +57,8 @@ SHAPES: Mapping[str, Shape] = {
 # Attitude of level models, in cruise or moving sideways: nose down by `lean_deg`, right side down by `bank_deg`.
 TILT_DEG: Mapping[str, tuple[float, float]] = {"lean_deg": (-4.0, 18.0), "bank_deg": (-10.0, 10.0)}
 OPTIONS: Mapping[str, str] = {
-    "shape": "one of " + ", ".join(SHAPES) + ", or a list of several with equal odds; by default folding quads are "
-    "the most common",
+    "shape": "one of " + ", ".join(SHAPES) + ", a list of several, or each with its weight; by default folding quads "
+    "are the most common",
     "size_m": "motor diagonal or wingspan: a number or [low, high]; by default that of the shape",
     "propellers": "still (default), spinning, or a list of both; spinning ones are discs that labels ignore",
 }
