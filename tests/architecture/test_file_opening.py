@@ -34,7 +34,6 @@ ALLOWED = {
     "pipeline/compose/trial.py": "a file that the user names",
     "report/card.py": "the licence beside a dataset",
     "report/checking.py": "pictures of a dataset, checked by its reader",
-    "studio/opened_run.py": "the folder, to lock it",
     "training/predict.py": "pictures of a dataset, checked by its reader, and weights that the user names",
     "training/trainer.py": "checkpoints, which Ultralytics opens as well",
 }
