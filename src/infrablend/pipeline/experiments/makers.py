@@ -196,10 +196,11 @@ def _make_split(job: StageJob) -> dict[str, Any]:
     rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed, spec.test)
     report = split_dataset(dataset, out, rule, to="coco")
     facts = dataset_facts(read_dataset(out))
-    empty = [s for s in SPLITS if not facts["images"].get(s)]
+    wanted = [s for s, share in zip(SPLITS, spec.shares, strict=True) if share or (s == "test" and spec.test)]
+    empty = [s for s in wanted if not facts["images"].get(s)]
     if empty:
         found = f"no image in {', '.join(empty)}: {len(report.groups)} group(s) by {spec.by}"
-        expected = "a group for each of train, val and test"
+        expected = f"a group for each of {', '.join(wanted)}"
         problem = Problem(job.stage.id, "split-empty", found, expected, "use a dataset with more groups")
         raise DatasetError(f"{job.stage.id}: cannot be used", [problem])
     return {
