@@ -18,7 +18,7 @@ def apparent_temperature(radiance: ArrayLike) -> Array:
 
 
 def object_kelvin(counts: NDArray[np.uint16], planck: Planck, camera: ObjectSettings) -> Array:
-    """Return temperatures of objects by FLIR's formula: emissivity, reflection, window and air taken out."""
+    """Return temperatures of objects as Minkina and Dudzik (2009) do: emissivity, reflection, window, air taken out."""
     c, e, w = camera.air_k - 273.15, camera.emissivity, camera.window_transmission
     wet = np.sqrt(camera.humidity * np.exp(1.5587 + 0.06939 * c - 2.7816e-4 * c**2 + 6.8455e-7 * c**3))
     far = np.sqrt(camera.distance_m / 2)

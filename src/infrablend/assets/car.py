@@ -277,7 +277,7 @@ _BODIES: Mapping[str, _Body] = {
 
 # Shares of cars that are parked and that have been driven within the last hour: by night fitted to the share of cars
 # with bright parts in HIT-UAV's train, by day estimated.
-_STATES: Mapping[str, tuple[float, ...]] = {
+_STATE_ODDS: Mapping[str, tuple[float, ...]] = {
     "night": (0.8, 0.2, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25),
     "dusk": (0.75, 0.25, 0.0, 0.0), "dawn": (0.8, 0.2, 0.0, 0.0),
 }  # fmt: skip
@@ -337,8 +337,8 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     given = {name: value for name, value in options.items() if name not in ("sheltered", "time_of_day")}
     when, dials = options.get("time_of_day"), DIALS
     if when is not None:
-        _CHECKS.one_of("option time_of_day", when, tuple(_STATES))
-        dials = replace(DIALS, table={**DIALS.table, "state": replace(_STATE, odds=_STATES[when])})
+        _CHECKS.one_of("option time_of_day", when, tuple(_STATE_ODDS))
+        dials = replace(DIALS, table={**DIALS.table, "state": replace(_STATE, odds=_STATE_ODDS[when])})
     params = dials.sample(rng, given)
     # Set only for bodies that may have them, so that equal cars have equal parameters.
     if "rails" not in options:

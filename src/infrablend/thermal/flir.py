@@ -1,6 +1,6 @@
 """FLIR's published conversion between raw counts and temperatures: `S(T) = R1 / (R2 (exp(B / T) - F)) - O`.
 
-This is the formula of Minkina and Dudzik ("Infrared Thermography", 2009) that other open programs use as well.
+Temperatures are those that a black body of the same signal has: air, reflections and emissivity stay in them.
 """
 
 from __future__ import annotations

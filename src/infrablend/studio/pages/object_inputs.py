@@ -215,7 +215,7 @@ def show_ends(
     with ui.element("div").classes("studio-row"):
         for end, word in enumerate(("from", "to")):
             box = ui.number(f"{title}, {word}", value=ends[end], min=low, max=high)
-            boxes.append(box.props("dense outlined debounce=300").classes("tune-end"))
+            boxes.append(box.props("dense outlined debounce=150").classes("tune-end"))
 
             def change(value: float | None, end: int = end) -> None:
                 ends[end] = value

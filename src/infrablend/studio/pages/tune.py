@@ -381,10 +381,9 @@ class TunePage:
             elif field.kind == "counts":
                 self._inputs[field.key] = Input((part,), show_counts(title, field.value, partial(self._set, field)))
             elif field.kind == "range":
-                ends = (field.low, field.high, lambda low, high: [low, high])
-                self._inputs[field.key] = Input(
-                    (part,), show_ends(title, field.value, partial(self._set, field), *ends)
-                )
+                change = partial(self._set, field)
+                ends = show_ends(title, field.value, change, field.low, field.high, joined=lambda *ends: list(ends))
+                self._inputs[field.key] = Input((part,), ends)
             else:
                 made = self._build_input(field, title).classes("w-full")
                 self._inputs[field.key] = Input((part,), (made,))
