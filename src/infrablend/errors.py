@@ -7,6 +7,7 @@ InfraBlendError
  │   └─ UnknownFormatError            no reader recognises the folder
  ├─ ModelError (ValueError)           an object model that cannot be found or used
  ├─ OutputError (OSError)             the output folder cannot be used, or the disk is full
+ │   ├─ BusyError                     another process is writing the folder
  │   └─ OtherSettingsError            what is to be resumed was started with other settings
  ├─ FetchError (OSError)              a download failed: the network, the server, its certificate
  ├─ StorageError (OSError)            object storage cannot be used: the network, rights, or what it has stored
@@ -125,6 +126,10 @@ class ModelError(InfraBlendError, ValueError):
 
 class OutputError(InfraBlendError, OSError):
     """The output folder cannot be used, or writing failed."""
+
+
+class BusyError(OutputError):
+    """Another process is writing the output folder."""
 
 
 class OtherSettingsError(OutputError):

@@ -14,7 +14,10 @@ from infrablend.cli.options import Fields, JsonSession
 from infrablend.cli.output import grid, human_bytes, show_result, shown_progress, table
 from infrablend.report.figures import human_seconds
 
-_EVENTS = {"found": "already finished", "started": "started", "done": "done", "adopted": "adopted"}
+_EVENTS = {
+    "found": "already finished", "started": "started", "waiting": "another command is making it", "done": "done",
+    "adopted": "adopted",
+}  # fmt: skip
 
 
 def experiment(
@@ -50,7 +53,7 @@ def experiment(
 ) -> None:
     """Run an experiment: make its data, train, evaluate, and write a page with the paper's figures beside yours.
 
-    The same command continues an interrupted run and makes nothing twice.
+    The same command continues an interrupted run and makes nothing twice. Several at once share the stages.
     """
     if show_list:
         shipped = api.list_experiments()

@@ -34,7 +34,7 @@ from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, read_object, write_json
 from infrablend.core.typed_command import command_facts, recorded_command
-from infrablend.errors import OutputError
+from infrablend.errors import BusyError, OutputError
 
 log = logging.getLogger(__name__)
 
@@ -181,8 +181,8 @@ def workspace(
 
     Raises:
         ArgumentError: `out` is an address of object storage.
-        OutputError: The folder has something that may not be replaced, another process writes it, or it cannot be
-            written.
+        BusyError: Another process writes the folder.
+        OutputError: The folder has something that may not be replaced, or it cannot be written.
     """
     require_existing(existing)
     require_folder("out", out)
@@ -337,7 +337,7 @@ def _lock(folder: Path, noun: str, *, make: bool = False) -> Iterator[None]:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
-                raise OutputError(
+                raise BusyError(
                     f"{folder}: another process is writing this {noun}; wait for it to end, or give another folder"
                 ) from error
             except OSError as error:  # file systems without locks

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from infrablend.cli import main
 from infrablend.config.experiment import Check, Generate, list_experiments, load_experiment, parse_experiment
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
+from infrablend.core.workspace import workspace
 from infrablend.errors import (
     DatasetError,
     FetchError,
@@ -33,6 +35,7 @@ from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings
 from infrablend.pipeline.experiments import forecast, makers
 from infrablend.pipeline.experiments.dataset_facts import spread_images
 from infrablend.pipeline.experiments.graph import preset_inputs, preset_of
+from infrablend.pipeline.experiments.prepare import prepare_experiment
 from infrablend.pipeline.experiments.request import DEFAULT_RESULTS, ExperimentRequest
 from infrablend.pipeline.experiments.results import check_claim
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder, stage_keys
@@ -419,6 +422,28 @@ def test_a_run_killed_in_one_stage_after_the_other_resumes(bench: Bench, data: P
     assert {k: report.facts[k] for k in figures} == {k: whole.facts[k] for k in figures}
     keys = [[s["key"] for s in r.facts["stages"]] for r in (report, whole)]
     assert keys[0] == keys[1]
+
+
+def test_a_stage_that_another_process_makes_comes_later(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = tmp_path / "work"
+    news: list[tuple[str, str]] = []
+    graph = prepare_experiment(ExperimentRequest("pitch-alignment", (data,), work, **RUN)).graph
+    folder = stage_folder(work, graph.by_id["train:fixed"], graph.keys["train:fixed"])
+    with ExitStack() as other:
+        other.enter_context(workspace(folder, "stage train:fixed", RECORD, keep=True))
+
+        def ends(seconds: float) -> None:
+            assert news[-1] == ("compare:aligned-random", "done")  # all others are made
+            other.close()
+
+        monkeypatch.setattr("infrablend.pipeline.experiments.run.time.sleep", ends)
+        report = run("pitch-alignment", data, work, on_stage=lambda *n: news.append(n[:2]))
+    assert report.status == "complete"
+    of_fixed = [event for stage, event in news if stage == "train:fixed"]
+    assert of_fixed == ["started", "waiting", "done"]
+    assert news.index(("train:fixed", "done")) < news.index(("evaluate:fixed", "started"))
 
 
 def test_interrupted_stage_with_other_settings_starts_again(

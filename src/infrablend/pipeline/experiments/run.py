@@ -15,7 +15,7 @@ from infrablend.core.files import read_object
 from infrablend.core.machine import describe_machine, installed_versions, source_commit
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
-from infrablend.errors import InfraBlendError, Interrupted, OutputError, Problem
+from infrablend.errors import BusyError, InfraBlendError, Interrupted, OutputError, Problem
 from infrablend.pipeline.experiments import forecast
 from infrablend.pipeline.experiments.adopting import adopt_result
 from infrablend.pipeline.experiments.forecast import LEARNING, estimate_bytes, free_bytes
@@ -32,10 +32,11 @@ from infrablend.report.results.write import write_page
 # Kinds of stages that continue what an interrupted run left; others start again.
 _RESUMING = ("generate", "train")
 _TRAINING_PACKAGES = ("ultralytics", "torch")
+_POLL_S = 5.0
 
 log = logging.getLogger(__name__)
 
-Event = Literal["found", "started", "done", "adopted"]
+Event = Literal["found", "started", "waiting", "done", "adopted"]
 OnStage = Callable[[str, Event, int, int], None]
 """Called with a stage's id, what happened, the number of the stage, and the number of all stages."""
 
@@ -85,6 +86,8 @@ def run_experiment(
 ) -> ExperimentReport:
     """Make the stages that are missing, in order, and write the page.
 
+    Stages that another process is making come later, so the same request in several processes shares the work.
+
     Raises:
         MissingDependencyError: The trainer is not installed; raised before anything is made.
         OutputError: The disk has too little space for the plan, or a folder cannot be written.
@@ -101,27 +104,27 @@ class _Run:
         self.finished: dict[str, FinishedStage] = {}
         self.made: list[str] = []
         self.reused: list[str] = []
+        self.told: set[tuple[str, Event]] = set()
+        self.at = ""
 
     def run(self) -> ExperimentReport:
         self.adopt()
-        finished = self.prepared.finished()
+        name, finished = self.prepared.experiment.name, self.prepared.finished()
         wanted = self.graph.select(self.request.only, finished) & self.prepared.required(finished)
         _require_ready(self.prepared, wanted - set(finished))
-        name = self.prepared.experiment.name
-        for number, stage in enumerate(self.graph.stages, 1):
-            try:
-                self.reuse_or_make(stage, number, wanted)
-            except (Interrupted, KeyboardInterrupt) as error:
-                page = self.write_unfinished("stopped")
-                # The stage's own advice (its --resume) does not apply to this command.
-                log.info("%s stopped: %s", stage.id, error)
-                raise Interrupted(
-                    f"Stopped in experiment {name}; {len(self.finished)} of {len(self.graph.stages)} stages are done"
-                    f"{f', listed in {page}' if page else ''}. Run the same command to continue."
-                ) from error
-            except InfraBlendError as error:
-                self.write_unfinished(f"{type(error).__name__}: {stage.id}")
-                raise
+        try:
+            self.make_missing(wanted)
+        except (Interrupted, KeyboardInterrupt) as error:
+            page = self.write_unfinished("stopped")
+            # The stage's own advice (its --resume) does not apply to this command.
+            log.info("%s stopped: %s", self.at, error)
+            raise Interrupted(
+                f"Stopped in experiment {name}; {len(self.finished)} of {len(self.graph.stages)} stages are done"
+                f"{f', listed in {page}' if page else ''}. Run the same command to continue."
+            ) from error
+        except InfraBlendError as error:
+            self.write_unfinished(f"{type(error).__name__}: {self.at}")
+            raise
         facts = collect_results(self.prepared, self.finished)
         page = write_page(facts, self.request.results_folder)
         left_out = {n: why for n, why in self.graph.left_out.items() if why != OTHER_SCALES}
@@ -129,24 +132,43 @@ class _Run:
         scale, status = self.request.scale, facts["status"]
         return ExperimentReport(name, scale, status, tuple(self.made), tuple(self.reused), page, facts, problems)
 
-    def reuse_or_make(self, stage: Stage, number: int, wanted: Collection[str]) -> None:
+    def make_missing(self, wanted: Collection[str]) -> None:
+        todo = list(enumerate(self.graph.stages, 1))
+        while todo:
+            left = [(number, stage) for number, stage in todo if not self.reuse_or_make(stage, number, wanted)]
+            if len(left) == len(todo):
+                time.sleep(_POLL_S)
+            todo = left
+
+    def reuse_or_make(self, stage: Stage, number: int, wanted: Collection[str]) -> bool:
+        """Return False if another process is making the stage or one that it needs."""
+        self.at = stage.id
         if (found := self.prepared.find(stage)) is not None:
             self.finished[stage.id] = found
             self.reused.append(stage.id)
             self.notify(stage, "found", number)
         elif stage.id in wanted:
+            if any(need in wanted and need not in self.finished for need in stage.needs.values()):
+                return False
             self.notify(stage, "started", number)
-            log.info("%s %s started", stage.id, self.graph.keys[stage.id])
-            self.finished[stage.id] = self.make(stage, self.finished)
+            try:
+                self.finished[stage.id] = self.make(stage, self.finished)
+            except BusyError:
+                self.notify(stage, "waiting", number)
+                return False
             self.made.append(stage.id)
-            log.info("%s done in %s s", stage.id, self.finished[stage.id].record["seconds"])
             self.notify(stage, "done", number)
+        return True
 
     def make(self, stage: Stage, finished: Mapping[str, FinishedStage], adopt: Path | None = None) -> FinishedStage:
         key = self.graph.keys[stage.id]
         return make_stage(stage, key, finished, self.request, adopt=adopt, on_progress=self.on_progress)
 
     def notify(self, stage: Stage, event: Event, number: int) -> None:
+        if (stage.id, event) in self.told:
+            return
+        self.told.add((stage.id, event))
+        log.info("%s %s %s", stage.id, self.graph.keys[stage.id], event)
         if self.on_stage is not None:
             self.on_stage(stage.id, event, number, len(self.graph.stages))
 
