@@ -92,6 +92,7 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
 def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 6, "val": 2, "test": 2})
     seen = []
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
     with monkeypatch.context() as patch:
         patch.setattr(pipeline_train, "WORKING_FILES", ())
         report = train(data, tmp_path / "out", settings={"tiles": 0}, on_progress=seen.append, **SMOKE)
@@ -106,6 +107,7 @@ def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, m
     assert without_times(resumed) == without_times(record) | {"contents": resumed["contents"]}
     record = resumed
     assert report.weights.stat().st_size > 1_000_000
+    assert record["threads"] == 2
     assert record["start"]["kind"] == "scratch"
     assert record["gate"]["images"] == record["prepared"]["images"] == record["prepared"]["tiles"]["tiles"]
     assert record["gate"]["labels"] == record["prepared"]["labels"] >= 12

@@ -34,6 +34,7 @@ from infrablend.training.files import (
     ULTRALYTICS,
     WEIGHTS,
 )
+from infrablend.training.presets import MOST_THREADS
 from infrablend.training.scale import MARK
 
 REACHED = "infrablend_reached"
@@ -258,6 +259,8 @@ def _train(job: Job, say: Any) -> None:
     from ultralytics.models import yolo
     from ultralytics.utils import torch_utils
 
+    # By itself, Ultralytics leaves one core unused: on two cores it would train on one.
+    torch_utils.NUM_THREADS = min(torch.get_num_threads(), MOST_THREADS)
     torch.use_deterministic_algorithms = functools.partial(_use_deterministic_algorithms, torch)
     data_utils.check_font = lambda font: None  # would download one for plots, of which there are none
     ultralytics.settings["raytune"] = False  # would import Ray, for a second
