@@ -76,8 +76,8 @@ def experiment(
     for problem in report.problems:
         typer.echo(printable(f"{problem.severity}: {problem}"), err=True)
     blocks = _result_blocks(report.facts)
-    if report.facts["missing"]:
-        blocks.append(f"missing: {', '.join(report.facts['missing'])}")
+    if missing := report.facts["missing"]:
+        blocks.append(f"missing: {len(missing)} of {len(report.facts['stages'])} stages; --plan lists them")
     elif not report.made:
         blocks.append("nothing to do: every stage was finished before")
     blocks.append(f"{report.status}, scale {report.scale}: {report.page}")
