@@ -89,6 +89,17 @@ def without_times(record: dict[str, Any]) -> dict[str, Any]:
     return {k: v for k, v in record.items() if k not in ("seconds", "sessions")}
 
 
+def test_an_evaluation_leaves_the_threads_of_later_trainings_alone(ultralytics):
+    code = (
+        "import os; from infrablend.training.environment import quiet_ultralytics\n"
+        "with quiet_ultralytics():\n    print(os.environ.get('OMP_NUM_THREADS'))\n"
+    )
+    for asked in ({}, {"OMP_NUM_THREADS": "3"}):
+        around = {k: v for k, v in os.environ.items() if k != "OMP_NUM_THREADS"} | asked
+        done = subprocess.run([sys.executable, "-c", code], env=around, capture_output=True, text=True, check=True)
+        assert done.stdout.split() == [asked.get("OMP_NUM_THREADS", "None")]
+
+
 def test_training_uses_every_tile_and_records_its_scale(ultralytics, tmp_path, monkeypatch):
     data = yolo(tmp_path / "data", {"train": 6, "val": 2, "test": 2})
     seen = []

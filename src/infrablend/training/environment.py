@@ -45,7 +45,11 @@ def quiet_ultralytics() -> Iterator[None]:
         folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
         configure_ultralytics(folder)
+    threads = os.environ.get("OMP_NUM_THREADS")
     from ultralytics.utils import LOGGER
+
+    if threads is None:  # Ultralytics sets it to 1, also for trainings that this process starts later
+        os.environ.pop("OMP_NUM_THREADS", None)
 
     before = LOGGER.level
     LOGGER.setLevel(logging.ERROR)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import json
+import os
 import random
 import shutil
 import sys
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import load_json, replace_atomically
+from infrablend.core.machine import usable_cores
 from infrablend.core.parent_process import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
@@ -254,13 +256,16 @@ def _train(job: Job, say: Any) -> None:
     out = Path(job.out)
     configure_ultralytics(out / ULTRALYTICS)
     import torch
+
+    threads = torch.get_num_threads()
+    if "OMP_NUM_THREADS" not in os.environ:  # which Ultralytics sets to 1 if it is not
+        threads = max(1, min(threads, int(usable_cores()), MOST_THREADS))
     import ultralytics
     from ultralytics.data import utils as data_utils
     from ultralytics.models import yolo
     from ultralytics.utils import torch_utils
 
-    # By itself, Ultralytics leaves one core unused: on two cores it would train on one.
-    torch_utils.NUM_THREADS = min(torch.get_num_threads(), MOST_THREADS)
+    torch_utils.NUM_THREADS = threads  # by itself, Ultralytics leaves one core unused: on two cores it trains on one
     torch.use_deterministic_algorithms = functools.partial(_use_deterministic_algorithms, torch)
     data_utils.check_font = lambda font: None  # would download one for plots, of which there are none
     ultralytics.settings["raytune"] = False  # would import Ray, for a second
