@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Draw the before-and-after picture of the README from the virtual world: no real data, the same bytes every time.
+"""Draw the pictures of the README and of docs/explanation/paper.md from the virtual world: no real data, same bytes.
 
-Usage: python scripts/before_after.py [OUT]      (default: docs/images/before_after.png; takes about two minutes)
+Usage: python scripts/paper_pictures.py [FOLDER]      (default: docs/images; takes about two minutes)
 """
 
 from __future__ import annotations
@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 from pycocotools import mask as coco_mask
+
+from infrablend import api
 
 COMMAND = str(Path(sys.executable).with_name("infrablend"))
 # Title, options of `world`, recipe, frame, and the part of the picture to show: left, top, width (4:3).
@@ -32,17 +34,46 @@ ROWS: tuple[tuple[str, tuple[str, ...], str, str, tuple[int, int, int]], ...] = 
         ("--count", "8", "--seed", "1", "--layout", "monet"),
         "monet-deer-physical",
         "test/dirtroad_03_image00000_c0",
-        (60, 40, 400),
+        (310, 40, 440),
     ),
 )
+# Frames of both runs for the figure of viewpoints, by index of the row; three per line.
+VIEWPOINTS: tuple[tuple[int, str, str], ...] = (
+    (0, "train/1_90_30_0_00004_c0", "drone, pitch 30°"),
+    (0, "test/1_60_40_0_00001_c1", "drone, pitch 40°"),
+    (0, "train/1_100_50_0_00009_c1", "drone, pitch 50°"),
+    (0, "train/0_130_70_0_00006_c1", "drone, pitch 70°"),
+    (0, "train/0_80_80_0_00008_c1", "drone, pitch 80°"),
+    (0, "train/1_70_90_0_00003_c1", "drone, pitch 90°"),
+    (1, "train/dirtroad_02_image00000_c0", "deer, pitch 28°"),
+    (1, "test/dirtroad_03_image00000_c0", "deer, pitch 48°"),
+    (1, "train/dirtroad_02_image00001_c0", "deer, pitch 79°"),
+)
+# The lower part of the sheet of a model: its parts, numbered, beside their temperatures.
+MODELS: tuple[tuple[str, dict[str, str]], ...] = (("drone", {}), ("deer", {"pose": "walking"}))
+PARTS_WH = (1140, 480)
 PANEL_WH = (400, 300)
 GAP, HEADER, CAPTION = 8, 28, 24
 PAPER, INK, FAINT = (24, 26, 30), (236, 238, 242), (150, 156, 166)
 BOX, ORIENTED, MASK, ORIGINAL = (255, 196, 0), (0, 214, 255), (255, 64, 160), (112, 190, 130)
 
 
-def main(out: Path) -> None:
-    """Make the worlds and runs in a temporary folder and draw one row per run."""
+def main(folder: Path) -> None:
+    """Make the worlds and runs in a temporary folder and draw one picture after the other."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        runs = [generate(Path(scratch) / recipe, options, recipe) for _, options, recipe, _, _ in ROWS]
+        for name, sheet in (
+            ("before_after.png", before_after(runs)),
+            ("models.png", models(Path(scratch))),
+            ("viewpoints.png", viewpoints(runs)),
+        ):
+            sheet.save(folder / name, optimize=True)
+            print(folder / name)
+
+
+def before_after(runs: list[Path]) -> Image.Image:
+    """Draw a row per run: a background, the same with the insert, and its labels."""
     width = 3 * PANEL_WH[0] + 4 * GAP
     height = HEADER + len(ROWS) * (PANEL_WH[1] + CAPTION + GAP)
     sheet = Image.new("RGB", (width, height), PAPER)
@@ -50,16 +81,36 @@ def main(out: Path) -> None:
     font = ImageFont.load_default(15)
     for column, title in enumerate(("background", "with the inserted object", "with its labels")):
         draw.text((GAP + column * (PANEL_WH[0] + GAP), 6), title, fill=INK, font=font)
-    with tempfile.TemporaryDirectory() as scratch:
-        for row, (caption, world_options, recipe, frame_id, window) in enumerate(ROWS):
-            run = generate(Path(scratch) / str(row), world_options, recipe)
-            top = HEADER + row * (PANEL_WH[1] + CAPTION + GAP)
-            for column, panel in enumerate(panels(run, frame_id, window)):
-                sheet.paste(panel, (GAP + column * (PANEL_WH[0] + GAP), top))
-            draw.text((GAP, top + PANEL_WH[1] + 3), caption, fill=FAINT, font=font)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    sheet.save(out, optimize=True)
-    print(out)
+    for row, (caption, _options, _recipe, frame_id, window) in enumerate(ROWS):
+        top = HEADER + row * (PANEL_WH[1] + CAPTION + GAP)
+        for column, panel in enumerate(panels(runs[row], frame_id, window)):
+            sheet.paste(panel, (GAP + column * (PANEL_WH[0] + GAP), top))
+        draw.text((GAP, top + PANEL_WH[1] + 3), caption, fill=FAINT, font=font)
+    return sheet
+
+
+def models(folder: Path) -> Image.Image:
+    """Draw the numbered parts of the paper's two models, one below the other."""
+    sheet = Image.new("RGB", (PARTS_WH[0], len(MODELS) * (PARTS_WH[1] + GAP) - GAP), PAPER)
+    for row, (name, options) in enumerate(MODELS):
+        shown = Image.open(api.show_model(name, folder / f"{name}.png", options=options)).convert("RGB")
+        parts = shown.crop((0, shown.height - PARTS_WH[1], PARTS_WH[0], shown.height))
+        sheet.paste(parts, (0, row * (PARTS_WH[1] + GAP)))
+    return sheet
+
+
+def viewpoints(runs: list[Path]) -> Image.Image:
+    """Draw whole pictures of both runs, from small to large camera pitch."""
+    width, height = 3 * PANEL_WH[0] + 4 * GAP, PANEL_WH[0] * 4 // 5 + CAPTION + GAP
+    sheet = Image.new("RGB", (width, GAP + len(VIEWPOINTS) // 3 * height), PAPER)
+    draw = ImageDraw.Draw(sheet)
+    for k, (run, frame_id, caption) in enumerate(VIEWPOINTS):
+        record = json.loads(call([COMMAND, "show", str(runs[run]), frame_id]))
+        left, top = GAP + k % 3 * (PANEL_WH[0] + GAP), GAP + k // 3 * height
+        picture = Image.open(runs[run] / "images" / record["image"]).convert("RGB")
+        sheet.paste(ImageOps.fit(picture, (PANEL_WH[0], height - CAPTION - GAP)), (left, top))
+        draw.text((left, top + height - CAPTION - GAP + 3), caption, fill=FAINT, font=ImageFont.load_default(15))
+    return sheet.convert("L")
 
 
 def generate(folder: Path, world_options: tuple[str, ...], recipe: str) -> Path:
@@ -126,4 +177,4 @@ def labelled(picture: Image.Image, run: Path, name: str, window: tuple[int, int,
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images/before_after.png"))
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images"))
