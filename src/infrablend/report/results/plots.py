@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,7 @@ from infrablend.report.results.page import METRICS, class_order
 # Distinguishable for colour-blind readers.
 OURS, PAPER, FAINT = "#0072b2", "#d55e00", "#9a9a9a"
 CURVES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1b1b", "#9a9a9a")
+COLUMNS = 4  # panels of curves beside each other
 
 
 CHARTS = ("bars", "differences", "pr")
@@ -57,9 +59,12 @@ def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
             if r["paper"][metric] is not None:
                 ax.plot(r["paper"][metric], at, marker="x", color=PAPER, ms=7, mew=1.8, ls="")
         ax.set(xlim=(0, 1.02), xlabel=METRICS[metric])
-    axes[1].plot([], [], marker="x", color=PAPER, ls="", mew=1.8, label="paper")
-    axes[1].barh([], [], color=OURS, alpha=0.75, label="ours")
-    figure.legend(*axes[1].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside upper right", ncols=2)
+    if any(r["paper"][metric] is not None for _, r in rows for metric in ("map50", "map50_95")):
+        axes[1].plot([], [], marker="x", color=PAPER, ls="", mew=1.8, label="paper")
+        axes[1].barh([], [], color=OURS, alpha=0.75, label="ours")
+        figure.legend(
+            *axes[1].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside upper right", ncols=2
+        )
     return svg_bytes(figure)
 
 
@@ -94,9 +99,13 @@ def _panels(names: Sequence[str], row_height: float) -> tuple[Figure, Any, NDArr
 
 
 def _curves(curves: Mapping[str, Mapping[str, Any]]) -> bytes:
-    figure = Figure(figsize=(3.4 * len(curves), 3.2), layout="constrained")
-    axes: Any = figure.subplots(1, len(curves), squeeze=False)
-    for ax, (name, of) in zip(axes[0], curves.items(), strict=True):
+    columns = min(len(curves), COLUMNS)
+    rows = math.ceil(len(curves) / columns)
+    figure = Figure(figsize=(3.4 * columns, 3.2 * rows), layout="constrained")
+    axes: Any = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax in axes[len(curves) :]:
+        ax.remove()
+    for ax, (name, of) in zip(axes, curves.items(), strict=False):
         for k, (category, precision) in enumerate(sorted(of["precision"].items())):
             ax.plot(of["recall"], precision, color=CURVES[k % len(CURVES)], lw=1.4, label=plot_text(category))
         ax.set(title=plot_text(name), xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
