@@ -39,17 +39,21 @@ def configure_ultralytics(folder: Path) -> None:
 
 @contextlib.contextmanager
 def quiet_ultralytics() -> Iterator[None]:
-    """Return a context in which Ultralytics is set up and logs errors only."""
-    if "ultralytics" not in sys.modules:
-        # Ultralytics reads its settings on import; we need none of them, so the folder may be cleaned up at any time.
-        folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{os.getuid()}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        configure_ultralytics(folder)
-    threads = os.environ.get("OMP_NUM_THREADS")
-    from ultralytics.utils import LOGGER
+    """Return a context in which Ultralytics is set up and logs errors only.
 
-    if threads is None:  # Ultralytics sets it to 1, also for trainings that this process starts later
-        os.environ.pop("OMP_NUM_THREADS", None)
+    Its import changes environment variables, such as the number of threads, which are restored for later trainings.
+    """
+    environment = dict(os.environ)
+    try:
+        if "ultralytics" not in sys.modules:
+            # It reads its settings on import; we need none of them, so the folder may be cleaned up at any time.
+            folder = Path(tempfile.gettempdir()) / f"infrablend-ultralytics-{os.getuid()}"
+            folder.mkdir(mode=0o700, exist_ok=True)
+            configure_ultralytics(folder)
+        from ultralytics.utils import LOGGER
+    finally:
+        os.environ.clear()
+        os.environ.update(environment)
 
     before = LOGGER.level
     LOGGER.setLevel(logging.ERROR)
@@ -60,25 +64,17 @@ def quiet_ultralytics() -> Iterator[None]:
 
 
 def wrong_arguments(arguments: Mapping[str, Any]) -> str:
-    """Return Ultralytics' error message about training arguments; empty if they are valid or cannot be checked.
-
-    Importing Ultralytics changes environment variables; they are restored for processes started later.
-    """
-    before = dict(os.environ)
-    try:
-        with quiet_ultralytics():
-            try:
-                from ultralytics.cfg import DEFAULT_CFG_DICT, check_cfg, check_dict_alignment
-            except ImportError:
-                return ""
-            try:
-                check_dict_alignment(DEFAULT_CFG_DICT, dict(arguments))
-                check_cfg(dict(arguments))
-            except (SyntaxError, TypeError, ValueError) as error:
-                return " ".join(str(error).split()).rstrip(".")
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+    """Return Ultralytics' error message about training arguments; empty if they are valid or cannot be checked."""
+    with quiet_ultralytics():
+        try:
+            from ultralytics.cfg import DEFAULT_CFG_DICT, check_cfg, check_dict_alignment
+        except ImportError:
+            return ""
+        try:
+            check_dict_alignment(DEFAULT_CFG_DICT, dict(arguments))
+            check_cfg(dict(arguments))
+        except (SyntaxError, TypeError, ValueError) as error:
+            return " ".join(str(error).split()).rstrip(".")
     return ""
 
 
