@@ -138,7 +138,7 @@ def _evaluation(report: EvaluationReport) -> list[str]:
     blocks = [grid([*page.HEAD, "interval"], rows)]
     targets, alarms = metrics["targets"], metrics["false_alarms"]
     blocks.append(page.as_one_text(classes["all"]))
-    blocks.append(f"{page.target_title(targets)}:\n" + grid(page.TARGET_HEAD, page.target_rows(targets)))
+    blocks.append(f"{page.target_title(targets)}:\n" + grid(page.TARGET_HEAD, page.target_rows(metrics)))
     blocks.append(grid(["size or visible share", "objects", "found"], page.kind_rows(targets)))
     if alarms["pictures"]:
         blocks.append(f"{page.alarm_title(alarms)}:\n" + grid(*page.alarm_table(alarms)))

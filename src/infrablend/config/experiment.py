@@ -26,7 +26,8 @@ from infrablend.errors import RecipeError
 _PATH_FIELD = re.compile(r"objects\.\d+\.model|sensor\.profile", re.ASCII)
 
 Metric = Literal[
-    "p", "r", "map50", "map50_95", "as_one50", "as_one50_95", "found", "named", "false_alarms", "hota", "mota", "idf1"
+    "p", "r", "map10", "map50", "map50_95", "as_one50", "as_one50_95", "found", "named", "false_alarms",
+    "hota", "mota", "idf1",
 ]  # fmt: skip
 METRICS: tuple[Metric, ...] = get_args(Metric)
 """Figures of the row of a class; `as_one50` and `as_one50_95` are of all classes, so only of the row `all`."""

@@ -73,8 +73,11 @@ def figures(
     rows["all"] |= _as_one(one, weights, rows["all"]["ci"])
     targets = found_and_named(case, confidence)
     alarms = false_alarms(case, {"all": one[0], **dict(zip(names, matches, strict=True))}, confidence)
-    for (name, row), point in zip(rows.items(), [means, *points], strict=True):
+    overlapping = match_all(case, {"all": SIZE_BINS["all"]}, ious=np.array([FOUND_IOU]))
+    at_overlap = drawn_figures(overlapping, np.ones((1, len(case.images)), np.int32))[0, :, 0]
+    for (name, row), point, ap in zip(rows.items(), [means, *points], at_overlap, strict=True):
         row["p"], row["r"] = point or (None, None)
+        row["map10"] = None if np.isnan(ap) else float(ap)
         row |= target_shares(targets[name], alarms["classes"].get(name))
     strata = {"size": _by_size(case, matches, SIZE_BINS, weights, groups)}
     if bodies_px is not None:

@@ -55,6 +55,7 @@ def match_all(
     case: Case,
     bins: Mapping[str, tuple[float, float]] = SIZE_BINS,
     sizes_px: Sequence[tuple[FloatArray, FloatArray]] | None = None,
+    ious: FloatArray = IOUS,
 ) -> tuple[ClassMatches, ...]:
     """Match the detections of every class on every image, in each range of sizes.
 
@@ -62,9 +63,10 @@ def match_all(
         case: Labels and detections.
         bins: Half-open ranges of sizes, px.
         sizes_px: Sizes of the labels and of the detections on each image; their longer sides by default.
+        ious: (t,) thresholds of the overlap, ascending.
     """
     ranges = np.array(list(bins.values()), np.float64)
-    classes, a, t = range(len(case.classes)), len(ranges), len(IOUS)
+    classes, a, t = range(len(case.classes)), len(ranges), len(ious)
     objects = np.zeros((len(classes), a, len(case.labels)), np.int32)
     none = np.zeros((a, t, 0), np.bool_)
     gathered = [[(np.zeros(0), np.zeros(0, np.int32), none, none)] for _ in classes]
@@ -79,7 +81,7 @@ def match_all(
             if not len(of):
                 continue
             part = _part(truth, labels)
-            taken, neutral = match_image(overlaps(of, part, case.task), away[:, labels], part.ignore)
+            taken, neutral = match_image(overlaps(of, part, case.task), away[:, labels], part.ignore, ious)
             neutral |= ~taken & _outside(of_found[its], ranges)[:, None]
             gathered[c].append((of.scores, np.full(len(of), number, np.int32), taken, neutral))
     result = []
@@ -94,23 +96,26 @@ def _outside(sizes_px: FloatArray, ranges: FloatArray) -> BoolArray:
     return np.asarray((sizes_px < ranges[:, :1]) | (sizes_px >= ranges[:, 1:]))
 
 
-def match_image(overlap: FloatArray, away: BoolArray, region: BoolArray) -> tuple[BoolArray, BoolArray]:
+def match_image(
+    overlap: FloatArray, away: BoolArray, region: BoolArray, ious: FloatArray
+) -> tuple[BoolArray, BoolArray]:
     """Match one image's detections of one class.
 
     Args:
         overlap: (n, g) overlaps, with detections in descending order of score.
         away: (a, g) labels that do not count in a size range.
         region: (g,) labels that any number of detections may match.
+        ious: (t,) thresholds of the overlap, ascending.
 
     Returns:
         The (a, t, n) `right` and (a, t, n) `neutral` of `ClassMatches`.
     """
     n, g = overlap.shape
-    a, t = len(away), len(IOUS)
+    a, t = len(away), len(ious)
     right, neutral = np.zeros((a, t, n), np.bool_), np.zeros((a, t, n), np.bool_)
     if not n or not g:
         return right, neutral
-    least = np.minimum(IOUS, 1 - 1e-10)
+    least = np.minimum(ious, 1 - 1e-10)
     taken = np.zeros((a, t, g), np.bool_)
     at_a, at_t = np.arange(a)[:, None], np.arange(t)[None]
     for d in np.flatnonzero(overlap.max(axis=1) >= least[0]):

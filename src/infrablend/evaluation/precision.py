@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.rng import stream
 from infrablend.evaluation.detections import FloatArray
-from infrablend.evaluation.matching import IOUS, ClassMatches
+from infrablend.evaluation.matching import ClassMatches
 
 RECALLS: FloatArray = np.linspace(0.0, 1.0, 101)
 CONFIDENCES: FloatArray = np.linspace(0.0, 1.0, 1000)
@@ -46,7 +46,8 @@ def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = Non
     before = np.cumsum(~mixed)[special]
     wrong_images = of_image[~mixed][: int(before[-1]) if len(before) else 0]
     right, neutral, of = right[:, special], neutral[:, special], of_image[special]
-    result = np.full((len(counts), len(IOUS)), np.nan)
+    thresholds = len(right)
+    result = np.full((len(counts), thresholds), np.nan)
     step = max(1, _CELLS // max(len(wrong_images), len(special), 1))
     for start in range(0, len(counts), step):
         w = counts[start : start + step]
@@ -55,7 +56,7 @@ def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = Non
         passed = np.zeros((len(w), len(wrong_images) + 1), np.int32)
         np.cumsum(w[:, wrong_images], axis=1, out=passed[:, 1:])
         base, own = passed[:, before], w[:, of]
-        for t in range(len(IOUS)):
+        for t in range(thresholds):
             ap = np.zeros(len(w))
             if right[t].any():
                 hits = np.cumsum(own * right[t], axis=1, dtype=np.int32)

@@ -16,7 +16,7 @@ HEAD = ("class", "images", "instances", "P", "R", "mAP50", "mAP50-95")
 _COLOURS = ("#1b1b1b", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#9a9a9a")
 FOUND_HEAD = ("image", "class", "box, px", "rank", "score", "IoU")
 TRACK_HEAD = ("class", "sequences", "tracks", "found", "HOTA", "DetA", "AssA", "MOTA", "IDF1", "switches")
-TARGET_HEAD = ("class", "objects", "found", "named", "others called")
+TARGET_HEAD = ("class", "objects", "AP10", "found", "named", "others called")
 STRATA = {
     "size": "longer side, px",
     "body": "longer side of the body, px",
@@ -62,14 +62,15 @@ def target_title(targets: Mapping[str, Any]) -> str:
     return f"Objects found by any class (IoU at least {targets['iou']:g}, confidence {decimals(targets['confidence'])})"
 
 
-def target_rows(targets: Mapping[str, Any]) -> list[list[str]]:
-    """Return numbers of objects found and named as text, and what the found ones of other names are called."""
+def target_rows(metrics: Mapping[str, Any]) -> list[list[str]]:
+    """Return AP at IoU 0.1, numbers of objects found and named, and what those of other names are called, as text."""
     rows = []
-    for name, of in targets["classes"].items():
+    for name, of in metrics["targets"]["classes"].items():
         others = {n: k for n, k in of["called"].items() if n != name} if name != "all" else {}
         called = ", ".join(f"{n} {k}" for n, k in others.items())
         if of["objects"]:
-            rows.append([name, *(decimals(of[k]) for k in ("objects", "found", "named")), called])
+            ap = decimals(metrics["classes"][name].get("map10"))
+            rows.append([name, decimals(of["objects"]), ap, decimals(of["found"]), decimals(of["named"]), called])
     return rows
 
 
@@ -209,7 +210,7 @@ def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str
             for row in table_rows(classes)
         ],
         as_one=as_one_text(classes["all"]),
-        targets=(target_title(facts["targets"]), list(TARGET_HEAD), target_rows(facts["targets"])),
+        targets=(target_title(facts["targets"]), list(TARGET_HEAD), target_rows(facts)),
         found_by=kind_rows(facts["targets"]),
         tracks=(
             track_title(tracks),

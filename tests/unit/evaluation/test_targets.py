@@ -101,6 +101,14 @@ def test_a_crowd_of_one_class_takes_detections_of_all_where_classes_are_one() ->
     assert ap50(both) == pytest.approx(0.5)
 
 
+def test_wide_boxes_cost_nothing_at_iou_0_1() -> None:
+    """A box of twice the width and height overlaps by a quarter; one beside the object is wrong at any overlap."""
+    one = case((truth([A], [DRONE], [False]), detections([[-5, -5, 15, 15], B], [0.9, 0.8], [DRONE, DRONE])))
+    rows = figures(one, ["0"], 0, 0)[0]["classes"]
+    assert (rows["drone"]["map50"], rows["drone"]["map10"]) == (0, pytest.approx(1))
+    assert (rows["bird"]["map10"], rows["all"]["map10"]) == (None, pytest.approx(1))
+
+
 def test_found_objects_are_counted_by_size_and_visible_share() -> None:
     labels = replace(
         truth([A, B, FAR, [0, 50, 40, 60]], [DRONE, BIRD, DRONE, DRONE], [False, False, True, False]),

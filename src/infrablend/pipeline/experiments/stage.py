@@ -24,7 +24,7 @@ from infrablend.pipeline.experiments.request import ExperimentRequest
 RECORD = "stage.json"
 VERSIONS = {
     "source": 1, "world": 1, "generate": 1, "convert": 1, "split": 1, "merge": 1, "paste": 1,
-    "train": 2, "evaluate": 3, "compare": 1,
+    "train": 2, "evaluate": 4, "compare": 1,
 }  # fmt: skip
 """Version of each kind, part of the key. Raise it when a kind produces something else from the same inputs."""
 

@@ -38,7 +38,7 @@ _CELLS = (
 )
 _SMOKE = "A smoke run trains for a few steps only, to test that everything runs, and gives no verdicts."
 METRICS = {
-    "p": "P", "r": "R", "map50": "mAP50", "map50_95": "mAP50-95", "as_one50": "AP50, classes as one",
+    "p": "P", "r": "R", "map10": "mAP10", "map50": "mAP50", "map50_95": "mAP50-95", "as_one50": "AP50, classes as one",
     "as_one50_95": "AP50-95, classes as one", "found": "found", "named": "named of found",
     "false_alarms": "false alarms a picture at recall 0.8", "hota": "HOTA", "mota": "MOTA", "idf1": "IDF1",
 }  # fmt: skip
