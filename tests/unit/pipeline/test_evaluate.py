@@ -117,7 +117,7 @@ def test_written_files(charts: None, saved: Path, tmp_path: Path) -> None:
     low, high = table["Person"]["ci"]["map50"]
     assert low < table["Person"]["map50"] < high
     assert table["OtherVehicle"] == {
-        "images": 0, "instances": 0, "p": None, "r": None, "map50": None, "map50_95": None,
+        "images": 0, "instances": 0, "p": None, "r": None, "map10": None, "map50": None, "map50_95": None,
         "ci": None, "found": None, "named": None, "false_alarms": None,
     }  # fmt: skip
     assert report.metrics["ultralytics"] is None

@@ -553,8 +553,8 @@ PINNED_KEYS = {
     "convert:part": "d4220a5febd71675",
     "split:dates": "11aad7823a427131",
     "train:a": "3e99774b396f2601",
-    "evaluate:a": "5218bdb1f58031bc",
-    "compare:aa": "66df1334eb08cd98",
+    "evaluate:a": "af877eae6f25297b",
+    "compare:aa": "281096c80df7c430",
 }
 
 
