@@ -325,6 +325,19 @@ def test_the_page_names_start_weights_and_what_was_found(bench: Bench, data: Pat
     assert "|  | 8-16 px | <0.5 visible |" in page and "| `aligned` | 0.40 of 10 | - |" in page
 
 
+def test_the_page_says_when_published_weights_were_not_found(bench: Bench, data: Path, tmp_path: Path) -> None:
+    facts = run("hit-uav-drone", data, tmp_path / "work").facts
+    training = facts["trainings"]["aligned"] | {"threads": 1}
+
+    def page(why: str) -> str:
+        start = {"model": "yolov8n.yaml", "kind": "scratch", "why": why}
+        return page_text({**facts, "trainings": {"aligned": {**training, "start": start}}})
+
+    assert "add `--weights scratch`" in page("yolov8n.pt is not available")
+    assert "add `--weights scratch`" not in page("requested")
+    assert "trained in 1.5 s with 1 thread." in page("requested")
+
+
 def test_only_what_is_needed_is_generated(bench: Bench, data: Path, tmp_path: Path) -> None:
     report = run("pitch-alignment", data, tmp_path / "work")
     images = {s["stage"]: s["images"] for s in report.facts["stages"]}

@@ -174,7 +174,8 @@ def _stage_row(stage: Stage, graph: StageGraph, finished: Finished, required: se
         status = "missing" if stage.id in required else "not needed"
         return {**row, "images": None, "seconds": None, "status": status, **dict.fromkeys(_OF_STAGE)}
     images = made.result["images"] if stage.kind in _DATA_KINDS else stage.images
-    facts = {"images": sum(images.values()), "seconds": made.record["seconds"], "status": "complete"}
+    trained_s = made.result.get("record", {}).get("seconds") or 0  # over all sittings; the stage's own are of the last
+    facts = {"images": sum(images.values()), "seconds": max(made.record["seconds"], trained_s), "status": "complete"}
     return {**row, **facts, **{k: made.result.get(k) for k in _OF_STAGE}}
 
 

@@ -36,6 +36,10 @@ _CELLS = (
     "over the test images. P and R are taken at the confidence with the best mean F1; AP is computed by "
     "pycocotools with at most 300 detections per image."
 )
+_FROM_SCRATCH = (
+    "No published weights were found when this was run. On a machine that finds them, add `--weights scratch` to train "
+    "as here."
+)
 _SMOKE = "A smoke run trains for a few steps only, to test that everything runs, and gives no verdicts."
 METRICS = {
     "p": "P", "r": "R", "map10": "mAP10", "map50": "mAP50", "map50_95": "mAP50-95", "as_one50": "AP50, classes as one",
@@ -62,6 +66,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         facts["about"],
         f"**Scale: {facts['scale']}. {run_state(facts).capitalize()}.** {PAGE_MARK}",
         f"```text\n{facts['command']}\n```",
+        _FROM_SCRATCH if any(_found_no_weights(t) for t in facts["trainings"].values()) else "",
         "" if facts["status"] == "complete" else _unfinished(facts),
         f"Left out:\n\n{left_out}" if left_out else "",
         f"At other scales only: {elsewhere}." if elsewhere else "",
@@ -381,12 +386,22 @@ def _training(record: Mapping[str, Any]) -> str:
         origin + (f" ({start['why']})" if start.get("why") else "") if start else "",
         record.get("precision"),
         record.get("note"),
-        f"trained in {_duration(record['seconds'])}" if record.get("seconds") else "",
+        f"trained in {_duration(record['seconds'])}{_threads(record)}" if record.get("seconds") else "",
         "trained by a separate command and adopted: settings, seed, image and label counts match"
         if record.get("adopted")
         else "",
     ]
     return "; ".join(str(part) for part in parts if part) + "."
+
+
+def _threads(record: Mapping[str, Any]) -> str:
+    n = record.get("threads") if record.get("device") == "cpu" else None
+    return f" with {n} thread{'' if n == 1 else 's'}" if n else ""
+
+
+def _found_no_weights(record: Mapping[str, Any]) -> bool:
+    start = record["start"] or {}
+    return start.get("kind") == "scratch" and start.get("why") != "requested"
 
 
 def _per_split(counts: Mapping[str, int]) -> str:
