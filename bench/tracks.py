@@ -4,7 +4,7 @@
     .venv/bin/python bench/tracks.py build/tracks
 
 A row per sequence: AUC of telling windows of eight frames apart, and the floor, which is what the first and the second
-half of the real track give; medians of the measures of `realism.in_time`, real and inserted; and how much box height
+half of the real track give; medians of the measures of `in_time`, real and inserted; and how much box height
 and peak change from frame to frame, median and 95 %.
 """
 
@@ -16,12 +16,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from in_time import FEATURES, floor_of, look_at, tell_apart, windows
 
 from infrablend.core.run_folder import RunFolder
 from infrablend.motion.shift import moved
 from infrablend.pipeline.capture.camera_motion import find_motion, sequences_of
 from infrablend.pipeline.runs.recorded import RecordedRun
-from infrablend.realism.in_time import FEATURES, floor_of, look_at, tell_apart, windows
 
 
 def main() -> None:

@@ -17,6 +17,7 @@ from pydantic import Field as _Field
 from infrablend.core.strict_model import Strict, in_order
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.yaml_text import read_yaml
+from infrablend.thermal.radiometry import ZERO_C_K
 
 # Bins of the histogram for plateau equalisation; a bin is at least one count wide.
 _BINS = 2048
@@ -136,7 +137,7 @@ class FixedAgc(_Agc):
         """Return the (h, w) 8-bit picture of a (h, w) 16-bit one with a scale."""
         if scale is None:
             raise ValueError("a fixed range of temperatures needs a temperature scale")
-        celsius = scale.kelvin(counts) - 273.15
+        celsius = scale.kelvin(counts) - ZERO_C_K
         return _rounded((celsius - self.low_c) / (self.high_c - self.low_c) * _TOP)
 
     def describe(self) -> str:

@@ -1347,5 +1347,4 @@ class RadiometricRecipe(MetricSections, _Sections):
 
 PaperRecipe = PaperArtisticRecipe | PaperPhysicalRecipe
 MetricRecipe = MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe
-PhysicalRecipe = PaperPhysicalRecipe | MetricPhysicalRecipe | RadiometricRecipe
 Recipe = PaperArtisticRecipe | PaperPhysicalRecipe | MetricArtisticRecipe | MetricPhysicalRecipe | RadiometricRecipe

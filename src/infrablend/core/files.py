@@ -6,7 +6,6 @@ import contextlib
 import errno
 import hashlib
 import json
-import logging
 import math
 import os
 import re
@@ -22,8 +21,6 @@ from typing import Any
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
 from infrablend.errors import OutputError, Problem
-
-log = logging.getLogger(__name__)
 
 # Errors of os.link where hard links are not supported or not allowed; any other error is real.
 _NO_LINK = {errno.EXDEV, errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOSYS, errno.EOPNOTSUPP, errno.EINVAL}

@@ -23,8 +23,8 @@ from infrablend.engine.programs import find_blender
 from infrablend.engine.quality import sampling_for
 from infrablend.errors import MissingDependencyError, RenderError, WorkerDiedError
 from infrablend.rendering.lattice import crop_of, crops_of, mirrors_surfaces, needs_no_tracing, render_on_lattice
-from infrablend.rendering.surfaces import ZERO_C_K, ground_radiance, is_two_sided, surface_values
-from infrablend.thermal.radiometry import UNIT_W_M2_SR, band_radiance
+from infrablend.rendering.surfaces import ground_radiance, is_two_sided, surface_values
+from infrablend.thermal.radiometry import UNIT_W_M2_SR, ZERO_C_K, band_radiance
 from infrablend.thermal.sky import window_transmittance
 
 log = logging.getLogger(__name__)

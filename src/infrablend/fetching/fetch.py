@@ -18,14 +18,13 @@ from infrablend.core.arguments import require_names
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object, require_still_there, sha256_of
 from infrablend.core.json_records import is_list
-from infrablend.core.workspace import workspace
+from infrablend.core.workspace import SOURCE_FILE, workspace
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.fetching.archive import download, require_url, unpack, without_wrapper
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.detection import detect
 from infrablend.formats.sources import SOURCES, Archive, Source, find_source
 
-SOURCE_FILE = "SOURCE.json"
 _WORK = ".fetch"
 
 

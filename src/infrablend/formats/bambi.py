@@ -96,7 +96,6 @@ class _Reading(Findings):
 class _Flight:
     """What a file says about all frames of its flight."""
 
-    file: str
     key: str
     split: Split
     captured: str | None
@@ -160,7 +159,7 @@ def _read_flight(state: _Reading, path: Path, wanted: tuple[Split, ...]) -> None
         state.add(path.name, "annotation-layout", found, expected, "fetch the file again")
         return
     state.counts["flights"] += 1
-    flight = _Flight(path.name, str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:])), split, _date(top))
+    flight = _Flight(str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:])), split, _date(top))
     for number, frame in frames.items():
         state.counts["frames"] += 1
         record = _frame_record(state, flight, frame, f"{path.name}: frame {number}")

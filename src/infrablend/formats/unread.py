@@ -16,7 +16,7 @@ from infrablend.core.file_names import fold_name
 from infrablend.core.files import LFS_FOUND, LFS_TODO, open_regular
 from infrablend.core.json_records import is_list
 from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE
-from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
+from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SOURCE_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem, Severity
 from infrablend.formats import folder
 from infrablend.formats.annotation_files import MAX_TEXT_BYTES, as_utf8, read_json, read_xml
@@ -39,7 +39,7 @@ _OF_LABELS = re.compile(
 _PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
 # What InfraBlend writes of the datasets that it made.
-_RECORDS = {WORLD_FILE, CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE, "SOURCE.json"}
+_RECORDS = {WORLD_FILE, CONVERT_FILE, SPLIT_FILE, FRAMES_FILE, TEMPERATURES_FILE, SOURCE_FILE}
 # Texts for people, which may name pictures as examples.
 _FOR_PEOPLE = re.compile(r"(readme|licen[cs]e|citation|notice|attribution|changelog)", re.IGNORECASE)
 # Folders that separate pictures from labels.

@@ -131,17 +131,21 @@ def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[I
     if text is None:
         return None
     instances = []
-    for n, line in enumerate(text.splitlines(), 1):
-        if not line.strip():
-            continue
-        found.counts["objects"] += 1
-        here = f"{found.place(path)}: line {n}"
-        values = to_floats(line.strip().rstrip(",").split(","), 8)
+    for here, line in _lines(found, path, text):
+        values = to_floats(line.split(","), 8)
         if values is None:
-            found.add(here, "label-malformed", repr(line.strip()[:80]), _FIELDS, "correct the line")
+            found.add(here, "label-malformed", repr(line[:80]), _FIELDS, "correct the line")
         elif (instance := _object(found, values, size_wh, here)) is not None:
             instances.append(instance)
     return instances
+
+
+def _lines(found: Findings, path: Path, text: str) -> Iterator[tuple[str, str]]:
+    """Yield each line that is not empty, after its place; a comma at its end is dropped. Each counts as an object."""
+    for n, line in enumerate(text.splitlines(), 1):
+        if line.strip():
+            found.counts["objects"] += 1
+            yield f"{found.place(path)}: line {n}", line.strip().rstrip(",")
 
 
 def _object(
@@ -214,16 +218,12 @@ def _rows(found: Findings, path: Path) -> dict[int, list[_Row]] | None:
         return None
     rows: dict[int, list[_Row]] = defaultdict(list)
     seen: set[tuple[int, int]] = set()
-    for n, line in enumerate(text.splitlines(), 1):
-        if not line.strip():
-            continue
-        found.counts["objects"] += 1
-        here = f"{found.place(path)}: line {n}"
-        values = to_floats(line.strip().rstrip(",").split(","), 10)
+    for here, line in _lines(found, path, text):
+        values = to_floats(line.split(","), 10)
         frame, track = (to_int(v) for v in values[:2]) if values else (None, None)
         if values is None or frame is None or track is None or frame < 1:
             expected = f"frame,object,{_FIELDS}; frames from 1"
-            found.add(here, "label-malformed", repr(line.strip()[:80]), expected, "correct the line")
+            found.add(here, "label-malformed", repr(line[:80]), expected, "correct the line")
             continue
         if (frame, track) in seen:
             found.track_twice(here, track, frame, "give one of them another number")

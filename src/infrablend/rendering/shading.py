@@ -14,8 +14,7 @@ import numpy as np
 
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import Appearance, Weather
-from infrablend.rendering.surfaces import ZERO_C_K
-from infrablend.thermal.radiometry import band_radiance
+from infrablend.thermal.radiometry import ZERO_C_K, band_radiance
 from infrablend.thermal.sky import sky_radiance
 
 # Temperatures of the table of radiances; interpolation is good to 2e-5 from 200 K.

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import SceneSpec
-from infrablend.thermal.radiometry import band_radiance
+from infrablend.thermal.radiometry import ZERO_C_K, band_radiance
 
-ZERO_C_K = 273.15
 _WAVES = np.array([[1.6, 0.7, 0.4], [-0.9, 1.7, 0.6], [0.5, -1.1, 2.0], [2.6, 1.9, -1.3]])
 
 

@@ -22,6 +22,7 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_bytes, write_json, write_text
 from infrablend.core.format_table import FIELDS, NATIVE, find_writer
+from infrablend.core.workspace import SOURCE_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import shards
 from infrablend.formats.annotation_files import read_json
@@ -41,9 +42,7 @@ from infrablend.formats.sources import (
 from infrablend.report.figures import markdown_table
 
 CARD_FILE = "README.md"
-SOURCE_FILE = "SOURCE.json"
 LICENCE_COPY = "LICENSE-source.txt"
-WORLD_FILE = "world.json"  # written by `infrablend world`
 
 _LICENCE_NAMES = ("LICENSE", "LICENSE.txt", "LICENSE.md", "LICENCE", "LICENCE.txt", "LICENCE.md")
 _LICENCE_BYTES = 1_000_000
@@ -187,7 +186,6 @@ class Card:
     made: tuple[tuple[str, str], ...] = ()
     inserts: tuple[Inserts, ...] = ()
     masks: bool = False
-    limits: tuple[str, ...] = ()
     failures: tuple[str, ...] = ()
     load: str = ""
 
@@ -336,7 +334,7 @@ def _text(data: Mapping[str, Any], key: str, *, lines: bool = False) -> str:
 
 def card_text(card: Card) -> str:
     """Return the card: front matter and Markdown."""
-    limits = dict.fromkeys((*(x for one in card.inserts for x in one.limits), *card.limits, *card.source.limits))
+    limits = dict.fromkeys((*(x for one in card.inserts for x in one.limits), *card.source.limits))
     head = f"---\n{yaml.safe_dump(_front_matter(card), sort_keys=False, allow_unicode=True, width=1000)}---"
     parts = [
         f"# {card.name}",
@@ -580,7 +578,7 @@ def dataset_card(
     categories: Sequence[Category],
     *,
     changes: Sequence[str],
-    to: str = "",
+    to: str,
     losses: Mapping[str, int] | None = None,
     layout: Sequence[tuple[str, str]] = (),
 ) -> Card:
@@ -593,7 +591,7 @@ def dataset_card(
         images: Images that were written.
         categories: Their categories.
         changes: Changes, a sentence each.
-        to: Name of the format written, or empty.
+        to: Name of the format written.
         losses: Number of items that the format could not hold, by kind.
         layout: Paths in the folder, each with a description; see `written_layout`.
     """
@@ -602,18 +600,18 @@ def dataset_card(
     for image in images:
         labels[image.split].update(i.category for i in image.instances)
     short = origin.title.partition(":")[0] or "A dataset"
-    holds_masks = not to or "masks" not in find_writer(to).lacks
+    holds_masks = "masks" not in find_writer(to).lacks
     what = "with rendered objects in its pictures" if origin.inserts else "no object was inserted"
     return Card(
-        f"{short} as {to}" if to else short,
-        f"{origin.title or 'A dataset'}, {f'converted to `{to}`' if to else 'split again'}; {what}.",
+        f"{short} as {to}",
+        f"{origin.title or 'A dataset'}, converted to `{to}`; {what}.",
         origin,
         tuple(changes),
         tuple(categories),
         dict(per_split),
         labels,
         inserted=Counter(i.category for image in images for i in image.instances if i.inserted),
-        formats=(to,) if to else (),
+        formats=(to,),
         losses={f"{to}.{kind}": n for kind, n in (losses or {}).items()},
         layout=tuple(layout),
         images="" if to != "huggingface" else ".",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from infrablend.report.figures import png_bytes
 from infrablend.report.page import render_page
 
 _COLOURS = {"followed": "#1b7f3b", "first": "#1b1b1b", "frozen": "#0072b2", "bridged": "#e69f00", "lost": "#b00020",
@@ -52,9 +52,7 @@ def _plot(facts: Mapping[str, Any]) -> bytes:
     axes[4].legend(frameon=False, ncols=6, loc="upper center", bbox_to_anchor=(0.5, -0.9), fontsize=9)
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)
-    out = io.BytesIO()
-    figure.savefig(out, format="png", metadata={"Software": None})
-    return out.getvalue()
+    return png_bytes(figure)
 
 
 def _there(matrix: Any, point: Any) -> Any:

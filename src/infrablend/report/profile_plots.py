@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.fitting import LAGS, Fit, SurveySummary
 from infrablend.compositing.measure import EDGE_PX
-from infrablend.report.figures import plot_text
+from infrablend.report.figures import plot_text, png_bytes
 
 # Distinct for colour-blind readers too.
 FOUND, FITTED, OTHER, FAINT = "#1b1b1b", "#d55e00", "#0072b2", "#9a9a9a"
@@ -19,16 +19,14 @@ FOUND, FITTED, OTHER, FAINT = "#1b1b1b", "#d55e00", "#0072b2", "#9a9a9a"
 def draw_profile(
     fit: Fit,
     histogram: NDArray[np.int64],
-    out: IO[bytes],
     against: str | None = None,
     reference: SurveySummary | None = None,
-) -> None:
-    """Draw all plots of a fit as one PNG.
+) -> bytes:
+    """Return all plots of a fit as one PNG.
 
     Args:
         fit: What to draw.
         histogram: How often each level occurs.
-        out: Takes the PNG.
         against: Name of another profile, and `reference` what its chain's pictures show.
         reference: See `against`.
     """
@@ -49,7 +47,7 @@ def draw_profile(
         ax.spines[["top", "right"]].set_visible(False)
         if ax.get_legend_handles_labels()[1]:
             ax.legend(frameon=False, fontsize=9, loc="upper left" if ax is axes[0, 0] else "best")
-    figure.savefig(out, format="png", metadata={"Software": None})
+    return png_bytes(figure)
 
 
 def _edge(ax: Any, fit: Fit, others: list[tuple[Any, SurveySummary]]) -> None:

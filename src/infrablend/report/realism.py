@@ -248,8 +248,6 @@ def quantile_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
     rows = []
     for time, sides in contrasts.items():
         for key, name in _QUANTITIES.items():
-            if key not in sides["real"]:
-                continue  # pages of earlier versions
             for side in ("real", "inserted"):
                 found = sides[side]
                 scr = [compact(found["scr"].get(f"p{q}")) for q in (1, 5, 50)] if key == "change" else [""] * 3
@@ -278,10 +276,11 @@ def looseness_cells(boxes: Mapping[str, Any]) -> list[str]:
     cells = []
     for key in ("real", "inserted", "real_against_inserted"):
         found = boxes[key]
-        factor = "-" if found is None else f"{found['factor']:.2f} ({found['ci'][0]:.2f} to {found['ci'][1]:.2f})"
-        if found is not None and "margin_px" in found:  # pages hold figures of earlier versions
-            factor += f", {found['margin_px']:.1f} px"
-        cells += [factor, "-" if found is None else f"{found['n']:,}"]
+        if found is None:
+            cells += ["-", "-"]
+            continue
+        ends = f"{found['ci'][0]:.2f} to {found['ci'][1]:.2f}"
+        cells += [f"{found['factor']:.2f} ({ends}), {found['margin_px']:.1f} px", f"{found['n']:,}"]
     return cells
 
 

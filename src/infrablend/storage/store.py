@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,6 @@ from typing import Any
 from infrablend.core.addresses import EXTRAS, without_user
 from infrablend.core.files import replace_atomically, sha256_of
 from infrablend.errors import InfraBlendError, MissingDependencyError, StorageError
-
-log = logging.getLogger(__name__)
 
 
 class Store:

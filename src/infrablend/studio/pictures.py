@@ -48,13 +48,7 @@ class Thumbnails:
         """
         marks = hashlib.sha256(repr((_VERSION, row.digest, row.boxes)).encode()).hexdigest()[:32]
         path = self.folder / marks[:2] / f"{marks}.jpg"
-        try:
-            return read_regular(path)
-        except (OSError, ValueError):
-            data = _jpeg(to_rgb(read_pixels(self._layout, row)), row.boxes)
-        with contextlib.suppress(OutputError):  # a full or read-only cache costs time only
-            write_bytes(path, data)
-        return data
+        return _cached(path, lambda: _jpeg(to_rgb(read_pixels(self._layout, row)), row.boxes))
 
 
 def cached_thumbnail(path: Path, read: Callable[[], NDArray[Any]]) -> bytes:
@@ -73,13 +67,16 @@ def cached_thumbnail(path: Path, read: Callable[[], NDArray[Any]]) -> bytes:
 def cached_picture(folder: str, marks: str, read: Callable[[], NDArray[Any]]) -> bytes:
     """Return a small JPEG of what `read` returns, from a folder of the user's cache folder under its marks."""
     name = hashlib.sha256(f"{_VERSION} {marks}".encode(errors="surrogateescape")).hexdigest()[:32]
-    cached = cache_folder() / "studio" / folder / f"{name}.jpg"
+    return _cached(cache_folder() / "studio" / folder / f"{name}.jpg", lambda: _jpeg(to_rgb(read()), ()))
+
+
+def _cached(path: Path, make: Callable[[], bytes]) -> bytes:
     try:
-        return read_regular(cached)
+        return read_regular(path)
     except (OSError, ValueError):
-        data = _jpeg(to_rgb(read()), ())
+        data = make()
     with contextlib.suppress(OutputError):  # a full or read-only cache costs time only
-        write_bytes(cached, data)
+        write_bytes(path, data)
     return data
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from infrablend.core.camera import CameraSpec
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.mesh import FloatArray
+from infrablend.thermal.radiometry import ZERO_C_K
 
 T = TypeVar("T")
 
@@ -81,7 +82,7 @@ def draw_weather(draws: Draws, time_of_day: TimeOfDay) -> Weather:
     """Draw the weather of a cool season."""
     u = draws.uniform
     night = time_of_day == "night"
-    air_k = 273.15 + (u(5, 16) if night else u(10, 20))
+    air_k = ZERO_C_K + (u(5, 16) if night else u(10, 20))
     clear_sky = u(0.35, 1.0)
     if night:
         return Weather(night, air_k, clear_sky, None, 0.0)

@@ -548,13 +548,13 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
     assert record.scene is not None
     scene = record.scene
 
-    def with_estimates(height_m, centre, *doubts):
-        view = View(height_m, 100.0, 0.0, {"car": 3}, 0.1)
+    def with_estimates(centre, *doubts, at_limit=False):
+        view = View(115.0, 100.0, 0.0, {"car": 3}, 0.1, at_limit)
         gain = {"grey_per_k": 6.0, "posterior": [centre, 1.0], "bounds": [2.5, 12.0], "doubts": doubts}
         facts = {**record.facts, "matching": {"gain": {"warm": gain}}}
         return dataclasses.replace(record, scene=dataclasses.replace(scene, view=view), facts=facts)
 
-    good, bad = with_estimates(115.0, 6.0), with_estimates(100 / 0.65, 14.0, "gain_at_bound")
+    good, bad = with_estimates(6.0), with_estimates(14.0, "gain_at_bound", at_limit=True)
     assert limit_warnings([record] * 3 + [good] * 5 + [bad]) == []
     found = limit_warnings([good] * 4 + [bad])
     assert [(p.where, p.code, p.severity) for p in found] == [
@@ -566,7 +566,7 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
     early = dataclasses.replace(record, scene=dataclasses.replace(scene, weather=day))
     (sun,) = limit_warnings([good] * 9 + [early])
     assert sun.code == "sun-below-horizon" and "in 1 frames" in sun.found
-    others = [with_estimates(115.0, -3.0, kind) for kind in ("gain_negative", "anchors_contradict", "no_anchor")]
+    others = [with_estimates(-3.0, kind) for kind in ("gain_negative", "anchors_contradict", "no_anchor")]
     assert [p.code for p in limit_warnings(others)] == ["gain-negative", "anchors-contradict", "no-anchor"]
     assert all("in 1 of 3 frames" in str(p) and "Check " in str(p) for p in limit_warnings(others))
 

@@ -52,7 +52,7 @@ def table(text: str) -> dict[str, dict[str, str]]:
 
 def bare(root: Path, name: str = "folder") -> Card:
     """The card of a dataset without images."""
-    return dataset_card(find_provenance(Dataset(root, name, (), ())), (), (), changes=["converted"])
+    return dataset_card(find_provenance(Dataset(root, name, (), ())), (), (), changes=["converted"], to="coco")
 
 
 @pytest.fixture
@@ -236,7 +236,7 @@ def test_own_output_is_not_taken_for_the_original(tmp_path):
     (tmp_path / "world.json").write_text("{}")
     world = find_provenance(ours)
     assert world.own
-    assert "choose one" in card_text(dataset_card(find_provenance(ours), (), (), changes=["c"]))
+    assert "choose one" in card_text(dataset_card(find_provenance(ours), (), (), changes=["c"], to="coco"))
 
 
 def test_a_run_on_a_run_keeps_its_origin_and_its_changes_and_names_both_recipes(data, tmp_path):

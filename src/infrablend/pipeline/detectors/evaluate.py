@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 import time
 from collections import Counter
@@ -45,8 +44,6 @@ from infrablend.pipeline.detectors.tracks import find_sequences, track_facts
 from infrablend.report.evaluation import draw_plots, evaluation_page
 from infrablend.training.tracking import require_trackers
 from infrablend.training.weights import missing_packages
-
-log = logging.getLogger(__name__)
 
 PAGE, PLOTS = "evaluation.html", "plots"
 _SHOWN = 5

@@ -28,6 +28,7 @@ from infrablend.core.dataset import SPLITS, Split
 from infrablend.core.files import sha256_of
 from infrablend.core.shipped import Scale
 from infrablend.core.validation_messages import did_you_mean
+from infrablend.core.workspace import WORLD_FILE
 from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.evaluation.truth import class_key
 from infrablend.fetching.fetch import require_source
@@ -35,7 +36,6 @@ from infrablend.pipeline.datasets.content import content_digest
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage, stage_keys
-from infrablend.report.card import WORLD_FILE
 from infrablend.training.presets import Preset
 from infrablend.training.request import choose_preset
 from infrablend.training.weights import AUTO

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
-from infrablend.formats.images import Background
+from infrablend.pipeline.plans.levels import Load
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.places.labelled_ground import LabelledGround, Picture, learn_ground
-
-Load = Callable[[ImageRecord], Background]
 
 
 def labelled_ground(plan: RunPlan, load: Load) -> LabelledGround:

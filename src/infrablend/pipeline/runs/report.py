@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import shlex
 from collections.abc import Iterable, Mapping
@@ -21,8 +20,6 @@ from infrablend.pipeline.runs.recorded import recorded_recipe
 from infrablend.pipeline.runs.warnings import warning_codes
 from infrablend.report.run.facts import Box, FrameFacts, InsertFacts, RemovedLabel, RunFacts
 from infrablend.report.run.page import run_page
-
-log = logging.getLogger(__name__)
 
 
 def report_run(run: Path) -> Path:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -10,7 +9,6 @@ from typing import Any, NamedTuple
 from infrablend.compositing.gain import Doubt
 from infrablend.core.frame_record import FrameRecord
 from infrablend.errors import Problem
-from infrablend.sampling.calibration import FACTOR_BOUNDS
 
 _HEIGHT = "height-at-limit"
 _SUN = "sun-below-horizon"
@@ -252,15 +250,11 @@ def _height_at_limit(record: FrameRecord) -> bool | None:
     view = None if record.scene is None else record.scene.view
     if view is None or not view.anchors:
         return None
-    factor = view.camera_height_m / view.stated_height_m
-    # Records of earlier versions have the factor alone.
-    return view.at_limit or any(math.isclose(factor, limit, rel_tol=1e-6) for limit in FACTOR_BOUNDS)
+    return view.at_limit
 
 
 def _gains(record: FrameRecord) -> list[Mapping[str, Any]]:
-    """Return the estimates of a frame's gains that state their doubts; records of earlier versions have none."""
-    gains = record.facts.get("matching", {}).get("gain", {})
-    return [g for g in gains.values() if "doubts" in g]
+    return list(record.facts.get("matching", {}).get("gain", {}).values())
 
 
 def doubt_codes(record: FrameRecord) -> set[str]:

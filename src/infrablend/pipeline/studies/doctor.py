@@ -16,7 +16,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.core.user_folders import cache_folder
@@ -300,37 +300,24 @@ def _ask_blender(program: Program) -> Blender:
 
 
 def _ask_trainer(limit_s: float) -> Trainer:
+    """Return the versions, and the devices that torch sees in a process of its own."""
     torch, ultralytics = installed_version("torch"), installed_version("ultralytics")
     if torch is None:
         return Trainer(None, ultralytics)
-    answer, trouble = _ask(_ASK_TORCH, limit_s)
-    return Trainer(torch, ultralytics, tuple(answer["devices"]) if answer else (), trouble)
-
-
-def _ask(code: str, limit_s: float, *arguments: str) -> tuple[dict[str, Any] | None, str]:
-    """Return the JSON printed by code in a separate process, or None and the reason if it prints none."""
     try:
-        # Blender leaves its folder of temporary files behind if it crashes on leaving.
-        with tempfile.TemporaryDirectory(prefix="infrablend-doctor-", ignore_cleanup_errors=True) as scratch:
-            # A file of ours in the current folder must not be imported in place of the real thing: -P.
-            done = subprocess.run(
-                [sys.executable, "-P", "-c", code, *arguments],
-                capture_output=True,
-                timeout=limit_s,
-                check=False,
-                env={**os.environ, "TMPDIR": scratch, "TEMP": scratch, "TMP": scratch},
-            )
+        # A file of ours in the current folder must not be imported in place of the real thing: -P.
+        command = [sys.executable, "-P", "-c", _ASK_TORCH]
+        done = subprocess.run(command, capture_output=True, timeout=limit_s, check=False)
     except subprocess.TimeoutExpired:
-        return None, f"no answer within {limit_s:g} s"
+        return Trainer(torch, ultralytics, trouble=f"no answer within {limit_s:g} s")
     except OSError as error:
-        return None, str(error)
+        return Trainer(torch, ultralytics, trouble=str(error))
     try:
-        # The answer counts, not the exit code: Blender may crash after giving it.
-        answer: dict[str, Any] = json.loads(done.stdout)
+        return Trainer(torch, ultralytics, tuple(json.loads(done.stdout)["devices"]))
     except ValueError:
         lines = done.stderr.decode(errors="replace").strip().splitlines()
-        return None, lines[-1] if lines else f"it ended with code {done.returncode} and no answer"
-    return answer, ""
+        trouble = lines[-1] if lines else f"it ended with code {done.returncode} and no answer"
+        return Trainer(torch, ultralytics, trouble=trouble)
 
 
 def _free_bytes(folder: Path) -> int | None:

@@ -138,12 +138,11 @@ def profile_dataset(
         )
     fit = fit_profile(survey, name, f"Fitted to {survey.read} of {total} pictures of {name}.")
     fit = replace(fit, profile=fit.profile.model_copy(update={"measured": {**fit.profile.measured, **objects}}))
-    plot = io.BytesIO()
     of_reference = None if reference is None else chain_readings(reference)
-    draw_profile(fit, histogram, plot, against, of_reference)
+    plot = draw_profile(fit, histogram, against, of_reference)
     path = write_json(out / PROFILE_FILE, fit.profile.model_dump(mode="json"))
     columns, rows = _table(fit, survey, reference, of_reference)
-    plot_path = write_bytes(out / PLOT_FILE, plot.getvalue())
+    plot_path = write_bytes(out / PLOT_FILE, plot)
     return ProfileReport(fit.profile, path, plot_path, columns, rows, tuple(problems), objects)
 
 

@@ -36,13 +36,11 @@ class Look:
     Attributes:
         contrast: Peak above what is around it, levels.
         size_px: Square root of its area.
-        place_xy: Its middle, px.
         spread_px2: (2, 2) covariance of its light, px².
     """
 
     contrast: float
     size_px: float
-    place_xy: tuple[float, float]
     spread_px2: NDArray[np.float64]
 
 
@@ -64,7 +62,7 @@ def look_at(picture: NDArray[np.uint8], middle_xy: Sequence[float]) -> Look | No
     places, weight = np.stack([columns.ravel(), rows.ravel()]), light.ravel() / light.sum()
     centre = places @ weight
     off = places - centre[:, None]
-    return Look(peak, float(np.sqrt((light > 0).sum())), (x + centre[0], y + centre[1]), (off * weight) @ off.T)
+    return Look(peak, float(np.sqrt((light > 0).sum())), (off * weight) @ off.T)
 
 
 def windows(
