@@ -24,7 +24,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import MetricCamera
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.core.ground_plane import at_height, find_ground_lines, ground_point, ground_z_m
+from infrablend.core.ground_plane import at_height, find_ground_edges, ground_point, ground_z_m
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 
@@ -64,7 +64,8 @@ def main() -> None:
         pairs[when] += [_apart(a - b, 180) for a, b in itertools.combinations(yaws, 2)]
         # The camera looks along +Y.
         from_view[when] += [_apart(yaw - 90, 180) for yaw in yaws]
-        lines = find_ground_lines(_pixels(image), camera, ground, [i.box_xyxy for i in image.instances])
+        edges = find_ground_edges(_pixels(image), camera, ground, [i.box_xyxy for i in image.instances])
+        lines = None if edges is None else edges.lines()
         if lines is not None:
             angles[when] += [(_apart(yaw - math.degrees(lines.yaw_rad), 90), lines.clarity) for yaw in yaws]
     for when, found in sorted(angles.items()):

@@ -81,21 +81,6 @@ class GroundLines:
     clarity: float
 
 
-def find_ground_lines(
-    picture: NDArray[np.uint8] | NDArray[np.uint16],
-    camera: CameraSpec,
-    ground_z_m: float,
-    boxes_xyxy: Sequence[FloatArray] | FloatArray = (),
-    margin: NDArray[np.bool_] | None = None,
-) -> GroundLines | None:
-    """Find the direction of the lines on the ground; None if the picture shows no edges on it.
-
-    See `find_ground_edges` for the arguments.
-    """
-    edges = find_ground_edges(picture, camera, ground_z_m, boxes_xyxy, margin)
-    return None if edges is None else edges.lines()
-
-
 @dataclass(frozen=True, eq=False)
 class GroundEdges:
     """Edges on the ground.

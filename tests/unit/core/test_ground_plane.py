@@ -7,9 +7,14 @@ import numpy as np
 import pytest
 
 from infrablend.core.camera import CameraSpec
-from infrablend.core.ground_plane import at_height, find_ground_lines, ground_point, ground_z_m
+from infrablend.core.ground_plane import at_height, find_ground_edges, ground_point, ground_z_m
 
 WH = (640, 512)
+
+
+def lines_of(*picture, **more):
+    edges = find_ground_edges(*picture, **more)
+    return None if edges is None else edges.lines()
 
 
 def camera(pitch_deg):
@@ -40,7 +45,7 @@ def apart_deg(lines, yaw_deg):
 @pytest.mark.parametrize("yaw", [0, 20, 45, 130])
 def test_kerbs_give_their_direction_on_the_ground(pitch, yaw):
     view = camera(pitch)
-    found = find_ground_lines(street(view, yaw), view, ground_z_m(view, 80))
+    found = lines_of(street(view, yaw), view, ground_z_m(view, 80))
     assert apart_deg(found, yaw) < 3
     assert found.clarity > 0.4
     assert abs(found.yaw_rad) <= math.pi / 4 + 1e-9
@@ -48,7 +53,7 @@ def test_kerbs_give_their_direction_on_the_ground(pitch, yaw):
 
 def test_crossing_streets_count_as_one_direction():
     view = camera(60)
-    found = find_ground_lines(street(view, 25, across=1.0), view, ground_z_m(view, 80))
+    found = lines_of(street(view, 25, across=1.0), view, ground_z_m(view, 80))
     assert apart_deg(found, 25) < 3
 
 
@@ -59,25 +64,25 @@ def test_edges_of_objects_texts_and_margins_do_not_count():
     left_out[:, :330] = True
     turned = street(view, 40)
     mixed = np.where(left_out, turned, picture)
-    seen = find_ground_lines(mixed, view, ground_z_m(view, 80), margin=left_out)
-    boxed = find_ground_lines(mixed, view, ground_z_m(view, 80), [np.array([0.0, 0, 330, 512])])
+    seen = lines_of(mixed, view, ground_z_m(view, 80), margin=left_out)
+    boxed = lines_of(mixed, view, ground_z_m(view, 80), [np.array([0.0, 0, 330, 512])])
     assert apart_deg(seen, 0) < 1 and apart_deg(boxed, 0) < 1
-    assert apart_deg(find_ground_lines(mixed, view, ground_z_m(view, 80)), 0) > 3
+    assert apart_deg(lines_of(mixed, view, ground_z_m(view, 80)), 0) > 3
 
 
 def test_pictures_without_lines_give_none():
     view = camera(60)
     even = np.full(WH[::-1], 120, np.uint8)
-    assert find_ground_lines(even, view, ground_z_m(view, 80)) is None
+    assert lines_of(even, view, ground_z_m(view, 80)) is None
     grain = np.random.default_rng(0).integers(100, 140, WH[::-1]).astype(np.uint8)
-    assert find_ground_lines(grain, view, ground_z_m(view, 80)).clarity < 0.05
+    assert lines_of(grain, view, ground_z_m(view, 80)).clarity < 0.05
     up = camera(-30)
-    assert find_ground_lines(street(view, 0), up, ground_z_m(up, 80)) is None
+    assert lines_of(street(view, 0), up, ground_z_m(up, 80)) is None
 
 
 def test_16_bit_pictures_give_the_same_direction():
     view = camera(60)
     picture = street(view, 25)
     deep = (picture.astype(np.uint16) * 40) + 9000
-    one, other = (find_ground_lines(p, view, ground_z_m(view, 80)) for p in (picture, deep))
+    one, other = (lines_of(p, view, ground_z_m(view, 80)) for p in (picture, deep))
     assert one.yaw_rad == pytest.approx(other.yaw_rad, abs=1e-3)
