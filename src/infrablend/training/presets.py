@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from infrablend.core.machine import has_matrix_units
+from infrablend.core.machine import has_matrix_units, usable_cores
 from infrablend.evaluation.detections import Task
 
 PresetName = Literal["paper", "medium", "small", "smoke"]
@@ -95,7 +96,7 @@ PRESETS: Mapping[str, Preset] = {
     )
 }  # fmt: skip
 
-MOST_THREADS = 8
+_MOST_THREADS = 8
 """Most threads of a training on a CPU, as in Ultralytics."""
 
 # Images per second in training at 320 px, by model and device. YOLOv8n on two cores with matrix units for bfloat16: 21
@@ -104,10 +105,16 @@ _RATE_320 = {("yolov8n", "cpu"): 32.0, ("yolov8s", "cpu"): 10.0, ("yolov8n", "gp
 _WITHOUT_MATRIX_UNITS = 0.42
 
 
-def estimate_seconds(preset: Preset, images: int, *, gpu: bool, cores: int = 2) -> float:
+def cpu_threads() -> int:
+    """Return the threads of a training on a CPU: what `OMP_NUM_THREADS` says, else one per core, at most eight."""
+    asked = os.environ.get("OMP_NUM_THREADS", "")
+    return int(asked) if asked.isdecimal() and int(asked) else max(1, min(int(usable_cores()), _MOST_THREADS))
+
+
+def estimate_seconds(preset: Preset, images: int, *, gpu: bool, threads: int = 2) -> float:
     """Estimate the wall-clock seconds of a training on that many pictures or tiles, within a factor of two."""
     rate = _RATE_320.get((preset.model, "gpu" if gpu else "cpu"), 5.0) * (320 / preset.image_size) ** 2
-    rate *= 1 if gpu else min(cores, MOST_THREADS) / 2 * (1 if has_matrix_units() else _WITHOUT_MATRIX_UNITS)
+    rate *= 1 if gpu else threads / 2 * (1 if has_matrix_units() else _WITHOUT_MATRIX_UNITS)
     epochs, shown = preset.epochs_for(images)
     return 20 + epochs * shown / rate
 

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.files import load_json, replace_atomically
-from infrablend.core.machine import usable_cores
 from infrablend.core.parent_process import die_with_parent, watch_parent
 from infrablend.core.rng import stream
 from infrablend.training.environment import configure_ultralytics, has_fast_bfloat16
@@ -36,7 +35,7 @@ from infrablend.training.files import (
     ULTRALYTICS,
     WEIGHTS,
 )
-from infrablend.training.presets import MOST_THREADS
+from infrablend.training.presets import cpu_threads
 from infrablend.training.scale import MARK
 
 REACHED = "infrablend_reached"
@@ -259,7 +258,7 @@ def _train(job: Job, say: Any) -> None:
 
     threads = torch.get_num_threads()
     if "OMP_NUM_THREADS" not in os.environ:  # which Ultralytics sets to 1 if it is not
-        threads = max(1, min(threads, int(usable_cores()), MOST_THREADS))
+        threads = min(threads, cpu_threads())
     import ultralytics
     from ultralytics.data import utils as data_utils
     from ultralytics.models import yolo

@@ -84,6 +84,7 @@ class Bench:
             },
             "start": {"model": "yolov8n.yaml", "kind": "scratch", "why": ""},
             "device": "cpu",
+            "threads": 2,
             "passes": 8,
             "epochs": 1,
             "epochs_done": 1,
@@ -627,9 +628,15 @@ def test_plan_writes_nothing_and_lists_finished_stages(bench: Bench, data: Path,
     assert next(s for s in small["stages"] if s["stage"] == "train:fixed")["training"]["passes"] > 1000
 
 
-def test_plan_learns_from_stages_of_this_machine_alone(bench: Bench, data: Path, tmp_path: Path) -> None:
+def test_plan_learns_from_stages_of_this_machine_alone(
+    bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run("pitch-alignment", data, tmp_path / "work")
-    assert forecast.measured_rates(tmp_path / "work")
+    trained = {}
+    for threads in ("1", "2"):
+        monkeypatch.setenv("OMP_NUM_THREADS", threads)
+        trained[threads] = [kind for kind, _ in forecast.measured_rates(tmp_path / "work") if kind == "train"]
+    assert trained == {"1": [], "2": ["train"]}
     for record in (tmp_path / "work").glob("*/*/stage.json"):
         facts = json.loads(record.read_text())
         facts["machine"]["cores"] += 14

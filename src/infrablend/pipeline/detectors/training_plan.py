@@ -8,7 +8,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from infrablend.core.dataset import Dataset
-from infrablend.core.machine import available_cores
 from infrablend.core.workspace import Existing, partial_of, workspace
 from infrablend.errors import OutputError, Problem
 from infrablend.pipeline.detectors.training_data import most_tiles, select_training_data
@@ -75,7 +74,7 @@ def plan_of(wanted: Dataset, preset: Preset, device: str, seed: int) -> TrainPla
     epochs, shown = preset.epochs_for(images)
     return TrainPlan(
         images=images, labels=labels, epochs=epochs, shown=shown, tiled=preset.tile > 0, device=device,
-        seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", cores=available_cores()),
+        seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", threads=presets.cpu_threads()),
         disk_bytes=round(size + presets.weights_bytes(preset)),
     )  # fmt: skip
 

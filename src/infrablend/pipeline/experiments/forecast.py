@@ -25,7 +25,7 @@ from infrablend.pipeline.experiments.prepare import PreparedExperiment
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder
 from infrablend.training.predict import pick_device
-from infrablend.training.presets import estimate_seconds
+from infrablend.training.presets import cpu_threads, estimate_seconds
 from infrablend.training.weights import require_ultralytics
 
 LEARNING = ("train", "evaluate")
@@ -49,8 +49,12 @@ Rates = Mapping[tuple[str, str], float]
 """Measured seconds per image, by kind of stage and network."""
 
 
-def measured_rates(work: Path) -> Rates:
-    """Return seconds per image of the stages in a work folder that this machine made; per image shown for trainings."""
+def measured_rates(work: Path, device: str = "cpu") -> Rates:
+    """Return seconds per image of the stages in a work folder that this machine made; per image shown for trainings.
+
+    Trainings count that ran on the kind of device, and with the number of threads, that the next one will have.
+    """
+    trained_on = "gpu" if _runs_on_gpu(device) else cpu_threads()
     here = {k: describe_machine()[k] for k in ("processor", "cores")}
     found: dict[tuple[str, str], list[float]] = {}
     for path in sorted(work.glob(f"*/*/{RECORD}")):
@@ -59,7 +63,7 @@ def measured_rates(work: Path) -> Rates:
             if {k: record["machine"].get(k) for k in here} != here:
                 continue
             seconds, images = _seconds_and_images(record)
-            if images:
+            if images and (record["kind"] != "train" or _trained_on(record["result"]["record"]) == trained_on):
                 found.setdefault((str(record["kind"]), _network(record["inputs"])), []).append(seconds / images)
     return {k: sum(v) / len(v) for k, v in found.items()}
 
@@ -74,6 +78,10 @@ def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
         case "world":
             return seconds, sum(result["images"].values())
     return seconds, 0  # no basis for estimates
+
+
+def _trained_on(record: Mapping[str, Any]) -> str | int:
+    return int(record["threads"]) if record["device"] == "cpu" else "gpu"
 
 
 def _network(inputs: Mapping[str, Any]) -> str:
@@ -93,7 +101,7 @@ def stage_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> flo
         if preset.tile:  # with about five objects in a picture, for which HIT-UAV needs 1.4 tiles
             shown += math.ceil(0.08 * (5 * shown))
         shown = min(shown, preset.tiles) if preset.tiles else shown
-        return estimate_seconds(preset, shown, gpu=_runs_on_gpu(request.device), cores=available_cores())
+        return estimate_seconds(preset, shown, gpu=_runs_on_gpu(request.device), threads=cpu_threads())
     if known is not None:
         return START_S + images * known
     match stage.kind:
@@ -199,7 +207,7 @@ def plan_experiment(prepared: PreparedExperiment) -> ExperimentPlan:
     if request.device not in ("auto", "cpu") and any(s.kind in LEARNING for s in todo):
         require_trainer(request.device)
     require_training_settings(todo, request)
-    rates = measured_rates(request.work)
+    rates = measured_rates(request.work, request.device)
     rows: list[dict[str, Any]] = []
     for s in graph.stages:
         if s.id not in chosen:
