@@ -96,8 +96,7 @@ PRESETS: Mapping[str, Preset] = {
     )
 }  # fmt: skip
 
-_MOST_THREADS = 8
-"""Most threads of a training on a CPU, as in Ultralytics."""
+_MOST_THREADS = 8  # of a training on a CPU, as in Ultralytics
 
 # Images per second in training at 320 px, by model and device. YOLOv8n on two cores with matrix units for bfloat16: 21
 # measured on one core, times 1.6. The others follow from Ultralytics' published speeds. Used for estimates only.
