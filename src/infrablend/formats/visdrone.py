@@ -132,7 +132,7 @@ def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[I
         return None
     instances = []
     for here, line in _lines(found, path, text):
-        values = to_floats(line.split(","), 8)
+        values = to_floats(line.rstrip(",").split(","), 8)
         if values is None:
             found.add(here, "label-malformed", repr(line[:80]), _FIELDS, "correct the line")
         elif (instance := _object(found, values, size_wh, here)) is not None:
@@ -141,11 +141,11 @@ def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[I
 
 
 def _lines(found: Findings, path: Path, text: str) -> Iterator[tuple[str, str]]:
-    """Yield each line that is not empty, after its place; a comma at its end is dropped. Each counts as an object."""
+    """Yield each line that is not empty, after its place. Each counts as an object."""
     for n, line in enumerate(text.splitlines(), 1):
         if line.strip():
             found.counts["objects"] += 1
-            yield f"{found.place(path)}: line {n}", line.strip().rstrip(",")
+            yield f"{found.place(path)}: line {n}", line.strip()
 
 
 def _object(
@@ -219,7 +219,7 @@ def _rows(found: Findings, path: Path) -> dict[int, list[_Row]] | None:
     rows: dict[int, list[_Row]] = defaultdict(list)
     seen: set[tuple[int, int]] = set()
     for here, line in _lines(found, path, text):
-        values = to_floats(line.split(","), 10)
+        values = to_floats(line.rstrip(",").split(","), 10)
         frame, track = (to_int(v) for v in values[:2]) if values else (None, None)
         if values is None or frame is None or track is None or frame < 1:
             expected = f"frame,object,{_FIELDS}; frames from 1"

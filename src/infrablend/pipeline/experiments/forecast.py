@@ -207,7 +207,8 @@ def plan_experiment(prepared: PreparedExperiment) -> ExperimentPlan:
     if request.device not in ("auto", "cpu") and any(s.kind in LEARNING for s in todo):
         require_trainer(request.device)
     require_training_settings(todo, request)
-    rates = measured_rates(request.work, request.device)
+    # The kind of device is asked of torch, which takes seconds to import.
+    rates = measured_rates(request.work, request.device if any(s.kind in LEARNING for s in todo) else "cpu")
     rows: list[dict[str, Any]] = []
     for s in graph.stages:
         if s.id not in chosen:
