@@ -75,6 +75,22 @@ def output_error(path: Path, error: OSError) -> OutputError:
     return OutputError(f"cannot write {path}: {reason}", [problem])
 
 
+def free_bytes(folder: Path) -> int:
+    """Return the free disk space where a folder is, or will be."""
+    existing = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    return shutil.disk_usage(existing).free
+
+
+def require_free_space(
+    folder: Path, need_bytes: float, what: str, todo: str = "free some space, or choose a folder on another disk"
+) -> None:
+    """Raise OutputError if the disk of a folder has less free space than `what` needs."""
+    if (free := free_bytes(folder)) < need_bytes:
+        found, expected = f"{free / 1e9:.2f} GB free", f"at least {need_bytes / 1e9:.2f} GB"
+        problem = Problem(str(folder), "disk-full", found, expected, todo)
+        raise OutputError(f"{folder}: not enough disk space for {what}", [problem])
+
+
 @contextlib.contextmanager
 def replace_atomically(path: Path, *, beside: Path | None = None, durable: bool = False) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` when the block succeeds, remove it when the block fails.

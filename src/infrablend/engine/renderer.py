@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from infrablend.core.render import RenderResult, empty_result
 from infrablend.core.scene import SceneSpec, Weather
 from infrablend.engine.process import BlenderProcess
 from infrablend.engine.programs import find_blender
-from infrablend.engine.quality import sampling_for
 from infrablend.errors import MissingDependencyError, RenderError, WorkerDiedError
 from infrablend.rendering.lattice import crop_of, crops_of, mirrors_surfaces, needs_no_tracing, render_on_lattice
 from infrablend.rendering.surfaces import ground_radiance, is_two_sided, surface_values
@@ -36,6 +36,33 @@ METAL_BOUNCES = 16
 # Times that Blender may die on a frame before the frame fails.
 ATTEMPTS = 3
 _CLIP_M = (0.01, 10_000.0)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Sampling settings of Cycles.
+
+    Attributes:
+        samples: Samples per pixel; the maximum if sampling is adaptive.
+        adaptive_threshold: Noise level at which sampling of a pixel stops; 0 switches adaptive sampling off.
+        adaptive_min_samples: Samples before the first noise check; Cycles checks at every 16th sample only.
+        pattern: Sample sequence as Cycles names it; AUTOMATIC is Blender's own choice.
+    """
+
+    samples: int
+    adaptive_threshold: float = 0.0
+    adaptive_min_samples: int = 0
+    pattern: str = "AUTOMATIC"
+
+
+# `quality: matched` for what `rendering.lattice` does not draw. The inside of a body is smooth and needs 16 samples,
+# its outline needs more: docs/explanation/quality.md lists the alternatives.
+MATCHED = Sampling(64, 0.006, 8, "TABULATED_SOBOL")
+
+
+def sampling_for(samples: int) -> Sampling:
+    """Return the sampling for a fixed number of samples; 0 selects `MATCHED`."""
+    return Sampling(samples) if samples else MATCHED
 
 
 class BlenderRenderer:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import http.client
 import re
-import shutil
 import ssl
 import stat
 import tarfile
@@ -23,7 +22,7 @@ from pathlib import Path
 from urllib.parse import urlsplit, urlunsplit
 
 from infrablend import __version__
-from infrablend.core.files import output_error
+from infrablend.core.files import output_error, require_free_space
 from infrablend.errors import DatasetError, FetchError, OutputError, Problem
 
 MAX_BYTES = 200 * 10**9
@@ -107,7 +106,7 @@ def download(url: str, file: Path, unpacked_bytes: int, on_bytes: OnProgress) ->
             raise FetchError(f"{public_url(url)}: redirects to {public_url(final)}; expected https")
         length = answer.headers.get("Content-Length", "")
         total = int(length) if length.isdecimal() else None
-        require_room(file.parent, (total or 0) + unpacked_bytes)
+        require_free_space(file.parent, (total or 0) + unpacked_bytes + _SPARE_BYTES, "the download")
         done = 0
         try:
             with file.open("xb") as stream:
@@ -160,15 +159,6 @@ def unpack(archive: Path, folder: Path, on_files: OnProgress) -> Unpacked:
         raise _refusal(archive, "archive-damaged", f"is damaged or incomplete ({error})", expected) from error
 
 
-def require_room(folder: Path, size_bytes: int) -> None:
-    """Raise OutputError unless the disk of `folder` has room for `size_bytes` and a little more."""
-    free = shutil.disk_usage(folder).free
-    if free < size_bytes + _SPARE_BYTES:
-        found, expected = f"{free / 1e9:.2f} GB free", f"at least {(size_bytes + _SPARE_BYTES) / 1e9:.2f} GB"
-        todo = "free some space, or choose a folder on another disk"
-        raise OutputError("not enough room on the disk", [Problem(str(folder), "disk-full", found, expected, todo)])
-
-
 def without_wrapper(folder: Path) -> Path:
     """Return the innermost folder that contains everything, since archives often wrap their content in folders."""
     while True:
@@ -205,7 +195,7 @@ def _unpack_zip(archive: Path, folder: Path, on_files: OnProgress) -> Unpacked:
             raise _bad_members(archive, bad)
         size = sum(info.file_size for info in members)
         _require_bounded(archive, len(members), size)
-        require_room(folder.parent, size)
+        require_free_space(folder.parent, size + _SPARE_BYTES, archive.name)
         files = [info for info in members if not info.is_dir()]
         folder.mkdir()
         for done, info in enumerate(files, 1):

@@ -5,15 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import shutil
 import tempfile
 from pathlib import Path
 
 from infrablend.core.addresses import address_of
 from infrablend.core.file_names import join_inside
-from infrablend.core.files import output_error, read_object, write_json
+from infrablend.core.files import output_error, read_object, require_free_space, write_json
 from infrablend.core.user_folders import cache_folder
-from infrablend.errors import DatasetError, StorageError
+from infrablend.errors import DatasetError
 from infrablend.storage.store import Store
 
 log = logging.getLogger(__name__)
@@ -30,8 +29,8 @@ def local_folder(path: str | Path) -> Path:
 
     Raises:
         DatasetError: There is nothing at the address.
-        StorageError, MissingDependencyError: The storage cannot be used, or this machine has no space for a copy.
-        OutputError: The copy cannot be written.
+        StorageError, MissingDependencyError: The storage cannot be used.
+        OutputError: The copy cannot be written, or has no space.
     """
     if (address := address_of(path)) is None:
         return Path(path)
@@ -45,12 +44,8 @@ def local_folder(path: str | Path) -> Path:
         return target
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        free = shutil.disk_usage(target.parent).free
-        if (needed := sum(wanted.values())) + _SPARE_BYTES > free:
-            raise StorageError(
-                f"{address}: {needed / 1e9:.1f} GB to copy, and {free / 1e9:.1f} GB free in {target.parent}; expected "
-                "1 GB to spare. Set XDG_CACHE_HOME to a larger disk, or mount the storage"
-            )
+        todo = "set XDG_CACHE_HOME to a folder on a larger disk, or mount the storage"
+        require_free_space(target.parent, sum(wanted.values()) + _SPARE_BYTES, f"a copy of {address}", todo)
         # Several processes may copy at once; the first one that is ready gives the folder its name.
         with tempfile.TemporaryDirectory(dir=target.parent) as folder:
             part = Path(folder) / "files"

@@ -257,7 +257,7 @@ def test_limits_on_number_and_size(tmp_path: Path, monkeypatch) -> None:
 
 def test_a_full_disk(tmp_path: Path, monkeypatch) -> None:
     (tmp_path / "a.zip").write_bytes(zipped(FILES))
-    with monkeypatch.context() as patch, pytest.raises(OutputError, match="not enough room"):
+    with monkeypatch.context() as patch, pytest.raises(OutputError, match="not enough disk space"):
         patch.setattr(shutil, "disk_usage", lambda path: type("U", (), {"free": 1000})())
         unpacked(tmp_path / "a.zip", tmp_path / "out")
 

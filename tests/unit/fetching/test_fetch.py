@@ -219,7 +219,7 @@ def test_two_fetches_at_once(tiny, tmp_path):
 
 def test_lack_of_disk_space_is_detected_before_the_download(tiny, server, tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda path: type("U", (), {"free": 1000})())
-    with pytest.raises(OutputError, match="not enough room"):
+    with pytest.raises(OutputError, match="not enough disk space"):
         fetch("tiny", tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 

@@ -816,7 +816,7 @@ def test_lack_of_space_is_reported_before_any_work(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
-    with pytest.raises(OutputError, match="too little space") as caught:
+    with pytest.raises(OutputError, match="not enough disk space") as caught:
         run("hit-uav-drone", data, tmp_path / "w")
     assert caught.value.problems[0].code == "disk-full" and not bench.trained
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.dataset import ImageRecord
+from infrablend.errors import DatasetError
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, Extensions
-from infrablend.pipeline.plans.labelled_ground import labelled_ground
+from infrablend.pipeline.plans.levels import Load
 from infrablend.pipeline.plans.plan import PlannedSequence, RunPlan
 from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
-from infrablend.places.labelled_ground import LabelledGround
+from infrablend.places.labelled_ground import LabelledGround, Picture, learn_ground
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,32 @@ def settings_for(
         extensions=extensions,
         run=plan.run,
         models=plan.key.get("models", {}),
-        labelled_ground=labelled_ground(plan, extensions.load),
+        labelled_ground=_labelled_ground(plan, extensions.load),
         sequences=plan.sequences,
     )
+
+
+def _labelled_ground(plan: RunPlan, load: Load) -> LabelledGround:
+    """Return on which kinds of ground labelled objects of the recipe's classes are, in the plan's sample of pictures.
+
+    Empty if the recipe does not ask for it, or the dataset labels none of these classes.
+    """
+    where = plan.recipe.placement.surfaces
+    if where is None or not where.learned or where.surfaces:
+        return {}
+    wanted = {o.category or plan.models[o.model].category for o in plan.recipe.objects if plan.models[o.model].stands}
+    labelled = {i.category for image in plan.sample for i in image.instances}
+    classes = tuple(sorted(wanted & labelled))
+    return _learned(plan.sample, classes, load) if classes else {}
+
+
+# The studio plans the same pictures again for each change of a recipe.
+@lru_cache(maxsize=2)
+def _learned(sample: tuple[ImageRecord, ...], classes: tuple[str, ...], load: Load) -> LabelledGround:
+    return learn_ground(_pictures(sample, load), classes)
+
+
+def _pictures(sample: Sequence[ImageRecord], load: Load) -> Iterator[Picture]:
+    for image in sample:
+        with contextlib.suppress(DatasetError):  # reported when its frame is rendered
+            yield load(image).pixels, image.instances, image.capture.time_of_day

@@ -14,7 +14,7 @@ from typing import Any
 from infrablend import __version__
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import real_path
-from infrablend.core.files import read_object, write_json
+from infrablend.core.files import read_object, require_free_space, write_json
 from infrablend.core.machine import describe_machine
 from infrablend.core.tasks import OnProgress
 from infrablend.core.typed_command import command_facts
@@ -26,7 +26,7 @@ from infrablend.pipeline.detectors.training_data import (
     select_training_data,
     write_training_data,
 )
-from infrablend.pipeline.detectors.training_plan import choose_device, plan_of, require_arguments, require_space
+from infrablend.pipeline.detectors.training_plan import choose_device, plan_of, require_arguments
 from infrablend.pipeline.detectors.training_process import run_trainer
 from infrablend.training import weights
 from infrablend.training.files import RECORD, WEIGHTS, WORKING_FILES
@@ -104,7 +104,7 @@ def train_dataset(
             if space.state == "started":
                 log.warning("%s: was not prepared to the end; the training starts again", out)
             _remove_working_files(folder)
-            require_space(folder, plan_of(wanted, preset, device, request.seed).disk_bytes)
+            require_free_space(folder, 1.2 * plan_of(wanted, preset, device, request.seed).disk_bytes, "the training")
             start = weights.find_start(request.weights, preset, request.task)
             record = {
                 "infrablend": __version__, **command_facts(), **asked,

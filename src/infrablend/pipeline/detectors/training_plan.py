@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -126,13 +125,3 @@ def require_arguments(preset: Preset) -> None:
             "settings of the training",
             [Problem(where, "setting-malformed", wrong, f"fields ({', '.join(PRESET_FIELDS)}) or Ultralytics' own")],
         )
-
-
-def require_space(out: Path, disk_bytes: int) -> None:
-    """Raise OutputError if the disk has less free space than a training needs."""
-    need = disk_bytes * 1.2
-    free = shutil.disk_usage(out).free
-    if free < need:
-        found = f"{free / 1e6:.0f} MB free"
-        problem = Problem(str(out), "disk-full", found, f"{need / 1e6:.0f} MB", "free some, or give a folder elsewhere")
-        raise OutputError(f"{out}: not enough disk space for the training", [problem])

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 
 from infrablend.config.experiment import Generate
 from infrablend.config.loading import read_recipe
-from infrablend.core.files import read_object
+from infrablend.core.files import free_bytes, read_object
 from infrablend.core.machine import available_cores, describe_machine
 from infrablend.core.workspace import partial_of
 from infrablend.errors import InfraBlendError
@@ -165,12 +164,6 @@ def estimate_bytes(stage: Stage) -> int:
     if stage.kind == "train":
         return images * IMAGE_BYTES + WEIGHTS_BYTES
     return images * LABELS_BYTES
-
-
-def free_bytes(work: Path) -> int:
-    """Return the free space where the work folder is, or will be."""
-    existing = next(p for p in (work.absolute(), *work.absolute().parents) if p.exists())
-    return shutil.disk_usage(existing).free
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from infrablend import __version__
-from infrablend.core.files import read_object
+from infrablend.core.files import read_object, require_free_space
 from infrablend.core.machine import describe_machine, installed_versions, source_commit
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import BusyError, InfraBlendError, Interrupted, OutputError, Problem
 from infrablend.pipeline.experiments import forecast
 from infrablend.pipeline.experiments.adopting import adopt_result
-from infrablend.pipeline.experiments.forecast import LEARNING, estimate_bytes, free_bytes
+from infrablend.pipeline.experiments.forecast import LEARNING, estimate_bytes
 from infrablend.pipeline.experiments.graph import OTHER_SCALES
 from infrablend.pipeline.experiments.makers import MAKERS
 from infrablend.pipeline.experiments.prepare import PreparedExperiment
@@ -211,13 +211,8 @@ def _require_ready(prepared: PreparedExperiment, missing: Collection[str]) -> No
     if any(s.kind in LEARNING for s in todo):
         forecast.require_trainer(request.device)
     forecast.require_training_settings(todo, request)
-    needed, free = sum(estimate_bytes(s) for s in todo), free_bytes(request.work)
-    if needed > free:
-        found, expected = f"{free / 2**30:.1f} GiB free", f"about {needed / 2**30:.1f} GiB"
-        raise OutputError(
-            f"experiment {prepared.experiment.name}: {request.work} has too little space",
-            [Problem(str(request.work), "disk-full", found, expected, "give another --work")],
-        )
+    needed = sum(estimate_bytes(s) for s in todo)
+    require_free_space(request.work, needed, f"the experiment {prepared.experiment.name}")
 
 
 def make_stage(
