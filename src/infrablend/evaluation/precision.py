@@ -106,7 +106,8 @@ def operating_point(all_matches: Sequence[ClassMatches]) -> tuple[float, list[tu
     if not known:
         return 0.0, [None] * len(curves)
     f1 = np.mean([2 * p * r / np.maximum(p + r, 1e-16) for p, r in known], axis=0)
-    best = int(np.argmax(_smoothed(f1)))
+    # Scores below the width of smoothing leave their best at 0, where every detection counts.
+    best = int(np.argmax(_smoothed(f1))) or int(np.argmax(f1))
     return float(CONFIDENCES[best]), [None if c is None else (float(c[0][best]), float(c[1][best])) for c in curves]
 
 

@@ -78,6 +78,14 @@ def test_precision_and_recall_are_those_of_the_best_confidence() -> None:
     assert points[0] == pytest.approx((2 / 3, 1.0))
 
 
+def test_low_scores_have_a_best_confidence_too() -> None:
+    labels, _ = truths([TWO], CATEGORIES, ["Person"], "detect")
+    found = detections([[10, 10, 30, 50], [70, 70, 90, 90]], [0.03, 0.01], [0, 0])
+    confidence, points = operating_point(matched(labels, {"test/a.png": found}))
+    assert confidence == pytest.approx(0.03, abs=0.002)
+    assert points[0] == pytest.approx((1.0, 0.5), abs=0.05)
+
+
 def test_no_detections_give_zero_and_no_objects_give_none() -> None:
     labels, _ = truths([TWO], CATEGORIES, ["Person", "Car"], "detect")
     person, car = matched(labels, {}, 2)

@@ -177,7 +177,7 @@ def test_folders_that_fit_no_source_or_several_are_explained(birds: Path, drones
     both = merge_datasets([("a", read_dataset(birds)), ("b", read_dataset(drones))])
     convert_dataset(both, "coco", tmp_path / "both")
     text = problem(tmp_path / "both")
-    assert "it can be halmstad-backgrounds or halmstad-drones" in text and "--data halmstad-backgrounds=" in text
+    assert "it can be halmstad-backgrounds or halmstad-drones" in text and "--data halmstad-drones=" in text
     assert "a second coco for halmstad-drones" in problem(drones, drones)
     assert "no source halmstad" in problem(f"halmstad={drones}")
     assert given(f"halmstad-drones={tmp_path / 'both'}") == {"halmstad-drones": tmp_path / "both"}

@@ -153,7 +153,8 @@ def _matching_sources(experiment: Experiment, folder: Path, format: str | None) 
 
 def _no_single_source(experiment: Experiment, folder: Path, format: str | None, names: Sequence[str]) -> Problem:
     if len(names) > 1:
-        found, todo = f"it can be {' or '.join(names)}", f"name it: --data {names[0]}={folder}"
+        found = f"it can be {' or '.join(names)}"
+        todo = f"name it: {' or '.join(f'--data {n}={folder}' for n in names)}"
         return Problem(str(folder), "data-kind", found, "labels of the classes of one of them alone", todo)
     if names:
         return Problem(str(folder), "data-kind", f"no source {names[0]}", f"one of {', '.join(experiment.sources)}")

@@ -108,15 +108,14 @@ def index_text(out: Path) -> str:
 
 def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
     verdicts = [c["holds"] for c in facts["checks"] if c["holds"] is not None]
-    headlines = (
-        f"{r['title']}: {paper_and_ours(r['paper']['map50'], (r['ours'] or {}).get('map50'), '.3f')}"
-        for table in facts["tables"]
-        for r in table["rows"]
-    )
+    rows = [r for table in facts["tables"] for r in table["rows"]]
+    first = next((r for r in rows if r["ours"]), rows[0] if rows else None)
     return [
         f"[{facts['title']}]({stem}.md)",
         facts["scale"],
         run_state(facts),
-        next(headlines, "-"),
+        f"{first['title']}: {paper_and_ours(first['paper']['map50'], (first['ours'] or {}).get('map50'), '.3f')}"
+        if first
+        else "-",
         f"{verdicts.count(True)} of {len(verdicts)}" if verdicts else "-",
     ]
