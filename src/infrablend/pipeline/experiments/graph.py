@@ -43,6 +43,7 @@ from infrablend.training.weights import AUTO
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "medium": 1000, "paper": 1000}
 """Number of bootstrap draws at each scale."""
 OTHER_SCALES = "at other scales only"
+EXPERIMENTS_PAGE = "docs/how_to/experiments.md"
 STAND_IN_IMAGES = 24
 
 
@@ -382,4 +383,4 @@ def where_to_get(source: Source) -> str:
     try:
         return f"see {require_source(source.format).page}"
     except InfraBlendError:
-        return "docs/how_to/fetch_data.md"
+        return EXPERIMENTS_PAGE

@@ -14,7 +14,7 @@ from infrablend.evaluation.truth import class_key
 from infrablend.formats import detection
 from infrablend.pipeline.experiments.adopting import ADOPTABLE
 from infrablend.pipeline.experiments.dataset_facts import dataset_facts, read_dataset
-from infrablend.pipeline.experiments.graph import StageGraph, build_graph, unknown_stage, where_to_get
+from infrablend.pipeline.experiments.graph import EXPERIMENTS_PAGE, StageGraph, build_graph, unknown_stage, where_to_get
 from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import FinishedStage, Stage, find_finished
 from infrablend.report.results.write import require_own_pages
@@ -160,7 +160,8 @@ def _no_single_source(experiment: Experiment, folder: Path, format: str | None, 
         return Problem(str(folder), "data-kind", f"no source {names[0]}", f"one of {', '.join(experiment.sources)}")
     sources = experiment.sources.values()
     wanted = " or ".join(f"{s.title} ({', '.join([s.format, *_labels_of(experiment, s)])})" for s in sources)
-    return Problem(str(folder), "data-kind", format or "no known format", wanted)
+    todo = f"see {EXPERIMENTS_PAGE} on what each experiment needs"
+    return Problem(str(folder), "data-kind", format or "no known format", wanted, todo)
 
 
 def _labels_of(experiment: Experiment, source: Source) -> list[str]:

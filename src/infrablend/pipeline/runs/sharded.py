@@ -198,7 +198,7 @@ class ShardedRun:
         if not os.path.lexists(self.file):
             raise OutputError(
                 f"{self.place}: no {SHARDS_FILE}; expected a run in shards. Give the --out of "
-                "`infrablend generate ... --shard I/N`."
+                "`infrablend generate ... --shard I/N`. To join datasets, see docs/how_to/evaluate.md#join-datasets."
             )
         try:
             return SharedPlan.from_json(read_object(self.file) or {})
