@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -409,6 +410,26 @@ def test_interruption_reports_the_progress(tmp_path, monkeypatch):
     assert record["sessions"][-1]["restarted"] == "bad"
 
 
+def test_a_killed_session_counts(tmp_path, monkeypatch):
+    data, out = yolo(tmp_path / "data", {"train": 2}), tmp_path / "out"
+
+    def killed(command, log, take):
+        time.sleep(0.2)
+        take({"event": "epoch", "epoch": 4})
+        raise SystemExit
+
+    events(monkeypatch)
+    monkeypatch.setattr(process, "watch", killed)
+    with pytest.raises(SystemExit):
+        train(data, out, **SMOKE)
+    events(monkeypatch, END)
+    record = train(data, out, existing="resume", **SMOKE).record
+    assert [(s["end"], s["epoch"]) for s in record["sessions"]] == [("killed", 4), ("end", 0)]
+    assert (
+        record["seconds"] == pytest.approx(sum(s["seconds"] for s in record["sessions"])) and record["seconds"] >= 0.2
+    )
+
+
 def test_a_record_that_cannot_be_read_starts_again_when_asked(tmp_path, monkeypatch, caplog):
     data, out = yolo(tmp_path / "data", {"train": 2}), tmp_path / "out"
     events(monkeypatch, code=-15, stopped=True, weights_there=False)
@@ -539,14 +560,19 @@ def test_weights_are_found_in_known_places(tmp_path, monkeypatch):
     small = PRESETS["small"]
     assert weights.find_start("scratch", small, "obb").model == "yolov8n-obb.yaml"
     own = tmp_path / "mine.pt"
-    own.write_bytes(b"x")
+    own.write_bytes(zipped())
     assert weights.find_start(str(own), small, "detect").kind == "file"
     monkeypatch.setattr(weights, "_ADDRESS", "http://127.0.0.1:9/{name}")  # nobody listens there
     start = weights.find_start("auto", small, "detect", tmp_path / "cache")
     assert start.kind == "scratch"
     assert "is not available" in start.why
-    for name in ("yolov8s.pt", "no/such.pt", "nonsense"):
-        with pytest.raises(FetchError):
+    monkeypatch.chdir(tmp_path)
+    for name, said in (
+        ("yolov8s.pt", f"no file {tmp_path}/yolov8s.pt; "),
+        ("no/such.pt", "no such"),
+        ("nonsense", "no such"),
+    ):
+        with pytest.raises(FetchError, match=re.escape(said)):
             weights.find_start(name, small, "detect", tmp_path / "cache")
     (tmp_path / "cache").mkdir()
     cached = tmp_path / "cache" / "yolov8n.pt"

@@ -60,6 +60,7 @@ def train(
             "tiles" if p.tiled else "images": str(p.images),
             "labels of the split": str(p.labels),
             "epochs": f"{p.epochs} of {p.shown} images shown",
+            "start weights": start_text(asdict(p)),
             "device": p.device if p.device in ("cpu", "mps") else f"GPU {p.device}",
             "time, about": human_seconds(p.seconds),
             "disk, about": human_bytes(p.disk_bytes),
@@ -69,6 +70,12 @@ def train(
     with shown_progress(session, "training") as on_progress:
         report = api.train(dataset, out, request, reading=reading, existing=existing, on_progress=on_progress)
     show_result(session, report.to_json(), lambda: f"{table(_training(report.record))}\n{report.weights}")
+
+
+def start_text(plan: Mapping[str, Any]) -> str:
+    """Return start weights and network of a planned training."""
+    own = "" if plan["weights"] in ("auto", "scratch") else "their "
+    return f"{plan['weights']}, {own}network {plan['network'] or 'unknown before their download'}"
 
 
 def _training(record: Mapping[str, Any]) -> dict[str, str]:

@@ -9,6 +9,7 @@ import typer
 
 from infrablend import api
 from infrablend.cli.completion import complete_experiment
+from infrablend.cli.detectors import start_text
 from infrablend.cli.exits import printable
 from infrablend.cli.options import Fields, JsonSession
 from infrablend.cli.output import grid, human_bytes, show_result, shown_progress, table
@@ -109,6 +110,8 @@ def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
         "time, about": f"{human_seconds(plan['about_s'])} on {plan['device']}",
         "disk, about": f"{human_bytes(plan['disk_bytes'])}, {human_bytes(plan['disk_free_bytes'])} free",
     }
+    if starts := dict.fromkeys(start_text(s) for s in plan["stages"] if "training" in s):
+        total["start weights"] = "; ".join(starts)
     if plan["stand_ins"]:
         total["stand-ins"] = f"a virtual world for {', '.join(plan['stand_ins'])}"
     for name, why in plan["left_out"].items():

@@ -77,16 +77,16 @@ PRESETS: Mapping[str, Preset] = {
         # while keeping all other parameters at their default values", 1000 epochs, patience 100. Ultralytics' default
         # optimizer `auto` ignores a given learning rate, so the preset names an optimizer.
         Preset(
-            "paper", "YOLOv8s on whole pictures as in the paper; for a GPU", "yolov8s", 640, 64, epochs=1000,
+            "paper", "whole pictures as in the paper; for a GPU", "yolov8s", 640, 64, epochs=1000,
             patience=100, arguments={"optimizer": "AdamW", "lr0": 0.002},
         ),
         # Ultralytics' augmentation with mosaic, which ends in the last quarter.
         Preset(
-            "medium", "YOLOv8n on whole pictures of 640 px, from given weights; hours on two cores", "yolov8n", 640, 16,
+            "medium", "whole pictures of 640 px, from given weights; hours on two cores", "yolov8n", 640, 16,
             passes=40_000, arguments={**_SHORT_TRAINING, "close_mosaic": 5},
         ),
         Preset(
-            "small", "YOLOv8n on tiles of 320 px around objects; for two cores", "yolov8n", 320, 16, passes=16_000,
+            "small", "tiles of 320 px around objects; for two cores", "yolov8n", 320, 16, passes=16_000,
             tile=320, arguments=_TILE_ARGUMENTS,
         ),
         Preset(

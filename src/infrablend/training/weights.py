@@ -5,18 +5,20 @@ from __future__ import annotations
 import http.client
 import io
 import logging
+import pickle
 import re
 import urllib.request
 import zipfile
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import write_bytes
+from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.user_folders import weights_folder
-from infrablend.errors import FetchError, MissingDependencyError
-from infrablend.evaluation.detections import Task
+from infrablend.errors import FetchError, MissingDependencyError, ModelError
+from infrablend.evaluation.detections import TASKS, Task
 from infrablend.training.presets import SUFFIX, Preset
 
 SCRATCH = "scratch"
@@ -39,11 +41,13 @@ class StartWeights:
         model: Argument for Ultralytics: a file of weights, or the name of a network description.
         kind: `scratch`, `file` or `published`.
         why: Reason for the record, such as why published weights are not used.
+        network: Name of the network, which a file of weights brings along; empty if unknown.
     """
 
     model: str
     kind: str
     why: str = ""
+    network: str = ""
 
 
 def find_start(wanted: str, preset: Preset, task: Task, cache: Path | None = None) -> StartWeights:
@@ -58,31 +62,65 @@ def find_start(wanted: str, preset: Preset, task: Task, cache: Path | None = Non
 
     Raises:
         FetchError: There is no such file, and published weights of that name cannot be downloaded.
+        ModelError: The file is damaged, or its network is for another task.
     """
     own = f"{preset.model}{SUFFIX[task]}"
     if wanted == SCRATCH:
-        return StartWeights(f"{own}.yaml", "scratch", "requested")
+        return StartWeights(f"{own}.yaml", "scratch", "requested", own)
+    require_known(wanted, task)
     path = Path(wanted)
     if wanted != AUTO and _is_file(path):
-        return StartWeights(str(real_path(path)), "file")
+        return StartWeights(str(real_path(path)), "file", network=network_of(wanted, preset, task))
     name = f"{own}.pt" if wanted == AUTO else wanted
-    require_known(wanted)
     if not _NAME.fullmatch(name):
-        return StartWeights(f"{own}.yaml", "scratch", f"{name} is not a name of published weights")
+        return StartWeights(f"{own}.yaml", "scratch", f"{name} is not a name of published weights", own)
     try:
-        return StartWeights(str(_published(name, cache or weights_folder())), "published", name)
+        found = _published(name, cache or weights_folder())
     except FetchError as error:
         if wanted != AUTO:
-            raise
-        return StartWeights(f"{own}.yaml", "scratch", f"{name} is not available: {error.message}")
+            raise FetchError(f"--weights {wanted}: no file {path.absolute()}; {error.message}") from error
+        return StartWeights(f"{own}.yaml", "scratch", f"{name} is not available: {error.message}", own)
+    require_known(str(found), task)
+    return StartWeights(str(found), "published", name, _read_network(found)[1])
 
 
-def require_known(wanted: str) -> None:
-    """Raise FetchError unless `wanted` is a file, a possible name of published weights, `scratch` or `auto`."""
-    if wanted not in (SCRATCH, AUTO) and not _is_file(Path(wanted)) and not _NAME.fullmatch(wanted):
-        raise FetchError(
-            f"--weights {wanted}: no such file; expected a .pt file, a name such as yolov8s.pt, or scratch"
-        )
+def require_known(wanted: str, task: Task | None = None) -> None:
+    """Check that `wanted` is a file, for the task if one is given, a possible published name, `scratch` or `auto`.
+
+    Raises:
+        FetchError: It is none of these.
+        ModelError: The file is damaged, or its network is for another task.
+    """
+    path = Path(wanted)
+    if wanted in (SCRATCH, AUTO):
+        return
+    if not _is_file(path):
+        if not _NAME.fullmatch(wanted):
+            raise FetchError(
+                f"--weights {wanted}: no such file; expected a .pt file, a name such as yolov8s.pt, or scratch"
+            )
+    elif path.suffix.lower() == ".pt":
+        if not zipfile.is_zipfile(path):
+            raise ModelError(f"--weights {wanted}: damaged, or no weights; expected a complete .pt file")
+        found, _ = _read_network(path)
+        if task is not None and found not in ("", task):
+            raise ModelError(f"--weights {wanted}: weights for {found}; expected {task}")
+
+
+def identify(wanted: str) -> tuple[str, str | None]:
+    """Return what tells start weights apart wherever they lie: their name, and the SHA-256 of a file."""
+    path = Path(wanted)
+    return (path.name, sha256_of(path)) if wanted not in (SCRATCH, AUTO) and _is_file(path) else (wanted, None)
+
+
+def network_of(wanted: str, preset: Preset, task: Task) -> str:
+    """Return the name of the network that is trained: the preset's, or that of a file; empty if unknown."""
+    path = Path(wanted)
+    if wanted in (SCRATCH, AUTO):
+        return f"{preset.model}{SUFFIX[task]}"
+    if path.suffix.lower() == ".pt":
+        return _read_network(path)[1]
+    return path.stem
 
 
 def missing_packages() -> list[str]:
@@ -135,6 +173,39 @@ def _published(name: str, folder: Path) -> Path:
             f"{note}{address}: found {len(data)} bytes that begin {start}, expected weights (a zip file); {todo}"
         )
     return write_bytes(path, data, durable=True)
+
+
+class _Part:
+    """Stand-in for any object of a pickle, with its attributes."""
+
+    def __init__(self, *args: Any) -> None:
+        pass
+
+    def __setitem__(self, key: Any, value: Any) -> None:
+        pass
+
+
+class _Skeleton(pickle.Unpickler):
+    """Reads plain values; everything else becomes a `_Part`, so no code of the file runs."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        return _Part
+
+    def persistent_load(self, pid: Any) -> Any:
+        return None
+
+
+def _read_network(path: Path) -> tuple[str, str]:
+    """Return the task and the name of the network in a .pt file; empty if unknown."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            name = next(n for n in file.namelist() if n.endswith("data.pkl"))
+            content = _Skeleton(io.BytesIO(file.read(name))).load()
+        network = (content.get("ema") or content["model"]).yaml
+        head = network["head"][-1][2].lower()  # such as Detect or OBB26
+        return next((t for t in (*TASKS, "pose", "classify") if t in head), ""), Path(network["yaml_file"]).stem
+    except Exception:  # a pickle can contain anything
+        return "", ""
 
 
 def _is_file(path: Path) -> bool:

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,12 +21,14 @@ from infrablend.cli import main
 from infrablend.config.experiment import Check, Generate, list_experiments, load_experiment, parse_experiment
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import Dataset
+from infrablend.core.files import sha256_of
 from infrablend.core.workspace import workspace
 from infrablend.errors import (
     DatasetError,
     FetchError,
     Interrupted,
     MissingDependencyError,
+    ModelError,
     OtherSettingsError,
     OutputError,
     RecipeError,
@@ -43,7 +45,9 @@ from infrablend.pipeline.plans.request import Execution
 from infrablend.report.results import write
 from infrablend.report.results.page import list_differences, page_text
 from infrablend.report.results.write import write_page
+from infrablend.training.presets import cpu_threads
 from infrablend.training.request import TrainRequest
+from tests.weights_files import write_weights
 
 RUN = {"scale": "smoke", "renderer": "flat", "workers": 1}
 HEAD = "name: few\ntitle: t\ndescription: d\nsources: {hit-uav: {format: hit-uav, title: H}}\n"
@@ -314,7 +318,7 @@ def test_run_writes_a_page_and_repeating_it_does_nothing(bench: Bench, data: Pat
 
 
 def test_the_page_names_start_weights_and_what_was_found(bench: Bench, data: Path, tmp_path: Path) -> None:
-    (tmp_path / "start.pt").write_bytes(b"weights")
+    write_weights(tmp_path / "start.pt")
     report = run("hit-uav-drone", data, tmp_path / "work", weights=str(tmp_path / "start.pt"))
     assert " --scale smoke --weights start.pt --data hit-uav\n" in report.page.read_text("utf-8")
     (row,) = {r["evaluation"]: r for t in report.facts["tables"] for r in t["rows"]}.values()
@@ -599,8 +603,8 @@ def test_keys_follow_seed_recipe_and_data(data: Path, tmp_path: Path) -> None:
     assert start != text
     mine.write_text(start)
     by_content = []
-    for content in (b"one", b"another"):
-        weights.write_bytes(content)
+    for network in ("yolov5n", "yolov8n"):
+        write_weights(weights, network=network)
         by_content.append(keys(str(mine), data, tmp_path)["train:aligned"])
     assert len(set(by_content)) == 2
 
@@ -702,15 +706,58 @@ def test_the_users_settings_win_over_those_of_the_file() -> None:
 
 def test_start_weights_of_the_request_count_by_content_wherever_they_lie(data: Path, tmp_path: Path) -> None:
     found = []
-    for folder, content in (("a", b"one"), ("b", b"one"), ("c", b"another")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "start.pt").write_bytes(content)
-        given = str(tmp_path / folder / "start.pt")
+    for folder, network in (("a", "yolov5n"), ("b", "yolov5n"), ("c", "yolov8n")):
+        given = str(write_weights(tmp_path / folder / "start.pt", network=network))
         found.append(keys("hit-uav-drone", data, tmp_path, scale="medium", weights=given)["train:aligned"])
     assert found[0] == found[1] != found[2]
     assert found[0] != keys("hit-uav-drone", data, tmp_path, scale="medium")["train:aligned"]
     with pytest.raises(FetchError, match=r"no such file; expected a \.pt file"):
         plan("hit-uav-drone", data, tmp_path / "w", weights=str(tmp_path / "nothing.pt.zip"))
+
+
+def test_unfit_start_weights_are_refused_before_any_work(bench: Bench, data: Path, tmp_path: Path) -> None:
+    mine, weights = tmp_path / "mine.yaml", write_weights(tmp_path / "start.pt", "OBB")
+    text = (SHIPPED / "hit-uav-drone.yaml").read_text()
+    mine.write_text(text.replace("{data: aligned, paper_images: 4058}", f"{{data: aligned, weights: {weights}}}"))
+    for call in (plan, run):
+        with pytest.raises(ModelError, match="weights for obb; expected detect"):
+            call(str(mine), data, tmp_path / "work")
+    weights.write_bytes(weights.read_bytes()[:-30])
+    for call in (plan, run):
+        with pytest.raises(ModelError, match="expected a complete"):
+            call(str(mine), data, tmp_path / "work")
+    assert not (tmp_path / "work").exists()
+
+
+def test_plan_names_start_weights_and_their_network(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
+    weights = write_weights(tmp_path / "start.pt")
+    command = ["experiment", "hit-uav-drone", "--data", str(data), "--work", str(tmp_path / "w"), "--scale", "smoke",
+               "--weights", str(weights), "--plan"]  # fmt: skip
+    assert main(command) == 0
+    assert "start.pt, their network yolov5n" in capsys.readouterr().out
+    assert main([*command, "--json"]) == 0
+    (row,) = [s for s in json.loads(capsys.readouterr().out)["stages"] if "training" in s]
+    assert (row["weights"], row["network"]) == ("start.pt", "yolov5n")
+
+
+def test_rates_are_those_of_a_network_and_weigh_trainings_by_their_images(
+    bench: Bench, data: Path, tmp_path: Path
+) -> None:
+    run("pitch-alignment", data, tmp_path / "work")
+    records = sorted((tmp_path / "work" / "train").glob("*/stage.json"))[:3]
+    for path, (passes, seconds) in zip(records, ((8, 9), (100, 25), (100, 15)), strict=True):
+        facts = json.loads(path.read_text())
+        facts["result"]["record"] |= {"passes": passes, "seconds": seconds, "threads": cpu_threads()}
+        path.write_text(json.dumps(facts))
+    shutil.rmtree(tmp_path / "work" / "evaluate")
+    rates = {k: rate for k, rate in forecast.measured_rates(tmp_path / "work").items() if k[0] == "train"}
+    assert rates == {("train", "yolov8n 160"): pytest.approx((4 + 20 + 10) / 208)}
+    facts["inputs"] |= {"weights": "start.pt", "weights_sha256": "5" * 64}
+    path.write_text(json.dumps(facts))
+    assert forecast.measured_rates(tmp_path / "work")["train", f"{'5' * 64} 160"] == pytest.approx(10 / 100)
 
 
 def test_a_scale_that_an_experiment_lacks_is_refused(data: Path, tmp_path: Path) -> None:
@@ -898,6 +945,19 @@ def test_equal_training_from_elsewhere_is_adopted(bench: Bench, data: Path, tmp_
     assert {p.where for p in caught.value.problems} == {
         "train:aligned, seed", "train:aligned, images", "train:aligned, weights", "train:aligned, images shown",
     }  # fmt: skip
+    weights = write_weights(tmp_path / "given" / "start.pt")
+    record = json.loads((made / "out" / "train.json").read_text()) | {"start_asked": "elsewhere/start.pt"}
+    for digest, differs in (
+        ({}, False),
+        ({"weights_sha256": sha256_of(weights)}, False),
+        ({"weights_sha256": "0"}, True),
+    ):
+        (other / "train.json").write_text(json.dumps(record | digest))
+        work = tmp_path / f"adopts{len(list(tmp_path.iterdir()))}"
+        with pytest.raises(DatasetError) if differs else nullcontext() as caught:
+            run("hit-uav-drone", data, work, weights=str(weights), adopt={**adopt, "train:aligned": other},
+                only=["train:aligned"])  # fmt: skip
+        assert not differs or [p.where for p in caught.value.problems] == ["train:aligned, SHA-256 of the weights"]
     with pytest.raises(DatasetError) as caught:
         run("hit-uav-drone", data, tmp_path / "fourth", seed=1, adopt={"generate:aligned": generated / "out"})
     assert {p.where for p in caught.value.problems} == {"generate:aligned, seed"}

@@ -84,10 +84,11 @@ def train_dataset(
     device = choose_device(request.device)
     require_arguments(preset)
     wanted, left_out = select_training_data(dataset, request)
+    start_asked, digest = weights.identify(request.weights)
     asked = {
         "preset": preset.name, "task": request.task, "seed": request.seed, "settings": dataclasses.asdict(preset),
         "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
-        "start_asked": request.weights, "content": content_digest(wanted),
+        "start_asked": start_asked, "weights_sha256": digest, "content": content_digest(wanted),
     }  # fmt: skip
     if has_deep_pictures(wanted):
         asked["agc"] = request.agc.model_dump()
@@ -104,7 +105,7 @@ def train_dataset(
             if space.state == "started":
                 log.warning("%s: was not prepared to the end; the training starts again", out)
             _remove_working_files(folder)
-            require_free_space(folder, 1.2 * plan_of(wanted, preset, device, request.seed).disk_bytes, "the training")
+            require_free_space(folder, 1.2 * plan_of(wanted, device, request).disk_bytes, "the training")
             start = weights.find_start(request.weights, preset, request.task)
             record = {
                 "infrablend": __version__, **command_facts(), **asked,
@@ -134,6 +135,10 @@ def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any])
     """Raise OtherSettingsError if a training to resume was started with other data or settings."""
     now, record = _flat(json.loads(json.dumps(asked))), _flat(record)
     now.pop("data")  # the data must be the same, not their folder
+    if "weights_sha256" not in record:  # earlier versions recorded the path of the weights alone
+        now.pop("weights_sha256", None)
+        for side in (now, record):
+            side["start_asked"] = Path(str(side.get("start_asked"))).name
     # A setting that only one side has also differs.
     more = [k for k in record if k.startswith("settings.") and k not in now]
     other = [k for k in [*now, *more] if record.get(k) != now.get(k)]

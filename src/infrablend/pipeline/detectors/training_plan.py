@@ -15,6 +15,15 @@ from infrablend.training.files import RECORD
 from infrablend.training.presets import PRESETS, Preset
 from infrablend.training.request import PRESET_FIELDS, TrainRequest
 
+# Arguments of Ultralytics that follow from the request and its folder, and what to give in their place.
+_OF_TRAINER = {
+    "imgsz": "--set image_size", "device": "--device", "seed": "--seed", "val": "--set patience",
+    "pretrained": "--weights", "task": "--task",
+    **dict.fromkeys(
+        ("data", "mode", "project", "name", "save_dir", "exist_ok", "resume", "single_cls"), "nothing in its place"
+    ),
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class TrainPlan:
@@ -29,6 +38,8 @@ class TrainPlan:
         device: Ultralytics' name of the device.
         seconds: Estimated duration, s.
         disk_bytes: Estimated peak disk space, bytes.
+        weights: Name of the start weights, or `auto` or `scratch`.
+        network: Name of the network, which weights other than these two bring along; empty before a download.
     """
 
     images: int
@@ -39,6 +50,8 @@ class TrainPlan:
     device: str
     seconds: float
     disk_bytes: int
+    weights: str
+    network: str
 
 
 def plan_training(
@@ -52,17 +65,18 @@ def plan_training(
     preset = request.chosen_preset()
     device = choose_device(request.device, planning=True)
     require_arguments(preset)
-    weights.require_known(request.weights)
+    weights.require_known(request.weights, request.task)
     if out is not None and (out.exists() or partial_of(out).exists()):
         # Nothing is deleted: what may be replaced may also be resumed.
         with workspace(out, "training", RECORD, "refuse" if existing == "refuse" else "resume", keep=True):
             pass
     wanted, _ = select_training_data(dataset, request)
-    return plan_of(wanted, preset, device, request.seed)
+    return plan_of(wanted, device, request)
 
 
-def plan_of(wanted: Dataset, preset: Preset, device: str, seed: int) -> TrainPlan:
+def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
     """Return the plan of a training on selected data; see `select_training_data`."""
+    preset, seed = request.chosen_preset(), request.seed
     parts = {s: [i for i in wanted.images if i.split == s] for s in ("train", "val")}
     if preset.tile:
         cut = {s: tiles.plan_tiles(p, preset.tile, seed=seed, most=most_tiles(preset, s)) for s, p in parts.items()}
@@ -74,7 +88,8 @@ def plan_of(wanted: Dataset, preset: Preset, device: str, seed: int) -> TrainPla
     return TrainPlan(
         images=images, labels=labels, epochs=epochs, shown=shown, tiled=preset.tile > 0, device=device,
         seconds=presets.estimate_seconds(preset, images, gpu=device != "cpu", threads=presets.cpu_threads()),
-        disk_bytes=round(size + presets.weights_bytes(preset)),
+        disk_bytes=round(size + presets.weights_bytes(preset)), weights=Path(request.weights).name,
+        network=weights.network_of(request.weights, preset, request.task),
     )  # fmt: skip
 
 
@@ -112,10 +127,17 @@ def choose_device(wanted: str, *, planning: bool = False) -> str:
 
 
 def require_arguments(preset: Preset) -> None:
-    """Raise OutputError if Ultralytics refuses arguments set by the user; nothing is checked where it is missing.
+    """Raise OutputError for arguments of the user that the trainer sets itself, or that Ultralytics refuses.
 
-    The check is slow, so the presets' own arguments skip it.
+    The latter are not checked where Ultralytics is missing. That check is slow: the presets' own arguments skip it.
     """
+    fixed = [k for k in _OF_TRAINER if k in preset.arguments]
+    if fixed:
+        raise OutputError(
+            "settings of the training",
+            [Problem(f"--set {k}", "setting-malformed", "an argument that InfraBlend sets itself", _OF_TRAINER[k])
+             for k in fixed],
+        )  # fmt: skip
     own = PRESETS[preset.name].arguments if preset.name in PRESETS else {}
     given = {k: v for k, v in preset.arguments.items() if k not in own or own[k] != v}
     wrong = environment.wrong_arguments(given) if given and not weights.missing_packages() else ""

@@ -45,11 +45,22 @@ def run_trainer(
     write_json(out / RECORD, record, durable=True)
     began = time.monotonic()
     last: dict[str, dict[str, Any]] = {}
+    before = list(record["sessions"])
+
+    def note_session(end: str) -> None:
+        session = {"seconds": round(time.monotonic() - began, 1), "end": end,
+                   "epoch": int(last.get("epoch", {}).get("epoch", 0))}  # fmt: skip
+        if "damaged" in last:
+            session["restarted"] = last["damaged"]["message"]
+        record["sessions"] = [*before, session]
 
     def take(event: dict[str, Any]) -> None:
         last[event["event"]] = event
         if event["event"] == "damaged":
             log.warning("%s: %s", out, event["message"])
+        if event["event"] == "epoch":  # the record must count this session even if it is killed
+            note_session("killed")
+            write_json(out / RECORD, record, durable=True)
         if event["event"] == "step" and on_progress is not None:
             seconds = max(time.monotonic() - began, 1e-6)
             done, total = int(event["images"]), epochs * shown
@@ -62,12 +73,7 @@ def run_trainer(
     code, stopped = watch(command, out / LOG, take)
     # After the event `end` the weights are complete, and a stop has no effect.
     done = "end" in last and (code == 0 or stopped)
-    session: dict[str, Any] = {"seconds": round(time.monotonic() - began, 1),
-                               "end": "end" if done else "stopped" if stopped else "failed",
-                               "epoch": int(last.get("epoch", {}).get("epoch", 0))}  # fmt: skip
-    if "damaged" in last:
-        session["restarted"] = last["damaged"]["message"]
-    record["sessions"] = [*record["sessions"], session]
+    note_session("end" if done else "stopped" if stopped else "failed")
     if done:
         end = last["end"]
         record |= {k: end[k] for k in ("precision", "threads", "versions", "batch")}

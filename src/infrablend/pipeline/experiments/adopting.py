@@ -71,7 +71,7 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
     epochs, shown = Preset(**{"summary": "", **asked}).epochs_for(prepared.get("images") or 0)
     stops_early = bool(asked.get("patience"))
     pairs = {
-        "weights": (record.get("start_asked"), inputs["weights"]),
+        "weights": (Path(str(record.get("start_asked"))).name, inputs["weights"]),
         "epochs": (record.get("epochs"), epochs),
         "images shown": (record.get("passes"), record.get("passes") if stops_early else epochs * shown),
         "task": (record.get("task"), inputs["task"]),
@@ -81,6 +81,8 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
         "images": ((prepared.get("pictures") or {}).get("train"), data["images"].get("train")),
         "labels": ((prepared.get("objects") or {}).get("train"), labels),
     }
+    if "weights_sha256" in record:  # earlier versions recorded the path alone
+        pairs["SHA-256 of the weights"] = (record["weights_sha256"], inputs.get("weights_sha256"))
     _require_equal(job.stage.id, folder, pairs)
     return record
 

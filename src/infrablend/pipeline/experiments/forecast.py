@@ -25,7 +25,7 @@ from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import RECORD, Stage, stage_folder
 from infrablend.training.predict import pick_device
 from infrablend.training.presets import cpu_threads, estimate_seconds
-from infrablend.training.weights import require_ultralytics
+from infrablend.training.weights import AUTO, SCRATCH, network_of, require_known, require_ultralytics
 
 LEARNING = ("train", "evaluate")
 """Kinds of stages that need the trainer."""
@@ -55,7 +55,7 @@ def measured_rates(work: Path, device: str = "cpu") -> Rates:
     """
     trained_on = "gpu" if _runs_on_gpu(device) else cpu_threads()
     here = {k: describe_machine()[k] for k in ("processor", "cores")}
-    found: dict[tuple[str, str], list[float]] = {}
+    sums: dict[tuple[str, str], tuple[float, int]] = {}
     for path in sorted(work.glob(f"*/*/{RECORD}")):
         record = read_object(path) or {}
         with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):  # a record that is not ours
@@ -63,8 +63,10 @@ def measured_rates(work: Path, device: str = "cpu") -> Rates:
                 continue
             seconds, images = _seconds_and_images(record)
             if images and (record["kind"] != "train" or _trained_on(record["result"]["record"]) == trained_on):
-                found.setdefault((str(record["kind"]), _network(record["inputs"])), []).append(seconds / images)
-    return {k: sum(v) / len(v) for k, v in found.items()}
+                key = (str(record["kind"]), _network(record["inputs"]))
+                before_s, before = sums.get(key, (0.0, 0))
+                sums[key] = (before_s + max(seconds - START_S, 0.0), before + images)
+    return {k: seconds / images for k, (seconds, images) in sums.items()}
 
 
 def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
@@ -84,9 +86,13 @@ def _trained_on(record: Mapping[str, Any]) -> str | int:
 
 
 def _network(inputs: Mapping[str, Any]) -> str:
-    """Return the settings that determine the training time per image; empty for other stages."""
-    preset = inputs.get("preset") or {}
-    return " ".join(str(preset[k]) for k in ("model", "image_size") if k in preset)
+    """Return what determines the training time per image, network and size; empty for other stages."""
+    preset = inputs.get("preset")
+    if not preset:
+        return ""
+    start = inputs["weights"]  # which bring their own network
+    model = preset["model"] if start in (AUTO, SCRATCH) else inputs.get("weights_sha256", start)
+    return f"{model} {preset['image_size']}"
 
 
 def stage_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> float:
@@ -135,14 +141,25 @@ def require_trainer(device: str) -> None:
 
 
 def require_training_settings(stages: Iterable[Stage], request: ExperimentRequest) -> None:
-    """Check the settings of all trainings now rather than hours later; without Ultralytics only our own fields.
+    """Check settings and start weights of all trainings now rather than hours later.
+
+    Without Ultralytics, only our own settings are checked.
 
     Raises:
         OutputError: The trainer does not know a setting.
+        FetchError: There are no such weights.
+        ModelError: Weights are damaged, or for another task.
     """
     for stage in stages:
         if stage.kind == "train":
             require_arguments(preset_of(request, stage.spec))
+            require_known(stage.spec.weights, stage.spec.task)
+
+
+def _training(stage: Stage, request: ExperimentRequest) -> dict[str, Any]:
+    spec = stage.spec
+    network = network_of(spec.weights, preset_of(request, spec), spec.task)
+    return {"training": dict(stage.inputs["preset"]), "weights": stage.inputs["weights"], "network": network}
 
 
 def _mean_objects(spec: Generate) -> float:
@@ -218,7 +235,7 @@ def plan_experiment(prepared: PreparedExperiment) -> ExperimentPlan:
                 "images": sum(s.images.values()),
                 "status": status,
                 "needs": sorted(s.needs.values()),
-                **({"training": dict(s.inputs["preset"])} if s.kind == "train" else {}),
+                **(_training(s, request) if s.kind == "train" else {}),
                 "about_s": round(stage_seconds(s, rates, request), 1) if work else 0.0,
                 "disk_bytes": estimate_bytes(s) if work else 0,
             }

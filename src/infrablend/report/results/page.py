@@ -377,7 +377,8 @@ def _training(record: Mapping[str, Any]) -> str:
     origin = "from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}"
     parts = [
         f"images {_per_split(pictures)}{of_paper}" if pictures else "",
-        None if start.get("kind") == "file" else settings.get("model"),  # a file of weights has its own network
+        # A file of weights has its own network.
+        start.get("network") or (None if start.get("kind") == "file" else settings.get("model")),
         f"{number}tiles of {settings['tile']} px at native resolution" if settings.get("tile") else "",
         f"{settings['image_size']} px" if settings.get("image_size") else "",
         f"batch {record['batch']}" if record.get("batch") else "",
