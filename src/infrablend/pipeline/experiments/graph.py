@@ -25,7 +25,6 @@ from infrablend.config.experiment import (
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import NOT_IN_KEY, Recipe
 from infrablend.core.dataset import SPLITS, Split
-from infrablend.core.files import sha256_of
 from infrablend.core.shipped import Scale
 from infrablend.core.validation_messages import did_you_mean
 from infrablend.core.workspace import WORLD_FILE
@@ -38,7 +37,7 @@ from infrablend.pipeline.experiments.request import ExperimentRequest
 from infrablend.pipeline.experiments.stage import Stage, stage_keys
 from infrablend.training.presets import Preset
 from infrablend.training.request import choose_preset
-from infrablend.training.weights import AUTO
+from infrablend.training.weights import AUTO, identify
 
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "medium": 1000, "paper": 1000}
 """Number of bootstrap draws at each scale."""
@@ -236,16 +235,17 @@ class _Builder:
         of_scale = self.experiment.settings.get(self.request.scale, {})
         weights = self.request.weights if spec.weights == AUTO else spec.weights
         spec = spec.model_copy(update={"settings": {**of_scale, **spec.settings}, "weights": weights})
+        start, digest = identify(spec.weights)
         inputs = {
             "preset": preset_inputs(preset_of(self.request, spec)),
             "scale": self.request.scale,
             "seed": self.request.seed + spec.reseed,
             "task": spec.task,
             "classes": spec.classes,
-            "weights": spec.weights,
+            "weights": start,
         }
-        if Path(spec.weights).is_file():  # training them anew must train what starts from them, wherever they lie
-            inputs |= {"weights": Path(spec.weights).name, "weights_sha256": sha256_of(Path(spec.weights))}
+        if digest is not None:  # training them anew must train what starts from them, wherever they lie
+            inputs["weights_sha256"] = digest
         images = self.stages[self.made_by[spec.data]].images
         used = {s: images[s] for s in ("train", "val") if s in images}
         self.add(Stage("train", name, inputs, {"data": self.made_by[spec.data]}, spec, used))

@@ -9,7 +9,6 @@ import contextlib
 import json
 import os
 import platform
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -18,6 +17,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from infrablend.core.files import existing_part, free_bytes
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.core.user_folders import cache_folder
 from infrablend.engine.process import blender_process
@@ -322,11 +322,10 @@ def _ask_trainer(limit_s: float) -> Trainer:
 
 def _free_bytes(folder: Path) -> int | None:
     """Return the free bytes on the disk of `folder`, which need not exist; None if it cannot be written."""
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+    existing = existing_part(folder)
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
         return None
-    return shutil.disk_usage(folder).free
+    return free_bytes(existing)
 
 
 def _bytes_in(folder: Path) -> int:
