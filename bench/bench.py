@@ -32,8 +32,8 @@ from quality import LEAST_SPAN_GREY, REFERENCE_SAMPLES, joined, measure_errors, 
 from scenes import PHYSICAL_RECIPE, RECIPE, SEED, Work, distribution, part_of_plan, plan_of, quantiles, spread
 from variants import DEFAULT_THRESHOLD, PAPER_SAMPLES, split_program, time_full_frames, time_label_files, time_program
 
-from infrablend.engine.renderer import MATCHED
 from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.rendering.engine.renderer import MATCHED
 from infrablend.rendering.lattice import FRAGMENTS, SUPERSAMPLE
 from recipes import FIRST_FRAME_RECIPE, FIRST_FRAME_S, LIMITS_CPU_S, PLAN_FACTOR, SIZES, Side, compare_recipe
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from infrablend import api
 from infrablend.core.outline import Body, find_body
-from infrablend.formats.images import load_background
+from infrablend.formats.pictures.images import load_background
 
 _EDGES_PX = (2, 4, 8, 14, 30)
 _LEAST_OBJECTS = 5

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from infrablend import api
-from infrablend.formats.images import load_background
-from infrablend.realism.contrasts import object_contrast
-from infrablend.realism.looseness import side_spreads, visible_extent
+from infrablend.annotation.measured_looseness import side_spreads, visible_extent
+from infrablend.compositing.object_contrast import object_contrast
+from infrablend.formats.pictures.images import load_background
 
 _LEAST_OBJECTS = 30
 

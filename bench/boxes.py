@@ -45,7 +45,7 @@ def measure_boxes(model: str, size_px: float, poses: int) -> list[BoxFit]:
     The silhouette does not depend on the geometry code of the labels: Cycles renders it at `FINER` times the
     resolution, with one sample in the middle of each pixel and without a filter.
     """
-    from infrablend.engine.renderer import BlenderRenderer
+    from infrablend.rendering.engine.renderer import BlenderRenderer
 
     class Silhouettes(BlenderRenderer):
         def _cycles(self, spec: SceneSpec, bounces: int) -> dict[str, Any]:

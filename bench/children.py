@@ -20,7 +20,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from infrablend.execution.worker import ONE_THREAD
+from infrablend.pipeline.execution.worker import ONE_THREAD
 
 
 class ChildError(RuntimeError):

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_iou
 from infrablend.core.dataset import ImageRecord
-from infrablend.evaluation.detections import Detections, read_predictions
-from infrablend.evaluation.truth import image_key
+from infrablend.detection.detections import Detections, read_predictions
+from infrablend.detection.truth import image_key
 from infrablend.formats.detection import read
 
 FOUND, LOOSE = 0.5, 0.3

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.compositing.gain import Backdrop, ring_level
+from infrablend.compositing.object_contrast import MIN_COMPARED, MIN_IN_IMAGE, UNCLIPPED, object_contrast
 from infrablend.core.dataset import ImageRecord
 from infrablend.formats.detection import read
-from infrablend.realism.contrasts import MIN_COMPARED, MIN_IN_IMAGE, UNCLIPPED, object_contrast
 
 REACHES = (0.5, 1.0, 1.5, 3.0)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.realism.classify import auc, out_of_fold
+from infrablend.lab.realism.classify import auc, out_of_fold
 
 WINDOW = 8
 FEATURES = (

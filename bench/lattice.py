@@ -23,8 +23,8 @@ from variants import with_samples
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.scene import SceneSpec
-from infrablend.engine.renderer import BlenderRenderer
 from infrablend.pipeline.compose.frame import FrameComposer
+from infrablend.rendering.engine.renderer import BlenderRenderer
 from infrablend.thermal.radiometry import band_radiance
 
 RECIPES = ("hit-uav-drone", "hit-uav-drone-physical", "hit-uav-people", "hit-uav-cars", "deer-above")

@@ -10,7 +10,7 @@ import numpy as np
 from scenes import Work
 
 from infrablend.core.tasks import Task
-from infrablend.pipeline.compose.worker import FrameMaker
+from infrablend.pipeline.compose.frame_worker import FrameMaker
 
 # The first frames fill caches and buffers; the slope is fitted after them.
 SETTLING_FRAMES = 50

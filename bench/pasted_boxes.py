@@ -26,10 +26,10 @@ from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
-from infrablend.formats import coco
 from infrablend.formats.detection import read
-from infrablend.formats.images import save_image
-from infrablend.pipeline.experiments.pasting import is_seen, load_grey
+from infrablend.formats.labels import coco
+from infrablend.formats.pictures.images import save_image
+from infrablend.lab.experiments.pasting import is_seen, load_grey
 
 AROUND_PX = 5
 MOST_OVERLAP, MOST_PASTED_OVERLAP = 0.25, 0.12

@@ -26,11 +26,11 @@ import numpy as np
 from infrablend import api
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.surface_kinds import SURFACES
-from infrablend.formats.images import load_background
-from infrablend.places.labelled_ground import LabelledGround, learn_ground, with_labels
-from infrablend.places.surfaces import DRIVE, STAND, find_surfaces, model_version
-from infrablend.realism.classify import auc, bootstrap
+from infrablend.formats.pictures.images import load_background
+from infrablend.imaging.surfaces import DRIVE, STAND, find_surfaces, model_version
+from infrablend.lab.realism.classify import auc, bootstrap
 from infrablend.report.preview import spread
+from infrablend.sampling.labelled_ground import LabelledGround, learn_ground, with_labels
 
 OFF_LIMITS = {"tree", "shrub", "roof", "wall", "water", "vehicle", "object"}
 SURE = 2

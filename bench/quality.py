@@ -16,8 +16,8 @@ from infrablend.compositing.mapping import GreyMapping, percentile_mapping
 from infrablend.compositing.overlay import blend, make_layer
 from infrablend.core.render import RenderResult
 from infrablend.core.scene import SceneSpec
-from infrablend.formats.images import load_background
-from infrablend.sampling.scene import sample_scene
+from infrablend.formats.pictures.images import load_background
+from infrablend.sampling.scene_sampler import sample_scene
 
 REFERENCE_SAMPLES = 2048
 # The reference must not use the same samples as the measured picture.
@@ -46,7 +46,7 @@ def measure_errors(work: Work, kept: dict[str, Path]) -> Errors:
     The final composited float pictures are compared, before quantisation and JPEG. If the object spans fewer than
     `LEAST_SPAN_GREY` levels, the grey-level mapping of the frame is stretched until it does.
     """
-    from infrablend.engine.renderer import BlenderRenderer
+    from infrablend.rendering.engine.renderer import BlenderRenderer
 
     class Switching(BlenderRenderer):
         reference = False

@@ -15,13 +15,13 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
 from infrablend.core.placed import PlacedScene
-from infrablend.formats import hit_uav
+from infrablend.formats.published import hit_uav
 from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan
-from infrablend.pipeline.plans.request import Execution
-from infrablend.sampling.scene import sample_scene
+from infrablend.pipeline.plans.run_request import Execution
+from infrablend.sampling.scene_sampler import sample_scene
 
 RECIPE = "hit-uav-drone"
 PHYSICAL_RECIPE = "hit-uav-drone-physical"

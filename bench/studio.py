@@ -26,7 +26,7 @@ from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.yaml_text import read_yaml
 from infrablend.pipeline.compose.trial import TrialRequest
-from infrablend.studio.pictures import to_png
+from infrablend.studio.page_pictures import to_png
 from infrablend.studio.tuning import Tuning
 
 _WAIT_MS = 120_000

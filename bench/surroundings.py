@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend import api
+from infrablend.compositing.object_contrast import Picture
 from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.mesh import FloatArray
 from infrablend.core.run_folder import RunFolder
-from infrablend.formats.images import load_background
-from infrablend.realism.features import Picture
+from infrablend.formats.pictures.images import load_background
 
 BANDS_PX = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 24)
 """Outer distance of each band around a box; the first begins at the box."""

@@ -19,8 +19,8 @@ import numpy as np
 from in_time import FEATURES, floor_of, look_at, tell_apart, windows
 
 from infrablend.core.run_folder import RunFolder
-from infrablend.motion.shift import moved
-from infrablend.pipeline.capture.camera_motion import find_motion, sequences_of
+from infrablend.imaging.camera_shift import moved
+from infrablend.pipeline.extraction.camera_motion import find_motion, sequences_of
 from infrablend.pipeline.runs.recorded import RecordedRun
 
 

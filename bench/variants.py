@@ -20,8 +20,8 @@ from scenes import Work
 import infrablend.compositing.picture as over
 import infrablend.pipeline.compose.extensions as extensions
 import infrablend.pipeline.compose.frame as pipeline
+import infrablend.pipeline.compose.frame_worker as worker
 import infrablend.pipeline.compose.looks as looks
-import infrablend.pipeline.compose.worker as worker
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import percentile_mapping
 from infrablend.compositing.overlay import compose, make_layer
@@ -33,11 +33,11 @@ from infrablend.core.render import RenderResult
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task
-from infrablend.formats.images import encode_image, load_background, output_suffix
-from infrablend.pipeline.compose.worker import FrameMaker
+from infrablend.formats.pictures.images import encode_image, load_background, output_suffix
+from infrablend.pipeline.compose.frame_worker import FrameMaker
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.runs.exports import export_run
-from infrablend.sampling.scene import RecipeSampler, sample_scene
+from infrablend.sampling.scene_sampler import RecipeSampler, sample_scene
 
 PAPER_SAMPLES = 640
 # Blender's own: noise at which adaptive sampling stops, 0 for the least number of samples means "automatic".
@@ -54,7 +54,7 @@ def time_full_frames(work: Work, defaults: bool) -> list[dict[str, Any]]:
         work: Frames to make, and the output folder.
         defaults: True for Blender's default sampling: adaptive at 0.01, at most 640 samples, then denoised.
     """
-    from infrablend.engine.renderer import BlenderRenderer
+    from infrablend.rendering.engine.renderer import BlenderRenderer
 
     class Defaults(BlenderRenderer):
         def _cycles(self, spec: SceneSpec, bounces: int) -> dict[str, Any]:

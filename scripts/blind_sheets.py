@@ -26,7 +26,7 @@ import numpy as np
 
 from infrablend.core.dataset import Instance
 from infrablend.core.files import load_json, write_json, write_text
-from infrablend.core.output import require_outside_datasets
+from infrablend.core.output_checks import require_outside_datasets
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, InfraBlendError

@@ -66,7 +66,7 @@ def one_round(
     from ray.cluster_utils import Cluster
 
     from infrablend import api
-    from infrablend.pipeline.plans.request import Execution
+    from infrablend.pipeline.plans.run_request import Execution
 
     rng = random.Random(given.seed * 1000 + number)
     node_bytes = {"num_cpus": 1, "object_store_memory": 80 * 2**20, "memory": 2 * 2**30}
@@ -117,7 +117,7 @@ def main() -> int:
     options.add_argument("--recipe", default="hit-uav-drone")
     given = options.parse_args()
     from infrablend import api
-    from infrablend.pipeline.plans.request import Execution
+    from infrablend.pipeline.plans.run_request import Execution
 
     with tempfile.TemporaryDirectory(prefix="ray-check-") as name:
         folder = Path(name)

@@ -34,7 +34,7 @@ done
   stop "$python lacks the venv module; install it (Debian 12: apt-get install python3-venv)"
 
 # --- system libraries -------------------------------------------------------------------------------------------
-mapfile -t missing < <("$python" src/infrablend/engine/system_libraries.py)
+mapfile -t missing < <("$python" src/infrablend/rendering/engine/system_libraries.py)
 if [ "${#missing[@]}" -gt 0 ]; then
   line="apt-get install -y --no-install-recommends ${missing[*]}"
   if ! command -v apt-get >/dev/null; then
@@ -53,7 +53,7 @@ sudo apt-get update && sudo $line"
     "${as_root[@]}" apt-get update >>"$log" 2>&1 || true
     "${as_root[@]}" $line >>"$log" 2>&1 || { tail -n 15 "$log" >&2; stop "could not install them; see $log. The line was: $line"; }
   fi
-  mapfile -t missing < <("$python" src/infrablend/engine/system_libraries.py)
+  mapfile -t missing < <("$python" src/infrablend/rendering/engine/system_libraries.py)
   [ "${#missing[@]}" -eq 0 ] || stop "installed, but these still do not load: ${missing[*]}"
 fi
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Trains the model that finds surfaces, `infrablend/places/surfaces.onnx.xz`, on the virtual world alone.
+"""Trains the model that finds surfaces, `infrablend/imaging/surfaces.onnx.xz`, on the virtual world alone.
 
     .venv/bin/python scripts/train_surfaces.py render build/surfaces --count 1200       # needs Blender
     TRAIN/python scripts/train_surfaces.py train build/surfaces --steps 2400            # needs torch
@@ -29,10 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from infrablend.world.fixtures import Tree
+    from infrablend.lab.world.fixtures import Tree
 
 ROOT = Path(__file__).resolve().parents[1]
-MODEL = ROOT / "src/infrablend/places/surfaces.onnx.xz"
+MODEL = ROOT / "src/infrablend/imaging/surfaces.onnx.xz"
 SIZE_WH = (320, 256)
 SEED = 42
 # Kinds of places, and how often each is drawn.
@@ -57,8 +57,8 @@ Scene = tuple[NDArray[np.float16], NDArray[np.uint8]]
 
 def render(folder: Path, count: int) -> None:
     """Render scenes to `folder`/scenes, unless they are there; scene k is the same whatever `count` is."""
-    from infrablend.engine.world import WorldRenderer
-    from infrablend.world.sampling import sample_world
+    from infrablend.lab.world.blender_world import WorldRenderer
+    from infrablend.lab.world.draw_plan import sample_world
 
     out = folder / "scenes"
     out.mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,7 @@ def write_clips(lab: Path) -> None:
 def write_detections(lab: Path) -> None:
     """Write the clips, and detections on the pictures of split test."""
     write_clips(lab)
-    from infrablend.evaluation.detections import Predictions, detections, write_predictions
+    from infrablend.detection.detections import Predictions, detections, write_predictions
 
     found = {}
     for path in sorted((lab / "in" / "data" / "images" / "test").iterdir()):

@@ -13,15 +13,15 @@ import pytest
 def coarse_worlds() -> Iterator[None]:
     """Render all virtual worlds coarsely, in worker processes and in this one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("infrablend.pipeline.capture.world.WORKER", "tests.coarse_world:make_coarse_worker")
-        patch.setattr("infrablend.engine.world.OVERSAMPLE", 1)
-        patch.setattr("infrablend.engine.world.SAMPLES", 1)
+        patch.setattr("infrablend.lab.world.make_world.WORKER", "tests.coarse_world:make_coarse_worker")
+        patch.setattr("infrablend.lab.world.blender_world.OVERSAMPLE", 1)
+        patch.setattr("infrablend.lab.world.blender_world.SAMPLES", 1)
         yield
 
 
 def make_coarse_worker(settings: Mapping[str, Any]) -> Any:
     """Return a worker for virtual worlds, in a process of its own."""
-    from infrablend.engine import world
+    from infrablend.lab.world import blender_world
 
-    world.OVERSAMPLE = world.SAMPLES = 1
-    return world.make_world_worker(settings)
+    blender_world.OVERSAMPLE = blender_world.SAMPLES = 1
+    return blender_world.make_world_worker(settings)

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from PIL import Image
 
-from infrablend.formats import derived
+from infrablend.formats.pictures import derived
 
 # The same examples on every machine and in every run; shared machines make deadlines meaningless.
 settings.register_profile(

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 
 
 def flat_defaults() -> tuple[Any, ...]:

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from infrablend.errors import DatasetError
-from infrablend.formats.images import load_background
-from infrablend.formats.rjpeg.facts import read_facts
-from infrablend.formats.rjpeg.segments import read_header
-from infrablend.formats.rjpeg.temperatures import read_temperatures
+from infrablend.formats.cameras.header_facts import read_facts
+from infrablend.formats.cameras.jpeg_segments import read_header
+from infrablend.formats.cameras.raw_temperatures import read_temperatures
+from infrablend.formats.pictures.images import load_background
 from tests.fuzzing import TooSlow, bounded_memory, watched, with_size
 
 Choice = random.Random

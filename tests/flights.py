@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from infrablend.formats.rjpeg.segments import APP1, read_header
-from infrablend.formats.rjpeg.writing import Maker, Shot, radiometric_jpeg, segment_bytes
-from infrablend.formats.rjpeg.xmp import STANDARD
+from infrablend.formats.cameras.jpeg_segments import APP1, read_header
+from infrablend.formats.cameras.rjpeg_writing import Maker, Shot, radiometric_jpeg, segment_bytes
+from infrablend.formats.cameras.xmp import STANDARD
 
 SIZE_WH = (160, 128)
 _EXIF = b"Exif\0\0"

@@ -25,7 +25,8 @@ import numpy as np
 from infrablend.core.dataset import SPLITS, Dataset
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import InfraBlendError
-from infrablend.formats import derived, detection
+from infrablend.formats import detection
+from infrablend.formats.pictures import derived
 from infrablend.formats.reading import Reading
 from infrablend.report.checking import check_dataset, unreadable
 from infrablend.report.inspection import inspect_dataset

@@ -29,10 +29,11 @@ from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import sha256_of
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.core.run_folder import ShardFiles
-from infrablend.formats import anti_uav, coco, dota, hit_uav, masks, voc, yolo
-from infrablend.formats.shard_tar import TarWriter, label_text
+from infrablend.formats.labels import coco, dota, masks, voc, yolo
+from infrablend.formats.labels.shard_tar import TarWriter, label_text
+from infrablend.formats.published import anti_uav, hit_uav
 
 Build = Callable[[Path], Path]
 SAMPLES: dict[str, Build] = {}
@@ -289,7 +290,7 @@ def _coco_flir(folder: Path) -> Path:
 
 @sample("cvat")
 def _cvat(folder: Path) -> Path:
-    from infrablend.formats import cvat  # which sources of earlier versions do not have
+    from infrablend.formats.labels import cvat  # which sources of earlier versions do not have
 
     return _written(folder, lambda images, categories: cvat.write(folder, images, categories))
 
@@ -417,14 +418,14 @@ def _hit_uav_xml(folder: Path) -> Path:
 
 @sample("huggingface")
 def _huggingface(folder: Path) -> Path:
-    from infrablend.formats import huggingface  # which sources of earlier versions do not have
+    from infrablend.formats.labels import huggingface  # which sources of earlier versions do not have
 
     return _written(folder, lambda images, categories: huggingface.write(folder, images, categories))
 
 
 @sample("label-studio")
 def _label_studio(folder: Path) -> Path:
-    from infrablend.formats import label_studio  # which sources of earlier versions do not have
+    from infrablend.formats.labels import label_studio  # which sources of earlier versions do not have
 
     return _written(folder, lambda images, categories: label_studio.write(folder, images, categories))
 

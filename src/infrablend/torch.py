@@ -30,7 +30,7 @@ from infrablend.core.arguments import require_whole
 from infrablend.core.dataset import Category
 from infrablend.core.rng import integer_seed, stream
 from infrablend.errors import ArgumentError, MissingDependencyError
-from infrablend.pipeline.compose.in_memory import Frame, Frames, FramesRequest
+from infrablend.pipeline.compose.memory_frames import Frame, Frames, FramesRequest
 
 try:
     import torch

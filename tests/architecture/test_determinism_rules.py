@@ -35,11 +35,11 @@ NUMPY_RANDOM_ALLOWED = {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
 
 # These files show times to users but write none to outputs; each states so where it reads the clock.
 ALLOWED: dict[str, set[str]] = {
-    "storage/store.py": {"random"},  # jobs pause differently between attempts; no output depends on that
+    "pipeline/storage/store.py": {"random"},  # jobs pause differently between attempts; no output depends on that
     "studio/guard.py": {"secrets"},  # the token of a page's address, which must not be guessed
-    "fetching/fetch.py": {"time.gmtime"},  # when a dataset was downloaded
+    "pipeline/fetching/fetch.py": {"time.gmtime"},  # when a dataset was downloaded
     # Ultralytics draws from the global generators: the trainer's own process seeds them, from seed and epoch.
-    "training/trainer.py": {"random", "np.random.seed"},
+    "lab/training/trainer.py": {"random", "np.random.seed"},
 }
 
 

@@ -193,11 +193,11 @@ def test_every_fact_of_a_scene_is_read() -> None:
 
 
 def test_the_reasons_of_removal_are_those_that_occur() -> None:
-    from infrablend.annotation import merge
-    from infrablend.pipeline.runs.card import REMOVAL_TEXTS
+    from infrablend.annotation import merge_labels
+    from infrablend.pipeline.runs.run_card import REMOVAL_TEXTS
 
-    tree = ast.parse(Path(merge.__file__).read_text("utf-8"))
-    reasons = set(typing.get_args(merge.RemovalReason))
+    tree = ast.parse(Path(merge_labels.__file__).read_text("utf-8"))
+    reasons = set(typing.get_args(merge_labels.RemovalReason))
     # The literal itself is an assignment at the top of the module: only what functions use occurs.
     used = {
         node.value
@@ -214,7 +214,7 @@ def test_the_reasons_of_removal_are_those_that_occur() -> None:
 
 def test_every_setting_of_merging_is_set_by_the_pipeline() -> None:
     """A setting that only tests set is a removal that cannot occur."""
-    from infrablend.annotation.merge import MergeSettings
+    from infrablend.annotation.merge_labels import MergeSettings
 
     given: set[str] = set()
     for text in (path.read_text("utf-8") for path in SOURCES):
@@ -285,7 +285,7 @@ def test_commands_in_the_docs_exist_with_these_options() -> None:
 def test_settings_in_the_docs_are_recipe_fields() -> None:
     from infrablend.config.loading import load_recipe
     from infrablend.errors import RecipeError
-    from infrablend.training.presets import Preset
+    from infrablend.lab.training.presets import Preset
 
     of_trainer = {f.name for f in fields(Preset)}  # `infrablend train --set`
     commands = []

@@ -6,13 +6,13 @@ import ast
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "src" / "infrablend"
-# Readers of datasets and downloads, in `formats` and `fetching`, have rules of their own;
+# Readers of datasets, in `formats`, have rules of their own;
 # `blender` opens what users choose as they choose software.
-LAYERS = ("core", "assets", "config", "sampling", "evaluation", "execution", "pipeline", "report", "studio", "training")
+LAYERS = ("core", "assets", "config", "sampling", "detection", "pipeline", "report", "studio", "lab")
 READS = {"read_text", "read_bytes", "imread", "np.load", "torch.load", "json.load", "os.open", "open", "Image.open"}
 ALLOWED = {
     "assets/user_model.py": "imported geometry in the user's cache",
-    "config/experiment.py": "shipped files, and one that the user names",
+    "lab/experiments/definition.py": "shipped files, and one that the user names",
     "config/loading.py": "shipped files, and one that the user names",
     "config/sensor_profile.py": "a file that the user names",
     "core/files.py": "the place that all others use",
@@ -20,11 +20,13 @@ ALLOWED = {
     "core/lazy_names.py": "a file of the package",
     "core/ledger.py": "the ledger, by SQLite",
     "core/run_folder.py": "the ledger, by SQLite",
+    "core/shipped_files.py": "files of the package",
     "core/workspace.py": "folders, to lock them",
-    "evaluation/comparison.py": "an open file",
-    "evaluation/detections.py": "a file that the user names",
-    "execution/scratch.py": "folders, to lock them",
-    "pipeline/studies/measure_objects.py": "bytes in memory",
+    "lab/evaluation/evaluation_comparison.py": "an open file",
+    "detection/detections.py": "a file that the user names",
+    "pipeline/fetching/archive.py": "downloads, which it checks itself",
+    "pipeline/execution/scratch.py": "folders, to lock them",
+    "lab/realism/measure_objects.py": "bytes in memory",
     "pipeline/compose/frame.py": "backgrounds, which may be links",
     "pipeline/runs/packed_shard.py": "the ledger, by SQLite",
     "pipeline/studies/profile.py": "pictures of a dataset, checked by its reader",
@@ -34,8 +36,8 @@ ALLOWED = {
     "pipeline/compose/trial.py": "a file that the user names",
     "report/card.py": "the licence beside a dataset",
     "report/checking.py": "pictures of a dataset, checked by its reader",
-    "training/predict.py": "pictures of a dataset, checked by its reader, and weights that the user names",
-    "training/trainer.py": "checkpoints, which Ultralytics opens as well",
+    "detection/predict.py": "pictures of a dataset, checked by its reader, and weights that the user names",
+    "lab/training/trainer.py": "checkpoints, which Ultralytics opens as well",
 }
 """Modules that open files without `core.files.open_regular`, with what they open."""
 

@@ -24,8 +24,8 @@ from typing import Any
 import typer.main
 
 from infrablend.cli import app, main
-from infrablend.pipeline.experiments.request import ExperimentRequest
-from infrablend.pipeline.plans.request import Execution
+from infrablend.lab.experiments.experiment_request import ExperimentRequest
+from infrablend.pipeline.plans.run_request import Execution
 from tests.flat_renderer import flat_defaults
 
 KILLED = -signal.SIGKILL

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.engine.process import BlenderProcess
-from infrablend.engine.programs import Program, find_blender
-from infrablend.engine.renderer import BlenderRenderer
+from infrablend.rendering.engine.process import BlenderProcess
+from infrablend.rendering.engine.programs import Program, find_blender
+from infrablend.rendering.engine.renderer import BlenderRenderer
 
 # A further job: its code sees the server's jobs as `jobs`, what was given as `given`, and sets `answer`.
 _SERVE = """

@@ -72,7 +72,7 @@ def test_labels_against_pixels(whole, backgrounds, blender):
     from infrablend.assets.catalogue import load_model
     from infrablend.compositing.mapping import GreyMapping
     from infrablend.compositing.overlay import blend, make_layer
-    from infrablend.sampling.scene import rebuild_scene
+    from infrablend.sampling.scene_sampler import rebuild_scene
 
     models = {"drone": load_model("drone")}
     softness = 0.45

@@ -267,7 +267,7 @@ def test_who_draws_what(blender, monkeypatch):
     def stop(_):
         raise DrawnError
 
-    monkeypatch.setattr("infrablend.engine.renderer.render_on_lattice", stop)
+    monkeypatch.setattr("infrablend.rendering.engine.renderer.render_on_lattice", stop)
     mesh = box_mesh()
     plain = place(scene([thing()], samples=0), [mesh])
     for placed in (plain, physical(plain, CLEAR)):

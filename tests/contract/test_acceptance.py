@@ -15,7 +15,7 @@ from infrablend import api
 from infrablend.core.boxes import box_of_points, polygon_area
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.format_table import NATIVE, find_writer, written_names
-from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.plans.run_request import RunRequest
 
 ROOT = Path(__file__).resolve().parents[2]
 # What a library keeps of a coordinate: Datumaro two decimals, Supervision 32 bits.

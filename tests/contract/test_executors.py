@@ -16,7 +16,7 @@ import pytest
 
 from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import Interrupted, MissingDependencyError, RenderError, WorkerDiedError
-from infrablend.execution import PoolSettings, ProcessPool, RayPool, RaySettings, Serial, WarmPool
+from infrablend.pipeline.execution import PoolSettings, ProcessPool, RayPool, RaySettings, Serial, WarmPool
 
 OBEY = WorkerSpec("executor_work:obey")
 # Far above what any machine needs: an upper bound on a wait, never a measurement.
@@ -350,7 +350,7 @@ import sys
 from pathlib import Path
 from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import Interrupted
-from infrablend.execution import PoolSettings, ProcessPool, Serial, process_pool
+from infrablend.pipeline.execution import PoolSettings, ProcessPool, Serial, process_pool
 kind, folder, grace_s = sys.argv[1], sys.argv[2], float(sys.argv[3])
 
 class Run(process_pool._Run):

@@ -17,10 +17,12 @@ from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FORMATS
-from infrablend.core.masks import Mask
-from infrablend.formats import coco, detection, hit_uav, monet, voc, yolo
+from infrablend.core.rle_masks import Mask
+from infrablend.formats import detection
 from infrablend.formats.base import sort_images
+from infrablend.formats.labels import coco, voc, yolo
 from infrablend.formats.losses import Written
+from infrablend.formats.published import hit_uav, monet
 
 CATEGORIES = (*hit_uav.CATEGORIES, Category(5, "drone"))
 SIZE_WH = (64, 48)

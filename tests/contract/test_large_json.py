@@ -15,9 +15,10 @@ from tests.samples import SAMPLES, picture
 
 from infrablend.core import json_records
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats import annotation_files, detection, label_studio
+from infrablend.formats import annotation_files, detection
 from infrablend.formats.annotation_files import read_lines
-from infrablend.formats.capture import read_table
+from infrablend.formats.labels import label_studio
+from infrablend.formats.picture_facts import read_table
 from infrablend.formats.unread import unread_files
 
 WITH_JSON = [

@@ -12,7 +12,7 @@ import pytest
 
 from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import OutputError
-from infrablend.execution import RayPool, RaySettings
+from infrablend.pipeline.execution import RayPool, RaySettings
 
 pytest.importorskip("ray", reason="NEEDS RAY: `make ray` installs it; the executor for Ray is not tested without it")
 pytestmark = pytest.mark.slow
@@ -45,7 +45,7 @@ PROGRAM = """
 import sys
 from infrablend.core.tasks import Task, WorkerSpec
 from infrablend.errors import Interrupted
-from infrablend.execution import RayPool, RaySettings
+from infrablend.pipeline.execution import RayPool, RaySettings
 folder, grace_s = sys.argv[1], float(sys.argv[2])
 tasks = [Task("quick", ("give", "quick"))] + [Task(f"t{i}", ("wait_for_release", (folder, i))) for i in range(20)]
 try:

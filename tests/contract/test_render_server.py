@@ -14,11 +14,11 @@ from tests.blender.conftest import box_mesh, scene, thing
 from infrablend.core.child_process import CHILD_BYTES
 from infrablend.core.placed import PlacedScene, place
 from infrablend.core.render import RenderResult
-from infrablend.engine import programs
-from infrablend.engine.process import BlenderProcess, blender_process
-from infrablend.engine.programs import OFF, VARIABLE, Program, blender_version, candidates, find_blender
-from infrablend.engine.renderer import ATTEMPTS, BlenderRenderer
 from infrablend.errors import MissingDependencyError, WorkerDiedError
+from infrablend.rendering.engine import programs
+from infrablend.rendering.engine.process import BlenderProcess, blender_process
+from infrablend.rendering.engine.programs import OFF, VARIABLE, Program, blender_version, candidates, find_blender
+from infrablend.rendering.engine.renderer import ATTEMPTS, BlenderRenderer
 
 # A program that takes Blender's options, as far as they are used, and runs the code in the Python of its first line.
 PROGRAM = """#!{python}
@@ -164,8 +164,8 @@ def test_a_blender_that_cannot_be_used_says_why(how: str, words: list[str], tmp_
 
 
 def test_a_blender_without_a_sign_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("infrablend.engine.process._START_S", 0.5)
-    monkeypatch.setattr("infrablend.engine.process._END_S", 0.1)
+    monkeypatch.setattr("infrablend.rendering.engine.process._START_S", 0.5)
+    monkeypatch.setattr("infrablend.rendering.engine.process._END_S", 0.1)
     process = BlenderProcess(Program(write_program(tmp_path, "import time; time.sleep(60)"), "a test"))
     with pytest.raises(MissingDependencyError, match=r"gave no sign within 0\.5 s"):
         process.greet()

@@ -17,11 +17,12 @@ from infrablend.core.capture import FACTS, Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FIELDS, NATIVE, WRITERS, Writer, find_format, written_names
 from infrablend.core.format_table import FORMATS as TABLE
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
-from infrablend.formats import detection, writing, yolo
+from infrablend.formats import detection, writing
+from infrablend.formats.labels import yolo
 from infrablend.formats.losses import LOSSES
-from infrablend.formats.pictures import read_size
+from infrablend.formats.pictures.listing import read_size
 from infrablend.formats.reading import Reading
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.formats.writing import load_writer

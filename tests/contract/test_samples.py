@@ -13,7 +13,7 @@ from tests.samples import SAMPLES
 from infrablend import api
 from infrablend.core.format_table import FORMATS, WRITERS, Writer
 from infrablend.formats import detection, writing
-from infrablend.formats.pictures import read_size
+from infrablend.formats.pictures.listing import read_size
 
 
 def test_every_format_has_a_sample() -> None:

@@ -18,15 +18,15 @@ from typing import Any
 
 import cv2
 import pytest
+from tests.lab.pages.test_studio_results import REALISM
 from tests.run_files import edit_ledger
 from tests.samples import picture
 from tests.studio_runs import frame_record, write_run, write_sequence
-from tests.unit.studio.test_results import REALISM
 
 from infrablend import api
 from infrablend.config.loading import load_recipe
-from infrablend.pipeline.plans.request import Execution
-from infrablend.pipeline.runs.review import Verdict, read_verdicts
+from infrablend.pipeline.plans.run_request import Execution
+from infrablend.pipeline.runs.review_file import Verdict, read_verdicts
 
 pytestmark = pytest.mark.slow
 WAIT_MS = 60_000

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from infrablend.core.boxes import corners_of_cxcywha, polygon_area
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.core.masks import Mask
-from infrablend.formats import yolo
+from infrablend.core.rle_masks import Mask
 from infrablend.formats.box_checks import check_box, obb_from_corners
+from infrablend.formats.labels import yolo
 from infrablend.formats.losses import Losses
-from infrablend.formats.pictures import check_name
+from infrablend.formats.pictures.listing import check_name
 from infrablend.formats.polygons import outline, rasterise
 from infrablend.formats.records import Findings
 

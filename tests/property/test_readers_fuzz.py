@@ -23,7 +23,7 @@ from tests.samples import SAMPLES, picture
 from infrablend import api
 from infrablend.errors import DatasetError
 from infrablend.formats import annotation_files
-from infrablend.formats.pictures import read_size
+from infrablend.formats.pictures.listing import read_size
 
 GROWTH_KIB = 700 * 1024
 
@@ -62,7 +62,8 @@ from pathlib import Path
 from infrablend import api
 from infrablend.errors import InfraBlendError
 from infrablend.formats.reading import Reading
-import infrablend.formats.hit_uav, infrablend.formats.coco, infrablend.formats.yolo, infrablend.report.checking
+import infrablend.formats.published.hit_uav, infrablend.formats.labels.coco, infrablend.formats.labels.yolo
+import infrablend.report.checking
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:
     report = api.check(sys.argv[1], reading=Reading(format=sys.argv[2]))

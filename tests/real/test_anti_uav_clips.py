@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
-from infrablend.core.burnt_in import find_burnt_in
 from infrablend.formats import detection
-from infrablend.formats.images import load_background
+from infrablend.formats.pictures.images import load_background
 from infrablend.formats.reading import Reading
+from infrablend.imaging.burnt_in import find_burnt_in
 
 # Clips whose camera moves so far that only text and reticle stay in place.
 MOVING = ("4", "18", "40")

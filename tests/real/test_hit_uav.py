@@ -11,7 +11,9 @@ import pytest
 from tests.file_opens import count_opens
 
 from infrablend.core.dataset import Dataset
-from infrablend.formats import detection, hit_uav, yolo
+from infrablend.formats import detection
+from infrablend.formats.labels import yolo
+from infrablend.formats.published import hit_uav
 from infrablend.formats.reading import Reading
 
 COUNTS = {"train": (1000, 8706), "val": (290, 2460), "test": (579, 4811)}

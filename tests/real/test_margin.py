@@ -9,7 +9,7 @@ import pytest
 from tests.run_files import records
 
 from infrablend import api
-from infrablend.core.margin import find_margin
+from infrablend.imaging.margin import find_margin
 
 
 @pytest.mark.realdata

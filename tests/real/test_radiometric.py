@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from tests.thermal_reference import object_kelvin
 
-from infrablend.formats.rjpeg.facts import CameraFacts, read_facts
-from infrablend.formats.rjpeg.temperatures import read_temperatures
+from infrablend.formats.cameras.header_facts import CameraFacts, read_facts
+from infrablend.formats.cameras.raw_temperatures import read_temperatures
 
 pytestmark = pytest.mark.realdata
 TAGS = (

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from infrablend import api
-from infrablend.formats.images import encode_image, load_background
-from infrablend.realism import classify
-from infrablend.realism.controls import paste_controls
-from infrablend.realism.features import FEATURES, MEASURES, Labels, eight_bit, measure, reason_not_measured
+from infrablend.compositing.object_contrast import eight_bit
+from infrablend.formats.pictures.images import encode_image, load_background
+from infrablend.lab.realism import classify
+from infrablend.lab.realism.controls import paste_controls
+from infrablend.lab.realism.features import FEATURES, MEASURES, Labels, measure, reason_not_measured
 
 LEVELS = (16.0, 235.0)
 

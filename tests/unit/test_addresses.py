@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from infrablend import api
-from infrablend.cli.session import LogFileHandler
+from infrablend.cli.call_state import LogFileHandler
 from infrablend.core.addresses import address_of, require_folder, require_known, shown, without_user
 from infrablend.core.files import write_bytes
 from infrablend.errors import ArgumentError, DatasetError
-from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.plans.run_request import RunRequest
 from tests.command_line import run
 
 ADDRESS = "s3://key:secret@bucket/run"

@@ -17,8 +17,8 @@ import infrablend
 from infrablend import api
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, InfraBlendError, OutputError, RecipeError
-from infrablend.pipeline.experiments.request import ExperimentRequest
-from infrablend.pipeline.plans.request import RunRequest
+from infrablend.lab.experiments.experiment_request import ExperimentRequest
+from infrablend.pipeline.plans.run_request import RunRequest
 
 
 def test_the_examples_in_the_docstrings_run(
@@ -70,9 +70,7 @@ def test_realism_reads_the_backgrounds_as_the_run_did(
     reading = api.Reading(metadata=tmp_path / "table.csv")
     api.generate("hit-uav-drone", data, tmp_path / "run", limit=1, reading=reading, execution=FLAT)
     seen = []
-    monkeypatch.setattr(
-        "infrablend.pipeline.studies.compare_objects.compare", lambda _, dataset, *a: seen.append(dataset)
-    )
+    monkeypatch.setattr("infrablend.lab.realism.compare_objects.compare", lambda _, dataset, *a: seen.append(dataset))
     api.realism(tmp_path / "run", data, time_of_day="night")
     api.realism(tmp_path / "run", data, reading=api.Reading(metadata=tmp_path / "other.csv"))
     assert [{i.capture.time_of_day for i in dataset.images} for dataset in seen] == [{"night"}, {"day"}]

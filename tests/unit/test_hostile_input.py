@@ -19,9 +19,9 @@ from infrablend.core.files import part_path
 from infrablend.core.workspace import partial_of
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
-from infrablend.execution import scratch
-from infrablend.pipeline.plans import request
-from infrablend.pipeline.plans.request import Execution, RunRequest
+from infrablend.pipeline.execution import scratch
+from infrablend.pipeline.plans import run_request
+from infrablend.pipeline.plans.run_request import Execution, RunRequest
 from infrablend.pipeline.runs import run
 from infrablend.pipeline.runs.generate import prepare_run
 from tests.run_files import hashes
@@ -263,7 +263,7 @@ def test_temporary_folders_of_killed_parents_are_swept_and_those_in_use_are_not(
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(scratch.tempfile, "tempdir", None)
     code = (
-        "import os, signal; from infrablend.execution import scratch\n"
+        "import os, signal; from infrablend.pipeline.execution import scratch\n"
         "with scratch.scratch_folder() as s: open(s + '/x', 'w').close(); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code], check=False)
@@ -296,7 +296,7 @@ def test_a_file_name_that_is_not_utf8_is_skipped_and_counted(tmp_path, data):
 
 
 def test_more_workers_than_memory_holds_are_not_started(monkeypatch, caplog):
-    monkeypatch.setattr(request, "available_cores", lambda: 2)
+    monkeypatch.setattr(run_request, "available_cores", lambda: 2)
     assert Execution(None).worker_count() == 2
     assert Execution(1).worker_count() == 1
     assert Execution(10**9).worker_count() < 10**6

@@ -226,7 +226,7 @@ def test_a_recipe_may_not_name_a_class_that_labels_cannot_hold(tmp_path):
 
 
 def test_class_names_are_no_formulas_in_plots(tmp_path, monkeypatch):
-    from infrablend.pipeline.detectors import evaluate
+    from infrablend.lab.evaluation import evaluate
 
     monkeypatch.setattr(evaluate, "_by_ultralytics", lambda case: None)  # it takes seconds to import
     names = ("$x^{ $", "$\\alpha$")

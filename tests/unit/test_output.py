@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.core.output import require_apart, require_replaceable
+from infrablend.core.output_checks import require_apart, require_replaceable
 from infrablend.errors import OutputError
 
 

@@ -32,7 +32,6 @@ from infrablend.core.boxes import (
 )
 from infrablend.core.camera import object_to_world
 from infrablend.core.dataset import Instance
-from infrablend.core.masks import Mask, row_corners
 from infrablend.core.mesh import FloatArray
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import (
@@ -46,6 +45,7 @@ from infrablend.core.raster import (
     share_per_pixel,
 )
 from infrablend.core.render import RenderResult
+from infrablend.core.rle_masks import Mask, row_corners
 from infrablend.errors import ModelError
 
 ObbMode = Literal["min_area", "heading"]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, corners_of_box
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB, Instance
-from infrablend.core.masks import row_corners
 from infrablend.core.mesh import FloatArray
+from infrablend.core.rle_masks import row_corners
 
 # A pixel is visible if the insertion changed it, or if it differs from the surroundings, by this many 8-bit levels, or
 # by this share of the object's contrast where that is less; after a blur that keeps grain out, px.

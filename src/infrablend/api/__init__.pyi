@@ -9,20 +9,22 @@ from infrablend.api.datasets import (
     fetch as fetch,
     find_motion as find_motion,
     inspect as inspect,
-    make_world as make_world,
     learn_places as learn_places,
     map_places as map_places,
     profile as profile,
     read_dataset as read_dataset,
     split as split,
 )
-from infrablend.api.detectors import (
+from infrablend.lab.interface import (
     compare_evaluations as compare_evaluations,
     evaluate as evaluate,
     experiment as experiment,
     list_experiments as list_experiments,
+    make_world as make_world,
     plan_experiment as plan_experiment,
     plan_train as plan_train,
+    realism as realism,
+    realism_page as realism_page,
     train as train,
 )
 from infrablend.api.in_memory import frames as frames, try_recipe as try_recipe, watch_recipe as watch_recipe
@@ -36,8 +38,6 @@ from infrablend.api.runs import (
     plan as plan,
     preview as preview,
     preview_ground as preview_ground,
-    realism as realism,
-    realism_page as realism_page,
     report as report,
     rerender as rerender,
     show as show,
@@ -53,28 +53,28 @@ from infrablend.api.shipped import (
     survey_model as survey_model,
     write_infrared_effect as write_infrared_effect,
 )
-from infrablend.engine.install import install_blender as install_blender
-from infrablend.fetching.fetch import (
+from infrablend.rendering.engine.install import install_blender as install_blender
+from infrablend.pipeline.fetching.fetch import (
     FetchReport as FetchReport,
     FetchRequest as FetchRequest,
     SourceEntry as SourceEntry,
     list_sources as list_sources,
 )
-from infrablend.formats.log_alignment import Clock as Clock
+from infrablend.formats.cameras.log_alignment import Clock as Clock
 from infrablend.formats.reading import Reading as Reading
 from infrablend.formats.write_settings import WriteSettings as WriteSettings
 from infrablend.pipeline.plans.add_model import ModelAnswers as ModelAnswers, ModelSurvey as ModelSurvey
 from infrablend.pipeline.runs.choose import ChoiceReport as ChoiceReport
-from infrablend.pipeline.studies.compare_objects import RealismReport as RealismReport
+from infrablend.lab.realism.compare_objects import RealismReport as RealismReport
 from infrablend.pipeline.datasets.convert import ConvertReport as ConvertReport
-from infrablend.pipeline.capture.count_scale import CountScale as CountScale, Spot as Spot
+from infrablend.pipeline.extraction.count_scale import CountScale as CountScale, Spot as Spot
 from infrablend.pipeline.datasets.requests import (
     ClassChanges as ClassChanges,
     Selection as Selection,
     SplitRule as SplitRule,
 )
-from infrablend.pipeline.detectors.evaluation_settings import EvaluationSettings as EvaluationSettings
-from infrablend.pipeline.experiments.request import ExperimentRequest as ExperimentRequest
+from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings as EvaluationSettings
+from infrablend.lab.experiments.experiment_request import ExperimentRequest as ExperimentRequest
 from infrablend.pipeline.compose.extensions import (
     BackgroundSource as BackgroundSource,
     Extensions as Extensions,
@@ -83,21 +83,21 @@ from infrablend.pipeline.compose.extensions import (
     SceneRequest as SceneRequest,
     SceneSampler as SceneSampler,
 )
-from infrablend.pipeline.capture.clips import FrameChoice as FrameChoice
-from infrablend.pipeline.capture.clips import FlightFacts as FlightFacts
+from infrablend.pipeline.extraction.clips import FrameChoice as FrameChoice
+from infrablend.pipeline.extraction.clips import FlightFacts as FlightFacts
 from infrablend.pipeline.plans.selection import FrameSelection as FrameSelection
-from infrablend.pipeline.compose.in_memory import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
-from infrablend.pipeline.plans.request import Execution as Execution, RunRequest as RunRequest
+from infrablend.pipeline.compose.memory_frames import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
+from infrablend.pipeline.plans.run_request import Execution as Execution, RunRequest as RunRequest
 from infrablend.pipeline.runs.run import RunReport as RunReport
 from infrablend.pipeline.plans.shard import ShardRequest as ShardRequest
 from infrablend.pipeline.runs.sharded import ShardState as ShardState
 from infrablend.pipeline.datasets.split import SplitReport as SplitReport
 from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
 from infrablend.pipeline.submission.submit import submission_text as submission_text, submit as submit
-from infrablend.pipeline.detectors.train import TrainReport as TrainReport
-from infrablend.pipeline.detectors.training_plan import TrainPlan as TrainPlan
+from infrablend.lab.training.train import TrainReport as TrainReport
+from infrablend.lab.training.training_plan import TrainPlan as TrainPlan
 from infrablend.pipeline.compose.trial import Trial as Trial
 from infrablend.pipeline.studies.doctor import diagnose as diagnose
-from infrablend.training.request import TrainRequest as TrainRequest
+from infrablend.lab.training.train_request import TrainRequest as TrainRequest
 
 __all__: list[str]

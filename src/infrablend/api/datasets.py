@@ -1,4 +1,4 @@
-"""Datasets: fetch, read, examine, convert and split them; extract frames; fit a sensor profile; make a world."""
+"""Datasets: fetch, read, examine, convert and split them; extract frames; fit a sensor profile."""
 
 from __future__ import annotations
 
@@ -9,27 +9,23 @@ from typing import TYPE_CHECKING
 from infrablend.annotation.looseness import Looseness
 from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
-from infrablend.fetching import fetch as fetching
-from infrablend.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.write_settings import WriteSettings
-from infrablend.pipeline.capture import world
 from infrablend.pipeline.datasets.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.split import SplitReport, split_dataset
-from infrablend.pipeline.plans.request import Execution
-from infrablend.world.dataset import WorldRequest
-from infrablend.world.frames import Layout
+from infrablend.pipeline.fetching import fetch as fetching
+from infrablend.pipeline.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.capture.camera_motion import MotionReport
-    from infrablend.pipeline.capture.clips import FlightFacts, FrameChoice
-    from infrablend.pipeline.capture.count_scale import CountScale
-    from infrablend.pipeline.capture.report import FramesReport
-    from infrablend.pipeline.capture.temperatures import TemperaturesReport
-    from infrablend.pipeline.studies.places import LearnedReport, PlacesReport
+    from infrablend.pipeline.extraction.camera_motion import MotionReport
+    from infrablend.pipeline.extraction.clips import FlightFacts, FrameChoice
+    from infrablend.pipeline.extraction.count_scale import CountScale
+    from infrablend.pipeline.extraction.extraction_report import FramesReport
+    from infrablend.pipeline.extraction.temperature_pictures import TemperaturesReport
     from infrablend.pipeline.studies.profile import ProfileReport
+    from infrablend.pipeline.studies.surface_maps import LearnedReport, PlacesReport
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
 
@@ -134,10 +130,10 @@ def extract_frames(
     `choice` is, for example, `FrameChoice("2s")`. Pitch, height and time come from the DJI subtitles beside each video,
     or from the log that `flight` names.
     """
-    from infrablend.pipeline.capture import frames
+    from infrablend.pipeline.extraction import video_frames
 
     paths = [Path(v) for v in videos]
-    return frames.extract_frames(paths, Path(out), choice, flight, overwrite=overwrite, on_progress=on_progress)
+    return video_frames.extract_frames(paths, Path(out), choice, flight, overwrite=overwrite, on_progress=on_progress)
 
 
 def extract_temperatures(
@@ -148,10 +144,10 @@ def extract_temperatures(
 
     FLIR's become apparent temperatures in centikelvin. DJI's stay counts; `scale` says what these mean, if known.
     """
-    from infrablend.pipeline.capture import count_scale, temperatures
+    from infrablend.pipeline.extraction import count_scale, temperature_pictures
 
     dataset = read_dataset(data, reading)
-    return temperatures.extract_temperatures(
+    return temperature_pictures.extract_temperatures(
         dataset, Path(out), scale or count_scale.NO_SCALE, overwrite=overwrite, on_progress=on_progress
     )
 
@@ -185,9 +181,9 @@ def map_places(
 
     The shipped model has learnt surfaces from the virtual world alone; annotated objects are taken from the labels.
     """
-    from infrablend.pipeline.studies import places
+    from infrablend.pipeline.studies import surface_maps
 
-    return places.map_places(read_dataset(data, reading), Path(out), overwrite=overwrite, on_progress=on_progress)
+    return surface_maps.map_places(read_dataset(data, reading), Path(out), overwrite=overwrite, on_progress=on_progress)
 
 
 def find_motion(
@@ -200,8 +196,8 @@ def find_motion(
     All frames of videos are read, unless the reading states a step.
     """
     from infrablend.formats.detection import with_every_frame
-    from infrablend.pipeline.capture import camera_motion
-    from infrablend.storage.mirror import local_folder
+    from infrablend.pipeline.extraction import camera_motion
+    from infrablend.pipeline.storage.mirror import local_folder
 
     every = with_every_frame(reading, local_folder(data))
     return camera_motion.write_motion(
@@ -216,21 +212,6 @@ def learn_places(
 
     Recipes that insert objects of these classes use the same by themselves, see `placement.where.learned`.
     """
-    from infrablend.pipeline.studies import places
+    from infrablend.pipeline.studies import surface_maps
 
-    return places.learn_places(read_dataset(data, reading), count, on_progress=on_progress)
-
-
-def make_world(
-    out: str | Path, count: int, seed: int = 0, *, layout: Layout = "hit-uav",
-    workers: int | None = None, overwrite: bool = False, on_progress: OnProgress | None = None,
-) -> Path:  # fmt: skip
-    """Render a background dataset of a virtual thermal world, with exact labels and without any download.
-
-    The layout is that of HIT-UAV (640x512, a town) or MONET (800x600, airfields and dirt roads, telemetry in the JSON,
-    some of it lost), the town in 16-bit centikelvin (`radiometric`), or a flight in radiometric JPEG files (`dji`,
-    `flir`). It always renders on the CPU.
-    """
-    request = WorldRequest(count, seed, layout)
-    world.make_world(Path(out), request, Execution(workers).worker_count(), on_progress, overwrite=overwrite)
-    return Path(out)
+    return surface_maps.learn_places(read_dataset(data, reading), count, on_progress=on_progress)

@@ -8,9 +8,9 @@ from pathlib import Path
 from infrablend.errors import InfraBlendError
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
-from infrablend.pipeline.compose.in_memory import Frames, FramesRequest
+from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials
-from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, ONE_WORKER, Execution, Settings
+from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, ONE_WORKER, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 
 

@@ -1,4 +1,4 @@
-"""Runs: insert objects into a dataset, look at the result, compare it with real objects."""
+"""Runs: insert objects into a dataset, look at the result."""
 
 from __future__ import annotations
 
@@ -7,29 +7,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from infrablend.api.datasets import read_dataset
 from infrablend.core.addresses import require_folder, require_known
-from infrablend.core.dataset import Dataset
-from infrablend.core.file_names import real_path
-from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
+from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.runs.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
 from infrablend.pipeline.runs.generate import describe_run, generate_run
 from infrablend.pipeline.runs.merge import merge_shards
-from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.pipeline.runs.rerender import rerender_frame, show_frame
 from infrablend.pipeline.runs.run import RunReport
 from infrablend.pipeline.runs.sharded import Layout, ShardState
 from infrablend.pipeline.runs.stored import opened_run
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.studies.compare_objects import RealismReport, Time
     from infrablend.report.preview import Draw
 
 
@@ -44,7 +38,7 @@ class PlanReport:
         return dict(self.facts)
 
 
-def generate(  # noqa: PLR0913 - as in `realism`
+def generate(  # noqa: PLR0913 - callers name these; a value object for some of them would break their calls
     recipe: str | Path, data: str | Path, out: str | Path, *, limit: int | None = None,
     selection: FrameSelection = ALL_FRAMES, seed: int = 0,
     settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
@@ -101,7 +95,7 @@ def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
         return run.wait() if wait else run.states()
 
 
-def plan(  # noqa: PLR0913 - as in `realism`
+def plan(  # noqa: PLR0913 - as in `generate`
     recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None,
     selection: FrameSelection = ALL_FRAMES, seed: int = 0,
     settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
@@ -163,7 +157,7 @@ def include(
 
 def report(run: str | Path) -> Path:
     """Write the report of a finished run again, `run/report.html`, and return its path; `generate` writes it, too."""
-    from infrablend.pipeline.runs.report import report_run
+    from infrablend.pipeline.runs.run_report import report_run
 
     return report_run(Path(run))
 
@@ -182,36 +176,3 @@ def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
     from infrablend.report.ground_preview import ground_sheet
 
     return ground_sheet(Path(run), Path(out), count)
-
-
-def realism(  # noqa: PLR0913 - callers name these; a value object for some of them would break their calls
-    run: str | Path, against: str | Path, out: str | Path | None = None, *, categories: Sequence[str] | None = None,
-    time_of_day: Time = "all", pairs: int = 1000, real: Dataset | None = None, steps: bool = True,
-    reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION, on_progress: OnProgress | None = None,
-) -> RealismReport:  # fmt: skip
-    """Compare the inserted objects of a run with real objects of the same class; needs `infrablend[realism]`.
-
-    `against` is the dataset that the run was made from; it is read as the run read it, with every split, unless
-    `reading` says otherwise. `out` is `RUN-realism`, beside the run, by default, and `real` another dataset of the real
-    objects, as from `read_dataset`. `ComparisonRequest` explains the other arguments.
-    """
-    from infrablend.pipeline.studies.compare_objects import ComparisonRequest, compare
-
-    beside = real_path(Path(run))
-    folder = beside.with_name(f"{beside.name}-realism") if out is None else Path(out)
-    request = ComparisonRequest(
-        categories, time_of_day, pairs, execution.worker_count(), execution.in_process, real, steps
-    )
-    if reading == READ_ALL:
-        reading = replace(RecordedRun.read(RunFolder(Path(run))).reading, splits=None)
-    return compare(Path(run), read_dataset(against, reading), folder, request, on_progress)
-
-
-def realism_page(report: RealismReport, out: str | Path) -> Path:
-    """Add the figures of a comparison to the page of results `realism.md` in a folder; return the path of the page.
-
-    Classes and times of day that the page has from other comparisons are kept. The folder is created if it is missing.
-    """
-    from infrablend.report.realism_page import add_to_page
-
-    return add_to_page(report.facts, Path(out))

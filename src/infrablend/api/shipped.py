@@ -9,10 +9,10 @@ from typing import Any
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
 from infrablend.config import loading
-from infrablend.engine import shader
 from infrablend.pipeline.plans import add_model as adding
 from infrablend.pipeline.plans.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.plans.models import ready_model, run_once
+from infrablend.rendering.engine import shader
 
 
 def list_models() -> dict[str, str]:
@@ -36,7 +36,7 @@ def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, 
     """
     ready_model(name)
     payload = (name, str(out), seed, dict(options or {}))
-    return Path(run_once("infrablend.engine.turntable:make_turntable", payload, f"show {name}"))
+    return Path(run_once("infrablend.rendering.engine.turntable:make_turntable", payload, f"show {name}"))
 
 
 def survey_model(file: str | Path, answers: ModelAnswers | None = None) -> ModelSurvey:

@@ -12,11 +12,21 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from infrablend.cli import cameras, datasets, detectors, exits, experiment, fetch, finished_runs, runs, shipped, tuning
+from infrablend.cli import (
+    camera_commands,
+    dataset_commands,
+    exits,
+    fetch_command,
+    finished_run_commands,
+    run_commands,
+    shipped_commands,
+    tuning_commands,
+)
+from infrablend.cli.call_state import open_session
 from infrablend.cli.options import with_options
 from infrablend.cli.output import print_json
-from infrablend.cli.session import open_session
 from infrablend.core.addresses import require_folder, require_known
+from infrablend.core.lazy_names import resolve
 from infrablend.core.typed_command import set_typed_command, typed_command
 from infrablend.errors import OutputError
 
@@ -25,55 +35,61 @@ _EPILOG = (
     "wrong command, recipe or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
 )
 
+LAB_COMMANDS = {
+    "train": "infrablend.lab.commands.detector_commands:train",
+    "realism": "infrablend.lab.commands.realism_command:realism",
+    "evaluate": "infrablend.lab.commands.detector_commands:evaluate",
+    "experiment": "infrablend.lab.commands.experiment_command:experiment",
+    "world": "infrablend.lab.commands.world_command:world",
+}
+"""Commands of the lab, by name: nothing here imports the lab."""
+
 _COMMANDS: dict[str, Callable[..., None]] = {
-    "generate": runs.generate,
-    "merge": runs.merge,
-    "status": runs.status,
-    "submit": runs.submit,
-    "try": tuning.try_recipe,
-    "convert": datasets.convert,
-    "preview": finished_runs.preview,
-    "report": finished_runs.report,
-    "profile": cameras.profile,
-    "motion": cameras.find_motion,
-    "rerender": finished_runs.rerender,
-    "show": finished_runs.show,
-    "exclude": finished_runs.exclude,
-    "include": finished_runs.include,
-    "inspect": datasets.inspect,
-    "check": datasets.check,
-    "split": datasets.split,
-    "train": detectors.train,
-    "realism": finished_runs.realism,
-    "evaluate": detectors.evaluate,
-    "experiment": experiment.experiment,
-    "frames": cameras.frames,
-    "temperatures": cameras.temperatures,
-    "world": cameras.world,
-    "fetch": fetch.fetch,
-    "studio": tuning.studio,
-    "doctor": shipped.doctor,
+    "generate": run_commands.generate,
+    "merge": run_commands.merge,
+    "status": run_commands.status,
+    "submit": run_commands.submit,
+    "try": tuning_commands.try_recipe,
+    "convert": dataset_commands.convert,
+    "preview": finished_run_commands.preview,
+    "report": finished_run_commands.report,
+    "profile": camera_commands.profile,
+    "motion": camera_commands.find_motion,
+    "rerender": finished_run_commands.rerender,
+    "show": finished_run_commands.show,
+    "exclude": finished_run_commands.exclude,
+    "include": finished_run_commands.include,
+    "inspect": dataset_commands.inspect,
+    "check": dataset_commands.check,
+    "split": dataset_commands.split,
+    **{name: resolve(LAB_COMMANDS[name]) for name in ("train", "realism", "evaluate", "experiment")},
+    "frames": camera_commands.frames,
+    "temperatures": camera_commands.temperatures,
+    "world": resolve(LAB_COMMANDS["world"]),
+    "fetch": fetch_command.fetch,
+    "studio": tuning_commands.studio,
+    "doctor": shipped_commands.doctor,
 }
 _GROUPS: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
     "models": (
         "Object models.",
         {
-            "list": shipped.list_models,
-            "describe": shipped.describe_model,
-            "show": shipped.show_model,
-            "add": shipped.add_model,
+            "list": shipped_commands.list_models,
+            "describe": shipped_commands.describe_model,
+            "show": shipped_commands.show_model,
+            "add": shipped_commands.add_model,
         },
     ),
-    "recipes": ("Shipped recipes.", {"list": shipped.list_recipes, "show": shipped.show_recipe}),
+    "recipes": ("Shipped recipes.", {"list": shipped_commands.list_recipes, "show": shipped_commands.show_recipe}),
     "places": (
         "Places in pictures, where objects can stand.",
-        {"map": cameras.map_places, "learn": cameras.learn_places},
+        {"map": camera_commands.map_places, "learn": camera_commands.learn_places},
     ),
     "blender": (
         "Blender, which few recipes need.",
-        {"install": shipped.install_blender, "requirements": shipped.blender_requirements},
+        {"install": shipped_commands.install_blender, "requirements": shipped_commands.blender_requirements},
     ),
-    "asset": ("Blender assets.", {"infrared-effect": shipped.infrared_effect}),
+    "asset": ("Blender assets.", {"infrared-effect": shipped_commands.infrared_effect}),
 }
 
 # Parameters that may be addresses of object storage, by command; all other paths are on this machine.

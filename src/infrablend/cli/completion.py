@@ -1,4 +1,4 @@
-"""Shell completion of names: recipes, models, experiments, datasets and formats.
+"""Shell completion of names: recipes, models, datasets and formats.
 
 The shell starts the program for every press of the tab key, so nothing here imports a heavy library.
 """
@@ -10,13 +10,13 @@ from pathlib import Path
 
 from infrablend.assets.catalogue import list_models
 from infrablend.core.format_table import FORMATS, NATIVE, written_names
-from infrablend.core.shipped import shipped_names
-from infrablend.formats.sources import SOURCES
+from infrablend.core.shipped_files import RECIPES
+from infrablend.formats.published.sources import SOURCES
 
 _YAML = (".yaml", ".yml")
 
 
-def _offered(names: Callable[[], Iterable[str]], *, files: bool = False) -> Callable[[str], list[str]]:
+def offered(names: Callable[[], Iterable[str]], *, files: bool = False) -> Callable[[str], list[str]]:
     """Return a function for Typer: the names, and with `files` the YAML files, that begin like the text so far."""
 
     def complete(incomplete: str) -> list[str]:
@@ -25,13 +25,12 @@ def _offered(names: Callable[[], Iterable[str]], *, files: bool = False) -> Call
     return complete
 
 
-complete_recipe = _offered(lambda: shipped_names("recipes"), files=True)
-complete_shipped_recipe = _offered(lambda: shipped_names("recipes"))
-complete_experiment = _offered(lambda: shipped_names("experiments"), files=True)
-complete_model = _offered(list_models, files=True)
-complete_source = _offered(lambda: (s.name for s in SOURCES))
-complete_read_format = _offered(lambda: sorted(f.name for f in FORMATS))
-complete_written_format = _offered(lambda: [*sorted(written_names()), NATIVE])
+complete_recipe = offered(lambda: RECIPES.names, files=True)
+complete_shipped_recipe = offered(lambda: RECIPES.names)
+complete_model = offered(list_models, files=True)
+complete_source = offered(lambda: (s.name for s in SOURCES))
+complete_read_format = offered(lambda: sorted(f.name for f in FORMATS))
+complete_written_format = offered(lambda: [*sorted(written_names()), NATIVE])
 
 
 def complete_written_formats(incomplete: str) -> list[str]:

@@ -19,8 +19,8 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 import typer
 
+from infrablend.cli.call_state import Session
 from infrablend.cli.completion import complete_read_format, complete_recipe
-from infrablend.cli.session import Session
 from infrablend.core.workspace import Existing
 from infrablend.formats.reading import Reading
 

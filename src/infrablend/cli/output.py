@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from infrablend.cli.call_state import Session
 from infrablend.cli.exits import PARTIAL, fields_together, printable, problem_lines
-from infrablend.cli.session import Session
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.errors import OutputError, Problem, format_problems
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
-    from infrablend.fetching.fetch import FetchProgress, OnFetch
+    from infrablend.pipeline.fetching.fetch import FetchProgress, OnFetch
 
 SHOWN_WARNINGS = 5
 LINE_EVERY_S = 5.0

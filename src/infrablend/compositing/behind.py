@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.scene import Weather
-from infrablend.core.skyline import find_skyline
+from infrablend.imaging.skyline import find_skyline
 from infrablend.thermal.sky import sky_radiance
 
 Kind = Literal["ground", "sky", "skyline"]

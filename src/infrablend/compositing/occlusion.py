@@ -21,7 +21,7 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.compositing.overlay import Layer
 from infrablend.core.boxes import pixel_box
 from infrablend.core.quantiles import quantile
-from infrablend.core.skyline import noise_of
+from infrablend.imaging.skyline import noise_of
 
 Share = NDArray[np.float32]
 

@@ -7,9 +7,8 @@ import functools
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from infrablend.config.camera_models import LENS, prefer_stated_optics, with_optics
 from infrablend.config.modes import (
@@ -24,7 +23,7 @@ from infrablend.config.modes import (
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
 from infrablend.core.file_names import real_path
-from infrablend.core.shipped import shipped_names
+from infrablend.core.shipped_files import RECIPES, ShippedFiles
 from infrablend.core.validation_messages import did_you_mean, read_model
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError
@@ -32,45 +31,45 @@ from infrablend.errors import Problem, RecipeError
 log = logging.getLogger(__name__)
 
 Settings = Sequence[str] | Mapping[str, Any]
-Kind = Literal["recipes", "experiments"]
 
 _YAML = (".yaml", ".yml")
 
 
 def list_recipes() -> list[str]:
     """Return the names of the shipped recipes, sorted."""
-    return shipped_names("recipes")
+    return RECIPES.names
 
 
 def recipe_text(name: str) -> str:
     """Return the YAML text of a shipped recipe; a `RecipeError` if none has that name."""
-    return _shipped_text("recipes", name)
+    return _shipped_text(RECIPES, name)
 
 
-def _shipped_text(kind: Kind, name: str) -> str:
-    names, noun = shipped_names(kind), kind.removesuffix("s")
+def _shipped_text(shipped: ShippedFiles, name: str) -> str:
+    names = shipped.names
+    noun = shipped.noun
     if name not in names:
         raise RecipeError(
             f"{noun} {name!r}: neither a shipped {noun} nor a YAML file that exists; shipped are {', '.join(names)}. "
             f"{did_you_mean(name, names) or 'Give one of these names or the path of a .yaml file.'}"
         )
-    return (resources.files("infrablend.config") / kind / f"{name}.yaml").read_text("utf-8")
+    return shipped.text(name)
 
 
-def read_text(kind: Kind, named: str | Path) -> tuple[str, Path | None]:
-    """Return the text of a shipped recipe or experiment, or of a YAML file with the folder that it is in.
+def read_text(shipped: ShippedFiles, named: str | Path) -> tuple[str, Path | None]:
+    """Return the text of a shipped file, or of a YAML file with the folder that it is in.
 
     A path is anything with a suffix or a folder in it. A `RecipeError` if there is no such name or file.
     """
     path = Path(named)
     if path.suffix.lower() not in _YAML and path.parent == Path():
-        return _shipped_text(kind, str(named)), None
+        return _shipped_text(shipped, str(named)), None
     try:
         return path.read_text("utf-8"), real_path(path).parent
     except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a path with a NUL in it
         raise RecipeError(
-            f"{kind.removesuffix('s')} {path}: cannot be read ({error}); expected a YAML text file. "
-            f"Shipped {kind} are {', '.join(shipped_names(kind))}."
+            f"{shipped.noun} {path}: cannot be read ({error}); expected a YAML text file. "
+            f"Shipped {shipped.noun}s are {', '.join(shipped.names)}."
         ) from error
 
 
@@ -134,7 +133,7 @@ def read_recipe(recipe: str | Path, settings: Settings = ()) -> LoadedRecipe:
         RecipeError: With every unknown key and bad value at once.
     """
     _require_settings(settings)
-    text, folder = read_text("recipes", recipe)
+    text, folder = read_text(RECIPES, recipe)
     return parse_recipe(text, str(recipe), settings, folder)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.capture import UNKNOWN, Capture
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.errors import Problem
 
 Split = Literal["train", "val", "test"]

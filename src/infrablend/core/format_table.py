@@ -1,8 +1,8 @@
 """The table of dataset formats: names, titles, capabilities, and the places of code and documentation.
 
 Recipes, the command line, readers, writers, the reference page and the tests take the formats from here. To add a
-format, write its file in `infrablend.formats`, add one row to `FORMATS`, add a sample to `tests/samples.py` with its
-tests, and describe it in `docs/formats/<page>.md`.
+format, write its file in a room of `infrablend.formats`, add one row to `FORMATS`, add a sample to `tests/samples.py`
+with its tests, and describe it in `docs/formats/<page>.md`.
 
 Only names and facts are here, no code of any format; `formats.base.FormatModule`, which loads modules, lists what they
 may offer.
@@ -100,6 +100,7 @@ class Format:
         any_camera: Whether it holds pictures of any camera, whose headers may state facts about the flight.
         written_as: Name of the format that `native` writes instead, for formats that are only read but share the
             labels of another, or hold too little of what a run inserts.
+        room: Package below `infrablend.formats` that contains its module: `labels`, `published` or `pictures`.
     """
 
     name: str
@@ -107,11 +108,12 @@ class Format:
     writers: tuple[Writer, ...] = ()
     written_as: str = ""
     any_camera: bool = False
+    room: Literal["labels", "published", "pictures"] = "labels"
 
     @property
     def module(self) -> str:
         """Dotted path of the module or package with `detect`, `read` and, if there are writers, `write`."""
-        return f"infrablend.formats.{self.name.replace('-', '_')}"
+        return f"infrablend.formats.{self.room}.{self.name.replace('-', '_')}"
 
     @property
     def page(self) -> str:
@@ -142,7 +144,7 @@ def _yolo(name: str, title: str, holds: str, task: str, trains: LabelTask) -> Wr
 
 
 FORMATS: tuple[Format, ...] = (
-    Format("hit-uav", "HIT-UAV in any of its four annotation forms", (
+    Format("hit-uav", "HIT-UAV in any of its four annotation forms", room="published", writers=(
         Writer(
             "hit-uav", "HIT-UAV's normal_json and rotate_json",
             _set("masks tracks visibility occlusion truncated fractions sequence temperature"),
@@ -182,7 +184,7 @@ FORMATS: tuple[Format, ...] = (
             _set("boxes occlusion temperature"), takes=_PICTURES, table=_YOLO_TABLE,
         ),
     )),
-    Format("birdsai", "BIRDSAI: one CSV of tracks per sequence, or bare frames", (
+    Format("birdsai", "BIRDSAI: one CSV of tracks per sequence, or bare frames", room="published", writers=(
         Writer(
             "birdsai", "BIRDSAI: one CSV of tracks per sequence",
             _set("obb masks ignore visibility occlusion truncated difficult inserted temperature"),
@@ -195,11 +197,12 @@ FORMATS: tuple[Format, ...] = (
             _set("obb masks occlusion truncated difficult inserted temperature"), takes=_PICTURES,
         ),
     )),
-    Format("wisard", "WiSARD: clips with YOLO text beside the frames", written_as="yolo"),
-    Format("wit-uas", "WIT-UAS: runs with `.label` files beside the frames"),
-    Format("dut-anti-uav", "DUT-Anti-UAV: drones in visible light, VOC labels", written_as="voc"),
+    Format("wisard", "WiSARD: clips with YOLO text beside the frames", room="published", written_as="yolo"),
+    Format("wit-uas", "WIT-UAS: runs with `.label` files beside the frames", room="published"),
+    Format("dut-anti-uav", "DUT-Anti-UAV: drones in visible light, VOC labels", room="published", written_as="voc"),
     Format(
-        "anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON or text per sequence", written_as="coco",
+        "anti-uav", "Anti-UAV300, 410, 600: drones against the sky, a JSON or text per sequence",
+        room="published", written_as="coco",
         writers=(
             Writer(
                 "anti-uav", "Anti-UAV's JSON: a folder of numbered pictures per target, with `exist` and `gt_rect`",
@@ -208,10 +211,22 @@ FORMATS: tuple[Format, ...] = (
             ),
         ),
     ),
-    Format("halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels", written_as="coco"),
-    Format("drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes", written_as="dota"),
-    Format("visdrone", "VisDrone: people and vehicles in visible light, in pictures or as tracks", written_as="coco"),
-    Format("bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO", written_as="coco"),
+    Format(
+        "halmstad", "Halmstad: thermal clips of drones, birds, aircraft; MATLAB labels",
+        room="published", written_as="coco",
+    ),
+    Format(
+        "drone-vehicle", "DroneVehicle: thermal and visible pairs, oriented boxes",
+        room="published", written_as="dota",
+    ),
+    Format(
+        "visdrone", "VisDrone: people and vehicles in visible light, in pictures or as tracks",
+        room="published", written_as="coco",
+    ),
+    Format(
+        "bambi", "BAMBI: wildlife from straight above, per flight: JSON, tracks or YOLO",
+        room="published", written_as="coco",
+    ),
     Format("dota", "DOTA text files: four corners in pixels", any_camera=True, writers=(
         Writer(
             "dota", "DOTA text files: four corners in pixels",
@@ -219,7 +234,7 @@ FORMATS: tuple[Format, ...] = (
             layout="flat", table="{split}/images/{name}",
         ),
     )),
-    Format("monet", "MONET: COCO JSON that contains the drone's telemetry", (
+    Format("monet", "MONET: COCO JSON that contains the drone's telemetry", room="published", writers=(
         Writer(
             "monet", "MONET's layout: one COCO JSON per sequence, with telemetry", _set("temperature"),
             takes=_set("ids extra pictures"),
@@ -246,7 +261,7 @@ FORMATS: tuple[Format, ...] = (
     )),
     Format("labelme", "labelme: one JSON of shapes per picture", written_as="coco", any_camera=True),
     Format("folder", "a plain folder of pictures, with or without labels", any_camera=True),
-    Format("videos", "videos without labels: one file, or a folder of clips"),
+    Format("videos", "videos without labels: one file, or a folder of clips", room="pictures"),
 )  # fmt: skip
 """All formats, in the order in which detection tries them: the most specific first."""
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from infrablend.core.dataset import Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.core.scene import SceneSpec
 
 

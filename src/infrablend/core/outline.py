@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import boxes_mask, pixel_box
-from infrablend.core.masks import row_corners
 from infrablend.core.rings import Levels, ring_levels, ring_window
+from infrablend.core.rle_masks import row_corners
 
 # Least contrast of the peak, in standard deviations of the ring, as estimated by its middle half.
 _LEAST_PEAK = 4.0

@@ -18,17 +18,18 @@ from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder
 from infrablend.core.temperature import TemperatureScale
 from infrablend.core.workspace import unfinished
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import folder, temperatures
 from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
+from infrablend.formats.cameras.flight_headers import add_flight_data
 from infrablend.formats.divide import with_val
-from infrablend.formats.flight import add_flight_data
+from infrablend.formats.labels import folder
 from infrablend.formats.numbered import with_numbered_frames
-from infrablend.formats.pictures import check_link, is_picture_name
+from infrablend.formats.pictures import temperature_scale
+from infrablend.formats.pictures.listing import check_link, is_picture_name
+from infrablend.formats.pictures.video import is_video
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import files_below, hidden_pictures, label_candidates, unread_files
-from infrablend.formats.video import is_video
 
 DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
@@ -147,8 +148,8 @@ class _Reader:
                 raise UnknownFormatError(f"{root}: no format fits", [_nothing_to_read(root)])
         chosen = find_format(format)
         given: dict[str, Any] = dict(reading.options)
-        stated = {name: str(given.pop(name)) for name in temperatures.OPTIONS if name in given}
-        scale = temperatures.scale_of_options(stated) if stated else None
+        stated = {name: str(given.pop(name)) for name in temperature_scale.OPTIONS if name in given}
+        scale = temperature_scale.scale_of_options(stated) if stated else None
         if reading.form is not None:
             given["form"] = reading.form
         table = None if reading.metadata is None else Path(reading.metadata)
@@ -177,11 +178,11 @@ class _Reader:
         """Return what the module read with the facts and remarks that do not depend on the format."""
         dataset = with_fitting_fields(_with_regular_pictures(dataset))
         if self.stated:
-            dataset = temperatures.with_scale(dataset, self.scale)
+            dataset = temperature_scale.with_scale(dataset, self.scale)
         dataset = add_flight_data(dataset)
         if dataset.format == folder.NAME and dataset.notes.get("labels") != "coco":  # which can state it
             dataset = replace(dataset, images=with_numbered_frames(dataset.images))
-        remarks = (*hidden_pictures(dataset.root), *temperatures.scale_warnings(dataset))
+        remarks = (*hidden_pictures(dataset.root), *temperature_scale.scale_warnings(dataset))
         return replace(dataset, problems=(*dataset.problems, *remarks))
 
 

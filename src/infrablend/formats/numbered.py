@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import PurePosixPath
 
 from infrablend.core.dataset import ImageRecord
-from infrablend.formats.capture import facts_from_name
+from infrablend.formats.picture_facts import facts_from_name
 
 # Longer numbers are times.
 _END = re.compile(r"(|.*\D)(\d{1,9})", re.ASCII | re.DOTALL)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.formats.box_checks import is_near, snap_edges
 
 # Far above the loss by ten decimals and float32 (4e-5 px), far below anything visible.

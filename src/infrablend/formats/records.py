@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.mesh import FloatArray
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats import derived
 from infrablend.formats.annotation_files import read_json, read_text, read_xml
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.box_checks import check_box
-from infrablend.formats.capture import Captures, CaptureTable, find_table, read_table
-from infrablend.formats.paint_out import How
-from infrablend.formats.pictures import assign_ids, read_size
-from infrablend.formats.video import Video
+from infrablend.formats.picture_facts import Captures, CaptureTable, find_table, read_table
+from infrablend.formats.pictures import derived
+from infrablend.formats.pictures.listing import assign_ids, read_size
+from infrablend.formats.pictures.video import Video
+from infrablend.imaging.paint_out import How
 
 KEEP_OR_DROP = ("keep", "drop")
 LEFT_OUT = "left out"

@@ -18,10 +18,10 @@ from infrablend.core.json_records import is_list
 from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE
 from infrablend.core.workspace import CONVERT_FILE, FRAMES_FILE, SOURCE_FILE, SPLIT_FILE, TEMPERATURES_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem, Severity
-from infrablend.formats import folder
 from infrablend.formats.annotation_files import MAX_TEXT_BYTES, as_utf8, read_json, read_xml
 from infrablend.formats.base import stated_split
-from infrablend.formats.pictures import PICTURE_SUFFIXES, is_hidden, is_picture_name, masks_of, walk
+from infrablend.formats.labels import folder
+from infrablend.formats.pictures.listing import PICTURE_SUFFIXES, is_hidden, is_picture_name, masks_of, walk
 from infrablend.formats.unread_pictures import folders_like_classes, path_below, unread_pictures, unread_videos
 
 _JSON_SUFFIXES = {".json", ".jsonl", ".ndjson", ".geojson", ".manifest", ".odgt"}

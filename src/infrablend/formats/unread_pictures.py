@@ -14,9 +14,10 @@ from infrablend.core.addresses import shown
 from infrablend.core.dataset import Dataset
 from infrablend.core.file_names import fold_name
 from infrablend.errors import Problem, Severity
-from infrablend.formats import folder, video
 from infrablend.formats.base import SPLIT_FOLDERS, stated_split
-from infrablend.formats.pictures import is_picture_name
+from infrablend.formats.labels import folder
+from infrablend.formats.pictures import video
+from infrablend.formats.pictures.listing import is_picture_name
 from infrablend.formats.records import LEFT_OUT
 
 # Words that tell one form of a picture from another, as in `rgb/f1.jpg`, `DJI_0001_W.JPG` and `f1_depth.png`.

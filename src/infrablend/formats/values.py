@@ -10,7 +10,7 @@ from datetime import date, datetime
 from typing import Any
 
 from infrablend.formats.losses import BOXES
-from infrablend.formats.pictures import MAX_PIXELS
+from infrablend.formats.pictures.listing import MAX_PIXELS
 
 
 def to_floats(value: object, count: int) -> tuple[float, ...] | None:

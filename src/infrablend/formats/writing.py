@@ -29,9 +29,9 @@ from infrablend.core.format_table import (
 from infrablend.core.spool import StoredImages
 from infrablend.errors import Problem
 from infrablend.formats.base import FormatModule, in_order, numbered_from_one, sort_images
-from infrablend.formats.capture import facts_from_name, fits_table
 from infrablend.formats.losses import Written
-from infrablend.formats.pictures import assign_ids
+from infrablend.formats.picture_facts import facts_from_name, fits_table
+from infrablend.formats.pictures.listing import assign_ids
 from infrablend.formats.values import csv_text
 from infrablend.formats.write_settings import WriteSettings
 

@@ -3,7 +3,7 @@
 `RENDERERS` maps the name that a run records to the dotted name of a class:
 
 `blender`
-    `engine.renderer.BlenderRenderer`, Cycles. The one that datasets are made with.
+    `rendering.engine.renderer.BlenderRenderer`, Cycles. The one that datasets are made with.
 `flat`
     `rendering.flat.FlatRenderer`: flat shading on the software rasteriser. Fast and without Blender; for tests and
     for trying out a recipe.
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from infrablend.core.render import Renderer
 
 RENDERERS: Mapping[str, str] = {
-    "blender": "infrablend.engine.renderer:BlenderRenderer",
+    "blender": "infrablend.rendering.engine.renderer:BlenderRenderer",
     "flat": "infrablend.rendering.flat:FlatRenderer",
 }
 
@@ -34,7 +34,7 @@ def make_renderer(name: str, device: str, blender: str | None = None) -> Rendere
     Args:
         name: A key of `RENDERERS`.
         device: Where to compute: `cpu`, or a backend that the renderer knows.
-        blender: Which Blender, see `engine.programs.candidates`; by default the one that is found.
+        blender: Which Blender, see `rendering.engine.programs.candidates`; by default the one that is found.
 
     Raises:
         ValueError: There is no renderer of that name.

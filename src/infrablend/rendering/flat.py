@@ -17,7 +17,7 @@ from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import visible
 from infrablend.core.render import RenderResult, empty_result
 from infrablend.core.scene import PartState, SceneSpec
-from infrablend.rendering.surfaces import ground_radiance
+from infrablend.rendering.surface_values import ground_radiance
 from infrablend.thermal.radiometry import band_radiance
 
 SUPERSAMPLE = 4

@@ -27,7 +27,7 @@ from infrablend.core.raster import Fragments, SampleGrid, fragments_of, nearest_
 from infrablend.core.render import Image32, RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.rendering.shading import ArtisticLook, PhysicalLook, Points
-from infrablend.rendering.surfaces import corner_normals, ground_radiance, is_two_sided, surface_values
+from infrablend.rendering.surface_values import corner_normals, ground_radiance, is_two_sided, surface_values
 
 # Samples along a pixel's side. Large objects have a smaller share of outlines, so they need fewer.
 SUPERSAMPLE = (5, 8)

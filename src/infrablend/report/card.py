@@ -24,11 +24,11 @@ from infrablend.core.files import read_regular, write_bytes, write_json, write_t
 from infrablend.core.format_table import FIELDS, NATIVE, find_writer
 from infrablend.core.workspace import SOURCE_FILE, WORLD_FILE
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats import shards
 from infrablend.formats.annotation_files import read_json
+from infrablend.formats.labels import shards
 from infrablend.formats.losses import LOSSES
-from infrablend.formats.pictures import PICTURE_SUFFIXES
-from infrablend.formats.sources import (
+from infrablend.formats.pictures.listing import PICTURE_SUFFIXES
+from infrablend.formats.published.sources import (
     APACHE_2,
     CC0_1,
     CC_BY_4,

@@ -18,7 +18,7 @@ from infrablend.core.camera import CameraSpec
 from infrablend.core.class_names import known_class
 from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import ground_point
-from infrablend.core.output import require_outside_datasets
+from infrablend.core.output_checks import require_outside_datasets
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError

@@ -17,11 +17,11 @@ from infrablend.core.files import write_bytes
 from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import FormatModule
-from infrablend.formats.groups import Leakage, leakage
-from infrablend.formats.images import load_background
-from infrablend.formats.pictures import read_size
-from infrablend.formats.temperatures import describe_scales
-from infrablend.places.surfaces import find_surfaces
+from infrablend.formats.image_groups import Leakage, leakage
+from infrablend.formats.pictures.images import load_background
+from infrablend.formats.pictures.listing import read_size
+from infrablend.formats.pictures.temperature_scale import describe_scales
+from infrablend.imaging.surfaces import find_surfaces
 from infrablend.report.figures import plot_text, png_bytes
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)

@@ -6,28 +6,28 @@ import base64
 from functools import cache
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 from infrablend.report.figures import compact, decimals, human_seconds, interval
 
 
-def render_page(name: str, **content: Any) -> str:
-    """Return the page `templates/NAME.html.jinja`, filled with the content; all text is escaped.
+def render_page(name: str, package: str = __package__, /, **content: Any) -> str:
+    """Return the page `templates/NAME.html.jinja` of a package, filled with the content; all text is escaped.
 
-    The same content gives the same bytes.
+    The same content gives the same bytes. Templates may use those of this package.
     """
-    return _environment().get_template(f"{name}.html.jinja").render(**content)
+    return _environment(package).get_template(f"{name}.html.jinja").render(**content)
 
 
 def page_part(name: str) -> str:
     """Return the text of `templates/NAME.jinja`, such as a script."""
-    return _environment().get_template(f"{name}.jinja").render()
+    return _environment(__package__).get_template(f"{name}.jinja").render()
 
 
 @cache
-def _environment() -> Environment:
+def _environment(package: str) -> Environment:
     environment = Environment(
-        loader=PackageLoader("infrablend.report"),
+        loader=ChoiceLoader([PackageLoader(package), PackageLoader(__package__)]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -22,11 +22,11 @@ from PIL.PngImagePlugin import PngInfo
 from infrablend.core.arguments import require_choices, require_whole
 from infrablend.core.dataset import SPLITS, Instance, finite
 from infrablend.core.files import DAMAGED, LinkOutError, load_json, read_regular, write_bytes
-from infrablend.core.masks import Mask
-from infrablend.core.output import require_outside_datasets, require_replaceable
+from infrablend.core.output_checks import require_outside_datasets, require_replaceable
+from infrablend.core.rle_masks import Mask
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats.pictures import is_decodable, open_picture
+from infrablend.formats.pictures.listing import is_decodable, open_picture
 
 Draw = Literal["boxes", "obb", "masks"]
 ALL_DRAWN: tuple[Draw, ...] = ("boxes", "obb", "masks")

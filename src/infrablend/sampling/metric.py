@@ -29,9 +29,9 @@ from infrablend.core.ground_plane import (
     ground_z_m,
     pixel_ray,
 )
-from infrablend.core.margin import on_margin
 from infrablend.core.mesh import FloatArray
 from infrablend.core.scene import SceneSpec, View
+from infrablend.imaging.margin import on_margin
 from infrablend.sampling.calibration import PRIORS, Calibration, HeightPrior, calibrate, prior_of
 from infrablend.sampling.placement import (
     MAX_OVERLAP,

@@ -12,7 +12,7 @@ import numpy as np
 from infrablend.config.recipe import PaperObject, PaperRecipe
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import boxes_of
-from infrablend.core.margin import on_margin
+from infrablend.imaging.margin import on_margin
 from infrablend.sampling.placement import (
     DrawStatistics,
     PlacementRequest,

@@ -9,16 +9,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.burnt_in import find_burnt_in
 from infrablend.core.camera import CameraSpec
 from infrablend.core.capture import UNKNOWN, Capture, TimeOfDay
 from infrablend.core.dataset import Instance, boxes_of
-from infrablend.core.margin import find_margin
 from infrablend.core.mesh import FloatArray
-from infrablend.core.skyline import Skyline, find_skyline, noise_of
-from infrablend.places.labelled_ground import LabelledGround
-from infrablend.places.surfaces import SurfaceMap, find_surfaces
+from infrablend.imaging.burnt_in import find_burnt_in
+from infrablend.imaging.margin import find_margin
+from infrablend.imaging.skyline import Skyline, find_skyline, noise_of
+from infrablend.imaging.surfaces import SurfaceMap, find_surfaces
 from infrablend.sampling.calibration import FROM_TABLE, HeightPrior
+from infrablend.sampling.labelled_ground import LabelledGround
 from infrablend.sampling.placement import PlacementRequest
 
 
@@ -73,7 +73,7 @@ class Site:
         hiding: What can hide objects in part; None for nothing.
         height_prior: What is known about `altitude_m`.
         time_of_day: Time of day, or None if unknown.
-        labelled_ground: On which kinds of ground the dataset's labelled objects are; see `places.labelled_ground`.
+        labelled_ground: On which kinds of ground the dataset's labelled objects are; see `sampling.labelled_ground`.
         allowed: (h, w) mask of where objects may stand; None for anywhere.
     """
 

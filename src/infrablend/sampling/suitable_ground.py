@@ -18,7 +18,7 @@ from infrablend.config.recipe import Where
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import FloatArray
 from infrablend.core.surface_kinds import Affinity
-from infrablend.places.labelled_ground import with_labels
+from infrablend.sampling.labelled_ground import with_labels
 from infrablend.sampling.placement import PlacementRequest, Pose
 from infrablend.sampling.site import Site
 

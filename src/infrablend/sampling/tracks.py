@@ -26,9 +26,9 @@ from infrablend.core.motion_kinds import SPEED_M_S
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import ObjectSpec, SceneSpec, View
 from infrablend.errors import Problem, RecipeError
-from infrablend.motion.paths import Fits, Path, find_path, sway
-from infrablend.motion.sequence import Moment
-from infrablend.motion.shift import Matrix, moved
+from infrablend.imaging.camera_path import Moment
+from infrablend.imaging.camera_shift import Matrix, moved
+from infrablend.sampling.paths import Fits, Path, find_path, sway
 
 # Length of the step that shows an object's heading on the ground, metres.
 _HEADING_M = 0.5

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from infrablend.studio.frame_index import FrameRow, row_of
 from infrablend.studio.opened_run import RunFrames
-from infrablend.studio.pictures import to_png
+from infrablend.studio.page_pictures import to_png
 
 if TYPE_CHECKING:
     from infrablend.core.dataset import ImageRecord

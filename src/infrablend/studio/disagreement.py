@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import box_iou
 from infrablend.core.class_names import known_class
 from infrablend.core.files import read_regular
+from infrablend.detection.detections import PREDICTIONS, RECORD, read_predictions
 from infrablend.errors import DatasetError
-from infrablend.evaluation.detections import RECORD, read_predictions
-from infrablend.pipeline.detectors.detection_source import PREDICTIONS
 from infrablend.studio.run_labels import Box, RunLabel, RunLabels
 
 MIN_OVERLAP = 0.5

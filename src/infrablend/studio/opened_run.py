@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from infrablend.core.run_folder import TRACKS, RunFolder
+from infrablend.detection.detections import RECORD
 from infrablend.errors import DatasetError, InfraBlendError
-from infrablend.evaluation.detections import RECORD
-from infrablend.pipeline.runs.review import REVIEW_FILE
+from infrablend.pipeline.runs.review_file import REVIEW_FILE
 from infrablend.report.preview import draw_labels, to_8_bit, to_rgb
 from infrablend.studio.frame_index import FrameRow
-from infrablend.studio.pictures import Thumbnails, enlarged, read_pixels, to_png, with_originals
+from infrablend.studio.page_pictures import Thumbnails, enlarged, read_pixels, to_png, with_originals
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.run_labels import RunLabels
-from infrablend.studio.sequences import RunSequence, find_sequences
+from infrablend.studio.run_sequences import RunSequence, find_sequences
 from infrablend.studio.verdicts import Review
 
 if TYPE_CHECKING:

@@ -21,20 +21,20 @@ from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_text
 from infrablend.core.typed_command import reading_words
-from infrablend.engine.turntable import draw_model
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_words, how_visible
 from infrablend.pipeline.plans.planning import reading_for
 from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.rendering.engine.turntable import draw_model
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
 from infrablend.studio.generation import Generation
 from infrablend.studio.object_form import model_problems
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pictures import cached_picture, cached_thumbnail, enlarged, with_originals
-from infrablend.studio.request import StudioRequest
+from infrablend.studio.page_pictures import cached_picture, cached_thumbnail, enlarged, with_originals
+from infrablend.studio.studio_request import StudioRequest
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240

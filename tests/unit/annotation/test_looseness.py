@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from infrablend.annotation.looseness import Looseness, is_loosened, loosen_inserted, loosen_rectangle, tighten_image
 from infrablend.core.boxes import corners_of_box, smallest_rectangle_inside
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 
 WH = (100, 80)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from infrablend.annotation import merge as merging
-from infrablend.annotation.merge import MergeSettings, Removal, covered_pixels, covered_share, partly_covered
+from infrablend.annotation import merge_labels as merging
+from infrablend.annotation.merge_labels import MergeSettings, Removal, covered_pixels, covered_share, partly_covered
 from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.dataset import Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 
 HW = (48, 64)
 

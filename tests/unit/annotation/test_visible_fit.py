@@ -15,7 +15,7 @@ from infrablend.annotation.looseness import Looseness, loosen_inserted, loosened
 from infrablend.annotation.visible_fit import add_seen_box
 from infrablend.core.boxes import box_of_points, corners_of_box
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB, ImageRecord, Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 
 WH = (100, 80)
 GROUND = 120.0

@@ -15,7 +15,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from infrablend.errors import ModelError
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey
 from tests.meshes import areas, check_pieces, vertices_of
 

@@ -16,7 +16,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.rng import stream
 from infrablend.core.scene import PartState, SceneSpec
 from infrablend.errors import ModelError, RecipeError
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey
 from tests.thermal_reference import fresnel_emissivity
 

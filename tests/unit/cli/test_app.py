@@ -20,14 +20,14 @@ from infrablend import api as real_api
 from infrablend import errors
 from infrablend.assets.catalogue import load_model
 from infrablend.cli import main
+from infrablend.cli.call_state import LOG_SIZE_BYTES, Session
 from infrablend.cli.exits import exit_code
 from infrablend.cli.output import LineProgress, facts, human_bytes, progress_line, shown_progress, table
-from infrablend.cli.session import LOG_SIZE_BYTES, Session
 from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.plans.add_model import ModelAnswers
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.selection import FrameSelection
 from infrablend.pipeline.runs.run import RunReport
 from infrablend.pipeline.studies.doctor import Check, Diagnosis

@@ -12,10 +12,10 @@ import typer
 
 from infrablend.assets.catalogue import list_models
 from infrablend.cli.app import build_app
-from infrablend.config.experiment import list_experiments
 from infrablend.config.loading import list_recipes
 from infrablend.core.format_table import FORMATS, NATIVE, written_names
-from infrablend.formats.sources import SOURCES
+from infrablend.formats.published.sources import SOURCES
+from infrablend.lab.experiments.definition import list_experiments
 
 # Completes lines as the shell does for the tab key, then refuses if that loaded something heavy (Typer itself loads
 # pydantic).

@@ -47,7 +47,7 @@ def test_a_full_disk_under_the_log_changes_nothing(tmp_path: Path) -> None:
 
 def test_a_warning_is_shown_once_and_logged_each_time(tmp_path: Path) -> None:
     code = (
-        "import logging; from pathlib import Path; from infrablend.cli.session import open_session\n"
+        "import logging; from pathlib import Path; from infrablend.cli.call_state import open_session\n"
         f"with open_session(False, False, Path({str(tmp_path / 'log')!r})):\n"
         "    for text in ('first', 'second', 'first'):\n"
         "        logging.getLogger('x').warning('%s thing', text)\n"

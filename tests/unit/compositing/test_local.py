@@ -24,7 +24,7 @@ from infrablend.core.camera import CameraSpec
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Weather
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from infrablend.thermal.radiometry import band_radiance, band_radiance_slope
 

@@ -23,7 +23,7 @@ from infrablend.core.placed import PlacedScene, place
 from infrablend.core.render import RenderResult
 from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
-from infrablend.formats.images import encode_image, load_background
+from infrablend.formats.pictures.images import encode_image, load_background
 from infrablend.pipeline.compose.frame import nearest_range_m
 
 from .conftest import generate, overshoot, slanted_alpha

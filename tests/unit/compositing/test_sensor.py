@@ -34,7 +34,7 @@ from infrablend.config.recipe import Sensor as SensorFields
 from infrablend.config.sensor_profile import PROFILES
 from infrablend.core.render import RenderResult
 from infrablend.rendering.flat import FlatRenderer
-from infrablend.sampling.scene import rebuild_scene
+from infrablend.sampling.scene_sampler import rebuild_scene
 
 from .conftest import generate, slanted_alpha
 

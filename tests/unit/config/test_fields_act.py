@@ -9,8 +9,8 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.formats import detection
-from infrablend.pipeline.plans.request import Execution
-from infrablend.sampling.scene import sample_scene
+from infrablend.pipeline.plans.run_request import Execution
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from tests.run_files import records
 

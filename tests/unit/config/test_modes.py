@@ -25,7 +25,7 @@ from infrablend.config.recipe import (
 )
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import RecipeError
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 
 FLAT = Execution(renderer="flat", in_process=True)
 

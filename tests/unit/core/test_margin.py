@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from infrablend.core.margin import find_margin, on_margin
+from infrablend.imaging.margin import find_margin, on_margin
 
 SHAPE = (480, 640)
 

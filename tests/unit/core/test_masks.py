@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.core.masks import Mask, run_lengths
+from infrablend.core.rle_masks import Mask, run_lengths
 
 
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 2**32))

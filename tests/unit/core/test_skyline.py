@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw, ImageFont
 
-from infrablend.core.burnt_in import find_burnt_in
-from infrablend.core.skyline import find_skyline, noise_of
+from infrablend.imaging.burnt_in import find_burnt_in
+from infrablend.imaging.skyline import find_skyline, noise_of
 
 SHAPE = (256, 320)
 

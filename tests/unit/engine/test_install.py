@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.engine.install import find_python, install_blender
-from infrablend.engine.programs import marker_of
 from infrablend.errors import ArgumentError, MissingDependencyError, OutputError
+from infrablend.rendering.engine.install import find_python, install_blender
+from infrablend.rendering.engine.programs import marker_of
 
 
 def test_what_others_made_is_not_replaced(tmp_path: Path) -> None:

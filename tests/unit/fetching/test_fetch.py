@@ -15,10 +15,10 @@ from infrablend.cli import main
 from infrablend.cli.output import fetch_line
 from infrablend.core.workspace import partial_of, workspace
 from infrablend.errors import DatasetError, FetchError, InfraBlendError, OutputError
-from infrablend.fetching import fetch as fetching
-from infrablend.fetching.fetch import FetchProgress
-from infrablend.formats import sources
-from infrablend.formats.sources import CC_BY_4, HIT_UAV, Archive, Source
+from infrablend.formats.published import sources
+from infrablend.formats.published.sources import CC_BY_4, HIT_UAV, Archive, Source
+from infrablend.pipeline.fetching import fetch as fetching
+from infrablend.pipeline.fetching.fetch import FetchProgress
 from tests.samples import SAMPLES
 from tests.unit.fetching.server import BODY, tree, zip_entry, zipped
 

@@ -13,13 +13,13 @@ import pytest
 
 from infrablend.core.boxes import polygon_area
 from infrablend.core.files import link_or_copy, part_path, write_bytes, write_text
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError, OutputError
 from infrablend.formats import polygons
 from infrablend.formats.annotation_files import read_json, read_text, read_xml
 from infrablend.formats.base import require_options
 from infrablend.formats.box_checks import snap
-from infrablend.formats.pictures import assign_ids
+from infrablend.formats.pictures.listing import assign_ids
 from infrablend.formats.polygons import outline, rasterise
 
 

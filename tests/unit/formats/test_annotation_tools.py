@@ -12,7 +12,8 @@ import pytest
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import coco, cvat, detection, label_studio, writing
+from infrablend.formats import detection, writing
+from infrablend.formats.labels import coco, cvat, label_studio
 from tests.samples import codes, picture, records
 
 

@@ -13,7 +13,8 @@ from PIL import Image
 
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import bambi, bambi_tracks, detection
+from infrablend.formats import detection
+from infrablend.formats.published import bambi, bambi_tracks
 from tests.samples import SAMPLES, picture
 
 

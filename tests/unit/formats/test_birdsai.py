@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from infrablend.core.dataset import Category, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import birdsai, detection
+from infrablend.formats import detection
+from infrablend.formats.published import birdsai
 from infrablend.formats.reading import Reading
 from infrablend.formats.records import unlabelled_problems
 from tests.samples import codes, picture

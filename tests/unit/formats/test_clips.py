@@ -13,9 +13,9 @@ from infrablend import api
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
-from infrablend.formats.images import load_background
-from infrablend.formats.paint_out import Shown, find_written, paint_out
+from infrablend.formats.pictures.images import load_background
 from infrablend.formats.reading import Reading
+from infrablend.imaging.paint_out import Shown, find_written, paint_out
 from tests.run_files import records
 from tests.samples import SAMPLES
 from tests.videos import write_video
@@ -218,7 +218,7 @@ def test_painted_frames_do_not_depend_on_what_was_asked_for_before(tmp_path: Pat
     root = write_clip(tmp_path)
     made = {}
     for name, steps in (("a", ("20",)), ("b", ("30", "20"))):
-        monkeypatch.setattr("infrablend.formats.derived.FOLDER", str(tmp_path / "cache" / name))
+        monkeypatch.setattr("infrablend.formats.pictures.derived.FOLDER", str(tmp_path / "cache" / name))
         for every in steps:
             d = read(root, drones="paint-out", every=every)
         made[name] = [i.path.read_bytes() for i in d.images]

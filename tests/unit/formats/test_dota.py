@@ -9,7 +9,8 @@ import pytest
 
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, dota
+from infrablend.formats import detection
+from infrablend.formats.labels import dota
 from tests.samples import picture
 
 GOOD = "2 3 12 3 12 9 2 9 ship 0\n"

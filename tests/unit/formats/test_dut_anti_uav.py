@@ -10,7 +10,8 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, dut_anti_uav
+from infrablend.formats import detection
+from infrablend.formats.published import dut_anti_uav
 from tests.unit.formats.test_voc import box, codes, xml
 
 UAV = "<name>UAV</name><pose>Unspecified</pose><truncated>0</truncated><difficult>0</difficult>"

@@ -15,8 +15,8 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
-from infrablend.formats import flight as flight_data
-from infrablend.formats.rjpeg.writing import Maker
+from infrablend.formats.cameras import flight_headers as flight_data
+from infrablend.formats.cameras.rjpeg_writing import Maker
 from tests.command_line import run
 from tests.flights import START, flight, plain_jpeg, shot, with_exif_size, with_xmp
 from tests.samples import SAMPLES, picture
@@ -227,7 +227,7 @@ def test_radiometric_insertion_into_camera_files_names_the_command(tmp_path: Pat
 
 
 def test_pictures_of_public_datasets_are_not_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("infrablend.formats.flight.read_facts", lambda path: pytest.fail(str(path)))
+    monkeypatch.setattr("infrablend.formats.cameras.flight_headers.read_facts", lambda path: pytest.fail(str(path)))
     for name in ("birdsai", "monet", "wisard"):
         api.read_dataset(SAMPLES[name](tmp_path / name))
 

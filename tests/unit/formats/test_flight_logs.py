@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from infrablend.errors import DatasetError
-from infrablend.formats.dji_srt import read_srt
-from infrablend.formats.flight_csv import read_flight_csv
-from infrablend.formats.flight_log import FlightLog, in_order, sample
+from infrablend.formats.cameras.dji_srt import read_srt
+from infrablend.formats.cameras.flight_csv import read_flight_csv
+from infrablend.formats.cameras.flight_log import FlightLog, in_order, sample
 
 GIMBAL = "[gb_yaw: 45.0 gb_pitch: -30.5 gb_roll: 0.5]"
 DIALECTS = {

@@ -18,12 +18,13 @@ from PIL import Image
 
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import coco, detection, folder, writing, yolo
-from infrablend.formats.capture import Captures, read_table
-from infrablend.formats.hit_uav import CATEGORIES
+from infrablend.formats import detection, writing
+from infrablend.formats.labels import coco, folder, yolo
+from infrablend.formats.picture_facts import Captures, read_table
+from infrablend.formats.published.hit_uav import CATEGORIES
 from infrablend.formats.reading import Reading
 from tests.samples import SAMPLES, codes
 

@@ -15,8 +15,9 @@ from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, hit_uav
-from infrablend.formats.capture import facts_from_name
+from infrablend.formats import detection
+from infrablend.formats.picture_facts import facts_from_name
+from infrablend.formats.published import hit_uav
 from tests.samples import codes
 
 

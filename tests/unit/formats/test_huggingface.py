@@ -12,7 +12,8 @@ import pytest
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, huggingface
+from infrablend.formats import detection
+from infrablend.formats.labels import huggingface
 from tests.samples import records, with_facts
 
 

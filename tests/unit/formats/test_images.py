@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from infrablend.errors import DatasetError
-from infrablend.formats import images as module
-from infrablend.formats.images import encode_image, load_background, output_suffix, save_image
+from infrablend.formats.pictures import images as module
+from infrablend.formats.pictures.images import encode_image, load_background, output_suffix, save_image
 
 
 def ramp(dtype: type = np.uint8) -> np.ndarray:

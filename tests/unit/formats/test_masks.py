@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from infrablend.core.dataset import Category, ImageRecord, Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError
-from infrablend.formats import masks
+from infrablend.formats.labels import masks
 from tests.samples import SAMPLES, picture
 
 BOX = np.array([10.0, 20.0, 18.0, 25.0])

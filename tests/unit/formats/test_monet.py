@@ -17,9 +17,10 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, monet, writing
+from infrablend.formats import detection, writing
+from infrablend.formats.published import monet
 from infrablend.formats.reading import Reading
 from tests.samples import with_facts
 

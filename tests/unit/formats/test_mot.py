@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, mot, writing
+from infrablend.formats import detection, writing
+from infrablend.formats.labels import mot
 from infrablend.formats.losses import Written
 from infrablend.formats.reading import Reading
 from tests.samples import SIZE_WH, codes, picture

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from infrablend.formats import detection
-from infrablend.formats.groups import leakage
+from infrablend.formats.image_groups import leakage
 from tests.samples import picture
 
 

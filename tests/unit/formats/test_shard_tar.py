@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.formats.shard_tar import image_of, label_text
+from infrablend.formats.labels.shard_tar import image_of, label_text
 from tests.samples import records, with_facts
 
 

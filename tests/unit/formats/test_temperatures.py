@@ -11,8 +11,8 @@ from PIL import Image
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
+from infrablend.formats.pictures.temperature_scale import describe_scales
 from infrablend.formats.reading import Reading
-from infrablend.formats.temperatures import describe_scales
 
 
 @pytest.fixture

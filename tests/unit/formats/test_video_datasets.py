@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 from infrablend.cli.app import build_app
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import coco, detection
+from infrablend.formats import detection
+from infrablend.formats.labels import coco
 from infrablend.formats.reading import Reading
 from tests.samples import SAMPLES, picture, with_facts
 from tests.videos import level, write_ground_truth, write_video

@@ -14,10 +14,11 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import derived, detection
+from infrablend.formats import detection
+from infrablend.formats.pictures import derived
+from infrablend.formats.pictures.video import Video
+from infrablend.formats.pictures.video import write_video as write_grey_video
 from infrablend.formats.reading import Reading
-from infrablend.formats.video import Video
-from infrablend.formats.video import write_video as write_grey_video
 from tests.samples import picture
 from tests.videos import bracketed, level, write_srt, write_video
 

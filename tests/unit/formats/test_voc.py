@@ -12,9 +12,10 @@ from PIL import Image
 
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, voc
+from infrablend.formats import detection
+from infrablend.formats.labels import voc
 from infrablend.formats.reading import Reading
 from tests.samples import codes
 

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, wisard
+from infrablend.formats import detection
+from infrablend.formats.published import wisard
 from infrablend.formats.reading import Reading
 from tests.samples import codes, picture
 

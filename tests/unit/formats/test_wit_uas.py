@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, wit_uas
-from infrablend.formats.images import load_background
+from infrablend.formats import detection
+from infrablend.formats.pictures.images import load_background
+from infrablend.formats.published import wit_uas
 from infrablend.formats.reading import Reading
 from tests.samples import SAMPLES, picture
 

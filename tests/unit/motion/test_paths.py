@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.motion_kinds import IN_AIR, ON_GROUND, SPEED_M_S
-from infrablend.motion.paths import STEP_S, find_path, sway
+from infrablend.sampling.paths import STEP_S, find_path, sway
 
 START = (3.0, -2.0, 1.0, 0.7)
 KINDS = sorted({*ON_GROUND, *IN_AIR} - {"followed"})

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from infrablend.motion.sequence import BRIDGE, follow_camera, moment_from_json, moment_to_json
-from infrablend.motion.shift import View, find_shift, moved
+from infrablend.imaging.camera_path import BRIDGE, follow_camera, moment_from_json, moment_to_json
+from infrablend.imaging.camera_shift import View, find_shift, moved
 
 SIZE_WH = (320, 256)
 MIDDLE = np.array([[SIZE_WH[0] / 2, SIZE_WH[1] / 2]])

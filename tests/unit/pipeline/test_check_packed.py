@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.formats import derived, detection, shards
+from infrablend.formats import detection
+from infrablend.formats.labels import shards
+from infrablend.formats.pictures import derived
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.runs.written import changes_since_written
 from infrablend.pipeline.studies.examine import check_folder

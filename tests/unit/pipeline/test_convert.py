@@ -14,7 +14,7 @@ from infrablend.core.format_table import WRITERS, written_names
 from infrablend.errors import DatasetError, OutputError, UnknownFormatError
 from infrablend.formats import detection, writing
 from infrablend.formats.losses import LOSSES
-from infrablend.formats.pictures import read_size
+from infrablend.formats.pictures.listing import read_size
 from tests.command_line import done, run
 from tests.flights import flight
 from tests.samples import SAMPLES, picture

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.engine.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
 from infrablend.pipeline.studies import doctor
 from infrablend.pipeline.studies.doctor import Blender, Machine, Trainer, assess
+from infrablend.rendering.engine.system_libraries import DEBIAN_PACKAGES, install_command, missing_packages
 
 GOOD = Machine(
     system="Linux",

@@ -14,9 +14,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from infrablend.formats.rjpeg.segments import APP1
-from infrablend.formats.rjpeg.writing import PLANCK, segment_bytes
-from infrablend.formats.rjpeg.xmp import EXTENDED
+from infrablend.formats.cameras.jpeg_segments import APP1
+from infrablend.formats.cameras.rjpeg_writing import PLANCK, segment_bytes
+from infrablend.formats.cameras.xmp import EXTENDED
 from tests.command_line import said
 from tests.flights import SIZE_WH, flight, shot, with_xmp
 

@@ -10,12 +10,12 @@ import pytest
 
 from infrablend import api
 from infrablend.config.loading import load_recipe
-from infrablend.formats import mot
-from infrablend.motion.shift import moved
-from infrablend.world import flight
-from infrablend.world.dataset import WorldRequest, write_world
-from infrablend.world.flight import begin_flight, flight_frame
-from infrablend.world.ground import ground_kelvin
+from infrablend.formats.labels import mot
+from infrablend.imaging.camera_shift import moved
+from infrablend.lab.world import world_flight
+from infrablend.lab.world.ground import ground_kelvin
+from infrablend.lab.world.world_dataset import WorldRequest, write_world
+from infrablend.lab.world.world_flight import begin_flight, flight_frame
 
 SEED, COUNT = 2, 6
 
@@ -37,7 +37,7 @@ def frames(facts, folder):
 def world(tmp_path_factory):
     out = tmp_path_factory.mktemp("flight") / "world"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flight, "ACROSS", 2)
+        patch.setattr(world_flight, "ACROSS", 2)
         patch.setenv("INFRABLEND_CACHE", str(tmp_path_factory.mktemp("cache")))
         patch.setenv("INFRABLEND_LOG", str(tmp_path_factory.mktemp("log") / "log.txt"))
         write_world(out, WorldRequest(COUNT, SEED, "flight"), frames)

@@ -14,7 +14,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import LocalMatching
 from infrablend.errors import DatasetError, MissingDependencyError, RecipeError
 from infrablend.pipeline.compose.looks import local_settings
-from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.runs.generate import prepare_run
 from tests.command_line import done
 from tests.recipes import ANYWHERE
@@ -496,7 +496,7 @@ def test_a_frame_that_needs_blender_ends_the_run_which_can_be_resumed(tmp_path, 
         return len(drawn) == 1
 
     with monkeypatch.context() as patch:
-        patch.setattr("infrablend.engine.renderer.needs_no_tracing", first_frame_only)
+        patch.setattr("infrablend.rendering.engine.renderer.needs_no_tracing", first_frame_only)
         with pytest.raises(MissingDependencyError, match="switched off"):
             api.generate("hit-uav-drone-physical", data, tmp_path / "run", execution=how)
     assert not (tmp_path / "run").exists() and len(drawn) == 2

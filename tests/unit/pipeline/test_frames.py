@@ -15,7 +15,7 @@ from PIL import Image
 
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
-from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.runs.generate import prepare_run
 from tests.command_line import run, said
 from tests.videos import FRAMES, RATE, SIZE_WH, av, bracketed, level, write_srt, write_video

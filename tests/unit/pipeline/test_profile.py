@@ -20,7 +20,7 @@ from infrablend.config.sensor_profile import read_profile
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, InfraBlendError, OutputError, RecipeError
-from infrablend.formats.images import load_background
+from infrablend.formats.pictures.images import load_background
 from infrablend.formats.writing import write
 from infrablend.pipeline.studies import profile
 from infrablend.pipeline.studies.profile import jpeg_quality

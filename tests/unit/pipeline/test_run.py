@@ -256,9 +256,9 @@ def test_unreadable_background_is_skipped_named_and_counted(dataset, tmp_path):
 
 
 def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path, monkeypatch):
-    from infrablend.pipeline.compose import worker
+    from infrablend.pipeline.compose import frame_worker
 
-    real, calls = worker.write_bytes, []
+    real, calls = frame_worker.write_bytes, []
 
     def full_after_two(path, data):
         calls.append(path)
@@ -266,7 +266,7 @@ def test_a_full_disk_stops_the_run_and_keeps_what_is_finished(dataset, tmp_path,
             raise OutputError(f"cannot write {path}: No space left on device")
         return real(path, data)
 
-    monkeypatch.setattr(worker, "write_bytes", full_after_two)
+    monkeypatch.setattr(frame_worker, "write_bytes", full_after_two)
     with pytest.raises(OutputError, match="No space left"):
         generate(dataset, tmp_path / "run")
     assert len(list((partial_of(tmp_path / "run") / "images").rglob("*.png"))) == 2

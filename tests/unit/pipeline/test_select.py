@@ -14,7 +14,7 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import DatasetError
 from infrablend.formats import writing

@@ -13,9 +13,9 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
-from infrablend.formats.paint_out import Shown
+from infrablend.imaging.paint_out import Shown
 from infrablend.pipeline.compose.looks import Earlier, PhysicalLook
-from infrablend.pipeline.compose.sequences import Sequences
+from infrablend.pipeline.compose.sequence_objects import Sequences
 from tests.unit.motion.test_sequence import frame, path, scene
 
 STATED = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 40}", "camera.roll_deg=[0, 0]"]

@@ -14,7 +14,7 @@ import pytest
 from infrablend import api
 from infrablend.core.ledger import Ledger
 from infrablend.core.workspace import workspace
-from infrablend.formats import shard_tar
+from infrablend.formats.labels import shard_tar
 from infrablend.pipeline.runs import shard_table
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat

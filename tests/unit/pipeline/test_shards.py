@@ -13,7 +13,7 @@ from infrablend.core import spool
 from infrablend.core.ledger import Ledger
 from infrablend.core.workspace import workspace
 from infrablend.errors import ArgumentError
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import Shard, ShardRequest
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat

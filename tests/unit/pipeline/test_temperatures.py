@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from infrablend import api
-from infrablend.formats.rjpeg.temperatures import read_temperatures
+from infrablend.formats.cameras.raw_temperatures import read_temperatures
 from tests.command_line import run as invoke
 from tests.command_line import said
 from tests.flights import counts, flight, plain_jpeg, with_exif, with_xmp

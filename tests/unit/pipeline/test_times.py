@@ -13,8 +13,8 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.temperature import Radiometry, TemperatureScale
 from infrablend.errors import Problem
-from infrablend.formats.flight import time_of_day
-from infrablend.pipeline.plans.request import RunRequest
+from infrablend.formats.cameras.flight_headers import time_of_day
+from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.times import time_warnings, with_used_times
 from infrablend.pipeline.runs.generate import describe_run, prepare_run
 from tests.flights import flight

@@ -17,7 +17,7 @@ from infrablend.pipeline.compose import trial
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.frame import FrameComposer
 from infrablend.pipeline.plans.plan import PlannedFrame
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from tests.command_line import done
 
 FLAT = Execution(renderer="flat", in_process=True)

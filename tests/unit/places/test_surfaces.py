@@ -10,7 +10,7 @@ from tests.command_line import done, said
 from tests.unit.pipeline.test_run import dataset
 
 from infrablend.core.surface_kinds import SURFACES
-from infrablend.places.surfaces import DRIVE, STAND, find_surfaces, model_version
+from infrablend.imaging.surfaces import DRIVE, STAND, find_surfaces, model_version
 
 __all__ = ["dataset"]
 

@@ -11,7 +11,7 @@ from tests.unit.places.test_surfaces import road_by_night
 
 from infrablend import api
 from infrablend.config.loading import recipe_text
-from infrablend.places.surfaces import model_version
+from infrablend.imaging.surfaces import model_version
 
 FIELDS = [
     "objects.0.count=3", "camera.calibrate=false", "placement.min_contrast=off", "placement.max_relief_grey=0",

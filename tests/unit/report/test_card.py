@@ -12,7 +12,7 @@ import yaml
 
 from infrablend import api
 from infrablend.core.dataset import Dataset
-from infrablend.formats.sources import PAPER_BIBTEX, SOURCES
+from infrablend.formats.published.sources import PAPER_BIBTEX, SOURCES
 from infrablend.report.card import Card, card_text, dataset_card, find_provenance, is_own, write_card
 from tests.samples import SAMPLES
 

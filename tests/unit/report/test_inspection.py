@@ -18,7 +18,7 @@ from infrablend.cli.app import build_app
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats.groups import frame_places, group_images, leakage
+from infrablend.formats.image_groups import frame_places, group_images, leakage
 from infrablend.report.inspection import _binned, write_charts
 from tests.samples import SAMPLES, with_facts
 

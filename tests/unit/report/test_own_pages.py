@@ -10,8 +10,8 @@ import pytest
 
 from infrablend.core.files import write_text
 from infrablend.errors import OutputError
+from infrablend.lab.pages.write_results import index_text, require_own_pages, write_page
 from infrablend.pipeline.studies.profile import _require_own_profile
-from infrablend.report.results.write import index_text, require_own_pages, write_page
 from tests.command_line import run
 from tests.samples import SAMPLES
 

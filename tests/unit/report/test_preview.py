@@ -12,7 +12,7 @@ from PIL import Image
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import DoneFrame, Ledger
-from infrablend.core.masks import Mask
+from infrablend.core.rle_masks import Mask
 from infrablend.core.scene import Appearance, CameraSpec, SceneSpec, View
 from infrablend.errors import ArgumentError, InfraBlendError, OutputError
 from infrablend.report.preview import (

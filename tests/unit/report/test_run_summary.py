@@ -12,8 +12,8 @@ from typing import Any
 from infrablend.errors import Problem
 from infrablend.pipeline.plans import checks, times
 from infrablend.pipeline.runs import warnings
-from infrablend.report.run.facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
-from infrablend.report.run.page import run_page
+from infrablend.report.run.run_facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
+from infrablend.report.run.run_page import run_page
 from infrablend.report.run.summary import MEANINGS, plain_summary
 
 

@@ -15,9 +15,9 @@ from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RecipeError
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.selection import FrameSelection
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from tests.command_line import done
 from tests.flat_renderer import render_flat

@@ -14,7 +14,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.placed import PlacedScene
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RecipeError
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from infrablend.sampling.weather import used_time
 from tests.recipes import load_anywhere

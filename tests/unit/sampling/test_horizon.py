@@ -9,7 +9,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.compositing.behind import elevations
 from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
-from infrablend.sampling.scene import RecipeSampler, sample_scene
+from infrablend.sampling.scene_sampler import RecipeSampler, sample_scene
 from infrablend.sampling.site import FrameKey, Site
 
 WH = (320, 256)

@@ -17,7 +17,7 @@ from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pi
 from infrablend.sampling.calibration import FACTOR_BOUNDS, FROM_TABLE, NOMINAL_FACTOR, REFERENCES, calibrate, prior_of
 from infrablend.sampling.metric import is_even, relief_of
 from infrablend.sampling.placement import PlacementRequest, box_px, collides, volume_of
-from infrablend.sampling.scene import RecipeSampler, rebuild_scene
+from infrablend.sampling.scene_sampler import RecipeSampler, rebuild_scene
 from infrablend.sampling.site import FrameKey, Site
 from tests.recipes import ANYWHERE, load_anywhere
 

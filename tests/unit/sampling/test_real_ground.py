@@ -9,7 +9,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.errors import RecipeError
 from infrablend.sampling.real_ground import draw_aim, ground_around
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from tests.recipes import load_anywhere
 

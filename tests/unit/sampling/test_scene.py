@@ -13,7 +13,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.raster import inside_fraction
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import ModelError
-from infrablend.sampling.scene import rebuild_scene, require_parts, sample_scene
+from infrablend.sampling.scene_sampler import rebuild_scene, require_parts, sample_scene
 from infrablend.sampling.site import FrameKey
 from tests.samples import with_facts
 

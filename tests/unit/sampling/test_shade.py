@@ -10,7 +10,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
 from infrablend.core.scene import Sun
-from infrablend.sampling.scene import RecipeSampler, rebuild_scene, sample_scene
+from infrablend.sampling.scene_sampler import RecipeSampler, rebuild_scene, sample_scene
 from infrablend.sampling.shade import shadow_shift
 from infrablend.sampling.site import FrameKey, Site
 from tests.recipes import load_anywhere

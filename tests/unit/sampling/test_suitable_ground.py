@@ -10,9 +10,9 @@ from infrablend.core.camera import object_to_world
 from infrablend.core.dataset import Instance
 from infrablend.core.surface_kinds import SURFACES
 from infrablend.errors import RecipeError
-from infrablend.places import labelled_ground
-from infrablend.places.labelled_ground import ANY_TIME, ClassGround, learn_ground, with_labels
-from infrablend.places.surfaces import SurfaceMap
+from infrablend.imaging.surfaces import SurfaceMap
+from infrablend.sampling import labelled_ground
+from infrablend.sampling.labelled_ground import ANY_TIME, ClassGround, learn_ground, with_labels
 from infrablend.sampling.site import Site
 from tests.unit.sampling.test_metric import FLAT, key, lined, off_deg, sampler_of
 

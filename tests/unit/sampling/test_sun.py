@@ -10,7 +10,7 @@ import pytest
 from infrablend.assets.catalogue import load_model
 from infrablend.core.capture import Capture
 from infrablend.core.scene import SceneSpec
-from infrablend.sampling.scene import sample_scene
+from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey, Site
 from tests.recipes import load_anywhere
 from tests.samples import with_facts

@@ -12,8 +12,8 @@ from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pi
 from infrablend.core.placed import PlacedObject
 from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
-from infrablend.motion.sequence import Moment
-from infrablend.motion.shift import moved
+from infrablend.imaging.camera_path import Moment
+from infrablend.imaging.camera_shift import moved
 from infrablend.sampling.tracks import Footage, camera_in, find_track, objects_in, velocity_px_s
 
 SIZE = (320, 256)

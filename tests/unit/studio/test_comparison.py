@@ -12,10 +12,10 @@ import pytest
 from infrablend.errors import ArgumentError, DatasetError
 from infrablend.studio.comparison import FramePair, PairView, RunComparison, pair_rows
 from infrablend.studio.frame_index import FrameRow
+from infrablend.studio.open_studio import Session
 from infrablend.studio.opened_run import RunFrames
-from infrablend.studio.request import StudioRequest
 from infrablend.studio.run_labels import RunLabels
-from infrablend.studio.session import Session
+from infrablend.studio.studio_request import StudioRequest
 from tests.studio_runs import frame_record, write_run
 
 FIRST = (

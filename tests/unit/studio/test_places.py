@@ -12,10 +12,10 @@ import pytest
 from infrablend.config.loading import load_recipe
 from infrablend.errors import DatasetError, OutputError, RecipeError
 from infrablend.pipeline.compose.trial import TrialRequest
-from infrablend.pipeline.plans.request import Execution
-from infrablend.report.place_sheet import COLOURS
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.report.preview import to_rgb
-from infrablend.studio.places import _suits, paint, show_places, show_surfaces
+from infrablend.report.surface_sheet import COLOURS
+from infrablend.studio.ground_masks import _suits, paint, show_places, show_surfaces
 from infrablend.studio.tuning import Tuned, Tuning
 from tests.unit.sampling.test_suitable_ground import halves, site_of
 

@@ -11,7 +11,7 @@ import pytest
 
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError, OutputError
-from infrablend.pipeline.runs.review import Verdict, read_verdicts
+from infrablend.pipeline.runs.review_file import Verdict, read_verdicts
 from infrablend.studio.frame_index import FrameRow, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.row_reading import RowReading

@@ -14,7 +14,7 @@ from infrablend.config.loading import list_recipes, load_recipe
 from infrablend.config.modes import modes_of
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
 from infrablend.pipeline.compose.trial import TrialRequest, gain_words
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.studio.recipe_form import (
     FormField,
     Move,

@@ -21,8 +21,8 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.errors import ArgumentError
-from infrablend.formats.images import Background, load_background
-from infrablend.sampling.scene import RecipeSampler, sample_scene
+from infrablend.formats.pictures.images import Background, load_background
+from infrablend.sampling.scene_sampler import RecipeSampler, sample_scene
 from infrablend.sampling.site import FrameKey, Site
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.annotation.labels import LabelReport, annotate
-from infrablend.annotation.merge import MergeSettings, merge
+from infrablend.annotation.merge_labels import MergeSettings, merge
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.mapping import GreyImage, grey_unit, measure_levels
 from infrablend.compositing.occlusion import Occluder, Scenery
@@ -28,15 +28,15 @@ from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import MetricRecipe
 from infrablend.core.dataset import Instance
 from infrablend.core.frame_record import FrameRecord
-from infrablend.core.masks import Mask
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
+from infrablend.core.rle_masks import Mask
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import MissingDependencyError
-from infrablend.formats.images import Background, encode_image, output_suffix
-from infrablend.formats.paint_out import Shown
-from infrablend.formats.place_masks import read_mask
+from infrablend.formats.pictures.images import Background, encode_image, output_suffix
+from infrablend.formats.pictures.place_masks import read_mask
+from infrablend.imaging.paint_out import Shown
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.inserts import (
     FirstContrasts,
@@ -46,7 +46,7 @@ from infrablend.pipeline.compose.inserts import (
     with_seen_box,
 )
 from infrablend.pipeline.compose.looks import Match, make_look
-from infrablend.pipeline.compose.occlusion import (
+from infrablend.pipeline.compose.partly_hidden import (
     Cover,
     behind_front,
     behind_text,
@@ -55,7 +55,7 @@ from infrablend.pipeline.compose.occlusion import (
     occlusion_facts,
     too_hidden,
 )
-from infrablend.pipeline.compose.sequences import Anchored, Sequences, Take
+from infrablend.pipeline.compose.sequence_objects import Anchored, Sequences, Take
 from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.backgrounds import background_facts
 from infrablend.pipeline.plans.plan import PlannedFrame

@@ -29,7 +29,7 @@ from infrablend.core.placed import PlacedScene
 from infrablend.core.render import RenderResult
 from infrablend.core.rng import stream
 from infrablend.errors import ArgumentError
-from infrablend.formats.images import Background
+from infrablend.formats.pictures.images import Background
 from infrablend.pipeline.compose.extensions import LookRequest
 from infrablend.pipeline.compose.settings import FrameSettings
 from infrablend.pipeline.plans.backgrounds import is_ground, require_temperatures, require_thermal_levels

@@ -8,14 +8,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from infrablend.core.tasks import Task, TaskResult, WorkerSpec
-from infrablend.execution.process_pool import PoolSettings, WarmPool
-from infrablend.execution.serial import WarmSerial
 from infrablend.pipeline.compose.composed import ComposedFrame
 from infrablend.pipeline.compose.settings import FrameSettings
+from infrablend.pipeline.execution.process_pool import PoolSettings, WarmPool
+from infrablend.pipeline.execution.serial import WarmSerial
 from infrablend.pipeline.plans.plan import PlannedFrame
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 
-FACTORY = "infrablend.pipeline.compose.worker:FrameWorker"
+FACTORY = "infrablend.pipeline.compose.frame_worker:FrameWorker"
 
 
 @dataclass(frozen=True)

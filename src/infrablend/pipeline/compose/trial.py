@@ -23,16 +23,16 @@ from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.formats import detection
 from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.pipeline.compose.in_memory import Frame, as_frame
+from infrablend.pipeline.compose.memory_frames import Frame, as_frame
 from infrablend.pipeline.compose.pool import FrameWorkers
 from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan, reading_for
-from infrablend.pipeline.plans.request import ONE_WORKER, Execution, Settings
+from infrablend.pipeline.plans.run_request import ONE_WORKER, Execution, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
-from infrablend.places.labelled_ground import LabelledGround
 from infrablend.report.preview import PreviewFrame, contact_sheet
+from infrablend.sampling.labelled_ground import LabelledGround
 
 POLL_S = 0.02
 """Time between two looks at recipe and models; the data are looked at less often, since they may be many files."""

@@ -15,12 +15,12 @@ from infrablend.annotation.looseness import EXACT, Looseness, loosen_inserted, l
 from infrablend.config.recipe import CLASS_NAME, MAX_LOOSEN, MAX_LOOSEN_PX
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.format_table import NATIVE, Writer, find_writer, written_names
-from infrablend.core.output import require_apart
+from infrablend.core.output_checks import require_apart
 from infrablend.core.workspace import CONVERT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.losses import by_class
-from infrablend.formats.pictures import with_sizes
+from infrablend.formats.pictures.listing import with_sizes
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline.datasets.origin import AT_MOST, invalid_texts, loosened_before, origin_of, renamed_texts
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection

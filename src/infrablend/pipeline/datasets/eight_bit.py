@@ -13,7 +13,7 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import join_inside
 from infrablend.core.files import write_bytes
 from infrablend.core.spool import Spool, StoredImages
-from infrablend.formats.images import load_background, png_bytes
+from infrablend.formats.pictures.images import load_background, png_bytes
 
 
 def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> tuple[Sequence[ImageRecord], int]:

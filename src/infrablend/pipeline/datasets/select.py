@@ -16,7 +16,7 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import sort_images
-from infrablend.formats.images import load_background
+from infrablend.formats.pictures.images import load_background
 from infrablend.pipeline.datasets.requests import MOST_COPIES, Selection
 
 

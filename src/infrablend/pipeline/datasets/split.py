@@ -12,14 +12,14 @@ from typing import Any
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_text
 from infrablend.core.format_table import NATIVE, find_writer
-from infrablend.core.output import require_apart
+from infrablend.core.output_checks import require_apart
 from infrablend.core.workspace import SPLIT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.divide import assign_groups, group_weights
-from infrablend.formats.groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage, states_frame
-from infrablend.formats.pictures import assign_ids, with_sizes
+from infrablend.formats.image_groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage, states_frame
+from infrablend.formats.pictures.listing import assign_ids, with_sizes
 from infrablend.pipeline.datasets.origin import loosened_before, origin_of
 from infrablend.pipeline.datasets.requests import SplitRule
 from infrablend.report.card import dataset_card, write_card, written_layout

@@ -15,8 +15,8 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, Background
-from infrablend.formats.temperatures import CHECK_SCALE, IMPLAUSIBLE, shows_ground
+from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, Background
+from infrablend.formats.pictures.temperature_scale import CHECK_SCALE, IMPLAUSIBLE, shows_ground
 
 # With a smaller span, the picture does not show how grey levels depend on temperature.
 MIN_SPAN_LEVELS = 4

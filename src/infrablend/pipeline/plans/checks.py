@@ -17,10 +17,10 @@ from infrablend.core.motion_kinds import IN_AIR, ON_GROUND
 from infrablend.core.rng import stream
 from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
+from infrablend.formats.cameras.flight_headers import FLIGHT_MISSING
 from infrablend.formats.detection import DATASET_INSIDE
-from infrablend.formats.flight import FLIGHT_MISSING
-from infrablend.formats.place_masks import find_mask
-from infrablend.formats.temperatures import IMPLAUSIBLE, implausible_scales
+from infrablend.formats.pictures.place_masks import find_mask
+from infrablend.formats.pictures.temperature_scale import IMPLAUSIBLE, implausible_scales
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.formats.writing import unwritable
 from infrablend.pipeline.plans.backgrounds import is_ground

@@ -7,7 +7,7 @@ from collections import Counter
 from typing import Any
 
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.sampling.scene import mean_objects
+from infrablend.sampling.scene_sampler import mean_objects
 
 # Measured by `bench/recipes.py`, with one worker. Start and end of a run, and what Blender adds; workers start in
 # parallel, so their number does not change it.

@@ -11,9 +11,9 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import as_text, is_text
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.flight import FOR_ALL, was_extracted
-from infrablend.formats.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, load_background
-from infrablend.formats.temperatures import EXTRACT_AGAIN, from_radiometric_files
+from infrablend.formats.cameras.flight_headers import FOR_ALL, was_extracted
+from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, load_background
+from infrablend.formats.pictures.temperature_scale import EXTRACT_AGAIN, from_radiometric_files
 
 LEFT_OUT = frozenset(
     ("no-pitch", "no-altitude", "no-field-of-view", "above-horizon", "no-temperature-scale", "image-visible")

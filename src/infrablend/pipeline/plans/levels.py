@@ -9,7 +9,7 @@ from pathlib import Path
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
-from infrablend.formats.images import Background, load_background
+from infrablend.formats.pictures.images import Background, load_background
 from infrablend.pipeline.plans.plan import RunPlan
 
 Load = Callable[[ImageRecord], Background]

@@ -14,11 +14,11 @@ from infrablend.assets.user_model import ImportJob, geometry_path, is_descriptio
 from infrablend.core.files import replace_atomically
 from infrablend.core.tasks import Failure, Task, TaskResult, WorkerSpec
 from infrablend.errors import InfraBlendError, ModelError, Problem
-from infrablend.execution.process_pool import PoolSettings, ProcessPool
+from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 
 log = logging.getLogger(__name__)
 
-IMPORTER = "infrablend.engine.importer:make_importer"
+IMPORTER = "infrablend.rendering.engine.model_import:make_importer"
 IMPORT_CPU_SECONDS, IMPORT_SECONDS, IMPORT_MEMORY_BYTES = 120, 600.0, 3 * 2**30
 TOO_SLOW = "model-too-slow"
 # Time limit of a single job in a worker process.

@@ -17,10 +17,11 @@ from infrablend.core.file_names import distinct_names, file_name, fit_name
 from infrablend.core.files import sha256_of_json
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import detection
+from infrablend.formats.pictures.temperature_scale import OPTIONS
 from infrablend.formats.reading import Reading
-from infrablend.formats.temperatures import OPTIONS
-from infrablend.pipeline.capture.camera_motion import VERSION as MOTION_VERSION
+from infrablend.imaging.surfaces import model_version
 from infrablend.pipeline.datasets.content import fingerprint
+from infrablend.pipeline.extraction.camera_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.plans.checks import (
     data_warnings,
     dataset_remarks,
@@ -38,11 +39,10 @@ from infrablend.pipeline.plans.checks import (
 from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
+from infrablend.pipeline.plans.planned_sequences import plan_sequences
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
-from infrablend.pipeline.plans.sequences import plan_sequences
 from infrablend.pipeline.plans.times import time_warnings, with_used_times
-from infrablend.places.surfaces import model_version
-from infrablend.sampling.scene import require_parts
+from infrablend.sampling.scene_sampler import require_parts
 
 LEVELS_SAMPLE = 64
 

@@ -13,10 +13,10 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import partial_of
 from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Problem
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.selection import similar
 from infrablend.pipeline.runs.recorded import RecordedRun
-from infrablend.pipeline.runs.review import read_verdicts
+from infrablend.pipeline.runs.review_file import read_verdicts
 from infrablend.pipeline.runs.run import Choice, is_unchanged, run_plan
 
 BY_HAND = "by hand"

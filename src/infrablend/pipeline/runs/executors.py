@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from infrablend.core.tasks import Executor, TaskResult, WorkerSpec
-from infrablend.execution.process_pool import PoolSettings, ProcessPool
-from infrablend.execution.ray_pool import RayPool, RaySettings
-from infrablend.execution.serial import Serial
-from infrablend.pipeline.plans.request import WORKER_BYTES, Execution
+from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
+from infrablend.pipeline.execution.ray_pool import RayPool, RaySettings
+from infrablend.pipeline.execution.serial import Serial
+from infrablend.pipeline.plans.run_request import WORKER_BYTES, Execution
 
 
 def make_executor(worker: WorkerSpec, execution: Execution, log_path: Path) -> Executor:

@@ -22,14 +22,15 @@ from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WO
 from infrablend.core.spool import Spool, store_images
 from infrablend.core.workspace import NOTE, Workspace
 from infrablend.errors import OutputError, Problem
-from infrablend.formats import huggingface, writing
+from infrablend.formats import writing
+from infrablend.formats.labels import huggingface
 from infrablend.formats.losses import Written, by_class
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.runs.card import run_card
 from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
+from infrablend.pipeline.runs.run_card import run_card
 from infrablend.pipeline.runs.track_files import with_own_sequence, write_tracks
 from infrablend.pipeline.runs.warnings import (
     absent_warnings,

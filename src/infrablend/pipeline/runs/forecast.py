@@ -18,7 +18,7 @@ from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.estimate import objects_per_frame
 from infrablend.pipeline.plans.levels import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.exports import draw_statistics
 from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
 from infrablend.pipeline.runs.warnings import absent_warnings

@@ -12,7 +12,7 @@ from infrablend.config.modes import DROPPED, KEPT
 from infrablend.core.addresses import address_of
 from infrablend.core.file_names import as_text, is_text, real_path
 from infrablend.core.ledger import LEDGER
-from infrablend.core.output import require_apart
+from infrablend.core.output_checks import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
@@ -22,14 +22,14 @@ from infrablend.pipeline.plans.estimate import estimate_run
 from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import make_plan, reading_for
-from infrablend.pipeline.plans.request import RunRequest
+from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import forecast_objects
 from infrablend.pipeline.runs.run import RunReport, run_plan
 from infrablend.pipeline.runs.sharded import run_shards
 from infrablend.pipeline.runs.stored import require_packed, run_stored_shards
-from infrablend.storage.mirror import local_folder
+from infrablend.pipeline.storage.mirror import local_folder
 
 
 def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:

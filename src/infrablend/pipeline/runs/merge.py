@@ -13,15 +13,15 @@ from typing import get_args
 from infrablend.core.addresses import address_of, shown
 from infrablend.core.arguments import require_choice
 from infrablend.core.file_names import real_path
-from infrablend.core.output import require_apart
+from infrablend.core.output_checks import require_apart
 from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import Failure, OnProgress, Task, TaskResult
 from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
-from infrablend.execution.interrupt import STOPPED, Interruption
 from infrablend.pipeline.compose.composed import MadeFrame
+from infrablend.pipeline.execution.interrupt import STOPPED, Interruption
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.exports import LabelSummary
 from infrablend.pipeline.runs.inserted import nothing_inserted

@@ -22,12 +22,12 @@ from infrablend.core.run_folder import RUN_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import Failure, OnProgress
 from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import OutputError
-from infrablend.formats.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text
-from infrablend.formats.shards import SOURCE
+from infrablend.formats.labels.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text
+from infrablend.formats.labels.shards import SOURCE
 from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.origin import run_inserts
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.run import RunReport, require_same_key, run_in
 from infrablend.pipeline.runs.shard_table import TableWriter, require_pyarrow
 from infrablend.report.card import find_provenance, shard_source

@@ -13,15 +13,15 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG
 from infrablend.core.machine import describe_machine, installed_versions
 from infrablend.core.tasks import TaskResult
-from infrablend.engine.programs import blender_version
 from infrablend.errors import Problem
 from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.exports import LabelSummary
 from infrablend.pipeline.runs.inserted import nothing_first
-from infrablend.storage.mirror import origin_of
+from infrablend.pipeline.storage.mirror import origin_of
+from infrablend.rendering.engine.programs import blender_version
 
 log = logging.getLogger(__name__)
 

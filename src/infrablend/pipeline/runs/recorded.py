@@ -19,7 +19,7 @@ from infrablend.formats.reading import Reading
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.selection import FrameSelection
-from infrablend.storage.mirror import local_folder
+from infrablend.pipeline.storage.mirror import local_folder
 
 
 @dataclass(frozen=True)

@@ -20,19 +20,19 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.machine import take_core
-from infrablend.core.masks import Mask
-from infrablend.core.output import require_outside_datasets, require_replaceable
+from infrablend.core.output_checks import require_outside_datasets, require_replaceable
+from infrablend.core.rle_masks import Mask
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Task
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, OutputError
-from infrablend.formats.images import encode_image, load_background
-from infrablend.pipeline.compose.occlusion import recorded_front
+from infrablend.formats.pictures.images import encode_image, load_background
+from infrablend.pipeline.compose.partly_hidden import recorded_front
 from infrablend.pipeline.plans.models import ready_model, run_once
 from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.pipeline.storage.mirror import local_folder
 from infrablend.rendering import make_renderer
-from infrablend.sampling.scene import rebuild_scene
-from infrablend.storage.mirror import local_folder
+from infrablend.sampling.scene_sampler import rebuild_scene
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from infrablend.core.tasks import Executor, OnProgress, Progress, Task, WorkerSp
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Existing, Workspace, workspace
 from infrablend.errors import Interrupted, MissingDependencyError, OtherSettingsError, Problem, RenderError
-from infrablend.formats.images import output_suffix
+from infrablend.formats.pictures.images import output_suffix
 from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.plans.request import DEFAULT_EXECUTION, Execution
+from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution
 from infrablend.pipeline.runs.executors import Pace, make_executor
 from infrablend.pipeline.runs.exports import (
     LabelSummary,
@@ -40,7 +40,7 @@ from infrablend.pipeline.runs.record import RUN, RunState, record_header, record
 
 log = logging.getLogger(__name__)
 
-FACTORY = "infrablend.pipeline.compose.worker:FrameMaker"
+FACTORY = "infrablend.pipeline.compose.frame_worker:FrameMaker"
 
 Choose = Callable[[Mapping[str, str]], Mapping[str, str]]
 """Returns the frames to leave out from now on, each with its reason, from those that are left out now."""
@@ -264,7 +264,7 @@ def _export(
     }
     record = run_record(header, plan, state, labels, timing)
     if plan.shard is None:
-        from infrablend.pipeline.runs.report import write_report
+        from infrablend.pipeline.runs.run_report import write_report
 
         record.pop(COMMAND, None)  # finished runs are equal, whatever their folders
         write_report(folder, record, ledger.records(f.frame_id for f in frames), ledger.excluded())

@@ -14,7 +14,7 @@ from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.run_folder import RunFolder, ShardFiles
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
-from infrablend.formats.shard_tar import PackedFrame, key_of, packed_frames
+from infrablend.formats.labels.shard_tar import PackedFrame, key_of, packed_frames
 from infrablend.pipeline.compose.composed import MadeFrame
 from infrablend.pipeline.runs.packed_shard import UNFINISHED, damage_of
 

@@ -35,7 +35,7 @@ from infrablend.core.workspace import NOTE, Existing, is_being_written, partial_
 from infrablend.errors import OtherSettingsError, OutputError
 from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.pipeline.plans.request import Execution
+from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import MAX_SHARDS, Shard
 from infrablend.pipeline.runs.inserted import nothing_inserted
 from infrablend.pipeline.runs.key import differences

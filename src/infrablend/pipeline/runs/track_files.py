@@ -12,10 +12,10 @@ from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.run_folder import TRACKS, VIDEO
 from infrablend.errors import MissingDependencyError, Problem
 from infrablend.formats import writing
-from infrablend.formats.images import load_background
-from infrablend.formats.mot import ASSUMED_RATE
-from infrablend.formats.sequences import Frames, by_sequence, places_of
-from infrablend.formats.video import write_video
+from infrablend.formats.labels.mot import ASSUMED_RATE
+from infrablend.formats.pictures.images import load_background
+from infrablend.formats.pictures.video import write_video
+from infrablend.formats.sequence_writing import Frames, by_sequence, places_of
 from infrablend.formats.write_settings import WriteSettings
 
 

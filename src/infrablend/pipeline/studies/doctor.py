@@ -20,10 +20,10 @@ from typing import Literal
 from infrablend.core.files import existing_part, free_bytes
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
 from infrablend.core.user_folders import cache_folder
-from infrablend.engine.process import blender_process
-from infrablend.engine.programs import TODO, VARIABLE, Program, absence, candidates
-from infrablend.engine.system_libraries import install_command, missing_packages
 from infrablend.errors import InfraBlendError, MissingDependencyError
+from infrablend.rendering.engine.process import blender_process
+from infrablend.rendering.engine.programs import TODO, VARIABLE, Program, absence, candidates
+from infrablend.rendering.engine.system_libraries import install_command, missing_packages
 
 Status = Literal["ok", "warning", "error"]
 

@@ -6,11 +6,12 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from infrablend.core.output import require_apart
+from infrablend.core.output_checks import require_apart
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, UnknownFormatError
-from infrablend.formats import detection, shards
+from infrablend.formats import detection
+from infrablend.formats.labels import shards
 from infrablend.formats.reading import READ_ALL, Reading
 from infrablend.pipeline.runs.written import changes_since_written
 from infrablend.report.checking import Checking, CheckReport, check_dataset, unreadable

@@ -17,20 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from infrablend.annotation.measured_looseness import MIN_BOXES
 from infrablend.compositing.fitting import LAGS, MIN_EDGES, Fit, Survey, SurveySummary, chain_readings, fit_profile
 from infrablend.config.sensor_profile import SensorProfile, find_profile
 from infrablend.core.arguments import require_whole
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_bytes, write_json
-from infrablend.core.output import require_apart, require_no_foreign
+from infrablend.core.output_checks import require_apart, require_no_foreign
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.images import IN_COLOUR, Background, load_background
+from infrablend.formats.pictures.images import IN_COLOUR, Background, load_background
 from infrablend.pipeline.datasets.origin import count_loosened, loosened_before
 from infrablend.pipeline.plans.levels import require_one_depth
 from infrablend.pipeline.studies.profile_objects import annotated_pictures, object_figures, read_objects
-from infrablend.realism.looseness import MIN_BOXES
 from infrablend.report.profile_plots import draw_profile
 
 # Percentiles of the used range of levels without a few stray pixels, as in `compositing.mapping.measure_levels`.

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from infrablend.annotation.looseness import tighten_image
+from infrablend.annotation.measured_looseness import BoxExtent, box_extent, looseness, looseness_against
+from infrablend.compositing.object_contrast import TIMES, ObjectContrast, bound_local_share, eight_bit, object_contrast
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
-from infrablend.formats.images import load_background
-from infrablend.realism.contrasts import TIMES, ObjectContrast, bound_local_share, object_contrast
-from infrablend.realism.features import eight_bit
-from infrablend.realism.looseness import BoxExtent, box_extent, looseness, looseness_against
+from infrablend.formats.pictures.images import load_background
 
 MAX_PICTURES = 1000
 """Largest number of annotated pictures that are read, evenly spread."""

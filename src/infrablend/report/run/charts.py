@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from infrablend.report.figures import compact
-from infrablend.report.run.facts import Filters, FrameFacts
+from infrablend.report.run.run_facts import Filters, FrameFacts
 
 BINS = 12
 MAP_WH = (8, 6)

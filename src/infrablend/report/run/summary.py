@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from statistics import median_high
 
-from infrablend.report.run.facts import FrameFacts, InsertFacts, RunFacts
+from infrablend.report.run.run_facts import FrameFacts, InsertFacts, RunFacts
 
 Sentence = tuple[str, str]
 """A sentence, and the link to the section that it is about; empty for none."""

@@ -7,9 +7,9 @@ from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
 from infrablend.errors import InfraBlendError
+from infrablend.studio.open_studio import Session
 from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.pages import compare, layout, review, routes, sequences
-from infrablend.studio.session import Session
+from infrablend.studio.pages import compare, layout, review, routes, sequence_page
 
 
 def add_pages(session: Session) -> None:
@@ -46,7 +46,7 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
     def sequences_page(request: Request) -> None:
         with layout.page_frame(session, request, "/sequences", "Sequences"):
             frame = request.query_params.get("frame", "")
-            layout.when_read(opened, lambda: sequences.show_sequence(opened, frame))
+            layout.when_read(opened, lambda: sequence_page.show_sequence(opened, frame))
 
     @ui.page("/losses")
     def losses_page(request: Request) -> None:
@@ -57,17 +57,17 @@ def _add_run_pages(session: Session, opened: OpenedRun) -> None:
 
     @app.get("/results/{report}/{number}")
     def result_picture(report: int, number: int) -> Response:
-        from infrablend.studio.pages import results
+        from infrablend.studio.pages import results_page
 
-        return results.picture(opened.layout.root, further, report, number)
+        return results_page.picture(opened.layout.root, further, report, number)
 
     @ui.page("/results")
     def results_page(request: Request) -> None:
-        from infrablend.studio.pages import results  # loads what the other pages do not need
+        from infrablend.studio.pages import results_page  # loads what the other pages do not need
 
         with layout.page_frame(session, request, "/results", "Results"):
             data = opened.record.get("data")
-            results.build(
+            results_page.build(
                 opened.layout.root, str(data.get("root", "DATA")) if isinstance(data, dict) else "DATA", further
             )
 

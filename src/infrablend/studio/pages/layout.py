@@ -13,8 +13,8 @@ from nicegui.events import KeyEventArguments
 from starlette.requests import Request
 
 from infrablend.errors import InfraBlendError, format_problems
+from infrablend.studio.open_studio import Session
 from infrablend.studio.opened_run import RunFrames
-from infrablend.studio.session import Session
 
 THEME_COOKIE = "infrablend_theme"
 _LOOK_S = 0.25

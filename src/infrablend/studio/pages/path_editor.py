@@ -14,7 +14,7 @@ from nicegui.events import GenericEventArguments
 from infrablend.core.yaml_text import read_yaml
 from infrablend.studio.pages.layout import show_choice
 from infrablend.studio.pages.object_inputs import Input
-from infrablend.studio.pages.stage import Stage
+from infrablend.studio.pages.picture_stage import Stage
 from infrablend.studio.recipe_form import Point, path_of, with_path, with_point
 
 

@@ -20,14 +20,14 @@ from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import InfraBlendError, Problem
 from infrablend.report.preview import Rgb
+from infrablend.studio.ground_masks import Legend, paint, show_places, show_surfaces
+from infrablend.studio.page_pictures import to_png
 from infrablend.studio.pages.generation_panel import show_generation
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
 from infrablend.studio.pages.object_inputs import Input, show_counts, show_ends, show_models, show_options, show_parts
 from infrablend.studio.pages.path_editor import PathEditor
+from infrablend.studio.pages.picture_stage import Stage
 from infrablend.studio.pages.routes import Pictures
-from infrablend.studio.pages.stage import Stage
-from infrablend.studio.pictures import to_png
-from infrablend.studio.places import Legend, paint, show_places, show_surfaces
 from infrablend.studio.recipe_form import (
     FormField,
     Move,

@@ -13,10 +13,10 @@ from PIL import Image
 
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import DatasetError
-from infrablend.formats.rjpeg import flir
-from infrablend.formats.rjpeg.segments import APP3, APP4, read_header
-from infrablend.formats.rjpeg.temperatures import fit_scale, read_converted, read_temperatures
-from infrablend.formats.rjpeg.writing import PLANCK, Maker, segment_bytes
+from infrablend.formats.cameras import flir_block
+from infrablend.formats.cameras.jpeg_segments import APP3, APP4, read_header
+from infrablend.formats.cameras.raw_temperatures import fit_scale, read_converted, read_temperatures
+from infrablend.formats.cameras.rjpeg_writing import PLANCK, Maker, segment_bytes
 from infrablend.thermal.flir import ObjectSettings
 from tests.flights import SIZE_WH, counts, plain_jpeg, shot
 
@@ -35,13 +35,13 @@ def test_flir_counts_become_kelvin_as_published(tmp_path: Path) -> None:
 def rewritten(path: Path, change: Any) -> Path:
     """Replace the FFF block of a made-up FLIR file by `change(block)`, in two segments in the wrong order."""
     header = read_header(path)
-    segments = header.find(0xE1, flir.SIGNATURE)
+    segments = header.find(0xE1, flir_block.SIGNATURE)
     block = change(header.read(segments, skip=8))
     data = path.read_bytes()
     for s in segments:
         data = data.replace(segment_bytes(0xE1, header.read([s])), b"")
     half = len(block) // 2
-    chunks = [flir.SIGNATURE + bytes((1, k, 1)) + c for k, c in enumerate((block[:half], block[half:]))]
+    chunks = [flir_block.SIGNATURE + bytes((1, k, 1)) + c for k, c in enumerate((block[:half], block[half:]))]
     inserted = b"".join(segment_bytes(0xE1, c) for c in reversed(chunks))
     path.write_bytes(data[:2] + inserted + data[2:])
     return path
@@ -114,7 +114,7 @@ def test_blocks_that_lie_are_named(change: Any, code: str, tmp_path: Path) -> No
 def test_a_missing_segment_of_the_block_is_named(tmp_path: Path) -> None:
     path = shot(tmp_path / "a.jpg", "flir")
     data = path.read_bytes()
-    path.write_bytes(data.replace(flir.SIGNATURE + bytes((1, 0, 0)), flir.SIGNATURE + bytes((1, 0, 3))))
+    path.write_bytes(data.replace(flir_block.SIGNATURE + bytes((1, 0, 0)), flir_block.SIGNATURE + bytes((1, 0, 3))))
     with pytest.raises(DatasetError, match="1 of 4 FLIR segments"):
         read_temperatures(path)
 

@@ -1,0 +1,139 @@
+"""The detections to evaluate: from weights that are run on the images, or from a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from infrablend.core.dataset import ImageRecord
+from infrablend.core.workspace import unfinished
+from infrablend.detection import predict
+from infrablend.detection.detections import MAX_DETECTIONS, PREDICTIONS, TASKS, Predictions, Task, read_predictions
+from infrablend.detection.training_folder import WEIGHTS
+from infrablend.detection.truth import image_key
+from infrablend.errors import DatasetError, ModelError, Problem
+
+
+class DetectionSource:
+    """Source of the detections to evaluate: a detector or a file of saved detections.
+
+    Attributes:
+        name: Name of the file or folder.
+        classes: Classes of the detector; None if it could not be loaded.
+        task: What the detector finds; None if it could not be loaded.
+    """
+
+    def __init__(self, path: Path, device: str, problems: list[Problem]) -> None:
+        """Load weights or saved detections, and append problems with them to `problems`."""
+        self.name = path.name
+        self.classes: tuple[str, ...] | None = None
+        self.task: Task | None = None
+        self._path = path
+        self._saved: Predictions | None = None
+        self._detector: predict.Detector | None = None
+        try:
+            file = _file_of(path)
+            if file.suffix == ".json":
+                self._saved = read_predictions(file)
+                self.classes, self.task = self._saved.classes, self._saved.task
+            else:
+                self._detector = predict.load_detector(file, device)
+                self.classes, self.task = self._detector.classes, self._detector.task
+        except (DatasetError, ModelError) as error:
+            problems += error.problems
+
+    def check(self, images: Sequence[ImageRecord], problems: list[Problem]) -> None:
+        """Check that saved detections fit these images, or that a detector can read the images; append problems."""
+        if self._saved is not None:
+            self._saved = _of_images(self._saved, images, self._path, problems)
+        elif self._detector is not None:
+            problems += predict.check_pictures(images)
+
+    def on(
+        self,
+        images: Sequence[ImageRecord],
+        image_size: int | None,
+        on_image: Callable[[int, int], None] | None,
+        problems: list[Problem],
+    ) -> Predictions:
+        """Return the detections on the images, and append warnings about the image scale to `problems`."""
+        if self._saved is not None:
+            used = self._saved.facts.get("image_size")
+            if image_size is not None and used != image_size:
+                found = f"--image-size {image_size} has no effect on saved detections"
+                problems.append(Problem(self.name, "image-size-unused", found, severity="warning"))
+            return self._saved
+        assert self._detector is not None
+        if image_size is None:
+            problems += self._detector.scale.warnings(self._path)
+        return predict.predict(self._detector, images, image_size=image_size, on_image=on_image)
+
+
+def _file_of(path: Path) -> Path:
+    """Return the file to use from a folder: detections of an evaluation, or weights of a training.
+
+    Raises:
+        ModelError: The folder is neither, or its training is not finished.
+    """
+    if not path.is_dir() and (path.exists() or unfinished(path) is None):
+        return path
+    for file in (PREDICTIONS, WEIGHTS):
+        if (path / file).is_file():
+            return path / file
+    found, todo = unfinished(path), ""
+    if found is None:
+        found = f"a folder with neither {PREDICTIONS} nor {WEIGHTS}"
+        todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"
+    problem = Problem(str(path), "weights", found, f"weights (.pt), or {PREDICTIONS}", todo)
+    raise ModelError(f"{path}: nothing to evaluate", [problem])
+
+
+def choose_task(wanted: str | None, source: DetectionSource, problems: list[Problem]) -> Task:
+    """Return the task to evaluate: the requested one, or the detector's own; append a mismatch to `problems`."""
+    task = source.task or "detect"
+    if wanted is None:
+        return task
+    chosen = next((t for t in TASKS if t == wanted), None)
+    if chosen is None:
+        problems.append(Problem("task", "task", f"{wanted!r}", f"one of {', '.join(TASKS)}"))
+    elif chosen not in (task, "detect") and source.task is not None:
+        todo = "omit --task, or use weights that were trained for it"
+        problems.append(Problem("task", "task", f"{chosen}, but the detector finds {_FINDS[task]}", task, todo))
+    return chosen or task
+
+
+_FINDS: Mapping[Task, str] = {"detect": "boxes", "obb": "oriented boxes", "segment": "masks"}
+
+
+def _of_images(saved: Predictions, images: Sequence[ImageRecord], file: Path, problems: list[Problem]) -> Predictions:
+    """Return the detections on these images by InfraBlend's keys; the keys of other tools may lack the split."""
+    of: dict[str, str] = {}
+    lacking = []
+    for image in images:
+        key = image_key(image)
+        name = next((n for n in (key, image.name) if n in saved.images), None)
+        if name is None:
+            lacking.append(key)
+            continue
+        of[key] = name
+        if image.size_wh is not None and saved.sizes_wh[name] != image.size_wh:
+            found, expected = ("{}x{} px".format(*size) for size in (saved.sizes_wh[name], image.size_wh))
+            problems.append(Problem(f"{file.name}, {name}", "prediction-size", found, expected))
+    if lacking:
+        found = f"no entry for {len(lacking)} of {len(images)} images: {', '.join(lacking[:3])}"
+        todo = "give the dataset and split that the file was made from"
+        problems.append(Problem(file.name, "prediction-images", found, "an entry for every image", todo))
+    rest = len(saved.images) - len(of)
+    if rest and of:
+        found = f"{rest} images are not in the split and were left out"
+        problems.append(Problem(file.name, "prediction-images", found, severity="warning"))
+    cut = sum(len(saved.images[n]) > MAX_DETECTIONS for n in of.values())
+    if cut:
+        found = f"more than {MAX_DETECTIONS} detections in {cut} images: only those with the best scores are evaluated"
+        problems.append(Problem(file.name, "prediction-many", found, severity="warning"))
+    first = np.arange(MAX_DETECTIONS)
+    kept = {k: d if len(d := saved.images[n]) <= MAX_DETECTIONS else d.take(first) for k, n in of.items()}
+    return replace(saved, images=kept, sizes_wh={k: saved.sizes_wh[n] for k, n in of.items()})

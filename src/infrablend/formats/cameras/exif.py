@@ -1,0 +1,113 @@
+"""Reads the few EXIF fields that say how a picture was taken; Pillow parses the directories."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from PIL import Image
+
+from infrablend.errors import Problem
+from infrablend.formats.cameras.jpeg_segments import APP1, JpegHeader
+from infrablend.formats.values import to_number
+
+_SIGNATURE = b"Exif\0\0"
+_EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
+_MAKE, _MODEL, _MODIFY_DATE = 0x010F, 0x0110, 0x0132
+_ORIGINAL_DATE, _CREATE_DATE = 0x9003, 0x9004
+_FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _ZOOM = 0x920A, 0xA405, 0xA404
+_WIDTH, _HEIGHT = 0xA002, 0xA003
+_ORIENTATION = 0x0112
+
+
+@dataclass(frozen=True)
+class Exif:
+    """EXIF fields of one file; None where absent.
+
+    Attributes:
+        make: Maker of the camera.
+        model: Model of the camera.
+        dates: Dates as written, by the name of their tag, the most exact first.
+        focal_length_mm: Focal length of the lens.
+        focal_length_35mm: Focal length of a 35 mm camera with the same diagonal field of view.
+        zoom: Digital zoom.
+        latitude_deg: Latitude, north positive.
+        longitude_deg: Longitude, east positive.
+        size_wh: Width and height of the picture in pixels as the camera wrote it.
+        problems: Faults, as warnings.
+        turned: Whether the picture is to be turned or mirrored to be shown.
+    """
+
+    make: str = ""
+    model: str = ""
+    dates: Mapping[str, str] = field(default_factory=dict)
+    focal_length_mm: float | None = None
+    focal_length_35mm: float | None = None
+    zoom: float | None = None
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    size_wh: tuple[float, float] | None = None
+    problems: tuple[Problem, ...] = ()
+    turned: bool = False
+
+
+def read_exif(header: JpegHeader) -> Exif:
+    """Return the EXIF fields of a file."""
+    segments = header.find(APP1, _SIGNATURE)[:1]
+    if not segments:
+        return Exif()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            exif = Image.Exif()
+            exif.load(header.read(segments))
+            main, detail, gps = dict(exif), exif.get_ifd(_EXIF_IFD), exif.get_ifd(_GPS_IFD)
+    except Exception as error:  # Pillow raises what it likes on broken directories
+        found = f"EXIF that cannot be read ({type(error).__name__}), left out"
+        problem = Problem(header.path.name, "exif-unreadable", found, "EXIF as cameras write it", severity="warning")
+        return Exif(problems=(problem,))
+    dates = {
+        "EXIF DateTimeOriginal": _text(detail.get(_ORIGINAL_DATE)),
+        "EXIF CreateDate": _text(detail.get(_CREATE_DATE)),
+        "EXIF ModifyDate": _text(main.get(_MODIFY_DATE)),
+    }
+    return Exif(
+        _text(main.get(_MAKE)),
+        _text(main.get(_MODEL)),
+        {k: v for k, v in dates.items() if v},
+        _positive(detail.get(_FOCAL_LENGTH)),
+        _positive(detail.get(_FOCAL_LENGTH_35MM)),
+        _positive(detail.get(_ZOOM)),
+        _degrees(gps.get(2), gps.get(1), "S", 90.0),
+        _degrees(gps.get(4), gps.get(3), "W", 180.0),
+        None
+        if (width := _positive(detail.get(_WIDTH))) is None or (height := _positive(detail.get(_HEIGHT))) is None
+        else (width, height),
+        turned=main.get(_ORIENTATION, 1) != 1,
+    )
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bytes):
+        value = value.decode("ascii", "replace")
+    return value.replace("\0", " ").strip()[:200] if isinstance(value, str) else ""
+
+
+def _positive(value: Any) -> float | None:
+    found = to_number(value)
+    return found if found is not None and found > 0 else None
+
+
+def _degrees(value: Any, reference: Any, negative: str, largest: float) -> float | None:
+    if not isinstance(value, tuple) or len(value) != 3:
+        return None
+    parts = [to_number(v) for v in value]
+    if any(p is None or p < 0 for p in parts):
+        return None
+    degrees = math.fsum(p / 60**k for k, p in enumerate(parts) if p is not None)
+    if degrees > largest or not any(parts):
+        return None
+    return -degrees if _text(reference).upper() == negative else degrees

@@ -1,0 +1,425 @@
+"""Completes pictures as DJI and FLIR cameras write them with what their own headers state about the flight.
+
+Pitch, height, field of view, time and place of each picture come from its EXIF, XMP and FLIR block (`formats.cameras`).
+What a table, an annotation or a file name states counts more. Pictures of visible light are left out, and what is
+missing is asked for once per field.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+import statistics
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime, timedelta
+
+from infrablend.core.capture import Capture, TimeOfDay
+from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.files import open_regular
+from infrablend.core.format_table import FORMATS
+from infrablend.core.workspace import FRAMES_FILE, TEMPERATURES_FILE
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.cameras.header_facts import FIELDS, CameraFacts, read_facts
+from infrablend.formats.cameras.time_zones import BREAK_S, with_agreed_zones
+from infrablend.formats.picture_facts import pitch_note
+from infrablend.formats.values import is_place, to_time
+from infrablend.thermal.daytime import time_of_sun
+from infrablend.thermal.sky import sun_position, time_of
+
+_JPEG, _TIFF = (".jpg", ".jpeg"), (".tif", ".tiff")
+# Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
+_LOOKED_AT = 64
+_HEAD_BYTES = 65536
+# A picture without a radiometric layer and this many times larger than those with one is a visible twin.
+_TWIN_SIZE = 4
+# Clocks that differ by this much in at least three pictures are reported; a larger gap means other flights.
+_CLOCKS_S = (60.0, 25 * 3600.0)
+_LEAST_PAIRS = 3
+# A local clock is within this of the sun's time: time zones and daylight saving.
+_CLOCK_OFF_H = (-2, -1, 0, 1, 2)
+# By a clock of an unknown zone, it is day or night where the sun is beyond these at all times that it may mean.
+_DAY_ABOVE_DEG, _NIGHT_BELOW_DEG = 3.0, -3.0
+_NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
+_ANY_NUMBER = re.compile(r"[+-]?\d[\d.]*(?:[eE][+-]?\d+)?", re.ASCII)
+_ASKED = {
+    "pitch_deg": ("camera pitch", "--set camera.pitch='{fixed_deg: 60}'"),
+    "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
+    "hfov_deg": ("field of view", "--set camera.focal_length_mm=40 (of a sensor 36 mm wide)"),
+}
+FLIGHT_MISSING = "flight-missing"
+"""Code of the warning about pictures without a pitch, a height or a field of view."""
+FOR_ALL = " for all pictures, also those that have one"
+"""What a field of the recipe does that replaces a value which only some pictures lack."""
+GIVEN = "table, annotation or file name"
+
+
+def add_flight_data(dataset: Dataset) -> Dataset:
+    """Return the dataset with the flight data of its pictures, or as it is if they are not from such a camera.
+
+    `notes["flight"]` then holds the table of facts: per field and source the number of pictures and the range.
+    """
+    if not any(f.any_camera for f in FORMATS if f.name == dataset.format):
+        return dataset
+    dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
+    dataset = replace(dataset, problems=(*dataset.problems, *_unread_tiffs(dataset)))
+    jpegs = [i for i in dataset.images if _is_file(i)]
+    step = max(1, len(jpegs) // _LOOKED_AT)
+    sample = jpegs[::step][:_LOOKED_AT]
+    looked_at = {i.id: f for i in sample if isinstance(f := _read(i), CameraFacts)}
+    damaged = [i for i in sample if i.id not in looked_at]
+    if not any(f.from_a_drone_camera for f in looked_at.values()) and not any(map(_names_a_drone_camera, damaged)):
+        return _with_missing(dataset)
+    faults: list[Problem] = []
+    facts: dict[str, CameraFacts] = {}
+    for image in jpegs:
+        found = looked_at.get(image.id) or _read(image)
+        if isinstance(found, CameraFacts):
+            facts[_key(image)] = found
+            faults += found.problems
+        else:
+            faults.append(found)
+    facts, zones_apart = with_agreed_zones(facts)
+    problems = _alike_together(faults)
+    for gap, names in zones_apart:
+        text = f"{gap} ({len(names)} picture(s): {_some(names)})"
+        todo = "correct the clock (exiftool -AllDates-=0:10) if day, night or flights matter"
+        problems.append(_warning(dataset, "flight-clocks", text, "one time zone in a flight", todo))
+    left_out = _left_out(dataset.images, facts)
+    kept = [i for i in dataset.images if _key(i) not in left_out]
+    if not kept:
+        kept, left_out = list(dataset.images), {}
+    problems += _left_out_warnings(dataset, left_out)
+    images = _with_flights([_complete(i, facts.get(_key(i))) for i in kept])
+    known = [facts[_key(i)] for i in kept if _key(i) in facts]
+    problems += _missing(dataset, images) + _cameras(dataset, known) + _clocks(dataset, facts.values())
+    problems += _with_temperatures(dataset, known)
+    rows = _rows(kept, facts)
+    note = {
+        "pictures": len(images),
+        "left_out": dict(sorted(Counter(left_out.values()).items())),
+        "cameras": dict(sorted(Counter(_camera(f) for f in known).items())),
+        "radiometric": sum(bool(f.raw) for f in known),
+        "facts": [asdict(row) for row in rows],
+    }
+    pitches = pitch_note({r.source or "none": r.count for r in rows if r.field == "pitch_deg"})
+    notes = {**dataset.notes, "pitch": pitches, "flight": note}
+    return replace(dataset, images=tuple(images), problems=(*dataset.problems, *problems), notes=notes)
+
+
+def was_extracted(dataset: Dataset) -> bool:
+    """Return whether `infrablend frames` or `infrablend temperatures` wrote the dataset from a camera's files."""
+    return any((dataset.root / name).is_file() for name in (FRAMES_FILE, TEMPERATURES_FILE))
+
+
+def _with_missing(dataset: Dataset) -> Dataset:
+    """Return a dataset without flight data of its own; that of an own flight is asked for what is missing, too."""
+    if not was_extracted(dataset):
+        return dataset
+    return replace(dataset, problems=(*dataset.problems, *_missing(dataset, dataset.images)))
+
+
+def _key(image: ImageRecord) -> str:
+    return f"{image.split}/{image.id}"
+
+
+def _is_file(image: ImageRecord, suffixes: Sequence[str] = _JPEG) -> bool:
+    """Return whether a picture is a file with one of these suffixes, and no link; a pipe would wait for ever."""
+    path = image.path
+    return path.suffix.lower() in suffixes and path.is_file() and not path.is_symlink()
+
+
+def _names_a_drone_camera(image: ImageRecord) -> bool:
+    """Return whether the head or, as TIFF has its tags there, the end of a file names a camera of DJI or FLIR."""
+    try:
+        with open_regular(image.path) as stream:
+            ends = stream.read(_HEAD_BYTES)
+            stream.seek(max(0, image.path.stat().st_size - _HEAD_BYTES))
+            ends += stream.read(_HEAD_BYTES)
+    except OSError:
+        return False
+    return any(name in ends for name in (b"drone-dji", b"DJI", b"FLIR"))
+
+
+def _unread_tiffs(dataset: Dataset) -> list[Problem]:
+    """Return a warning if TIFF files of a camera may state the pitch or height that their records lack."""
+    lacking = [i for i in dataset.images if i.capture.pitch_deg is None or i.capture.altitude_m is None]
+    tiffs = [i for i in lacking if _is_file(i, _TIFF)]
+    if was_extracted(dataset) or not any(map(_names_a_drone_camera, tiffs[:: max(1, len(tiffs) // _LOOKED_AT)])):
+        return []
+    found = f"{len(tiffs)} TIFF picture(s) of a DJI or FLIR camera, whose EXIF and XMP are not read: "
+    found += _some([i.name for i in tiffs])
+    todo = "give pitch_deg and altitude_m in metadata.csv; exiftool -csv lists what the files state"
+    return [_warning(dataset, "flight-tiff", found, "the camera's JPEG files, or a table", todo)]
+
+
+def _without_level_roll(image: ImageRecord) -> ImageRecord:
+    """Return the record without a roll of 0, which only matters where a header states another."""
+    if image.capture.roll_deg != 0 or _is_file(image):
+        return image
+    return replace(image, capture=replace(image.capture, roll_deg=None))
+
+
+def _read(image: ImageRecord) -> CameraFacts | Problem:
+    try:
+        return read_facts(image.path)
+    except DatasetError as error:
+        fault = error.problems[0]
+        return replace(fault, found=f"{fault.found}; its flight data are not read", severity="warning")
+
+
+# ---- Leaving pictures out
+
+
+def _left_out(images: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> dict[str, str]:
+    """Return the reason for each picture that is not thermal; none if nothing shows which pictures are thermal."""
+    if not any(f.thermal for f in facts.values()):
+        return {}
+    largest = max((_pixels(f) for f in facts.values() if f.raw), default=0)
+    reasons = {}
+    for image in images:
+        f = facts.get(_key(image))
+        if f is None or f.thermal or image.instances:
+            continue
+        if f.visible:
+            reasons[_key(image)] = f"visible light ({f.visible})"
+        elif f.camera and not f.from_a_drone_camera:
+            reasons[_key(image)] = f"of another camera ({f.camera})"
+        elif largest and _pixels(f) >= _TWIN_SIZE * largest:
+            reasons[_key(image)] = "visible light (far larger than the thermal pictures)"
+    return reasons
+
+
+def _pixels(f: CameraFacts) -> int:
+    return f.size_wh[0] * f.size_wh[1]
+
+
+def _left_out_warnings(dataset: Dataset, left_out: Mapping[str, str]) -> list[Problem]:
+    by_reason: dict[str, list[str]] = defaultdict(list)
+    for key, reason in left_out.items():
+        by_reason[reason].append(key.rpartition("/")[2])
+    return [
+        _warning(dataset, "flight-left-out", f"{len(names)} picture(s) left out: {reason}; {_some(names)}", "")
+        for reason, names in sorted(by_reason.items())
+    ]
+
+
+def _alike_together(faults: Sequence[Problem]) -> list[Problem]:
+    """Return one problem for the same kind of fault in many pictures, so that a flight's do not hide the others."""
+    groups: dict[tuple[str, str, str, str], list[Problem]] = defaultdict(list)
+    for fault in faults:
+        # Numbers apart, which are those of one picture: a tag's names hold none.
+        groups[fault.code, _ANY_NUMBER.sub("", fault.found), fault.expected, fault.todo].append(fault)
+    together = []
+    for first, *others in groups.values():
+        more = f"; so in {len(others)} more: {_some([p.where for p in others])}" if others else ""
+        together.append(replace(first, found=first.found + more))
+    return together
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def _warning(dataset: Dataset, code: str, found: str, expected: str, todo: str = "") -> Problem:
+    return Problem(dataset.root.name, code, found, expected, todo, "warning")
+
+
+# ---- Completing records
+
+
+def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
+    if f is None:
+        return image
+    stated = Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False)
+    if image.capture.altitude_m is None and stated.altitude_m is not None:
+        stated = replace(stated, altitude_from="laser" if "LRF" in f.facts["altitude_m"].source else "take-off")
+    # Level cameras need no entry: a roll of 0 is written nowhere.
+    stated = replace(stated, roll_deg=stated.roll_deg or None)
+    known = replace(image.capture.over(stated), camera=f.camera or image.capture.camera)
+    if known.time_of_day is None:
+        when = time_of_day(known.captured, f.value("latitude_deg"), f.value("longitude_deg"))
+        known = replace(known, time_of_day=when)
+    return replace(image, size_wh=image.size_wh or f.size_wh, capture=known)
+
+
+def time_of_day(captured: str | None, latitude: float | None, longitude: float | None) -> TimeOfDay | None:
+    """Return the time of day by the sun; None if time or place are unknown or the clock leaves several open.
+
+    Args:
+        captured: Time, ISO 8601; without a zone it is local time.
+        latitude: Degrees north.
+        longitude: Degrees east.
+    """
+    if captured is None or len(captured) <= 10 or latitude is None or longitude is None:
+        return None
+    if not is_place(latitude, longitude):
+        return None
+    exact = time_of(captured)
+    if exact is not None:
+        times = [exact]
+    else:
+        try:
+            local = datetime.fromisoformat(captured).replace(tzinfo=UTC)
+            times = [local - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
+        except (ValueError, OverflowError):
+            return None
+    found = {time_of_sun(t, latitude, longitude) for t in times}
+    if len(found) == 1:
+        return found.pop()
+    up = [math.degrees(sun_position(t, latitude, longitude)[1]) for t in times]
+    if min(up) > _DAY_ABOVE_DEG:
+        return "day"
+    return "night" if max(up) < _NIGHT_BELOW_DEG else None
+
+
+def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
+    """Return the records with a flight each: pictures of a folder and camera without a break of ten minutes."""
+    groups: dict[tuple[str, str], list[tuple[datetime, int]]] = defaultdict(list)
+    for k, image in enumerate(images):
+        when = _naive(image.capture.captured)
+        if image.capture.sequence is None and when is not None:
+            groups[str(image.path.parent), image.capture.camera or ""].append((when, k))
+    flights: dict[int, str] = {}
+    for times in groups.values():
+        start, last = None, None
+        for when, k in sorted(times):
+            if last is None or (when - last).total_seconds() > BREAK_S:
+                start = when
+            last = when
+            assert start is not None
+            flights[k] = f"flight-{start:%Y%m%d-%H%M%S}"
+    return [
+        replace(i, capture=replace(i.capture, sequence=flights[k])) if k in flights else i for k, i in enumerate(images)
+    ]
+
+
+def _naive(captured: str | None) -> datetime | None:
+    """Return a time of capture without its time zone; None for a date alone."""
+    when = to_time(captured) if captured is not None and len(captured) > 10 else None
+    return when.replace(tzinfo=None) if when else None
+
+
+# ---- What is missing, and what does not fit together
+
+
+def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
+    problems = []
+    for name, (title, setting) in _ASKED.items():
+        lacking = [i.name for i in images if getattr(i.capture, name) is None]
+        if lacking:
+            found = f"{title} missing in {len(lacking)} of {len(images)} pictures: {_some(lacking)}"
+            todo = f"give a column {name} in metadata.csv, or {setting}"
+            todo += FOR_ALL if len(lacking) < len(images) else ""
+            problems.append(_warning(dataset, FLIGHT_MISSING, found, "it in EXIF or XMP, or from you", todo))
+    return problems
+
+
+def _with_temperatures(dataset: Dataset, known: Sequence[CameraFacts]) -> list[Problem]:
+    makers = [f.raw for f in known if f.raw]
+    if not makers:
+        return []
+    which = " and ".join(sorted(set(makers)))
+    found = f"{len(makers)} of {len(known)} pictures are radiometric ({which}), but read as plain pictures"
+    layers = shlex.quote(f"{dataset.root.resolve().name}_k")
+    todo = (
+        "go on if the grey levels suffice: the temperatures are not used; to use them, run "
+        f"infrablend temperatures {shlex.quote(str(dataset.root))} --out {layers} and take {layers} as data"
+    )
+    expected = "pictures whose grey levels are all that is needed"
+    return [_warning(dataset, "image-radiometric", found, expected, todo)]
+
+
+def _camera(f: CameraFacts) -> str:
+    fov = f.value("hfov_deg")
+    return f"{f.camera or 'unknown'}, {f.size_wh[0]}x{f.size_wh[1]}" + ("" if fov is None else f", {fov:.1f} degrees")
+
+
+def _cameras(dataset: Dataset, known: Sequence[CameraFacts]) -> list[Problem]:
+    if len({(f.camera, f.size_wh) for f in known}) < 2:
+        return []
+    counts = Counter(_camera(f) for f in known)
+    found = "pictures of several cameras: " + "; ".join(f"{c} ({n})" for c, n in sorted(counts.items()))
+    todo = "put each camera's pictures into a folder of their own, with a sensor profile each"
+    return [_warning(dataset, "flight-cameras", found, "one camera", todo)]
+
+
+def _clocks(dataset: Dataset, facts: Iterable[CameraFacts]) -> list[Problem]:
+    """Return warnings about clocks that disagree, within a file and between cameras that took the same numbers."""
+    problems = []
+    apart: dict[int, list[str]] = defaultdict(list)
+    numbered: dict[str, dict[str, datetime]] = defaultdict(dict)
+    for f in facts:
+        times = sorted(f.clocks.values())
+        if times and (times[-1] - times[0]).total_seconds() >= _CLOCKS_S[0]:
+            apart[round((times[-1] - times[0]).total_seconds() / 60)].append(f.path.name)
+        number = _NUMBER.search(f.path.stem.upper())
+        if times and number:
+            numbered[_lens(f)].setdefault(number[1], times[0])
+    for minutes, names in sorted(apart.items()):
+        found = f"clocks {_minutes(minutes)} apart inside {len(names)} picture(s): {_some(names)}"
+        problems.append(_warning(dataset, "flight-clocks", f"{found}; EXIF DateTimeOriginal is used", "one time"))
+    lenses = sorted(numbered)
+    for k, one in enumerate(lenses):
+        for other in lenses[k + 1 :]:
+            both = numbered[one].keys() & numbered[other].keys()
+            gaps = [(numbered[other][n] - numbered[one][n]).total_seconds() for n in sorted(both)]
+            if len(gaps) >= _LEAST_PAIRS and _CLOCKS_S[0] <= abs(statistics.median(gaps)) <= _CLOCKS_S[1]:
+                found = f"the clocks of {one} and {other} are {_minutes(round(statistics.median(gaps) / 60))} apart"
+                todo = "compare captures by number instead of time, or correct one clock (exiftool -AllDates+=1)"
+                found += f" in pictures with the same numbers ({len(gaps)})"
+                problems.append(_warning(dataset, "flight-clocks", found, "one clock", todo))
+    return problems
+
+
+def _lens(f: CameraFacts) -> str:
+    return f"{f.camera or 'an unknown camera'} ({f.size_wh[0]}x{f.size_wh[1]})"
+
+
+def _minutes(minutes: int) -> str:
+    return f"{abs(minutes) // 60}:{abs(minutes) % 60:02d} h"
+
+
+# ---- The table
+
+
+@dataclass(frozen=True)
+class FactRow:
+    """One row of the table of facts: how many pictures have a fact from a source.
+
+    Attributes:
+        field: Name of the fact.
+        source: Tag or tags that it comes from; empty for pictures that lack it.
+        count: Number of pictures.
+        lowest: Smallest value; None for missing facts.
+        highest: Largest value; None for missing facts.
+    """
+
+    field: str
+    source: str
+    count: int
+    lowest: float | str | None = None
+    highest: float | str | None = None
+
+
+def _rows(given: Sequence[ImageRecord], facts: Mapping[str, CameraFacts]) -> list[FactRow]:
+    """Return the table of facts; `given` are the records as read, without facts from the pictures."""
+    rows = []
+    for name in FIELDS:
+        values: dict[str, list[float | str]] = defaultdict(list)
+        lacking = 0
+        for image in given:
+            own = getattr(image.capture, name, None)
+            f = facts.get(_key(image))
+            fact = None if f is None else f.facts.get(name)
+            if own is not None:
+                values[GIVEN].append(own)
+            elif fact is not None:
+                values[fact.source].append(fact.value)
+            else:
+                lacking += 1
+        rows += [FactRow(name, source, len(v), min(v), max(v)) for source, v in sorted(values.items())]
+        rows += [FactRow(name, "", lacking)] if lacking else []
+    return rows

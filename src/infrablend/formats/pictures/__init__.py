@@ -1,0 +1,1 @@
+"""Pictures and videos: found, decoded and encoded, in 8 and 16 bit."""

@@ -1,0 +1,1 @@
+"""Published datasets as their authors distribute them: one file or package each."""

@@ -1,0 +1,353 @@
+"""BAMBI's published flights: tracks in MOT form or YOLO labels, poses, and videos with the thermal picture on the left.
+
+A row of `<flight>_gt.txt` is `frame, track, left, top, width, height, confidence, class, visibility, species, gender,
+age, interpolated`, in px of the thermal picture. Entry k of the poses is that of frame k; its pitch is the tilt from
+straight down.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.camera import STRAIGHT_DOWN_DEG, pitch_of_tilt
+from infrablend.core.capture import Capture
+from infrablend.core.dataset import SPLITS, Category, ImageRecord, Instance, Split
+from infrablend.core.file_names import leaves_folder
+from infrablend.core.json_records import is_list
+from infrablend.errors import DatasetError
+from infrablend.formats.annotation_files import leave_out
+from infrablend.formats.box_checks import edges_of_shares, edges_of_xywh, snap_edges
+from infrablend.formats.labels.yolo import parse_labels
+from infrablend.formats.pictures.listing import is_picture_name, list_pictures
+from infrablend.formats.pictures.video import Video
+from infrablend.formats.records import Findings
+from infrablend.formats.values import to_floats, to_int, to_number, to_time
+
+CLASSES: tuple[tuple[int, str], ...] = (
+    (2, "no animal"), (17, "red deer"), (23, "roe deer"), (27, "chamois"), (34, "human"), (42, "alpine ibex"),
+    (49, "fallow deer"), (53, "unknown"), (56, "dog"), (60, "bird"), (70, "wild boar"), (75, "hybrid pig"),
+)  # fmt: skip
+"""First class number after those of a species, and the species; a class is a species with sex, age and visibility."""
+NO_ANIMAL = "no animal"
+WIKIDATA = {
+    "Q58697": "wild boar", "Q1219579": "red deer", "Q122069": "roe deer", "Q20908334": "fallow deer",
+    "Q168327": "alpine ibex", "Q131340": "chamois", "Q5113": "bird", "Q15978631": "human", "Q26972265": "dog",
+    "Q602666": "hybrid pig", "Q10738": NO_ANIMAL, "Q24238356": "unknown",
+}  # fmt: skip
+"""Species by their published numbers, which files in any language contain."""
+
+_TRACKS, _POSES, _METADATA, _VIDEO = "_gt.txt", "_matched_poses.json", "_metadata.json", "_matched_processed.mp4"
+_PICTURE = re.compile(r"(\d{1,6})(?:_matched_processed)?_(\d{1,9})", re.ASCII)
+_PICTURE_FOLDERS = ("thermal", "frames/thermal")
+COUNTS = ("flights", "frames", "objects", "read", "no_animal", "interpolated_frames", "without_pose")
+_COLUMNS = "frame, track_id, bb_left, bb_top, bb_width, bb_height, conf, class_id, visibility, species, ..."
+
+
+def find_flight(root: Path) -> str:
+    """Return what shows that a folder contains published flights; empty if nothing does."""
+    for path in _named(root, _TRACKS):
+        start = _start(path).split("\n", 1)[0].split(",")
+        flight = path.name.removesuffix(_TRACKS)
+        beside = [path.with_name(flight + s) for s in (_VIDEO, _POSES, _METADATA)]
+        if len(start) >= 8 and to_floats(start[:6], 6) is not None and any(p.is_file() for p in beside):
+            return f"{path.relative_to(root).as_posix()} has the tracks of a flight"
+    if (root / "images").is_dir() and (root / "labels").is_dir():
+        poses = next(iter(_named(root, _POSES)), None)
+        if poses is not None:
+            return f"{poses.relative_to(root).as_posix()} has the poses of a flight"
+    return ""
+
+
+def _named(root: Path, suffix: str) -> list[Path]:
+    """Return files of flights with this ending, in the folder or one below."""
+    found = sorted([*root.glob(f"*{suffix}"), *root.glob(f"*/*{suffix}")])
+    return [p for p in found if p.is_file() and not leaves_folder(p) and not p.name.startswith(".")]
+
+
+def _start(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return file.read(4096).decode("utf-8-sig", "replace")
+    except OSError:
+        return ""
+
+
+def categories(species: Iterable[str]) -> list[Category]:
+    """Return the categories of these species, in the order of the published classes, others after them."""
+    found = {*species}
+    known = [name for _, name in CLASSES if name in found]
+    return [Category(k, n) for k, n in enumerate([*known, *sorted(found - {*known})])]
+
+
+def species_of(number: int) -> str | None:
+    """Return the species of a published class number, or None."""
+    return next((name for end, name in CLASSES if 0 <= number < end), None)
+
+
+@dataclass
+class Flights(Findings):
+    """Result of reading flights: records, problems, counts and the species of all objects."""
+
+    records: list[ImageRecord] = field(default_factory=list)
+    species: set[str] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Camera of one frame: degrees below the horizon, the local time, ISO 8601, and the second in the flight."""
+
+    pitch_deg: float
+    captured: str | None
+    time_s: float | None
+
+    @property
+    def capture(self) -> Capture:
+        """What it says of its picture."""
+        return Capture(pitch_deg=self.pitch_deg, captured=self.captured, time_s=self.time_s)
+
+
+@dataclass(frozen=True)
+class _Row:
+    where: str
+    track: int
+    xywh: tuple[float, ...]
+    species: str
+    extra: Mapping[str, Any]
+    interpolated: bool
+
+
+def read_flights(root: Path, wanted: Sequence[Split], *, key_frames: bool) -> Flights:
+    """Read all flights of a folder.
+
+    Args:
+        root: Folder of the dataset.
+        wanted: Splits to read.
+        key_frames: Whether to read only frames that people annotated, not those with interpolated boxes alone.
+    """
+    found = Flights(root)
+    poses = {p.name.removesuffix(_POSES): p for p in _named(root, _POSES)}
+    if (root / "images").is_dir() and (root / "labels").is_dir():
+        _read_yolo(found, poses, wanted)
+    for path in _named(root, _TRACKS):
+        _read_tracks(found, path, poses, wanted, key_frames)
+    return found
+
+
+# -- tracks ------------------------------------------------------------------------------------------------------
+
+
+def _read_tracks(
+    found: Flights, path: Path, poses: Mapping[str, Path], wanted: Sequence[Split], key_frames: bool
+) -> None:  # fmt: skip
+    flight = path.name.removesuffix(_TRACKS)
+    split, start = _facts(found, path.with_name(flight + _METADATA))
+    if split not in wanted:
+        leave_out([path])
+        return
+    found.counts["flights"] += 1
+    frames = _rows(found, path)
+    chosen = {n: rows for n, rows in frames.items() if not key_frames or not all(r.interpolated for r in rows)}
+    found.counts["interpolated_frames"] += len(frames) - len(chosen)
+    pictures = _pictures(found, path.parent, flight, sorted(chosen))
+    of_frame = _poses(found, poses.get(flight))
+    missing = [n for n in chosen if n not in pictures]
+    if missing:
+        text = f"no picture for {len(missing)} of {len(chosen)} annotated frame(s)"
+        expected = f"{flight}{_VIDEO} beside it, or pictures such as thermal/{flight}_{missing[0]}.png"
+        todo = "fetch the flight with its video, not only its annotations"
+        found.add(found.place(path), "image-missing", text, expected, todo)
+    for number, picture in sorted(pictures.items()):
+        size_wh = found.size(picture, f"{found.place(path)}: frame {number}")
+        if size_wh is not None:
+            animals = [r for r in chosen[number] if r.species != NO_ANIMAL]
+            instances = tuple(o for r in animals if (o := _instance(found, r, size_wh)) is not None)
+            _add(found, picture, split, size_wh, flight, number, instances, of_frame.get(number), start)
+
+
+def _facts(found: Flights, path: Path) -> tuple[Split, datetime | None]:
+    """Return the split and the start of a flight from its metadata; train and None without."""
+    if not path.is_file():
+        return "train", None
+    top = found.json(path)
+    if top is None:
+        return "train", None
+    info = top.get("flight_info")
+    start = to_time(info.get("start_time")) if isinstance(info, dict) else None
+    return next((s for s in SPLITS if s == top.get("split")), "train"), start
+
+
+def _rows(found: Flights, path: Path) -> dict[int, list[_Row]]:
+    where = found.place(path)
+    frames: dict[int, list[_Row]] = defaultdict(list)
+    try:
+        lines = list(csv.reader(io.StringIO(found.text(path, "a table of tracks") or "", newline="")))
+    except csv.Error as error:
+        found.add(where, "annotation-unreadable", str(error), "a CSV table", "fetch it again")
+        return frames
+    for n, cells in enumerate(lines, 1):
+        if not cells or cells[0].strip().startswith("#"):
+            continue
+        found.counts["objects"] += 1
+        here = f"{where}: line {n}"
+        numbers = to_floats([c.strip() for c in cells[:8]], 8)
+        frame, track, class_ = (to_int(numbers[k]) if numbers else None for k in (0, 1, 7))
+        if numbers is None or frame is None or track is None or frame < 0:
+            found.add(here, "row-malformed", repr(",".join(cells)[:80]), _COLUMNS)
+            continue
+        written = cells[9].strip() if len(cells) > 9 else ""
+        common = re.search(r"\(([^()]+)\)\s*$", written)
+        named = (common[1] if common else written).strip().lower()
+        species = named or (None if class_ is None else species_of(class_))
+        if not species:
+            found.add(here, "category-unknown", f"class {cells[7]}", "a species or class 0 to 74")
+            continue
+        species = species.replace("no-animal", NO_ANIMAL)
+        found.counts["no_animal"] += species == NO_ANIMAL
+        names = {8: "visibility", 10: "gender", 11: "age"}
+        extra = {k: v for i, k in names.items() if len(cells) > i and (v := to_number(cells[i])) is not None}
+        interpolated = len(cells) > 12 and cells[12].strip() == "1"
+        frames[frame].append(_Row(here, track, numbers[2:6], species, extra, interpolated))
+    return frames
+
+
+def _instance(found: Flights, row: _Row, size_wh: tuple[int, int]) -> Instance | None:
+    box = found.box(edges_of_xywh(row.xywh, None), size_wh, row.where)
+    if box is None:
+        return None
+    found.species.add(row.species)
+    found.counts["read"] += 1
+    return Instance(row.species, box, track_id=row.track, extra={**row.extra, "interpolated": row.interpolated})
+
+
+def _pictures(found: Flights, folder: Path, flight: str, numbers: Sequence[int]) -> dict[int, Path]:
+    """Return the thermal pictures of frames: extracted ones, else the left half of the flight's video."""
+    pictures: dict[int, Path] = {}
+    wanted = {*numbers}
+    for name in _PICTURE_FOLDERS:
+        for base in (folder, found.root):
+            if not (base / name).is_dir():
+                continue
+            for p in sorted((base / name).iterdir()):
+                match = _PICTURE.fullmatch(p.stem)
+                if match and match[1] == flight and is_picture_name(p.name):
+                    leave_out([p])  # many frames of a flight have no labels
+                    if int(match[2]) in wanted:
+                        pictures.setdefault(int(match[2]), p)
+    video, missing = folder / f"{flight}{_VIDEO}", [n for n in numbers if n not in pictures]
+    if missing and video.is_file() and not leaves_folder(video):
+        try:
+            width, height = Video(video).size_wh
+        except DatasetError as error:
+            found.add_all(error.problems, found.place(video))
+            return pictures
+        pictures |= found.video_frames(video, missing, 0.5 if width == 2 * height else 1.0) or {}
+    return pictures
+
+
+# -- poses -------------------------------------------------------------------------------------------------------
+
+
+def all_poses(found: Findings) -> dict[str, dict[int, Pose]]:
+    """Return the poses in a folder or one below by flight and frame."""
+    return {p.name.removesuffix(_POSES): _poses(found, p) for p in _named(found.root, _POSES)}
+
+
+def _poses(found: Findings, path: Path | None) -> dict[int, Pose]:
+    """Return the poses of a flight by frame; empty without a file."""
+    top = None if path is None else found.json(path)
+    if path is None or top is None:
+        return {}
+    images = top.get("images")
+    if not is_list(images):
+        expected = "a list of images with pitch and timestamp"
+        found.add(found.place(path), "annotation-layout", "no list of images", expected, "fetch it again")
+        return {}
+    poses = {}
+    start: datetime | None = None  # of entry 0, which is frame 0
+    for k, entry in enumerate(images):
+        values = entry if isinstance(entry, dict) else {}
+        rotation = values.get("rotation")
+        tilt = values.get("pitch", rotation[0] if isinstance(rotation, list) and rotation else None)
+        degrees, when = to_number(tilt), to_time(values.get("timestamp"))
+        start = when if k == 0 else start
+        if degrees is not None:
+            captured = when.isoformat() if when else None
+            poses[k] = Pose(pitch_of_tilt(degrees), captured, _seconds(start, when))
+    return poses
+
+
+def _seconds(start: datetime | None, when: datetime | None) -> float | None:
+    """Return the seconds between two times; None if they cannot be compared or are in the wrong order."""
+    if start is None or when is None or (start.tzinfo is None) != (when.tzinfo is None):
+        return None
+    return Capture.from_json({"time_s": (when - start).total_seconds()}, strict=False).time_s
+
+
+def _add(
+    found: Flights, path: Path, split: Split, size_wh: tuple[int, int], flight: str, number: int,
+    instances: tuple[Instance, ...], pose: Pose | None, start: datetime | None,
+) -> None:  # fmt: skip
+    found.counts["frames"] += 1
+    found.counts["without_pose"] += pose is None
+    posed = Capture(pitch_deg=STRAIGHT_DOWN_DEG) if pose is None else pose.capture
+    day = None if start is None else start.date().isoformat()
+    capture = posed.over(Capture(sequence=flight, captured=day, frame=number))
+    name = f"{flight}_{number}{path.suffix}"
+    found.records.append(ImageRecord("", path, split, size_wh, instances, capture, file_name=name))
+
+
+# -- YOLO --------------------------------------------------------------------------------------------------------
+
+
+def _read_yolo(found: Flights, poses: Mapping[str, Path], wanted: Sequence[Split]) -> None:
+    """Add the pictures in `images/<split>` with their YOLO labels of published class numbers."""
+    of_flight: dict[str, dict[int, Pose]] = {}
+    for split in wanted:
+        base = found.root / "images" / split
+        for name, path in list_pictures(base).items():
+            match = _PICTURE.fullmatch(path.stem)
+            where = found.place(path)
+            if match is None:
+                found.add(where, "name-unknown", "a name without flight and frame", "<flight>_<frame>.png")
+                continue
+            flight, number = match[1], int(match[2])
+            label = (found.root / "labels" / split / name).with_suffix(".txt")
+            size_wh = found.size(path, where)
+            if size_wh is None:
+                continue
+            if flight not in of_flight:
+                of_flight[flight] = _poses(found, poses.get(flight))
+                found.counts["flights"] += 1
+            instances = tuple(_yolo_instances(found, label, size_wh))
+            _add(found, path, split, size_wh, flight, number, instances, of_flight[flight].get(number), None)
+
+
+def _yolo_instances(found: Flights, path: Path, size_wh: tuple[int, int]) -> Iterable[Instance]:
+    if not path.is_file():
+        return
+    where = found.place(path)
+    labels = parse_labels(found.text(path, "a YOLO label file") or "", where)
+    found.problems += labels.problems
+    for n, class_, values in labels.rows:
+        found.counts["objects"] += 1
+        here, species = f"{where}: line {n}", species_of(class_)
+        if species is None or len(values) != 4:
+            text = f"class {class_}, {len(values)} numbers"
+            found.add(here, "category-unknown", text, "class 0 to 74 and a box")
+            continue
+        if species == NO_ANIMAL:
+            found.counts["no_animal"] += 1
+            continue
+        box = found.box(snap_edges(edges_of_shares(values, size_wh), size_wh), size_wh, here)
+        if box is not None:
+            found.species.add(species)
+            found.counts["read"] += 1
+            yield Instance(species, box, extra={"class": class_})

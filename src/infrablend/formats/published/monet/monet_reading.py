@@ -1,0 +1,242 @@
+"""Read MONET, or a dataset laid out like it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
+from typing import Any, Literal
+
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
+from infrablend.core.file_names import real_path
+from infrablend.errors import DatasetError, Problem
+from infrablend.formats.annotation_files import too_long
+from infrablend.formats.base import check_splits, shorten, sort_images
+from infrablend.formats.labels import coco
+from infrablend.formats.picture_facts import Captures
+from infrablend.formats.pictures.listing import assign_ids, check_name
+from infrablend.formats.published.monet.annotation_search import NAME, find_files
+from infrablend.formats.published.monet.folders import Pictures, sequence_of, split_in, split_in_stem
+from infrablend.formats.published.monet.read_options import MonetOptions, check_options
+from infrablend.formats.published.monet.telemetry import (
+    BEYOND_DEG,
+    Frame,
+    UnusableValues,
+    apply_table,
+    frame_of,
+    join_lists,
+    require_pitch,
+    set_pitches,
+)
+from infrablend.formats.records import Findings
+from infrablend.formats.values import to_int
+
+_COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
+
+
+@dataclass(kw_only=True)
+class _Reading(Findings):
+    """What is known while a dataset is read: also its pictures, options, and the categories found so far."""
+
+    listing: Pictures
+    options: MonetOptions
+    splits: Sequence[Split]
+    seen: set[str] = field(default_factory=set)
+    categories: list[Category] = field(default_factory=list)
+
+
+def read(
+    root: Path,
+    *,
+    splits: Iterable[str] | None = None,
+    metadata: Path | None = None,
+    **options: str | None,
+) -> Dataset:
+    """Read MONET, or a dataset laid out like it.
+
+    `pitch_deg` is the gimbal pitch as a depression angle, negative where the camera looks up. The sign is the one for
+    which most frames look down. Sequences without any pitch are left out, as in the paper; single frames without
+    pitch are kept with pitch None. `notes` counts both.
+
+    `root` may be the folder of one split. A table overrides the telemetry. The options are described in `OPTIONS`.
+
+    Raises:
+        DatasetError: There is no annotation file, nothing to read, no telemetry, a file in which more than half of
+            the cameras would look up, or an option with a wrong value.
+    """
+    wanted = check_splits(splits)
+    chosen = check_options(root, options)
+    dataset = _Reading(root, listing=Pictures(root), options=chosen, splits=wanted)
+    problems = dataset.problems
+    files = find_files(root, chosen.annotations)
+    notes: dict[str, Any] = {"labels": "coco", "annotations": [], "pictures": {}}
+    frames, extra = _read_files(dataset, files, notes)
+    dataset.report_left_out()
+    if not notes["annotations"]:
+        raise _nothing_found(root, files, chosen.annotations, problems)
+    notes["excluded"] = _leave_out(dataset, frames, chosen.exclude, "exclude")
+    if not frames:
+        raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
+    notes["gimbal_pitch"] = set_pitches(root, frames, chosen, problems)
+    captures, notes["table"] = apply_table(root, metadata, frames, problems)
+    if not chosen.keep_empty:
+        require_pitch(root, frames, chosen, problems)
+        has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.capture.pitch_deg is not None}
+        bare = {(f.record.split, f.sequence) for f in frames} - has_pitch
+        excluded = _leave_out(dataset, frames, bare, "empty")
+        notes["excluded"] |= excluded
+        captures.sources["none"] -= sum(entry["images"] for entry in excluded.values())
+    notes["pitch"] = captures.note()
+    without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.capture.pitch_deg is None)
+    notes["frames_without_pitch"] = dict(sorted(without.items()))
+    return Dataset(root, NAME, tuple(dataset.categories), _records(frames), tuple(problems), notes, extra)
+
+
+def _read_files(dataset: _Reading, files: Sequence[Path], notes: dict[str, Any]) -> tuple[list[Frame], dict[str, Any]]:
+    """Return the pictures of all annotation files, and the top-level fields to keep; `notes` lists what was read."""
+    problems, listing, chosen = dataset.problems, dataset.listing, dataset.options
+    frames: list[Frame] = []
+    extra: dict[str, Any] = {}
+    for path in files:
+        where = dataset.place(path)
+        top = dataset.json(path)
+        if top is None:
+            continue
+        if not coco.is_coco(top):
+            expected = "images with file_name, annotations, categories"
+            dataset.warn(where, "annotation-layout", "no COCO keys, left out", expected)
+            continue
+        names = [
+            i["file_name"] for i in top["images"] if isinstance(i, dict) and check_name(i.get("file_name"), "") is None
+        ]
+        place = listing.given(chosen.pictures, names, where) if chosen.pictures else listing.locate(names, where)
+        if isinstance(place, Problem):
+            problems.append(place)
+            continue
+        kept = {k: top[k] for k in ("info", "licenses") if k in top}
+        large = {k: p for k, v in kept.items() if (p := too_long(where, k, v))}
+        problems += large.values()
+        extra = {k: v for k, v in kept.items() if k not in large} | extra
+        notes["annotations"].append(where)
+        notes["pictures"][where] = place[0] or "."
+        frames += _read_file(dataset, top, where, place)
+    return frames, extra
+
+
+def _nothing_found(root: Path, files: Sequence[Path], pattern: str | None, problems: Sequence[Problem]) -> DatasetError:
+    """Return the error for a folder without a usable COCO file, listing the files that were tried."""
+    shown = ", ".join(p.relative_to(root).as_posix() for p in files[:8]) or "no JSON file"
+    found = f"{shown}{f' and {len(files) - 8} more' if len(files) > 8 else ''}"
+    expected = f"COCO files that match {pattern}" if pattern else "COCO files at most four levels down"
+    todo = "give their place with --read annotations=PATTERN"
+    return DatasetError(
+        f"{root}: no annotations of MONET",
+        [Problem(str(root), "annotation-missing", found, expected, todo), *shorten(problems)],
+    )
+
+
+def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]) -> list[Frame]:
+    path = PurePosixPath(where)
+    part, fields = _own_part(dataset, top, where, place)
+    captures = Captures(None, dataset.problems)
+    records = coco.read_records(dataset, part, dataset.listing.folder, "train", where, dataset.categories, captures)
+    tally = UnusableValues()
+    frames = []
+    for record in records:
+        number = record.source_id if isinstance(record.source_id, int) else -1
+        sequence = sequence_of(record.name, path.stem, real_path(dataset.root).name)
+        known = replace(record.capture, sequence=sequence or record.capture.sequence)
+        record = replace(record, split=_split_of(dataset, path, record.name), capture=known)
+        frames.append(frame_of(record, where, fields.get(number, {}), dataset.options, tally))
+    expected = {
+        "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
+        "time": "ISO 8601",
+    }  # fmt: skip
+    dataset.problems += tally.problems(where, expected)
+    return frames
+
+
+def _split_of(dataset: _Reading, file: PurePosixPath, picture: str) -> Split:
+    """Return the split of a picture in an annotation file: of the file, else of the picture, else of the dataset."""
+    of_file = dataset.options.split or split_in_stem(file.stem) or split_in(file.parent.parts)
+    of_root = split_in([real_path(dataset.root).name])
+    return of_file or split_in(PurePosixPath(picture).parent.parts) or of_root or "train"
+
+
+def _own_part(
+    dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]
+) -> tuple[dict[str, Any], dict[int, dict[str, Any]]]:
+    """Return an annotation file without pictures of other splits and earlier files, and the pictures' own fields."""
+    listing = dataset.listing
+    joined = join_lists(top)
+    images: list[Any] = []
+    fields: dict[int, dict[str, Any]] = {}
+    skipped: set[int] = set()
+    twice = 0
+    for r in top["images"]:
+        if not isinstance(r, dict) or check_name(r.get("file_name"), "") is not None:
+            images.append(r)
+            continue
+        below = listing.resolve(r["file_name"], *place)
+        name = below if below in listing.by_path else listing.folder.by_stem.get(below, below)
+        file = listing.by_path.get(name)
+        r = r | {"file_name": name if file is not None else r["file_name"]}
+        number = to_int(r.get("id"))
+        in_split = _split_of(dataset, PurePosixPath(where), below)
+        if number is not None and (in_split not in dataset.splits or (file is not None and name in dataset.seen)):
+            twice += in_split in dataset.splits
+            skipped.add(number)
+            continue
+        if file is not None:
+            dataset.seen.add(name)
+        if number is not None:
+            fields.setdefault(number, {k: v for k, v in r.items() if k not in _COCO_FIELDS} | joined.get(number, {}))
+        images.append(r)
+    if twice:
+        found = f"{twice} picture(s) that another annotation file contains too; left out here"
+        dataset.add(where, "image-duplicate", found, "each picture once", "remove one of the files")
+    annotations = (a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
+    return dict(top) | {"images": images, "annotations": annotations}, fields
+
+
+def _leave_out(
+    dataset: _Reading, frames: list[Frame], sequences: Iterable[Any], option: Literal["exclude", "empty"]
+) -> dict[str, Any]:
+    """Remove sequences (names, or pairs of split and name) from `frames`; report and count them."""
+    why = "named in exclude" if option == "exclude" else "no telemetry in any frame"
+    wanted = set(sequences)
+    out = [f for f in frames if not wanted.isdisjoint((f.sequence, (f.record.split, f.sequence)))]
+    frames[:] = [f for f in frames if wanted.isdisjoint((f.sequence, (f.record.split, f.sequence)))]
+    counts: dict[str, dict[str, Any]] = {}
+    for f in out:
+        entry = counts.setdefault(f"{f.record.split}/{f.sequence}", {"why": why, "images": 0, "labels": 0})
+        entry["images"] += 1
+        entry["labels"] += len(f.record.instances)
+    if counts:
+        images, labels = (sum(c[k] for c in counts.values()) for k in ("images", "labels"))
+        found = (
+            f"{len(counts)} sequence(s) left out, {why}: {', '.join(sorted(counts))} ({images} images, {labels} labels)"
+        )
+        todo = "keep them with --read empty=keep" if option == "empty" else ""
+        dataset.warn(dataset.root.name, "sequence-excluded", found, todo=todo)
+    if option == "exclude" and (unknown := sorted(wanted - {f.sequence for f in out})):
+        there = ", ".join(sorted({str(f.sequence) for f in frames})[:20])
+        dataset.warn("option exclude", "option-value", f"no sequence {', '.join(unknown)}", f"some of {there}")
+    return dict(sorted(counts.items()))
+
+
+def _records(frames: Sequence[Frame]) -> tuple[ImageRecord, ...]:
+    """Return the records with ids: `<sequence>_<stem>` where that is unique."""
+    plain: dict[str, str] = {}
+    for f in frames:
+        r = f.record
+        name = PurePosixPath(r.name).name
+        # Pictures written by InfraBlend already have the sequence in their names.
+        if f.sequence and not name.startswith(f"{f.sequence}_"):
+            name = f"{f.sequence}_{name}"
+        plain[f"{r.split}/{r.name}"] = f"{r.split}/{name}"
+    clear = Counter(plain.values())
+    keys = {full: short if clear[short] == 1 else full for full, short in plain.items()}
+    ids = assign_ids(keys.values())
+    return sort_images(replace(f.record, id=ids[keys[f"{f.record.split}/{f.record.name}"]]) for f in frames)

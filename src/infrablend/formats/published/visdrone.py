@@ -1,0 +1,232 @@
+"""VisDrone (Zhu et al. 2018): people and vehicles from a drone, in visible light; a text per picture or per video.
+
+    VisDrone2019-DET-{train,val,test-dev}/images/<name>.jpg    .../annotations/<name>.txt
+    VisDrone2019-{MOT,VID}-{train,val,test-dev}/sequences/<name>/0000001.jpg    .../annotations/<name>.txt
+
+A line of a picture is `left,top,width,height,score,category,truncation,occlusion`, in pixels. Category 0 is a region to
+ignore, and so is any box of score 0, which does not count in evaluation. A line of a video begins with the frame, from
+1, and the object. The folder may also be that of one split.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.capture import Capture
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.file_names import real_path
+from infrablend.formats.annotation_files import files_with
+from infrablend.formats.base import Match, check_splits, require_options, split_of_stem
+from infrablend.formats.box_checks import edges_of_xywh
+from infrablend.formats.pictures.listing import is_hidden, list_pictures
+from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.values import to_floats, to_int
+
+NAME = "visdrone"
+OPTIONS = {"unlabelled": "keep or drop pictures without a text file; keep is the default"}
+CATEGORIES = tuple(
+    Category(k, name, "", name in ("ignored regions", "others"))
+    for k, name in enumerate(
+        ("ignored regions", "pedestrian", "people", "bicycle", "car", "van", "truck", "tricycle", "awning-tricycle",
+         "bus", "motor", "others")
+    )
+)  # fmt: skip
+
+_LINE = re.compile(rb"(-?\d+(\.\d+)?\s*,\s*){7}-?\d+(\.\d+)?\s*,?\s*", re.ASCII)
+_VIDEO_LINE = re.compile(rb"\d+\s*,\s*(-?\d+(\.\d+)?\s*,\s*){8}-?\d+(\.\d+)?\s*,?\s*", re.ASCII)
+_FIELDS = "left,top,width,height,score,category,truncation,occlusion"
+_NUMBER = re.compile(r"\d{1,9}", re.ASCII)
+# Names of published pictures: the first number is that of the flight, and `d` stands for detection.
+_PUBLISHED = re.compile(r"(\d{7})_\d{5}_d_\d{7}", re.ASCII)
+_PUBLISHED_VIDEO = re.compile(r"uav\d{7}_\d{5}_\w", re.ASCII)
+_LOOKED_AT = 20
+
+
+def _folders(root: Path, inside: str = "images") -> list[Path]:
+    """Return the folders that contain a folder `inside`: the folder itself, or some in it or one level further down."""
+    return [p.parent for depth in ("", "*/", "*/*/") for p in sorted(root.glob(depth + inside))]
+
+
+def detect(root: Path) -> Match:
+    """Decide whether `root` or folders in it contain `images`, and `annotations` with VisDrone's lines."""
+    for folder in _folders(root):
+        labels = folder / "annotations"
+        if files_with(labels, "*.txt", _is_ours, 1000, most=_LOOKED_AT):
+            return Match(NAME, True, f"VisDrone's lines in {labels.relative_to(root).as_posix()}")
+    for folder in _folders(root, "sequences"):
+        labels = folder / "annotations"
+        if files_with(labels, "*.txt", _is_video, 1000, most=_LOOKED_AT):
+            return Match(NAME, True, f"VisDrone's lines of videos in {labels.relative_to(root).as_posix()}")
+    return Match(NAME, False, "no folder images with annotations beside it that hold lines of eight numbers")
+
+
+def _is_ours(head: bytes) -> bool:
+    return _LINE.fullmatch(head.removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0]) is not None
+
+
+def _is_video(head: bytes) -> bool:
+    return _VIDEO_LINE.fullmatch(head.removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0]) is not None
+
+
+def _may_be_ours(head: bytes) -> bool:
+    """Return whether a file is empty or has one of VisDrone's lines, which texts for people have not."""
+    return not head.strip() or any(_LINE.fullmatch(line) for line in head.splitlines())
+
+
+def read(
+    root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None, unlabelled: str = "keep"
+) -> Dataset:
+    """Read pictures and boxes; the name of a folder says the split, else it is train.
+
+    Frames of videos count from 1 in the files, and from 0 in `Capture.frame`.
+
+    Published pictures get the sequence in their names, and `modality` `visible` in `extra`.
+
+    Raises:
+        DatasetError: An option has a wrong value, or no picture can be read.
+    """
+    require_options(root, unlabelled=(unlabelled, KEEP_OR_DROP))
+    wanted = check_splits(splits)
+    found = Findings(root)
+    records: list[ImageRecord] = []
+    for inside, read_split in (("images", _read_split), ("sequences", _read_videos)):
+        for folder in _folders(root, inside):
+            split = split_of_stem(folder.relative_to(root).as_posix() if folder != root else real_path(root).name)
+            if split in wanted:
+                records += read_split(found, split, folder, unlabelled)
+    notes = {"labels": NAME, "rows": found.rows("objects", "read", "ignored", "unlabelled")}
+    return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
+
+
+def _read_split(found: Findings, split: Split, folder: Path, unlabelled: str) -> Iterator[ImageRecord]:
+    labels = {p.stem: p for p in sorted((folder / "annotations").glob("*.txt")) if not p.name.startswith(".")}
+    without = 0
+    for name, path in list_pictures(folder / "images", is_labelled=lambda p: p.stem in labels).items():
+        label = labels.pop(path.stem, None)
+        without += label is None
+        if label is None and unlabelled == "drop":
+            continue
+        size_wh = found.size(path, found.place(path))
+        instances = None if size_wh is None else [] if label is None else _read_label(found, label, size_wh)
+        if instances is None:
+            continue
+        published = _PUBLISHED.fullmatch(path.stem)
+        capture = Capture(sequence=published[1] if published else None)
+        extra = ({"modality": "visible"} if published else {}) | ({"labelled": False} if label is None else {})
+        yield ImageRecord("", path, split, size_wh, tuple(instances), capture, extra=extra, file_name=name)
+    found.counts["unlabelled"] += without
+    found.problems += unlabelled_problems(found.place(folder), without, unlabelled)
+    left = files_with(folder / "annotations", "*.txt", _may_be_ours, 1000) if labels else []
+    for label in (p for p in left if labels.get(p.stem) == p):
+        found.add(found.place(label), "image-missing", "no picture of that name", "a file in images/", "restore it")
+
+
+def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
+    text = found.text(path, "a label file")
+    if text is None:
+        return None
+    instances = []
+    for here, line in _lines(found, path, text):
+        values = to_floats(line.rstrip(",").split(","), 8)
+        if values is None:
+            found.add(here, "label-malformed", repr(line[:80]), _FIELDS, "correct the line")
+        elif (instance := _object(found, values, size_wh, here)) is not None:
+            instances.append(instance)
+    return instances
+
+
+def _lines(found: Findings, path: Path, text: str) -> Iterator[tuple[str, str]]:
+    """Yield each line that is not empty, after its place. Each counts as an object."""
+    for n, line in enumerate(text.splitlines(), 1):
+        if line.strip():
+            found.counts["objects"] += 1
+            yield f"{found.place(path)}: line {n}", line.strip()
+
+
+def _object(
+    found: Findings, values: Sequence[float], size_wh: tuple[int, int], here: str, track: int | None = None
+) -> Instance | None:  # fmt: skip
+    """Return the object of a line's eight values; None, with a problem, if it cannot be used."""
+    score, number, truncation, occlusion = values[4:]
+    if number not in range(len(CATEGORIES)):
+        found.add(here, "category-unknown", f"category {number:g}", "0 to 11", "correct the line")
+        return None
+    box = found.box(edges_of_xywh(values[:4], size_wh), size_wh, here)
+    if box is None:
+        return None
+    category = CATEGORIES[int(number)]
+    extra: dict[str, Any] = {"occluded": occlusion > 0, "occlusion": int(occlusion)} if occlusion in (0, 1, 2) else {}
+    if score == 0 and not category.ignore:
+        extra["category"], category = category.name, CATEGORIES[0]
+    found.counts["ignored"] += category.ignore
+    found.counts["read"] += 1
+    truncated = bool(truncation) if truncation in (0, 1) else None
+    return Instance(category.name, box, truncated=truncated, extra=extra, track_id=track)
+
+
+# -- videos ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Row:
+    where: str
+    track: int
+    values: tuple[float, ...]
+
+
+def _read_videos(found: Findings, split: Split, folder: Path, unlabelled: str) -> Iterator[ImageRecord]:
+    """Yield the frames of videos; a frame without a line shows no object, if its video has a text."""
+    for sequence in sorted(p for p in (folder / "sequences").iterdir() if p.is_dir() and not is_hidden(p.name)):
+        where = found.place(sequence)
+        pictures = list(list_pictures(sequence, is_labelled=lambda _: True).values())
+        frames = {int(p.stem): p for p in pictures if _NUMBER.fullmatch(p.stem) and int(p.stem) > 0}
+        if len(frames) < len(pictures):
+            text = f"{len(pictures) - len(frames)} picture(s) left out: their names are not numbers from 1, each once"
+            found.add(where, "name-grammar", text, "names such as 0000001.jpg", "rename them")
+        label = folder / "annotations" / f"{sequence.name}.txt"
+        rows = _rows(found, label) if label.is_file() else {}
+        if not label.is_file():
+            found.counts["unlabelled"] += len(frames)
+            found.problems += unlabelled_problems(where, len(frames), unlabelled, "no text of their video")
+        if rows is None or (not label.is_file() and unlabelled == "drop"):
+            continue
+        lost = sum(len(r) for n, r in rows.items() if n not in frames)
+        if lost:
+            text = f"{lost} line(s) left out because their frame has no picture"
+            found.warn(found.place(label), "row-without-picture", text, "a picture per frame, numbered from 1")
+        extra: dict[str, Any] = {"modality": "visible"} if _PUBLISHED_VIDEO.fullmatch(sequence.name) else {}
+        extra |= {} if label.is_file() else {"labelled": False}
+        for number, path in sorted(frames.items()):
+            size_wh = found.size(path, found.place(path))
+            if size_wh is None:
+                continue
+            made = (_object(found, r.values, size_wh, r.where, r.track) for r in rows.get(number, ()))
+            capture = Capture(sequence=sequence.name, frame=number - 1)
+            name, objects = f"{sequence.name}/{path.name}", tuple(o for o in made if o is not None)
+            yield ImageRecord("", path, split, size_wh, objects, capture, extra=extra, file_name=name)
+
+
+def _rows(found: Findings, path: Path) -> dict[int, list[_Row]] | None:
+    """Return the lines of a video's text by frame; None, with a problem, if it cannot be read."""
+    text = found.text(path, "a line per box: frame,object," + _FIELDS)
+    if text is None:
+        return None
+    rows: dict[int, list[_Row]] = defaultdict(list)
+    seen: set[tuple[int, int]] = set()
+    for here, line in _lines(found, path, text):
+        values = to_floats(line.rstrip(",").split(","), 10)
+        frame, track = (to_int(v) for v in values[:2]) if values else (None, None)
+        if values is None or frame is None or track is None or frame < 1:
+            expected = f"frame,object,{_FIELDS}; frames from 1"
+            found.add(here, "label-malformed", repr(line[:80]), expected, "correct the line")
+            continue
+        if (frame, track) in seen:
+            found.track_twice(here, track, frame, "give one of them another number")
+        seen.add((frame, track))
+        rows[frame].append(_Row(here, track, values[2:]))
+    return rows

@@ -1,0 +1,289 @@
+"""What writers of formats with a folder per sequence share: folders, numbers of frames and tracks, what they change."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, pairwise
+from pathlib import Path
+from statistics import median_low
+from typing import Any
+
+from infrablend.core.capture import FACTS, Capture
+from infrablend.core.dataset import ImageRecord, Instance, Split
+from infrablend.core.file_names import distinct_names, file_name
+from infrablend.core.files import link_or_copy, write_chunks
+from infrablend.formats.picture_facts import fits_table
+from infrablend.formats.records import Findings
+from infrablend.formats.values import csv_text, to_int
+
+NAMES_FILE = "names.csv"
+NAMES_COLUMNS = ("file", "name", "sequence", "frame", "captured", "time_s")
+_NAMES_FACTS = NAMES_COLUMNS[2:]
+_TABLE_FACTS = tuple(name for name, fact in FACTS.items() if fact.field == "telemetry")
+_UNNAMED = "pictures"
+# Time stamps are kept to this.
+_MICROSECOND = 1e-6
+# Steps between pictures are equal if they differ by at most this: some containers count milliseconds.
+_SAME_S = 2e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a picture goes: its split, the folder of its sequence, and its number in it, from 0."""
+
+    split: Split
+    sequence: str
+    number: int
+
+    @property
+    def folder(self) -> str:
+        """Folder of the sequence below the dataset's."""
+        return f"{self.split}/{self.sequence}"
+
+    @property
+    def capture(self) -> Capture:
+        """What a reader finds out from the place alone."""
+        return Capture(sequence=self.sequence, frame=self.number)
+
+
+def places_of(images: Sequence[ImageRecord]) -> list[Place]:
+    """Return the place of each image.
+
+    Sequences keep their names as far as folders can have them. Pictures without a sequence form one, `pictures`. A
+    sequence in which a picture has no number, or two have the same, is numbered in the order of the pictures' names.
+    """
+    groups: dict[tuple[Split, str | None], list[int]] = defaultdict(list)
+    for n, image in enumerate(images):
+        groups[image.split, image.capture.sequence].append(n)
+    places: dict[int, Place] = {}
+    for split in dict.fromkeys(split for split, _ in groups):
+        # Names that can stay come first, so that no other gets theirs.
+        own = sorted(
+            (s for sp, s in groups if sp == split), key=lambda s: (s is None or file_name(s) != s, s is None, s or "")
+        )
+        folders = distinct_names([_UNNAMED if s is None else file_name(s) for s in own])
+        for sequence, folder in zip(own, folders, strict=True):
+            group = groups[split, sequence]
+            frames = [f for n in group if (f := images[n].capture.frame) is not None]
+            if len({*frames}) < len(group) or max(frames) >= 10**9:
+                group, frames = sorted(group, key=lambda n: images[n].name), list(range(len(group)))
+            places |= {n: Place(split, folder, f) for n, f in zip(group, frames, strict=True)}
+    return [places[n] for n in range(len(images))]
+
+
+def by_sequence(places: Sequence[Place]) -> dict[str, list[int]]:
+    """Return the indices of the pictures of each sequence by its folder, in the order of their numbers."""
+    groups: dict[str, list[int]] = defaultdict(list)
+    for n in sorted(range(len(places)), key=lambda n: (places[n].folder, places[n].number)):
+        groups[places[n].folder].append(n)
+    return groups
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The pictures of a sequence in order; each is fetched when it is asked for, as a dataset may be stored on disk."""
+
+    images: Sequence[ImageRecord]
+    chosen: Sequence[int]
+
+    def __len__(self) -> int:
+        """Return the number of pictures."""
+        return len(self.chosen)
+
+    def __getitem__(self, index: int) -> ImageRecord:
+        """Return one picture."""
+        return self.images[self.chosen[index]]
+
+    def __iter__(self) -> Iterator[ImageRecord]:
+        """Yield the pictures."""
+        return (self.images[n] for n in self.chosen)
+
+
+def is_labelled(image: ImageRecord) -> bool:
+    """Return whether the labels of a picture are known, even if there are none."""
+    return bool(image.instances) or image.extra.get("labelled", True) is True
+
+
+def write_pictures(
+    out: Path,
+    images: Sequence[ImageRecord],
+    places: Sequence[Place],
+    path_of: Callable[[ImageRecord, Place], str],
+    losses: Counter[str],
+    link: bool,
+    *,
+    find_out: Callable[[Place], Capture] = lambda place: place.capture,
+    within: str = "",
+) -> Iterator[Path]:
+    """Link the pictures; write `names.csv` with what `with_names` restores, and `metadata.csv` with pitch and the like.
+
+    Args:
+        out: Folder of the dataset.
+        images: The pictures.
+        places: The place of each.
+        path_of: Returns the path of a picture below the folder.
+        losses: Counts what changed, and what a table cannot hold.
+        link: Whether to link the pictures.
+        find_out: Returns what a reader finds out of a picture without the tables.
+        within: Folder that a reader puts into the names of pictures.
+    """
+
+    def unsaid(image: ImageRecord, place: Place, path: str) -> bool:
+        return is_unsaid(image, _base(place, within, path), find_out(place))
+
+    renamed = known = 0
+    for image, place in zip(images, places, strict=True):
+        path, facts = path_of(image, place), _telemetry(image)
+        if link:
+            yield link_or_copy(image.path, out / path)
+        losses["name_changed"] += _base(place, within, path) != image.name
+        losses["sequence_made"] += image.capture.sequence is None or image.capture.frame != place.number
+        losses["telemetry_dropped"] += not all(fits_table(*fact) for fact in facts.items())
+        renamed += unsaid(image, place, path)
+        known += bool(facts)
+
+    def name_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
+        return name_cells(image, path) if unsaid(image, place, path) else None
+
+    def rows(row: Callable[[ImageRecord, Place, str], Sequence[object] | None]) -> Iterator[str]:
+        for image, place in zip(images, places, strict=True):
+            cells = row(image, place, path_of(image, place))
+            if cells is not None:
+                yield csv_text(cells, ())
+
+    if renamed:
+        yield write_chunks(out / NAMES_FILE, chain([csv_text(NAMES_COLUMNS, ())], rows(name_row)))
+    if known:
+        yield write_chunks(out / "metadata.csv", chain([csv_text(("file", *_TABLE_FACTS), ())], rows(_fact_row)))
+
+
+def _base(place: Place, within: str, path: str) -> str:
+    """Return the name that a reader gives a picture: the folder of its sequence, and that of the file."""
+    return f"{place.sequence}/{within}{path.rpartition('/')[2]}"
+
+
+def _telemetry(image: ImageRecord) -> dict[str, object]:
+    return {k: v for k, v in image.capture.to_json().items() if k in _TABLE_FACTS}
+
+
+def is_unsaid(image: ImageRecord, name: str, found_out: Capture) -> bool:
+    """Return whether `names.csv` has to list a picture: a reader would find out another name, or other facts."""
+    known = replace(found_out, time_s=None) if image.capture.time_s is None else found_out
+    return name != image.name or any(getattr(image.capture, k) != getattr(known, k) for k in _NAMES_FACTS)
+
+
+def name_cells(image: ImageRecord, path: str) -> Sequence[object]:
+    """Return the row of a picture in `names.csv`."""
+    facts = (getattr(image.capture, k) for k in _NAMES_FACTS)
+    return (path, image.name, *("" if v is None else v for v in facts))
+
+
+def _fact_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
+    facts = {k: v for k, v in _telemetry(image).items() if fits_table(k, v)}
+    return (path, *(facts.get(k, "") for k in _TABLE_FACTS)) if _telemetry(image) else None
+
+
+def with_names(found: Findings, records: Iterable[ImageRecord]) -> list[ImageRecord]:
+    """Return the records with what `names.csv` says of them, which our writers add where files cannot say it."""
+    titles, *rows = found.own_table(NAMES_FILE, NAMES_COLUMNS) or [[]]
+    said: dict[str, dict[str, Any]] = {}
+    for cells in rows if tuple(titles[:2]) == NAMES_COLUMNS[:2] else ():
+        if len(cells) == len(titles):
+            row = {k: v or None for k, v in zip(titles, cells, strict=True)}
+            facts = Capture.from_json({k: row.get(k) for k in _NAMES_FACTS}, strict=False)
+            # A time that it does not state follows from the rate, which somebody may have corrected.
+            said[cells[0]] = {k: getattr(facts, k) for k in _NAMES_FACTS if row.get(k) or (k in row and k != "time_s")}
+    # Frames of videos are elsewhere.
+    places = ((r, found.place(r.path) if r.path.is_relative_to(found.folder) else "") for r in records)
+    return [replace(r, capture=replace(r.capture, **said.get(place, {}))) for r, place in places]
+
+
+# -- times -----------------------------------------------------------------------------------------------------
+
+
+def second_of(number: int, rate: float | None) -> float | None:
+    """Return the second of a picture by its number from 0 and the rate of its sequence; None if that is unknown."""
+    if rate is None or rate <= 0:
+        return None
+    return Capture.from_json({"time_s": round(number / rate, 6)}, strict=False).time_s
+
+
+def rate_of(
+    times_s: Iterable[float | None], numbers: Iterable[int], stated: float | None
+) -> tuple[float | None, str]:  # fmt: skip
+    """Return the pictures per second of a sequence, and how its steps vary, in words.
+
+    The rate is that of the median step between pictures whose times are known, in as few digits as these need. Without
+    such steps, and where it agrees with them, it is the one that was stated.
+    """
+    known = [(n, t) for n, t in zip(numbers, times_s, strict=True) if t is not None]
+    steps = [((b - a) / (n - m), n - m) for (m, a), (n, b) in pairwise(known) if b > a]
+    if not steps:
+        return stated, ""
+    median = median_low(s for s, _ in steps)
+    usual = [(s, n) for s, n in steps if n * abs(s - median) <= _SAME_S]
+    step = sum(s * n for s, n in usual) / sum(n for _, n in usual)
+    shortest, longest = min(steps)[0], max(steps)[0]
+    varies = "" if len(usual) == len(steps) else f"{shortest:.6g} to {longest:.6g} s from one number to the next"
+    rates = [r for r in (stated, *(float(f"{1 / step:.{digits}g}") for digits in range(2, 17))) if r]
+    near = [r for r in rates if abs(1 / r - step) <= _MICROSECOND]
+    return next((r for r in near if all(second_of(n, r) == t for n, t in known)), near[0]), varies
+
+
+# -- tracks ----------------------------------------------------------------------------------------------------
+
+
+TrackKey = tuple[str, int | str]
+"""Class and id of a track: objects of two classes are two objects."""
+
+
+def plain_id(track: int | str) -> int | str:
+    """Return the whole number that a text is, as `7` but not `07`, else the id as it is."""
+    number = to_int(track)
+    return number if isinstance(track, str) and number is not None and str(number) == track else track
+
+
+def _key(instance: Instance) -> TrackKey | None:
+    return None if instance.track_id is None else (instance.category, plain_id(instance.track_id))
+
+
+class Tracks:
+    """Ids of the tracks of one sequence: whole numbers of one class stay, others get the next free ones.
+
+    Attributes:
+        changed: The new numbers of tracks that could not keep their ids: texts, too small numbers, and numbers of
+            several classes; in the order in which they appear.
+    """
+
+    def __init__(self, sequence: Iterable[ImageRecord], first: int) -> None:
+        """Take the images of a sequence in order, and the smallest number that is allowed."""
+        keys = dict.fromkeys(k for i in sequence for o in i.instances if (k := _key(o)))
+        classes = Counter(track for _, track in keys)
+        self._numbers: dict[TrackKey, int] = {
+            k: k[1] for k in keys if isinstance(k[1], int) and k[1] >= first and classes[k[1]] == 1
+        }
+        # Above all ids that were given, as readers may restore those that change.
+        self._free = itertools.count(max([first, *(t + 1 for _, t in keys if isinstance(t, int))]))
+        self.changed: dict[TrackKey, int] = {k: next(self._free) for k in keys if k not in self._numbers}
+        self._numbers |= self.changed
+
+    def of(self, image: ImageRecord, losses: Counter[str]) -> list[tuple[int, TrackKey | None]]:
+        """Return number and key of the track of each object of an image.
+
+        Objects without a track, and the second one of a track in a picture, get a new number, and no key.
+        """
+        used: set[int] = set()
+        tracks: list[tuple[int, TrackKey | None]] = []
+        for o in image.instances:
+            key = _key(o)
+            if key is None or self._numbers[key] in used:
+                losses["track_made"] += 1
+                key, number = None, next(self._free)
+            else:
+                number = self._numbers[key]
+            used.add(number)
+            tracks.append((number, key))
+        return tracks

@@ -1,0 +1,1 @@
+"""Pages of the lab: evaluations, realism, and the results of experiments, which are written from their JSON alone."""

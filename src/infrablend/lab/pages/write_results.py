@@ -1,0 +1,121 @@
+"""Writing a results page: Markdown, JSON, charts, and the index of the folder."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.files import load_json, read_object, read_regular, write_bytes, write_json, write_text
+from infrablend.core.output_checks import require_no_foreign
+from infrablend.lab.pages.experiment_charts import CHARTS, draw_plots
+from infrablend.lab.pages.experiment_page import (
+    INDEX_FILE,
+    PAGE_MARK,
+    UNFINISHED_END,
+    page_name,
+    page_text,
+    paper_and_ours,
+    run_state,
+)
+from infrablend.report.figures import markdown_table
+
+# Figures of the charts that the JSON does not keep.
+_NOT_KEPT = ("curves", "confusion")
+INTRO = (
+    "Each page is written by `infrablend experiment`, never by hand, and that includes negative and unfinished results."
+)
+_HOW_TO = Path("how_to/experiments.md")
+_REALISM = "realism.md"
+
+
+def require_own_pages(out: Path, experiment: str, scale: str) -> None:
+    """Check that the files of an experiment's page in a folder, if there are any, are pages of InfraBlend.
+
+    Raises:
+        OutputError: Somebody else wrote one.
+    """
+    first, index = page_name(experiment, scale), out / INDEX_FILE
+    foreign = [p for stem in (first, f"{first}{UNFINISHED_END}") for p in _foreign(out, stem)]
+    foreign += [index] if os.path.lexists(index) and not _says(index, INTRO) else []
+    require_no_foreign(foreign, out, "the results", "a page that InfraBlend wrote", "--results")
+
+
+def _foreign(out: Path, stem: str) -> list[Path]:
+    """Return the files in the place of a page that are not InfraBlend's; charts are, if their record is."""
+    record, page = out / f"{stem}.json", out / f"{stem}.md"
+    own = (read_object(record) or {}).keys() >= {"experiment", "scale", "status"}
+    foreign = [] if own else [record, *(out / f"{stem}_{name}.svg" for name in CHARTS)]
+    foreign += [] if own and _says(page, PAGE_MARK) else [page]
+    return [p for p in foreign if os.path.lexists(p)]
+
+
+def _says(path: Path, words: str) -> bool:
+    try:
+        return words in read_regular(path).decode("utf-8", "replace")
+    except OSError:
+        return False
+
+
+def write_page(facts: Mapping[str, Any], out: Path) -> Path:
+    """Write `<name>.md`, `<name>.json`, charts `<name>_*.svg` and the index to a folder; return the path of the page.
+
+    An unfinished run does not replace a complete page: its files are named `<name>-unfinished`.
+
+    Raises:
+        OutputError: The folder cannot be written.
+    """
+    # In the order of the JSON, so that the page follows from the JSON alone.
+    facts = json.loads(json.dumps(facts, sort_keys=True))
+    stem = page_name(facts["experiment"], facts["scale"])
+    is_complete = facts["status"] == "complete"
+    if not is_complete and (read_object(out / f"{stem}.json") or {}).get("status") == "complete":
+        stem += UNFINISHED_END
+    plots = [(f"{stem}_{name}.svg", title, svg) for name, title, svg in draw_plots(facts)]
+    for name, _, svg in plots:
+        write_bytes(out / name, svg)
+    for old in {f"{stem}_{name}.svg" for name in CHARTS} - {name for name, _, _ in plots}:
+        (out / old).unlink(missing_ok=True)  # of an earlier run with more figures
+    evaluations = {n: {k: v for k, v in e.items() if k not in _NOT_KEPT} for n, e in facts["evaluations"].items()}
+    write_json(out / f"{stem}.json", {**facts, "evaluations": evaluations})
+    unfinished = f"{stem}{UNFINISHED_END}"
+    if is_complete and read_object(out / f"{unfinished}.json"):  # of a run that this one has completed
+        for old in (f"{unfinished}.json", f"{unfinished}.md", *(f"{unfinished}_{c}.svg" for c in CHARTS)):
+            (out / old).unlink(missing_ok=True)
+    page = write_text(out / f"{stem}.md", page_text(facts, [(name, title) for name, title, _ in plots], stem))
+    write_text(out / INDEX_FILE, index_text(out))
+    return page
+
+
+def index_text(out: Path) -> str:
+    """Return the page that lists all results in a folder, as Markdown."""
+    rows = []
+    for path in sorted(out.glob("*.json")):
+        try:
+            rows.append(_row(load_json(path), path.stem))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # not one of ours
+    intro = INTRO
+    if (out.parent / _HOW_TO).is_file():  # InfraBlend's own documentation
+        intro += f" How to run the experiments: [experiments](../{_HOW_TO.as_posix()})."
+    if (out / _REALISM).is_file():
+        intro += f" `infrablend realism` writes the page on [inserted and real objects side by side]({_REALISM})."
+    head = ["Experiment", "Scale", "Status", "First row, mAP50: paper → ours", "Conclusions that hold"]
+    return "\n\n".join(["# Results", intro, markdown_table(head, rows) if rows else "No results yet."]) + "\n"
+
+
+def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
+    verdicts = [c["holds"] for c in facts["checks"] if c["holds"] is not None]
+    rows = [r for table in facts["tables"] for r in table["rows"]]
+    first = next((r for r in rows if r["ours"]), rows[0] if rows else None)
+    return [
+        f"[{facts['title']}]({stem}.md)",
+        facts["scale"],
+        run_state(facts),
+        f"{first['title']}: {paper_and_ours(first['paper']['map50'], (first['ours'] or {}).get('map50'), '.3f')}"
+        if first
+        else "-",
+        f"{verdicts.count(True)} of {len(verdicts)}" if verdicts else "-",
+    ]

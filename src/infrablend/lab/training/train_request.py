@@ -1,0 +1,90 @@
+"""What a training is asked to do, and the preset that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from infrablend.config.agc import DEFAULT_AGC, Agc
+from infrablend.core.arguments import require_names
+from infrablend.detection.detections import Task
+from infrablend.errors import OutputError, Problem
+from infrablend.lab.training import start_weights
+from infrablend.lab.training.presets import PRESETS, Preset, PresetName
+
+PRESET_FIELDS = ("model", "image_size", "batch", "epochs", "passes", "patience", "tile", "tiles")
+_LEAST = {"image_size": 1, "batch": 1}
+
+
+@dataclass(frozen=True)
+class TrainRequest:
+    """How to train a detector.
+
+    Attributes:
+        preset: paper: YOLOv8s as in the paper, for a GPU; medium: whole pictures, two cores, hours; small: two cores,
+            minutes; smoke: a few steps.
+        settings: Field of the preset (passes, epochs, batch ...) or argument of Ultralytics.
+        task: Boxes, oriented boxes or masks.
+        weights: Starting point; auto: the preset's published weights, or scratch if they cannot be downloaded.
+        device: auto, cpu, mps, cuda, or one GPU: cuda:1 or 1.
+        seed: Seed of weights, order, augmentation and tiles.
+        classes: Only these classes [default: all].
+        agc: Automatic gain control for 16-bit pictures, e.g. {mode: fixed, low_c: 0, high_c: 40} [default:
+            linear].
+
+    Raises:
+        ArgumentError: `classes` is no list of names.
+    """
+
+    preset: PresetName = "small"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    task: Task = "detect"
+    weights: str = start_weights.AUTO
+    device: str = "auto"
+    seed: int = 0
+    classes: Sequence[str] | None = None
+    agc: Agc = DEFAULT_AGC
+
+    def __post_init__(self) -> None:
+        require_names("classes", self.classes)
+
+    def chosen_preset(self) -> Preset:
+        """Return the preset with `settings` applied; see `choose_preset`."""
+        return choose_preset(self.preset, self.settings)
+
+
+DEFAULT_TRAINING = TrainRequest()
+
+
+def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
+    """Return the preset with these fields and arguments of Ultralytics changed.
+
+    Raises:
+        OutputError: There is no such preset, or a value is of the wrong kind.
+    """
+    if name not in PRESETS:
+        raise OutputError(f"--preset {name}: no such preset; expected one of {', '.join(PRESETS)}")
+    preset = PRESETS[name]
+    fields = {k: v for k, v in settings.items() if k in PRESET_FIELDS}
+    arguments = {k: v for k, v in settings.items() if k not in PRESET_FIELDS}
+    problems = [
+        Problem(
+            f"--set {k}", "setting-malformed", repr(v),
+            "a name" if k == "model" else f"a whole number from {_LEAST.get(k, 0)} up",
+        )
+        for k, v in fields.items()
+        if not (isinstance(v, str) and v if k == "model" else type(v) is int and v >= _LEAST.get(k, 0))
+    ]  # fmt: skip
+    if problems:
+        raise OutputError("settings of the training", problems)
+    if fields.get("epochs"):
+        fields.setdefault("passes", 0)
+    elif fields.get("passes"):
+        fields.setdefault("epochs", 0)
+    chosen = replace(preset, **fields, arguments={**preset.arguments, **arguments})
+    if not (chosen.epochs or chosen.passes):
+        where = " ".join(f"--set {k}" for k in ("epochs", "passes") if k in settings)
+        problem = Problem(where, "setting-malformed", "neither epochs nor passes", "one of them from 1 up")
+        raise OutputError("settings of the training", [problem])
+    return chosen

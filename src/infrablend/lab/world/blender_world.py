@@ -1,0 +1,191 @@
+"""Has Blender render plans of the virtual world: temperatures per pixel and labels.
+
+The scene is rendered at twice the resolution of the frame, so the object ids have four samples per pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from infrablend.core.camera import CameraSpec
+from infrablend.core.machine import take_core
+from infrablend.core.mesh import FloatArray, IntArray
+from infrablend.core.surface_kinds import SURFACES
+from infrablend.core.tasks import Task
+from infrablend.lab.world.buildings import building
+from infrablend.lab.world.fixtures import TREE_KINDS, furniture, tree_matrix, tree_prototype
+from infrablend.lab.world.frame_files import FinishedFrame, make_frame
+from infrablend.lab.world.ground import ground_kelvin, ground_surfaces
+from infrablend.lab.world.people import cycle, person
+from infrablend.lab.world.scene_plan import WorldPlan
+from infrablend.lab.world.thermal_surfaces import Surface, placed
+from infrablend.lab.world.vehicles import vehicle
+from infrablend.lab.world.world_flight import Flight, begin_flight, flight_frame
+from infrablend.lab.world.world_labels import Label, VisibleSamples, label_object
+from infrablend.rendering.engine.process import BlenderProcess
+from infrablend.rendering.engine.programs import find_blender
+from infrablend.rendering.engine.renderer import camera_message, channel
+
+OVERSAMPLE = 2
+SAMPLES = 3
+ATTRIBUTES = ("kelvin", "mirror", "solar_k", "grain_k")  # as in `blender.world`
+_WHAT = "virtual world"
+# First number in the pass of object numbers of things without a class; Blender's largest is 32767.
+_OTHERS = 20_000
+
+_Labelled = tuple[str, FloatArray, IntArray]
+
+
+class WorldRenderer:
+    """Renderer of plans, one after the other, with a Blender of its own."""
+
+    def __init__(self) -> None:
+        """Start Blender.
+
+        Raises:
+            MissingDependencyError: There is none.
+        """
+        self._process = BlenderProcess(find_blender())
+        self._process.open("world", "cpu")
+        self._sent: set[str] = set()  # prototypes of trees that Blender has
+
+    def close(self) -> None:
+        """End Blender's process."""
+        self._process.close()
+
+    def render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], list[Label]]:
+        """Return the (h, w) float32 temperatures of a frame in kelvin, and a label for every thing with a class."""
+        kelvin, ids, labelled = self._render(plan)
+        return kelvin, [_label(plan.camera, k + 1, *thing, ids) for k, thing in enumerate(labelled)]
+
+    def render_surfaces(self, plan: WorldPlan) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Return the (h, w) temperatures of a frame in kelvin, and the kind of surface at each pixel, uint8.
+
+        Kinds are numbers in `SURFACES`; of the four samples of a pixel, the most frequent one counts.
+        """
+        kelvin, ids, _ = self._render(plan)
+        of_thing = np.full(_OTHERS + len(SURFACES), SURFACES.index("object"), np.uint8)
+        of_thing[_OTHERS:] = np.arange(len(SURFACES))
+        kinds = np.where(ids == 0, ground_surfaces(plan, OVERSAMPLE), of_thing[ids])
+        h, w = kelvin.shape
+        samples = kinds.reshape(h, OVERSAMPLE, w, OVERSAMPLE)
+        counts = np.stack([(samples == k).sum(axis=(1, 3)) for k in range(len(SURFACES))])
+        return kelvin, np.asarray(counts.argmax(axis=0), np.uint8)
+
+    def _render(self, plan: WorldPlan) -> tuple[NDArray[np.float32], NDArray[np.int32], list[_Labelled]]:
+        """Return temperatures, the number of the thing at each sample (see `_things`), and the labelled things."""
+        labelled, things = _things(plan)
+        prototypes, copies = self._trees(plan)
+        camera = plan.camera
+        job = {
+            "camera": camera_message(camera, (1.0, 10 * camera.distance_m)),
+            "oversample": OVERSAMPLE,
+            "samples": SAMPLES,
+            "ground": ground_kelvin(plan, OVERSAMPLE),
+            "reach_m": 4 * camera.distance_m,
+            "things": things,
+            "prototypes": prototypes,
+            "copies": copies,
+            "air_k": plan.air_k,
+            "sky_drop_k": plan.sky_drop_k,
+            "sun": plan.sun if plan.sun is not None else (0.0, 0.0, -1.0),
+        }
+        self._process.ask("render", job)
+        self._sent |= prototypes.keys()
+        channels = self._process.channels()
+        ids = np.round(channel(channels, _WHAT, ".indexob.x")).astype(np.int32)
+        kelvin = channel(channels, _WHAT, ".combined.r")
+        w, h = camera.size_wh
+        frame = kelvin.reshape(h, OVERSAMPLE, w, OVERSAMPLE).mean(axis=(1, 3), dtype=np.float32)
+        return np.asarray(frame, np.float32), ids, labelled
+
+    def _trees(self, plan: WorldPlan) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """Return the prototypes that Blender does not have yet, and the trees, which are copies of prototypes."""
+        prototypes: dict[str, Any] = {}
+        copies = []
+        for t in plan.trees:
+            number = t.prototype % TREE_KINDS[t.kind]
+            name = f"{t.kind} {number}"
+            if name not in self._sent and name not in prototypes:
+                surface = tree_prototype(t.kind, number)
+                prototypes[name] = _message(surface, surface.vertices_m)
+            index = _OTHERS + SURFACES.index("shrub" if t.kind == "shrub" else "tree")
+            matrix = tree_matrix(t)
+            copies.append({"name": name, "matrix": matrix, "kelvin": t.kelvin, "sun": t.solar_k, "index": index})
+        return prototypes, copies
+
+
+def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, Any]]]:
+    """Return class, world vertices and triangles of the labelled things, in id order from 1; and all as messages.
+
+    The number of each of the others is `_OTHERS` and that of its kind of surface.
+    """
+    classed: list[tuple[Surface, Any]] = [(vehicle(v), v) for v in plan.vehicles]
+    classed += [(person(p), p) for p in plan.people]
+    classed += [(cycle(c), c) for c in plan.cycles]
+    others: list[tuple[Surface, Any]] = [(building(b), b) for b in plan.buildings]
+    others += [(furniture(f), f) for f in plan.furniture]
+    labelled: list[_Labelled] = []
+    messages = []
+    for surface, thing in classed:
+        vertices = placed(surface, thing.x_m, thing.y_m, thing.heading_rad)
+        labelled.append((thing.category, vertices, surface.triangles))
+        messages.append({**_message(surface, vertices), "index": len(labelled)})
+    for surface, other in others:
+        vertices = placed(surface, other.x_m, other.y_m, other.heading_rad)
+        messages.append({**_message(surface, vertices), "index": _OTHERS + SURFACES.index("structure")})
+    return labelled, messages
+
+
+def _message(surface: Surface, vertices_m: FloatArray) -> dict[str, Any]:
+    values = {name: np.asarray(getattr(surface, name), np.float32) for name in ATTRIBUTES}
+    return {"vertices_m": np.asarray(vertices_m, np.float32), "triangles": surface.triangles, **values}
+
+
+def _label(
+    camera: CameraSpec,
+    index: int,
+    category: str,
+    vertices_m: FloatArray,
+    triangles: IntArray,
+    ids: NDArray[np.int32],
+) -> Label:
+    xy, _ = camera.project(vertices_m)
+    h, w = ids.shape
+    x0, y0 = np.clip(np.floor(np.nanmin(xy, axis=0) * OVERSAMPLE).astype(int) - 1, 0, (w, h))
+    x1, y1 = np.clip(np.ceil(np.nanmax(xy, axis=0) * OVERSAMPLE).astype(int) + 1, 0, (w, h))
+    visible = VisibleSamples(ids[y0:y1, x0:x1] == index, (int(x0), int(y0)), OVERSAMPLE)
+    return label_object(category, camera, vertices_m, triangles, visible, upright=category == "Person")
+
+
+class WorldWorker:
+    """Renders frames of one virtual dataset, with a Blender of its own."""
+
+    def __init__(self, seed: int, folder: Path) -> None:
+        """Start Blender; images go to `folder`/<split>/."""
+        self._seed, self._folder = seed, folder
+        self._renderer = WorldRenderer()
+        self._flight: Flight | None = None
+
+    def __call__(self, task: Task) -> FinishedFrame:
+        """Render the `FrameFacts` in the payload of a task."""
+        if not task.payload.flight:
+            return make_frame(task.payload, self._seed, self._renderer, self._folder)
+        if self._flight is None:
+            self._flight = begin_flight(task.payload, self._seed, self._renderer)
+        return flight_frame(self._flight, task.payload, self._folder)
+
+    def close(self) -> None:
+        """End Blender's process."""
+        self._renderer.close()
+
+
+def make_world_worker(settings: Mapping[str, Any]) -> WorldWorker:
+    """Create a worker from `seed` and `folder`."""
+    take_core()
+    return WorldWorker(settings["seed"], Path(settings["folder"]))

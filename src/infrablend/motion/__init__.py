@@ -1,1 +1,0 @@
-"""How the camera moves through a sequence, from the background of its pictures."""

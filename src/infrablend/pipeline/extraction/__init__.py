@@ -1,0 +1,1 @@
+"""Datasets made from camera files: frames of videos, temperatures of radiometric pictures, the camera's movement."""

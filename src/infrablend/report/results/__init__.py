@@ -1,1 +1,0 @@
-"""The results page of an experiment, written from the results' JSON alone."""
