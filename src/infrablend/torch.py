@@ -95,7 +95,9 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
     def set_epoch(self, epoch: int) -> None:
         """Choose order and objects; call it before each epoch."""
         require_whole("epoch", epoch, 0)
-        self._epoch, self._start, self._position = epoch, 0, 0
+        self._epoch = epoch
+        self._start = 0
+        self._position = 0
 
     def state_dict(self) -> dict[str, int]:
         """Return the epoch, and the number of its frames that this process has passed."""
@@ -127,7 +129,8 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
         if self._new_each_epoch and self._epoch:
             seed = integer_seed(frames.seed, "epoch", self._epoch)
         position = {frame_id: k for k, frame_id in enumerate(ids)}
-        start, self._start = self._start, 0
+        start = self._start
+        self._start = 0
         transform = self._transform or partial(to_tensors, categories=frames.categories)
         for frame in frames.iterate(ids[start:], seed):
             # Before the sample is used: what the caller has got is passed. Skipped backgrounds count as passed, too.
@@ -178,7 +181,8 @@ def collate(samples: Iterable[tuple[Any, Any]]) -> tuple[list[Any], list[Any]]:
     For `DataLoader(dataset, batch_size=8, collate_fn=collate)`: torch's own function cannot stack targets with
     different numbers of objects. Pictures are not stacked, for they may differ in size.
     """
-    images, targets = [], []
+    images = []
+    targets = []
     for image, target in samples:
         images.append(image)
         targets.append(target)

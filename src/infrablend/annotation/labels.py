@@ -209,7 +209,8 @@ def annotate(
             coverage, taken, offset_xy = _own_pixels(result, k)
         else:
             assert shape.coverage is not None
-            coverage, offset_xy = shape.coverage, shape.offset_xy
+            coverage = shape.coverage
+            offset_xy = shape.offset_xy
         mask, fallback = _mask(coverage, offset_xy, size_wh, taken)
         if mask is None:
             drops.append(Drop(k, category, "no_visible_pixel"))
@@ -250,7 +251,9 @@ def annotate(
 
 
 def _require_matching(scene: PlacedScene, result: RenderResult | None) -> None:
-    n, frame_id, size_wh = len(scene.objects), scene.spec.frame_id, scene.spec.camera.size_wh
+    n = len(scene.objects)
+    frame_id = scene.spec.frame_id
+    size_wh = scene.spec.camera.size_wh
     if result is None:
         return
     if len(result.coverage) != n:
@@ -263,7 +266,8 @@ def _require_matching(scene: PlacedScene, result: RenderResult | None) -> None:
 
 
 def _surfaces(placed: PlacedObject) -> _Surfaces:
-    spec, mesh = placed.spec, placed.mesh
+    spec = placed.spec
+    mesh = placed.mesh
     unknown = [name for name in mesh.part_names if name not in spec.parts]
     if unknown:
         raise ModelError(
@@ -340,7 +344,8 @@ def _visible_shape(
         box = box_of_points(hull_xy)
         if not (box[2:] > box[:2]).all():
             return "hidden"
-    alone_count, seen_count = int(alone.sum()), int(seen.sum())
+    alone_count = int(alone.sum())
+    seen_count = int(seen.sum())
     visibility = seen_count / alone_count if alone_count else 1.0
     if truncated:
         visibility *= _share_in_frame(surfaces[k], full_box, size_wh, alone_count * grid.pitch_px**2)
@@ -376,7 +381,8 @@ def _samples_per_pixel(
 
 def _unoccluded(surfaces: _Surfaces, grid: SampleGrid) -> BoolArray:
     """Mark the samples at which a labelled part is nearest, ignoring all other objects."""
-    own, parts = surfaces.labelled, surfaces.unlabelled
+    own = surfaces.labelled
+    parts = surfaces.unlabelled
     if not len(parts.xy):
         return covered_samples(own.xy, grid)
     depth = nearest_inverse_depth(own.xy, own.inverse_depth, grid)
@@ -446,7 +452,9 @@ def heading_in_image(placed: PlacedObject) -> FloatArray | None:
 
     In perspective the direction depends on the place, so it is computed at the middle of the object's extent.
     """
-    spec, vertices, camera = placed.spec, placed.mesh.vertices_m, placed.camera
+    spec = placed.spec
+    vertices = placed.mesh.vertices_m
+    camera = placed.camera
     middle = (vertices.min(axis=0) + vertices.max(axis=0))[None] / 2
     x, y, z = camera.to_camera(object_to_world(middle, spec.position_m, spec.yaw_rad, spec.scale))[0]
     ahead = np.array([math.cos(spec.yaw_rad), math.sin(spec.yaw_rad), 0.0])

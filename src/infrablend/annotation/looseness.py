@@ -86,12 +86,14 @@ def loosen_inserted(images: Sequence[ImageRecord], by: Looseness) -> tuple[list[
 
 def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
     """Draw the boxes of the inserted objects of one image, see `loosen_inserted`."""
-    instances, count = [], 0
+    instances = []
+    count = 0
     for one in image.instances:
         factor, px = by.of(one.category)
         fitted = by.fit == "visible" and SEEN_BOX in one.extra
         if one.inserted and (factor > 1 or px > 0 or fitted) and image.size_wh is not None:
-            one, count = _loosened(one, factor, px, image.size_wh, fitted), count + 1
+            one = _loosened(one, factor, px, image.size_wh, fitted)
+            count = count + 1
         instances.append(one)
     return replace(image, instances=tuple(instances)), count
 
@@ -201,7 +203,8 @@ def loosen_rectangle(corners_xy: FloatArray, factor: float, size_wh: tuple[int, 
 
 def _shift_of_side(corners_xy: FloatArray, k: int, factor: float, px: float) -> FloatArray:
     """Return by how much (2,) the side from corner k to the next one moves away from the opposite side."""
-    side, opposite = [k, (k + 1) % 4], [(k + 3) % 4, (k + 2) % 4]
+    side = [k, (k + 1) % 4]
+    opposite = [(k + 3) % 4, (k + 2) % 4]
     across: FloatArray = corners_xy[side].mean(axis=0) - corners_xy[opposite].mean(axis=0)
     return across * ((factor - 1) / 2) + px * _outwards(across, corners_xy[side[1]] - corners_xy[side[0]])
 

@@ -153,7 +153,8 @@ def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) ->
 
 def _spread(boxes: Sequence[BoxExtent]) -> dict[str, float]:
     """Return what a factor and what a margin leave unexplained, each fitted to widths and heights by itself."""
-    box, extent = np.array([b.box_wh for b in boxes]), np.array([b.extent_wh for b in boxes])
+    box = np.array([b.box_wh for b in boxes])
+    extent = np.array([b.extent_wh for b in boxes])
     of_sides = np.array([side_spreads(box[:, k], extent[:, k]) for k in (0, 1)])
     factor, margin = np.sqrt(np.mean(of_sides**2, axis=0))
     return {"factor": round(float(factor), 3), "margin": round(float(margin), 3)}

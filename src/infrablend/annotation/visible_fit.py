@@ -113,9 +113,11 @@ def _cut(corners_xy: FloatArray, seen_xy: FloatArray, mask_xy: FloatArray) -> Fl
         low, high = 0.0, length
         # A mask that ends far from the side is that of an object with something in front: its box stays whole there.
         if whole.min() <= _LEAST_PX <= seen.min() - whole.min():
-            low, moved = min(max(float(seen.min()), 0.0), length), True
+            low = min(max(float(seen.min()), 0.0), length)
+            moved = True
         if length - whole.max() <= _LEAST_PX <= whole.max() - seen.max():
-            high, moved = min(max(float(seen.max()), 0.0), length), True
+            high = min(max(float(seen.max()), 0.0), length)
+            moved = True
         ends.append((along / length * low, along / length * high))
     (low_u, high_u), (low_v, high_v) = ends
     if not moved:

@@ -82,9 +82,12 @@ def _propeller(p: Params) -> Rotors:
 
 def _add_light(out: Pieces, p: Params) -> None:
     """Add a light aircraft: cabin, engine in the nose, high wing on struts or low wing, fixed landing gear."""
-    length, girth, high = float(p["length"]), 0.052 * float(p["girth"]), p["wing"] == "high"
+    length = float(p["length"])
+    girth = 0.052 * float(p["girth"])
+    high = p["wing"] == "high"
     x = np.array([-0.45, -0.25, -0.08, 0.02, 0.12, 0.19]) * length
-    wide, tall = girth * np.array([0.2, 0.55, 1.0, 1.05, 1.0, 0.9]), girth * np.array([0.35, 0.65, 1.2, 1.35, 1.1, 0.9])
+    wide = girth * np.array([0.2, 0.55, 1.0, 1.05, 1.0, 0.9])
+    tall = girth * np.array([0.35, 0.65, 1.2, 1.35, 1.1, 0.9])
     z = girth * np.array([0.5, 0.3, 0.15, 0.2, 0.0, -0.1])
     out.add("fuselage", _body(x, z, wide, tall))
     cowl = girth * np.array([0.92, 0.88, 0.6])
@@ -94,7 +97,9 @@ def _add_light(out: Pieces, p: Params) -> None:
     out.add("window", pane, at=(0.085 * length, 0.0, 0.95 * girth))
     pipe = (0.19 * length, 0.4 * girth, -1.0 * girth)
     out.add("exhaust", shapes.capsule(pipe, (0.16 * length, 0.4 * girth, -1.25 * girth), 0.006, n=8))
-    chord, lead, z_wing = 0.145 * float(p["chord"]), 0.10 * length, 1.4 * girth if high else -0.75 * girth
+    chord = 0.145 * float(p["chord"])
+    lead = 0.10 * length
+    z_wing = 1.4 * girth if high else -0.75 * girth
     dihedral = math.radians(float(p["dihedral_deg"]) * (0.4 if high else 1.2))
     out.add_both_sides(
         "wing", _half(0.5, lead, z_wing, (chord, 0.95 * chord, 0.7 * chord), 0.02, dihedral, 0.13), smooth=False
@@ -113,10 +118,12 @@ def _add_light(out: Pieces, p: Params) -> None:
 
 def _add_business_jet(out: Pieces, p: Params) -> None:
     """Add a business jet: engines beside the rear of the fuselage, tail plane on top of the fin."""
-    length, girth = float(p["length"]), 0.054 * float(p["girth"])
+    length = float(p["length"])
+    girth = 0.054 * float(p["girth"])
     _add_tube(out, girth, np.array([-0.52, -0.47, -0.32, -0.15, 0.26, 0.38, 0.44, 0.47]) * length)
     chord = 0.165 * float(p["chord"])
-    dihedral, sweep = math.radians(float(p["dihedral_deg"])), 0.13 * float(p["sweep"])
+    dihedral = math.radians(float(p["dihedral_deg"]))
+    sweep = 0.13 * float(p["sweep"])
     chords = (1.15 * chord, 0.75 * chord, 0.38 * chord)
     out.add_both_sides("wing", _half(0.5, 0.07 * length, -0.8 * girth, chords, sweep, dihedral, 0.12), smooth=False)
     _add_engine(out, (-0.27 * length, 1.62 * girth, 0.5 * girth), 0.033, 0.17)
@@ -127,10 +134,12 @@ def _add_business_jet(out: Pieces, p: Params) -> None:
 
 def _add_airliner(out: Pieces, p: Params) -> None:
     """Add an airliner: low swept wing with winglets, an engine under each half of it."""
-    length, girth = 1.08 * float(p["length"]), 0.057 * float(p["girth"])
+    length = 1.08 * float(p["length"])
+    girth = 0.057 * float(p["girth"])
     _add_tube(out, girth, np.array([-0.5, -0.46, -0.3, -0.16, 0.38, 0.44, 0.475, 0.49]) * length)
     chord = 0.135 * float(p["chord"])
-    dihedral, sweep = math.radians(float(p["dihedral_deg"])), 0.25 * float(p["sweep"])
+    dihedral = math.radians(float(p["dihedral_deg"]))
+    sweep = 0.25 * float(p["sweep"])
     chords = (1.5 * chord, 0.85 * chord, 0.33 * chord)
     out.add_both_sides("wing", _half(0.5, 0.14 * length, -0.65 * girth, chords, sweep, dihedral, 0.12), smooth=False)
     belly = shapes.ellipsoid((0.16, 0.85 * girth, 0.4 * girth), 16, 8)

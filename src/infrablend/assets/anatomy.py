@@ -131,7 +131,8 @@ def joined(pieces: Sequence[Piece]) -> Piece:
 
 def on_ground(vertices: FloatArray, cell: float) -> FloatArray:
     """Stretch the two lowest cells to the ground, so that whatever nearly touches it does touch it."""
-    lowest, top = float(vertices[:, 2].min()), 2.0 * cell
+    lowest = float(vertices[:, 2].min())
+    top = 2.0 * cell
     if lowest > cell:
         return vertices
     v = vertices.copy()

@@ -115,7 +115,8 @@ def cycle_hz(params: Params) -> float:
 
 def build_pieces(p: Params) -> Pieces:
     """Return the closed solids of one bird in level flight, for stretched wings of span 1."""
-    kind, out = _KINDS[p["kind"]], Pieces()
+    kind = _KINDS[p["kind"]]
+    out = Pieces()
     girth = kind.girth * float(p["girth"])
     front, rear = kind.neck * kind.length, (kind.neck - 1) * kind.length
     neck = max(front - 1.1 * girth, 0.0)  # from the shoulders to the head; short necks are hidden in the plumage
@@ -139,7 +140,8 @@ def build_pieces(p: Params) -> Pieces:
 
 def _add_tail(out: Pieces, kind: _Kind, rear: float, spread: float) -> None:
     """Add a fan of feathers."""
-    length, half = kind.tail[0], kind.tail[1] * spread
+    length = kind.tail[0]
+    half = kind.tail[1] * spread
     share = np.array([-1.0, -0.7, -0.35, 0.0, 0.35, 0.7, 1.0])
     end = rear - length * (1 - 0.12 * np.abs(share) ** 2)
     root = np.array([0.3 * half, 0.22 * kind.girth]).min()
@@ -176,7 +178,9 @@ def _wing(kind: _Kind, p: Params, *, lining: bool = False) -> Solid:
     thick = np.interp(s, [0, _WRIST, 1], [0.10, 0.07, 0.045])
     if lining:
         places = places + np.stack([-0.12 * chord, 0 * y, 0 * y], axis=1) - 0.012 * up
-        places, chord, up = places[:_LINING], 0.6 * chord[:_LINING], up[:_LINING]
+        places = places[:_LINING]
+        chord = 0.6 * chord[:_LINING]
+        up = up[:_LINING]
     stations = [((a, b, c), float(d), float(t)) for (a, b, c), d, t in zip(places.tolist(), chord, thick, strict=False)]
     return shapes.aerofoil(stations, up)
 
@@ -186,7 +190,8 @@ def _flap(kind: _Kind, p: Params) -> tuple[float, float, float]:
     arm, hand = (math.radians(a) for a in kind.soar_deg)
     if p["flight"] == "soaring":
         return arm, hand, 0.0
-    phase, flap = math.radians(float(p["phase_deg"])), math.radians(float(p["flap_deg"]))
+    phase = math.radians(float(p["phase_deg"]))
+    flap = math.radians(float(p["flap_deg"]))
     fold = 1.1 * flap * max(0.0, -math.sin(phase))
     return arm + flap * math.cos(phase), hand + 1.25 * flap * math.cos(phase - 0.7), fold
 

@@ -218,7 +218,9 @@ _MOVING: Mapping[str, _Pose] = {
 
 def _skeleton(params: Params) -> _Pose:
     """Return the skeleton of a variant, or that of a moving boar at its phase."""
-    pose, phase, variants = params["pose"], params.get("phase"), VARIANTS[params["pose"]]
+    pose = params["pose"]
+    phase = params.get("phase")
+    variants = VARIANTS[params["pose"]]
     number = min(params["variant"], len(variants)) - 1
     if pose == "running" and phase is None:
         phase = 0.5 * number
@@ -327,11 +329,14 @@ def _foot(fetlock: FloatArray, hang: float, lying: bool) -> list[Primitive]:
 
 def _fore_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primitive], list[Primitive]]:
     """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a foreleg."""
-    y, fall = 0.118 * sign, pose.drop + pose.tilt
+    y = 0.118 * sign
+    fall = pose.drop + pose.tilt
     blade = np.array([0.24, 0.110 * sign, 0.80 - fall])
     if lying:
-        shoulder, elbow = np.array([0.34, 0.138 * sign, 0.23]), np.array([0.24, 0.140 * sign, 0.11])
-        knee, fetlock = np.array([0.43, 0.140 * sign, 0.060]), np.array([0.26, 0.150 * sign, 0.038])
+        shoulder = np.array([0.34, 0.138 * sign, 0.23])
+        elbow = np.array([0.24, 0.140 * sign, 0.11])
+        knee = np.array([0.43, 0.140 * sign, 0.060])
+        fetlock = np.array([0.26, 0.150 * sign, 0.038])
     else:
         shoulder = np.array([0.35 + 0.15 * leg.dx, 0.125 * sign, 0.62 - fall])
         elbow = np.array([0.235 + (0.6 if pose.moves else 0.35) * leg.dx, 0.140 * sign, 0.475 - fall])
@@ -364,8 +369,10 @@ def _hind_leg(pose: _Pose, leg: Leg, sign: int, lying: bool) -> tuple[list[Primi
     """Return the upper part (in the skin of the body) and the lower part (on the finer grid) of a hind leg."""
     y = 0.105 * sign
     if lying:
-        hip, stifle = np.array([-0.44, 0.085 * sign, 0.29]), np.array([-0.24, 0.145 * sign, 0.16])
-        hock, fetlock = np.array([-0.50, 0.160 * sign, 0.055]), np.array([-0.30, 0.175 * sign, 0.038])
+        hip = np.array([-0.44, 0.085 * sign, 0.29])
+        stifle = np.array([-0.24, 0.145 * sign, 0.16])
+        hock = np.array([-0.50, 0.160 * sign, 0.055])
+        fetlock = np.array([-0.30, 0.175 * sign, 0.038])
     else:
         hip = np.array([-0.46, 0.085 * sign, 0.73 - pose.drop])
         stifle = np.array([-0.375 + 0.4 * leg.dx, 0.118 * sign, 0.505 - 0.9 * pose.drop + 0.3 * leg.dz])
@@ -470,7 +477,8 @@ def _shape(pose: _Pose, build_name: str) -> tuple[Piece, float]:
     if pose.on_side:
         vertices = _tipped(vertices)
     if lying or pose.on_side:
-        origin, size = np.array([0.5 * (_TRUNK[0, 0] + _TRUNK[-1, 0]), 0.0, 0.0]), 1.0
+        origin = np.array([0.5 * (_TRUNK[0, 0] + _TRUNK[-1, 0]), 0.0, 0.0])
+        size = 1.0
     else:
         soles = vertices[np.unique(triangles[parts == PART_NAMES.index("hoof")])]
         origin = np.array([feet_centre(soles) if pose.middle_x is None else pose.middle_x, 0.0, 0.0])
@@ -508,7 +516,8 @@ def _bent(vertices: FloatArray, bend_rad: float, head_rad: float) -> FloatArray:
     x = np.concatenate([[0.0], np.cumsum(0.5 * step * (np.cos(angle[1:]) + np.cos(angle[:-1])))])
     y = np.concatenate([[0.0], np.cumsum(0.5 * step * (np.sin(angle[1:]) + np.sin(angle[:-1])))])
     x, y = x - np.interp(0.0, s, x), y - np.interp(0.0, s, y)
-    at, side = vertices[:, 0], vertices[:, 1]
+    at = vertices[:, 0]
+    side = vertices[:, 1]
     turn = np.interp(at, s, angle)
     return np.column_stack(
         [

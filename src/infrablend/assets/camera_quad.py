@@ -65,7 +65,8 @@ def _rotors(p: Params) -> Rotors:
     propeller = Propeller(
         math.sqrt(0.125) * float(p["propeller_radius"]), p["blades"], 1.0, p["propellers"] == "spinning"
     )
-    r, start = 0.040 * float(p["motor_radius"]), float(p["propeller_angle_deg"])
+    r = 0.040 * float(p["motor_radius"])
+    start = float(p["propeller_angle_deg"])
     seat = _ARM_Z + 0.8 * _FORMS[p["form"]][2][1] * float(p["body_height"])
     return Rotors(_motors_xy(), seat, r, 0.75 * r, propeller, tuple(start + 137.5 * k for k in range(4)))
 
@@ -88,9 +89,11 @@ def build_pieces(p: Params) -> Pieces:
 def _skin(form: str) -> dict[str, Solid]:
     """Return body and inner arms as one skin, and the warm ends of the arms."""
     (length, width, height), inner, outer = _FORMS[form]
-    arms, ends = [], []
+    arms = []
+    ends = []
     for x, y in _motors_xy().tolist():
-        root, tip = np.array([0.45 * x, 0.45 * y, 0.0]), np.array([x, y, _ARM_Z])
+        root = np.array([0.45 * x, 0.45 * y, 0.0])
+        tip = np.array([x, y, _ARM_Z])
         side = (-y, x, 0.0)
         t = np.array([0.0, 0.35, _WARM])
         path = root + t[:, None] * (tip - root)
@@ -125,7 +128,8 @@ def _add_legs(out: Pieces, p: Params, height: float) -> None:
     ground = -height * tall - 0.19 * float(p["leg_height"])
     if p["legs"] == "stubs":
         for x, y in _motors_xy().tolist():
-            high, low = (0.97 * x, 0.97 * y, 0.0), (1.02 * x, 1.02 * y, 0.5 * ground)
+            high = (0.97 * x, 0.97 * y, 0.0)
+            low = (1.02 * x, 1.02 * y, 0.5 * ground)
             out.add("leg", shapes.capsule(high, low, 0.022, 0.014, n=12))
         return
     raised = p["legs"] == "raised"

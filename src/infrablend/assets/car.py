@@ -153,7 +153,8 @@ _AT_DAWN = 0.5
 
 def parts_for(params: Params) -> dict[str, PartRange]:
     """Return the thermal role of every part of the car with these parameters: state, colour, a low sun and shadow."""
-    time, state = params.get("time_of_day"), params["state"]
+    time = params.get("time_of_day")
+    state = params["state"]
     if time not in LOW_SUN:
         return _parts_for(params)
     # Between what it has by night and by day.
@@ -161,7 +162,8 @@ def parts_for(params: Params) -> dict[str, PartRange]:
     day = _parts_for({**params, "state": _BY_DAY.get(state, state)})
     roles = at_low_sun(night, day, time)
     for part in _STORES:
-        at_night, role = night[part].delta_t_k, roles[part]
+        at_night = night[part].delta_t_k
+        role = roles[part]
         by_day = day[part].sun
         assert role.sun is not None and by_day is not None
         if time == "dusk":
@@ -335,7 +337,8 @@ def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
     """
     _CHECKS.known("option", options, (*NOMINAL, "time_of_day"))
     given = {name: value for name, value in options.items() if name not in ("sheltered", "time_of_day")}
-    when, dials = options.get("time_of_day"), DIALS
+    when = options.get("time_of_day")
+    dials = DIALS
     if when is not None:
         _CHECKS.one_of("option time_of_day", when, tuple(_STATE_ODDS))
         dials = replace(DIALS, table={**DIALS.table, "state": replace(_STATE, odds=_STATE_ODDS[when])})
@@ -661,7 +664,8 @@ def _cabin_levels(plan: _Plan) -> list[FloatArray]:
 
 def _add_on_roof(out: _Pieces, plan: _Plan, edge: FloatArray) -> None:
     """Add sunroof and rails on a roof whose edge is half an outline of the cabin."""
-    centre_x, span = (edge[0, 0] + edge[-1, 0]) / 2, edge[0, 0] - edge[-1, 0]
+    centre_x = (edge[0, 0] + edge[-1, 0]) / 2
+    span = edge[0, 0] - edge[-1, 0]
     if plan.p["sunroof"]:
         x = np.linspace(edge[0, 0] - 0.18 - 0.34 * span, edge[0, 0] - 0.18, 6)
         reach = np.abs(x - centre_x) / (span / 2)
@@ -703,7 +707,8 @@ def _add_ends(out: _Pieces, plan: _Plan) -> None:
 
 
 def _add_wheels(out: _Pieces, plan: _Plan) -> None:
-    r, wide = plan.wheel_radius, 0.215
+    r = plan.wheel_radius
+    wide = 0.215
     rim = 0.66 * r
     tyre = shapes.lathe(
         [(rim, -0.42 * wide), (0.82 * r, -0.5 * wide), (0.95 * r, -0.45 * wide), (r, -0.34 * wide), (r, 0.34 * wide),

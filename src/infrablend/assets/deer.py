@@ -592,7 +592,8 @@ def _antler(
 @lru_cache(maxsize=3 * MOMENTS)
 def _body(pose: _Pose, build_name: str) -> _Shape:
     """Return body and legs: everything that is part of the implicit surface."""
-    lying, build = pose.lying, _BUILDS[build_name]
+    lying = pose.lying
+    build = _BUILDS[build_name]
     lift = np.array([0.0, 0.0, -pose.drop if lying else -pose.drop - pose.tilt])
     neck_path = np.array(pose.neck)
     if lying:
@@ -648,7 +649,8 @@ def _body(pose: _Pose, build_name: str) -> _Shape:
     # Scale the withers back to height 1: blending, the lowered trunk and the build change it.
     size = 1.0 if lying else 1.0 / withers_height(vertices, triangles[np.isin(label, _BACK)], _WITHERS_X)
     along = neck.coordinates(vertices)[0] / (len(neck.path) - 1)
-    first_head, first_leg = len(pieces[0][0]), len(pieces[0][0]) + len(pieces[1][0])
+    first_head = len(pieces[0][0])
+    first_leg = len(pieces[0][0]) + len(pieces[1][0])
     neck_weight = smoothstep((along - 0.25) / 0.65)
     neck_weight[:first_head] *= 1.0 - smoothstep(neck.distance(vertices[:first_head]) / 0.05)
     neck_weight[first_leg:] = 0.0
@@ -677,7 +679,8 @@ _BACK = tuple(PART_NAMES.index(n) for n in ("back", "upper_flank", "flank"))
 def _with_crown(shape: _Shape, antlers: str, form: str) -> _Shape:
     """Add the ears and any antlers, which turn with the head."""
     frame = (shape.forward, shape.side, np.cross(shape.forward, shape.side))
-    pieces, parts = [(shape.vertices, shape.triangles)], [shape.parts]
+    pieces = [(shape.vertices, shape.triangles)]
+    parts = [shape.parts]
     for sign in (1, -1):
         pieces.append(_ear(shape.poll, frame, sign))
         parts.append(np.full(len(pieces[-1][1]), PART_NAMES.index("ear"), np.int32))
@@ -714,7 +717,8 @@ def _bent(points: FloatArray, angle_rad: float) -> FloatArray:
     # The spine keeps its length; its middle stays where it is.
     radius = (withers - hips) / angle_rad
     x, y = radius * np.sin(turn), radius * (1.0 - np.cos(turn))
-    beyond, aside = points[:, 0] - along, points[:, 1]
+    beyond = points[:, 0] - along
+    aside = points[:, 1]
     c, s = np.cos(turn), np.sin(turn)
     middle = 0.5 * (hips + withers)
     return np.column_stack([middle + x + beyond * c - aside * s, y + beyond * s + aside * c, points[:, 2]])

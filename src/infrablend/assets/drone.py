@@ -202,7 +202,8 @@ def _require_params(params: Params) -> None:
     _CHECKS.known("parameter", params, tuple(NOMINAL))
     _CHECKS.complete(params, tuple(NOMINAL))
     for name in NOMINAL:
-        where, value = f"parameter {name}", params[name]
+        where = f"parameter {name}"
+        value = params[name]
         if name in _STATES:
             _CHECKS.one_of(where, value, _STATES[name])
         elif name == "propeller_angle_deg":
@@ -244,7 +245,9 @@ def _motor_plan(p: Params) -> FloatArray:
         xy = np.array([[0.5, 0.0], [0.0, 0.5], [-0.5, 0.0], [0.0, -0.5]])
     elif layout == "deadcat":
         # Wide, swept front arms and a narrower tail: keeps propellers out of the camera's view.
-        front, rear, reach = math.radians(56 + 9 * spread), math.radians(44 - 6 * spread), 1.1
+        front = math.radians(56 + 9 * spread)
+        rear = math.radians(44 - 6 * spread)
+        reach = 1.1
         xy = np.array([[math.cos(front), math.sin(front)], [-reach * math.cos(rear), reach * math.sin(rear)]])
     else:
         front = math.radians(41 + 9 * spread if layout == "x" else 52 + 7 * spread)
@@ -266,7 +269,9 @@ _MOTOR_RADIUS = {"shell": 0.040, "plate": 0.046, "industrial": 0.037}
 def _plan(p: Params) -> _Plan:
     motors = _motor_plan(p)
     length, width, height = _BODY_SIZE[p["body"]]
-    length, width, height = length * p["body_length"], width * p["body_width"], height * p["body_height"]
+    length = length * p["body_length"]
+    width = width * p["body_width"]
+    height = height * p["body_height"]
     if p["layout"] == "h":
         # The arms leave the body at right angles, so it must reach them.
         length = max(length, 1.12 * abs(float(motors[0, 0])))
@@ -307,7 +312,8 @@ def _plan(p: Params) -> _Plan:
 
 
 def _rotors(plan: _Plan) -> Rotors:
-    r, industrial = plan.motor_radius, plan.p["body"] == "industrial"
+    r = plan.motor_radius
+    industrial = plan.p["body"] == "industrial"
     return Rotors(
         plan.motors_xy,
         plan.tip_z + plan.arm_half_height,
@@ -335,7 +341,8 @@ def _add_arms(out: Pieces, plan: _Plan) -> None:
     p, w, h = plan.p, plan.arm_half_width, plan.arm_half_height
     r = plan.motor_radius
     for (mx, my), (rx, ry) in zip(plan.motors_xy.tolist(), plan.roots_xy.tolist(), strict=True):
-        root, tip = np.array([rx, ry, plan.root_z]), np.array([mx, my, plan.tip_z])
+        root = np.array([rx, ry, plan.root_z])
+        tip = np.array([mx, my, plan.tip_z])
         # The end near the motor is warm and therefore a separate part.
         reach = float(np.linalg.norm(tip - root))
         t_warm = 1 - max(0.07, 1.6 * r) / reach
@@ -346,7 +353,9 @@ def _add_arms(out: Pieces, plan: _Plan) -> None:
             out.add(
                 "arm", shapes.sweep(root + t[:, None] * (tip - root) + bow, w * swell, h * swell, n=16, exponent=2.8)
             )
-            warm_w, warm_h, exponent = 0.88 * w, 0.88 * h, 2.8
+            warm_w = 0.88 * w
+            warm_h = 0.88 * h
+            exponent = 2.8
         elif p["arm"] == "tube":
             ends = np.stack([root, root + t_warm * (tip - root)])
             out.add("arm", shapes.sweep(ends, w, h, n=16))
@@ -355,12 +364,16 @@ def _add_arms(out: Pieces, plan: _Plan) -> None:
                 a = root + (where - 0.03) * (tip - root)
                 b = root + (where + 0.03) * (tip - root)
                 out.add("frame", shapes.sweep(np.stack([a, b]), 1.45 * w, 1.45 * h, n=12, exponent=3.0))
-            warm_w, warm_h, exponent = w, h, 2.0
+            warm_w = w
+            warm_h = h
+            exponent = 2.0
         else:
             t = np.array([0.0, 0.2, 0.55, t_warm])
             wide = w * np.array([1.25, 1.0, 0.8, 0.9])
             out.add("arm", shapes.sweep(root + t[:, None] * (tip - root), wide, h, n=16, exponent=8.0), smooth=False)
-            warm_w, warm_h, exponent = 0.9 * w, h, 8.0
+            warm_w = 0.9 * w
+            warm_h = h
+            exponent = 8.0
         warm = np.stack([root + (t_warm - 0.002) * (tip - root), tip])
         out.add("motor_mount", shapes.sweep(warm, warm_w, warm_h, n=12, exponent=exponent), smooth=p["arm"] != "bar")
         z0, z1 = plan.tip_z - 1.1 * h, plan.tip_z + h
@@ -481,7 +494,8 @@ def _add_plate_body(out: Pieces, plan: _Plan) -> None:
     middle = _plate_outline(0.46 * L, 0.74 * W, 0.0)
     out.add("frame", shapes.plate(middle, high, high + thick), smooth=False)
     ring = shapes.circle(24, 4.0)
-    outer, hole = ring * (0.33 * L, 0.66 * W), ring * (0.22 * L, 0.40 * W)
+    outer = ring * (0.33 * L, 0.66 * W)
+    hole = ring * (0.22 * L, 0.40 * W)
     for side in (1, -1):
         shift = (side * 0.66 * L, 0.0)
         out.add("frame", shapes.plate(outer + shift, high, high + thick, hole + shift), smooth=False)
@@ -583,7 +597,8 @@ def _add_industrial_body(out: Pieces, plan: _Plan) -> None:
     out.add_both_sides("lens", shapes.moved(dome, (0.80 * L, 0.30 * W, 1.08 * H)))
     # Shoulders: brackets from which the arms leave.
     for (rx, ry), (mx, my) in zip(plan.roots_xy.tolist(), plan.motors_xy.tolist(), strict=True):
-        root, tip = np.array([rx, ry, plan.root_z]), np.array([mx, my, plan.tip_z])
+        root = np.array([rx, ry, plan.root_z])
+        tip = np.array([mx, my, plan.tip_z])
         t = np.array([0.0, 0.1, 0.2])[:, None]
         w = 1.9 * plan.arm_half_width
         out.add("shell", shapes.sweep(root + t * (tip - root), (1.3 * w, 1.1 * w, 0.85 * w), w, n=12, exponent=4.0))
@@ -633,13 +648,15 @@ def _add_gimbal(out: Pieces, plan: _Plan) -> None:
 
 
 def _add_legs(out: Pieces, plan: _Plan) -> None:
-    kind, ground = plan.p["legs"], plan.ground_z
+    kind = plan.p["legs"]
+    ground = plan.ground_z
     L, W, H = plan.half_length, plan.half_width, plan.half_height
     thin = 0.011 if plan.p["body"] == "industrial" else 0.0085
     if kind == "feet":
         for x, y in plan.motors_xy.tolist():
             k = 1 - 0.35 * plan.motor_radius / math.hypot(x, y)
-            top, foot = (k * x, k * y, plan.tip_z), (1.01 * x, 1.01 * y, ground)
+            top = (k * x, k * y, plan.tip_z)
+            foot = (1.01 * x, 1.01 * y, ground)
             up = (-y, x, 0.0)
             out.add("leg", shapes.sweep([top, foot], (0.019, 0.011), (0.011, 0.008), n=12, up=up, round_ends=True))
         return
@@ -647,7 +664,8 @@ def _add_legs(out: Pieces, plan: _Plan) -> None:
     reach = max(0.85 * L, 0.19)
     if kind == "skids":
         for x in (0.42 * reach, -0.42 * reach):
-            high, low = np.array([x, 0.5 * W, -0.7 * H]), np.array([1.15 * x, spread, ground])
+            high = np.array([x, 0.5 * W, -0.7 * H])
+            low = np.array([1.15 * x, spread, ground])
             across = (1.0, 0.0, 0.0)
             out.add_both_sides("leg", shapes.sweep([high, low], (1.3 * thin, thin), n=12, up=across))
             out.add_both_sides("frame", shapes.sweep([high, high + 0.22 * (low - high)], 1.8 * thin, n=10, up=across))

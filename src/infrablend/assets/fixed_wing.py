@@ -121,7 +121,8 @@ def build_pieces(p: Params) -> Pieces:
         _add_flying_wing(out, p)
     else:
         _add_airframe(out, p)
-    thrust, motor = _thrust(p), Pieces()
+    thrust = _thrust(p)
+    motor = Pieces()
     _rotor(p).add_to(motor)
     out.add_all(motor, thrust.turn, thrust.at)
     return out
@@ -148,10 +149,12 @@ def _wing(lead_x: float, z: float, chords: tuple[float, float], sweep: float, di
 
 def _add_airframe(out: Pieces, p: Params) -> None:
     """Add fuselage, high wing and tail."""
-    length, width = float(p["body_length"]), 0.040 * float(p["body_width"])
+    length = float(p["body_length"])
+    width = 0.040 * float(p["body_width"])
     dihedral = math.radians(float(p["dihedral_deg"]))
     chord = 0.175 * float(p["chord"])
-    wing_z, lead_x = 0.048, 0.11
+    wing_z = 0.048
+    lead_x = 0.11
     out.add("wing", _wing(lead_x, wing_z, (chord, chord * float(p["taper"])), 0.02 * float(p["sweep"]), dihedral))
     tail_x, tail_z = -0.46 * length, 0.03
     if p["layout"] == "tail":
@@ -202,7 +205,8 @@ def _add_airframe(out: Pieces, p: Params) -> None:
 
 
 def _add_tail(out: Pieces, p: Params, x: float, z: float) -> None:
-    chord, half = 0.105, 0.175
+    chord = 0.105
+    half = 0.175
     kind = "conventional" if p["layout"] == "boom" and p["tail"] == "t" else p["tail"]
     if kind == "v":
         lean = math.radians(38.0)
@@ -242,8 +246,10 @@ def _add_tail(out: Pieces, p: Params, x: float, z: float) -> None:
 
 def _add_flying_wing(out: Pieces, p: Params) -> None:
     """Add a swept wing with winglets and a blister in the middle."""
-    length, width = float(p["body_length"]), 0.062 * float(p["body_width"])
-    root, tip = 0.30 * float(p["chord"]), 0.30 * float(p["chord"]) * min(float(p["taper"]), 0.75)
+    length = float(p["body_length"])
+    width = 0.062 * float(p["body_width"])
+    root = 0.30 * float(p["chord"])
+    tip = 0.30 * float(p["chord"]) * min(float(p["taper"]), 0.75)
     sweep = 0.23 * float(p["sweep"])
     rear = -0.165 * length
     lead_x = rear + root

@@ -95,7 +95,8 @@ def build_helicopter(params: Params) -> Mesh:
 
 def _rotors(p: Params) -> list[_Rotor]:
     """Return each rotor with the rotation of its upright shaft and the place of its hub."""
-    kind, spinning = _KINDS[p["kind"]], p["propellers"] == "spinning"
+    kind = _KINDS[p["kind"]]
+    spinning = p["propellers"] == "spinning"
     angle = (float(p["propeller_angle_deg"]),)
     main = Rotors(np.zeros((1, 2)), 0.0, 0.0, 0.0, Propeller(0.5, kind.blades, 0.32, spinning), angle)
     found: list[_Rotor] = [(main, np.eye(3), (0.0, 0.0, kind.hub))]
@@ -108,14 +109,18 @@ def _rotors(p: Params) -> list[_Rotor]:
 
 def build_pieces(p: Params) -> Pieces:
     """Return the closed solids of one level helicopter, for a main rotor of diameter 1."""
-    kind, out = _KINDS[p["kind"]], Pieces()
-    length, girth = float(p["length"]), float(p["girth"])
+    kind = _KINDS[p["kind"]]
+    out = Pieces()
+    length = float(p["length"])
+    girth = float(p["girth"])
     front, rear = kind.cabin[0] * length, kind.cabin[1] * length
-    wide, tall = kind.cabin[2] * girth, kind.cabin[3] * girth
+    wide = kind.cabin[2] * girth
+    tall = kind.cabin[3] * girth
     share = np.array([0.0, 0.12, 0.35, 0.6, 0.8, 0.93, 1.0])
     z = tall * np.array([0.45, 0.3, 0.05, 0.0, -0.1, -0.25, -0.35])
     spine = np.column_stack([rear + (front - rear) * share, 0 * share, z])
-    half, height = np.array([0.4, 0.62, 0.95, 1.0, 0.9, 0.62, 0.35]), np.array([0.4, 0.65, 0.95, 1.0, 0.85, 0.55, 0.3])
+    half = np.array([0.4, 0.62, 0.95, 1.0, 0.9, 0.62, 0.35])
+    height = np.array([0.4, 0.65, 0.95, 1.0, 0.85, 0.55, 0.3])
     out.add("cabin", shapes.sweep(spine, wide * half, tall * height, n=24, exponent=2.5, round_ends=True))
     pane = shapes.ellipsoid((0.3 * (front - rear), 0.9 * wide, 0.6 * tall), 20, 10)
     out.add("window", pane, at=(rear + 0.74 * (front - rear), 0.0, 0.22 * tall))

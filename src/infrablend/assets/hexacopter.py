@@ -140,7 +140,8 @@ def _add_batteries(out: Pieces, p: Params, radius: float, top: float) -> None:
 
 def _add_arms(out: Pieces, p: Params, radius: float) -> None:
     thick = _ARM * float(p["arm_thickness"])
-    tip_z, r = _tip_z(p), _rotors(p).motor_radius
+    tip_z = _tip_z(p)
+    r = _rotors(p).motor_radius
     for x, y in _motors_xy(p).tolist():
         root = np.array([0.8 * radius * 2 * x, 0.8 * radius * 2 * y, 0.8 * radius * tip_z * 2])
         tip = np.array([x, y, tip_z])
@@ -163,10 +164,12 @@ def _add_legs(out: Pieces, p: Params, radius: float) -> None:
         return
     drop = 0.24 * float(p["leg_height"])
     if p["legs"] == "down":
-        hip, foot = np.array([0.0, 0.62 * radius, -0.03]), np.array([0.0, 0.23, -0.04 - drop])
+        hip = np.array([0.0, 0.62 * radius, -0.03])
+        foot = np.array([0.0, 0.23, -0.04 - drop])
     else:
         # Swung up to the sides in flight.
-        hip, foot = np.array([0.0, 0.62 * radius, -0.03]), np.array([0.0, 0.62 * radius + 0.95 * drop, 0.02])
+        hip = np.array([0.0, 0.62 * radius, -0.03])
+        foot = np.array([0.0, 0.62 * radius + 0.95 * drop, 0.02])
     across = (1.0, 0.0, 0.0)
     out.add_both_sides("leg", shapes.sweep([hip, foot], 0.0095, n=12, up=across))
     out.add_both_sides("frame", shapes.sweep([hip, hip + 0.2 * (foot - hip)], 0.016, n=12, up=across))

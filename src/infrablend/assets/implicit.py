@@ -56,7 +56,8 @@ class Tube:
             path) x side, both -1 and 1 on the surface, and the signed distance.
         """
         (start, step, sides, heights), (length2, of_start, of_step, of_sides, of_heights) = self._segments
-        count, xyz = len(step), points.T
+        count = len(step)
+        xyz = points.T
         # |point|^2 is left out of the squared distances, as it is equal for all segments; the rest is products.
         run = step @ xyz - of_step
         t = np.clip(run / length2, 0.0, 1.0)
@@ -73,7 +74,9 @@ class Tube:
         a = ((run - t * length2) / np.sqrt(length2)).ravel()[nearest]
         # `a` is not zero beyond the ends, where it is divided by the length of the dome, and at kinks of the path.
         cap = np.where(along < 1e-9, self.caps[0], np.where(along > count - 1e-9, self.caps[1], np.minimum(w, h)))
-        across, above, over = v / w, u / h, a / cap
+        across = v / w
+        above = u / h
+        over = a / cap
         k0 = np.sqrt(across**2 + above**2 + over**2)
         k1 = np.sqrt((across / w) ** 2 + (above / h) ** 2 + (over / cap) ** 2)
         thin = np.minimum(np.minimum(w, h), cap)
@@ -97,7 +100,8 @@ class Tube:
 
         The products are those of the step with itself, and of the start with itself, the step, the side and the height.
         """
-        start, step = self.path[:-1], np.diff(self.path, axis=0)
+        start = self.path[:-1]
+        step = np.diff(self.path, axis=0)
         tangents = step / np.linalg.norm(step, axis=1, keepdims=True)
         sides = self.side - (tangents @ self.side)[:, None] * tangents
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
@@ -424,7 +428,8 @@ def is_closed(triangles: IntArray) -> bool:
     size = int(triangles.max(initial=0)) + 1
     a = triangles.ravel().astype(np.int64)
     b = np.roll(triangles, -1, axis=1).ravel().astype(np.int64)
-    forward, backward = a * size + b, b * size + a
+    forward = a * size + b
+    backward = b * size + a
     forward.sort()
     backward.sort()
     return bool(np.array_equal(forward, backward) and np.all(forward[1:] != forward[:-1]))

@@ -222,7 +222,8 @@ def at_low_sun(night: Mapping[str, PartRange], day: Mapping[str, PartRange], tim
 
     Without sunlight they are as by night at dawn, and halfway between that and the shade by day at dusk (est.).
     """
-    share, roles = 0.5 if time_of_day == "dusk" else 0.0, {}
+    share = 0.5 if time_of_day == "dusk" else 0.0
+    roles = {}
     for name, role in night.items():
         sun = day[name].sun
         shade_k = role.delta_t_k if sun is None else between(role.delta_t_k, sun.shade_k, share)

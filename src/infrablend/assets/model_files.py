@@ -31,7 +31,8 @@ from infrablend.errors import ModelError, Problem
 IMPORTER_VERSION = 2
 MAX_BYTES = 2**30
 MAX_FILES = 1000
-TOO_LARGE, NO_FILE = "model-too-large", "model-reference"
+TOO_LARGE = "model-too-large"
+NO_FILE = "model-reference"
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 _LIBRARY = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]*)", re.MULTILINE)
@@ -73,7 +74,8 @@ def find_model_files(main: Path) -> ModelFiles:
     """
     main = Path(os.path.realpath(main))
     digests: dict[str, str] = {}
-    waiting, size = [main.name], 0
+    waiting = [main.name]
+    size = 0
     while waiting:
         name = waiting.pop(0)
         if name in digests:

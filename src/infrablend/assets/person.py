@@ -174,7 +174,8 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
     parts = {n: role for n, role in PARTS.items() if rare.get(n, True)}
     own = {**_WORN.get(params.get("clothing", "winter"), {}), **_WET.get(params.get("water", "none"), {})}
     parts |= {n: replace(parts[n], delta_t_k=delta) for n, delta in own.items()}
-    bed, time = warm_ground.roles(params), params.get("time_of_day", "night")
+    bed = warm_ground.roles(params)
+    time = params.get("time_of_day", "night")
     if time == "night":
         return {**parts, **bed}
     by_day = warmed_by_sun(parts, SUN_K, {n: 1.0 for n in parts if n in _SUNLIT})
@@ -433,13 +434,15 @@ def _skirt(pose: Pose, kind: str, build_name: str) -> Piece:
     (hip, knee, _), (hip2, knee2, _) = leg_lines(pose)
     girth = _GIRTH[build_name]
     coat = kind == "coat"
-    middle_hip, middle_knee = 0.5 * (hip + hip2), 0.5 * (knee + knee2)
+    middle_hip = 0.5 * (hip + hip2)
+    middle_knee = 0.5 * (knee + knee2)
     reach = middle_knee - middle_hip
     down = 0.93 if coat else 0.80
     end = middle_hip + down * reach
     spread = np.abs(knee - knee2) * down
     waist = np.array([middle_hip[0] + 0.002, 0.0, middle_hip[2] + (0.06 if coat else 0.03)])
-    wide, deep = 0.100 * girth + 0.012, 0.072 * girth + 0.012
+    wide = 0.100 * girth + 0.012
+    deep = 0.072 * girth + 0.012
     extra = 0.012 if coat else 0.004
     if pose.folded:
         # Along the thighs, which are close together or apart.
@@ -692,7 +695,9 @@ def build(params: Params) -> Mesh:
         ModelError: A parameter is unknown or outside its range.
     """
     p = _checked(params)
-    pose, girth, top = skeleton(p["pose"], p["variant"], p["phase"]), p["build"], p["top"]
+    pose = skeleton(p["pose"], p["variant"], p["phase"])
+    girth = p["build"]
+    top = p["top"]
     arms = pose.arms if p["arms"] == "natural" else ARM_PAIRS[p["arms"]]
     legs_factor, head_factor = _proportions(p)
     bundled = p["clothing"] == "bundled"
@@ -796,7 +801,8 @@ _RESTS = {
     "right side": turn_z(math.pi / 2) @ turn_x(math.pi / 2),
 }
 # A body and the ground give way: the lowest layer of a lying one, in units of its height, is this much thinner.
-_LAYER, _SINKS = 0.060, 0.024
+_LAYER = 0.060
+_SINKS = 0.024
 
 
 def _lying(vertices: FloatArray, rests_on: str, scale: float) -> FloatArray:

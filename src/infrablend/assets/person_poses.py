@@ -39,8 +39,10 @@ ARMS: Mapping[str, tuple[str, ...]] = {
     "sitting": ("natural", "phone", "call"),
 }
 
-THIGH, SHANK = 0.245, 0.246
-UPPER_ARM, FOREARM = 0.178, 0.150
+THIGH = 0.245
+SHANK = 0.246
+UPPER_ARM = 0.178
+FOREARM = 0.150
 HIP_Y, HIP_Z = 0.052, 0.528
 SHOULDER = (-0.006, 0.112, 0.792)
 NECK = np.array([-0.012, 0.0, 0.838])
@@ -375,7 +377,8 @@ _CRAWL = Gait(0.28, 0.62, (0.0, 0.5, 0.5, 0.0), 0.05)  # hands as fore legs: eac
 # Pose -> distance that one cycle takes a person, in units of the height.
 STRIDES: Mapping[str, float] = {**{pose: gait.stride for pose, gait in GAITS.items()}, "crawling": _CRAWL.stride}
 # Round places of a sole that touch the ground as the foot rolls: x and z from the ankle, radius.
-_HEEL, _BALL = (-0.030, -0.022, 0.026), (0.090, -0.029, 0.020)
+_HEEL = (-0.030, -0.022, 0.026)
+_BALL = (0.090, -0.029, 0.020)
 _SOLE_Z = 0.045
 # Moments of a running step that are poses of their own.
 _RUNNING = {"landing": 0.0, "support": 0.18, "take-off": 0.40, "recovery": 0.62}

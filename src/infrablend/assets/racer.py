@@ -56,8 +56,11 @@ DIALS = Dials(
 )
 
 # Half length and half width of the body; heights of the lower and the upper plate; half thickness of an arm.
-_LENGTH, _WIDTH = 0.215, 0.068
-_LOW, _HIGH, _PLATE = 0.016, 0.118, 0.010
+_LENGTH = 0.215
+_WIDTH = 0.068
+_LOW = 0.016
+_HIGH = 0.118
+_PLATE = 0.010
 _ARM_HALF = 0.012
 
 
@@ -71,7 +74,8 @@ def _rotors(p: Params) -> Rotors:
     xy = _motors_xy(p)
     gap = float(np.linalg.norm(xy - np.roll(xy, -1, axis=0), axis=1).min())
     propeller = Propeller(gap / 2 * float(p["propeller_radius"]), p["blades"], 1.05, p["propellers"] == "spinning")
-    r, start = 0.060 * float(p["motor_radius"]), float(p["propeller_angle_deg"])
+    r = 0.060 * float(p["motor_radius"])
+    start = float(p["propeller_angle_deg"])
     return Rotors(xy, _ARM_HALF, r, 1.25 * r, propeller, tuple(start + 137.5 * k for k in range(4)))
 
 
@@ -89,9 +93,11 @@ def build_pieces(p: Params) -> Pieces:
 
 
 def _add_arms(out: Pieces, p: Params) -> None:
-    half, r = 0.030 * float(p["arm_width"]), _rotors(p).motor_radius
+    half = 0.030 * float(p["arm_width"])
+    r = _rotors(p).motor_radius
     for x, y in _motors_xy(p).tolist():
-        root, tip = np.array([0.12 * x, 0.12 * y, 0.0]), np.array([x, y, 0.0])
+        root = np.array([0.12 * x, 0.12 * y, 0.0])
+        tip = np.array([x, y, 0.0])
         t = np.array([0.0, 0.3, 0.7, 0.84])
         wide = half * np.array([1.35, 1.05, 0.85, 0.9])
         out.add(

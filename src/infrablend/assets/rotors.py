@@ -216,12 +216,14 @@ def with_discs(mesh: Mesh, discs: Sequence[FloatArray]) -> Mesh:
     """Return the mesh with discs added; neighbouring rings share vertices, so that shading is continuous."""
     if not discs:
         return mesh
-    rings, n = list(DISC_RINGS), _DISC_SIDES
+    rings = list(DISC_RINGS)
+    n = _DISC_SIDES
     i, j = (g.ravel() for g in np.meshgrid(np.arange(len(rings)), np.arange(n), indexing="ij"))
     a, b = i * n + j, i * n + (j + 1) % n
     sheet = np.concatenate([np.stack([a, a + n, b], 1), np.stack([b, a + n, b + n], 1)])
     part = np.concatenate([i, i]) + len(mesh.part_names)
-    vertices, triangles = [mesh.vertices_m], [mesh.triangles]
+    vertices = [mesh.vertices_m]
+    triangles = [mesh.triangles]
     for k, points in enumerate(discs):
         vertices.append(points)
         triangles.append(sheet + len(mesh.vertices_m) + k * (len(rings) + 1) * n)

@@ -60,7 +60,8 @@ def _loft_topology(
 ) -> tuple[NDArray[np.intp], IntArray]:
     """Return the ring points that become vertices, and the triangles over them (poles are the last two vertices)."""
     rows: list[int] = []
-    enter, leave = [], []
+    enter = []
+    leave = []
     for r in range(count):
         enter.append(len(rows))
         rows.append(r)
@@ -209,9 +210,13 @@ def lathe(profile: ArrayLike, n: int = 20, *, wrap: bool = False, sharp_deg: flo
     bend = (before * after).sum(axis=1) < np.cos(np.radians(sharp_deg))
     start = end = None
     if not wrap and p[0, 0] == 0:
-        start, p, bend = (0.0, 0.0, p[0, 1]), p[1:], bend[1:]
+        start = (0.0, 0.0, p[0, 1])
+        p = p[1:]
+        bend = bend[1:]
     if not wrap and p[-1, 0] == 0:
-        end, p, bend = (0.0, 0.0, p[-1, 1]), p[:-1], bend[:-1]
+        end = (0.0, 0.0, p[-1, 1])
+        p = p[:-1]
+        bend = bend[:-1]
     unit = circle(n)
     rings = np.empty((len(p), n, 3))
     rings[:, :, :2] = p[:, :1, None] * unit
@@ -279,7 +284,8 @@ def sweep(
         w = np.concatenate([w[0] * grow[::-1], w, w[-1] * grow])
         h = np.concatenate([h[0] * grow[::-1], h, h[-1] * grow])
         pick = np.array([0, 0, *range(len(tangent)), -1, -1])
-        side, rise = side[pick], rise[pick]
+        side = side[pick]
+        rise = rise[pick]
     unit = circle(n, exponent)
     rings = (
         p[:, None]

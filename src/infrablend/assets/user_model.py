@@ -292,7 +292,9 @@ def assign_parts(described: UserModel, groups: list[GroupFacts], where: str) -> 
             name; the error lists all of them.
     """
     roles = {name: p.role(f"from {where}") for name, p in described.parts.items()}
-    names, used, missing = [], set(), []
+    names = []
+    used = set()
+    missing = []
     problems: list[Problem] = []
     for g in groups:
         # The name of an object is more specific than that of a material, which it may share with others.

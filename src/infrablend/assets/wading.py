@@ -80,7 +80,8 @@ def _caps(
     left = dict(rim)
     while left:
         start = next(iter(left))
-        loop, at = [], start
+        loop = []
+        at = start
         while at in left:
             end, part = left.pop(at)
             loop.append((at, end, part))

@@ -78,7 +78,8 @@ def read_file(job: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ModelError: Blender cannot read the file, or it contains no surface.
     """
-    file, shown = Path(job["file"]), job["shown"]
+    file = Path(job["file"])
+    shown = job["shown"]
     for what, most in ((resource.RLIMIT_DATA, job["memory_bytes"]), (resource.RLIMIT_CPU, job["cpu_seconds"])):
         resource.setrlimit(what, (most, resource.getrlimit(what)[1]))
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -111,7 +112,10 @@ def read_file(job: Mapping[str, Any]) -> dict[str, Any]:
 
 def _joined(pieces: Sequence[_Piece]) -> dict[str, Any]:
     """Return the arrays and the named groups of all pieces."""
-    vertices, triangles, groups, smooth = [], [], [], []
+    vertices = []
+    triangles = []
+    groups = []
+    smooth = []
     facts: list[dict[str, Any]] = []
     index: dict[tuple[str, str], int] = {}
     offset = 0
@@ -155,7 +159,8 @@ def _reason(error: Exception) -> str:
 
 def _show_as_rendered() -> None:
     """Set what the viewport shows to what a render of the scene shows: pieces are read as the viewport shows them."""
-    layer, scene = bpy.context.view_layer, bpy.context.scene
+    layer = bpy.context.view_layer
+    scene = bpy.context.scene
     for thing in layer.objects:
         thing.hide_set(False)
     waiting = [layer.layer_collection]

@@ -69,9 +69,11 @@ def infrared_effect_group() -> bpy.types.ShaderNodeTree:
     fresnel = nodes.add("ShaderNodeFresnel", location=(-620, -350))
     link(inputs.outputs["IOR"], fresnel.inputs["IOR"])
     keep = nodes.math("SUBTRACT", 1.0, fresnel.outputs["Fac"])
-    keep.node.label, keep.node.location = "1 - Fresnel", (-420, -350)
+    keep.node.label = "1 - Fresnel"
+    keep.node.location = (-420, -350)
     emissivity = nodes.math("MULTIPLY", inputs.outputs["Emissivity"], keep, clamp=True)
-    emissivity.node.label, emissivity.node.location = "Emissivity at this angle", (-220, -250)
+    emissivity.node.label = "Emissivity at this angle"
+    emissivity.node.location = (-220, -250)
 
     mix = nodes.add("ShaderNodeMix", data_type="RGBA", clamp_factor=True, label="Emitted + mirrored", location=(0, 100))
     link(emissivity, mix.inputs[0])
@@ -108,7 +110,8 @@ def object_material(
     # Surfaces and sky emit on all sides, so following reflections finds their light. Aiming at a random triangle, too,
     # would double the cost of a sample and leave as much noise.
     material.cycles.emission_sampling = "NONE"
-    attribute, link = nodes.attribute, nodes.link
+    attribute = nodes.attribute
+    link = nodes.link
     effect = nodes.add("ShaderNodeGroup", node_tree=physical_group() if physical else infrared_effect_group())
     celsius, emissivity, ior = (attribute(n) for n in ("temperature_c", "emissivity", "ior"))
     if two_sided:
@@ -125,7 +128,8 @@ def object_material(
         link(attribute("hot_c", "OBJECT"), effect.inputs["Hot"])
     shown = effect.outputs["Shader"]
     if translucent:
-        opacity, clear = attribute("opacity"), nodes.new("ShaderNodeBsdfTransparent")
+        opacity = attribute("opacity")
+        clear = nodes.new("ShaderNodeBsdfTransparent")
         thin = shown
         if physical:
             thin = emission_alone(nodes, celsius, emissivity, ior, {n: attribute(n, "OBJECT") for n in SKY})

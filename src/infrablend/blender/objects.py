@@ -25,7 +25,8 @@ class ObjectScenes:
 
     def __init__(self, stage: session.Stage) -> None:
         """Render on a stage, see `session.Stage`."""
-        self._stage, self._scene = stage, stage.scene
+        self._stage = stage
+        self._scene = stage.scene
 
     def render(self, job: Message) -> dict[str, float]:
         """Render the crops of a scene to `0.exr`, `1.exr`, ..., and return the seconds that the steps took.
@@ -95,7 +96,8 @@ class ObjectScenes:
             for name, values in given["values"].items():
                 data.attributes.new(name, "FLOAT", "CORNER").data.foreach_set("value", values)
             data.update()
-            translucent, two_sided = given["translucent"], given["two_sided"]
+            translucent = given["translucent"]
+            two_sided = given["two_sided"]
             slot = given["slot"]
             data.materials.append(
                 object_material(slot, physical=physical, translucent=translucent, two_sided=two_sided)

@@ -54,8 +54,10 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     add_inputs(group, SOCKETS)
     group.interface.new_socket("Shader", in_out="OUTPUT", socket_type="NodeSocketShader")
     nodes = Nodes(group)
-    new, link = nodes.new, nodes.link
-    inputs, outputs = new("NodeGroupInput"), new("NodeGroupOutput")
+    new = nodes.new
+    link = nodes.link
+    inputs = new("NodeGroupInput")
+    outputs = new("NodeGroupOutput")
 
     deviation = nodes.math("MULTIPLY", _pattern(nodes, inputs.outputs["Texture Size"]), inputs.outputs["Texture"])
     celsius = nodes.math("ADD", inputs.outputs["Temperature"], deviation)
@@ -67,7 +69,8 @@ def physical_group() -> bpy.types.ShaderNodeTree:
     emissivity = _emissivity_at_angle(nodes, inputs.outputs["Emissivity"], ior)
 
     emission = nodes.emission(nodes.math("MULTIPLY", radiance, emissivity))
-    diffuse, glossy = new("ShaderNodeBsdfDiffuse"), new("ShaderNodeBsdfAnisotropic")
+    diffuse = new("ShaderNodeBsdfDiffuse")
+    glossy = new("ShaderNodeBsdfAnisotropic")
     # White, with the share as a mix factor: a grey surface would lose light in every bounce between its own facets.
     for node in (diffuse, glossy):
         node.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
@@ -110,7 +113,8 @@ def two_sided_ior(nodes: Nodes, ior: Any) -> Any:
 
 def _pattern(nodes: Nodes, size_m: Any) -> Any:
     """Return smooth noise in [-1, 1] in object coordinates."""
-    where, noise = nodes.new("ShaderNodeTexCoord"), nodes.new("ShaderNodeTexNoise")
+    where = nodes.new("ShaderNodeTexCoord")
+    noise = nodes.new("ShaderNodeTexNoise")
     noise.normalize = True
     noise.inputs["Detail"].default_value = 0.0
     nodes.link(where.outputs["Object"], noise.inputs["Vector"])
@@ -125,12 +129,14 @@ def emission_alone(nodes: Nodes, celsius: Any, emissivity: Any, ior: Any, sky: M
     emission is exact. Reflections of other parts are missing. `sky` holds a socket for each of `SKY`.
     """
     geometry = nodes.new("ShaderNodeNewGeometry")
-    incoming, normal = geometry.outputs["Incoming"], geometry.outputs["Normal"]
+    incoming = geometry.outputs["Incoming"]
+    normal = geometry.outputs["Normal"]
     # The mirrored direction is 2 (N I) N - I, with I from the surface to the eye.
     twice = nodes.math("MULTIPLY", nodes.dot(incoming, normal), 2.0)
     up = nodes.math("SUBTRACT", nodes.math("MULTIPLY", twice, nodes.upward(normal)), nodes.upward(incoming))
     eps = _emissivity_at_angle(nodes, emissivity, ior)
-    own, mirrored = _radiance_of(nodes, nodes.math("ADD", celsius, ZERO_C_K)), _sky(nodes, up, sky)
+    own = _radiance_of(nodes, nodes.math("ADD", celsius, ZERO_C_K))
+    mirrored = _sky(nodes, up, sky)
     return nodes.emission(nodes.math("MULTIPLY_ADD", eps, nodes.math("SUBTRACT", own, mirrored), mirrored))
 
 
@@ -138,7 +144,9 @@ def add_inputs(group: bpy.types.ShaderNodeTree, sockets: Sequence[tuple[str, flo
     """Add float inputs to a node group, each given by name, default, minimum, maximum and description."""
     for name, default, low, high, description in sockets:
         socket = group.interface.new_socket(name, in_out="INPUT", socket_type="NodeSocketFloat")
-        socket.default_value, socket.min_value, socket.max_value = default, low, high
+        socket.default_value = default
+        socket.min_value = low
+        socket.max_value = high
         socket.description = description
 
 
@@ -164,7 +172,8 @@ def _build_world() -> bpy.types.World:
     nodes = Nodes(world.node_tree)
     values = {name: nodes.value(name) for name in SKY}
     up = nodes.upward(nodes.new("ShaderNodeTexCoord").outputs["Generated"])
-    background, output = nodes.new("ShaderNodeBackground"), nodes.new("ShaderNodeOutputWorld")
+    background = nodes.new("ShaderNodeBackground")
+    output = nodes.new("ShaderNodeOutputWorld")
     background.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)  # Blender's own is 0.8
     nodes.link(_sky(nodes, up, values), background.inputs["Strength"])
     nodes.link(background.outputs["Background"], output.inputs["Surface"])

@@ -133,13 +133,16 @@ def thing_material() -> bpy.types.Material:
     adds to their temperature (red) and scales the sun (green).
     """
     material, nodes = new_material("thermal thing")
-    maths, link, attribute = nodes.math, nodes.link, nodes.attribute
+    maths = nodes.math
+    link = nodes.link
+    attribute = nodes.attribute
     geometry = nodes.new("ShaderNodeNewGeometry")
     info = nodes.new("ShaderNodeObjectInfo")
     colour = nodes.new("ShaderNodeSeparateColor")
     link(info.outputs["Color"], colour.inputs[0])
     sun = nodes.add("ShaderNodeCombineXYZ", name="sun")
-    normal, incoming = geometry.outputs["Normal"], geometry.outputs["Incoming"]
+    normal = geometry.outputs["Normal"]
+    incoming = geometry.outputs["Incoming"]
 
     pattern = nodes.new("ShaderNodeTexNoise")
     pattern.inputs["Scale"].default_value = 3.0

@@ -114,7 +114,8 @@ class _Command(TyperCommand):
             alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
             alone.command(self.name)(with_options(self._function))
             made = get_command(alone)
-            self.params, self.callback = made.params, made.callback
+            self.params = made.params
+            self.callback = made.callback
         return super().make_context(*words, **settings)
 
     def invoke(self, ctx: Any) -> Any:

@@ -86,7 +86,8 @@ def fields_together(problems: Iterable[Problem]) -> list[Problem]:
     from infrablend.config.modes import DROPPED
 
     found = list(problems)
-    others, fields = [p for p in found if p.code != DROPPED], [p for p in found if p.code == DROPPED]
+    others = [p for p in found if p.code != DROPPED]
+    fields = [p for p in found if p.code == DROPPED]
     if len(fields) > 1:
         text = f"{len(fields)} fields of the recipe have no meaning in this mode"
         fields = [Problem("recipe", DROPPED, text, severity="warning")]
@@ -120,7 +121,8 @@ def report_error(error: BaseException, log_path: Path | None) -> int:
     code = exit_code(error)
     if code == BUG and stop_requested():
         logger.info("an error in place of the stop", exc_info=error)
-        error, code = KeyboardInterrupt(), INTERRUPTED
+        error = KeyboardInterrupt()
+        code = INTERRUPTED
     if isinstance(error, KeyboardInterrupt):
         typer.echo("Stopped.", err=True)
     elif isinstance(error, InfraBlendError):

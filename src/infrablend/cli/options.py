@@ -88,7 +88,8 @@ def _parameter(name: str, annotation: Any, default: Any = inspect.Parameter.empt
 
 
 def _field_options(request: type, wanted: Fields) -> list[_FieldOption]:
-    texts, types = attribute_texts(request), get_type_hints(request)
+    texts = attribute_texts(request)
+    types = get_type_hints(request)
     return [
         _field_option(f, types[f.name], texts[f.name], wanted.options.get(f.name, typer.Option()))
         for f in fields(request)
@@ -111,10 +112,12 @@ def _field_option(field: Field[Any], of: Any, text: str, given: Any) -> _FieldOp
         inner = next(part for part in get_args(of) if part is not NoneType) if NoneType in get_args(of) else of
         kind = Path | None if Path in get_args(of) else of
         if get_origin(inner) is Mapping:
-            kind, option.metavar = list[str] | None, option.metavar or "KEY=VALUE"
+            kind = list[str] | None
+            option.metavar = option.metavar or "KEY=VALUE"
             convert = [partial(yaml_values if get_args(inner)[1] is Any else key_values, option=flag)]
         elif get_origin(inner) is Sequence:
-            kind, option.metavar = str | None, option.metavar or "LIST"
+            kind = str | None
+            option.metavar = option.metavar or "LIST"
             option.parser = option.parser or comma_list
         elif default is False:
             option.default = flag  # else Typer adds `--no-...`

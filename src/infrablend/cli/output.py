@@ -213,7 +213,8 @@ class LineProgress:
 
     def __call__(self, p: Progress | FetchProgress) -> None:
         """Write a line if one is due."""
-        was_finished, self._finished = self._finished, p.total is not None and p.done >= p.total
+        was_finished = self._finished
+        self._finished = p.total is not None and p.done >= p.total
         if not was_finished and (self._finished or self._clock() >= self._next_at):
             self._write(self._text(p))
             self._next_at = self._clock() + LINE_EVERY_S

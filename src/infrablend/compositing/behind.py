@@ -80,7 +80,8 @@ def look_behind(
     elevation = elevations(camera)
     found = find_skyline(picture, scale)
     above = elevation > 0
-    sky, land = found.sky, found.land | ~above
+    sky = found.sky
+    land = found.land | ~above
     sky = sky & ~land
     if np.count_nonzero(sky) < _LEAST_SKY * sky.size:
         return all_ground

@@ -81,7 +81,8 @@ class Survey:
         self.read += 1
         profiles, _ = edge_profiles(picture, self.scale, free)
         sigma = profile_sigmas(profiles)
-        profiles, sigma = profiles[~np.isnan(sigma)], sigma[~np.isnan(sigma)]
+        profiles = profiles[~np.isnan(sigma)]
+        sigma = sigma[~np.isnan(sigma)]
         if len(sigma) >= MIN_EDGES:
             self.sharpest.append(float(np.percentile(sigma, 20)))
         most = max(MIN_EDGES, _KEPT_EDGES // max(self.pictures, 1))
@@ -205,14 +206,16 @@ def fit_profile(survey: Survey, name: str, description: str = "") -> Fit:
     Raises:
         ValueError: Too few clean edges.
     """
-    found, curve = summarize_survey(survey), codec_curve(survey)
+    found = summarize_survey(survey)
+    curve = codec_curve(survey)
     gain, radius = _fit_halo(found)
     psf = min(max(unsharpened_sigma(found.sigma_px, gain, radius), 0.3), 6.0)
     bounds = (0.8 * found.sigma_px, 1.25 * found.sigma_px)
     if len(survey.sharpest) >= 8:
         low, high = (float(v) for v in np.percentile(survey.sharpest, [10, 90]))
         bounds = (min(bounds[0], low), max(bounds[1], min(high, 1.6 * found.sigma_px)))
-    noise, grain = 0.0, 0.5
+    noise = 0.0
+    grain = 0.5
     if found.noise_grey is not None:
         noise = found.noise_grey
         if found.correlations is not None:
@@ -242,7 +245,8 @@ def chain_readings(profile: SensorProfile) -> SurveySummary:
     All steps have the same sharpness, so their median takes the place of a scene's 20th percentile. Blockiness depends
     on the scene and is not measured here.
     """
-    size, fine = 512, 4
+    size = 512
+    fine = 4
     y, x = (np.mgrid[: size * fine, : size * fine].astype(np.float32) + np.float32(0.5)) / fine
     turn = math.radians(8.0)
     stripes = (np.floor((x * math.cos(turn) + y * math.sin(turn)) / 64) % 2).astype(np.float32)
@@ -264,7 +268,8 @@ def chain_readings(profile: SensorProfile) -> SurveySummary:
         layer = Layer((0, 0), picture, np.ones(picture.shape, np.float32))
         ground = np.zeros(picture.shape, np.uint8)
         survey.add(apply_sensor(ground, layer, replace(sensor, noise_seed=seed)), None, None)
-    survey.noise, survey.correlations = survey.noise[-16:], survey.correlations[-16:]
+    survey.noise = survey.noise[-16:]
+    survey.correlations = survey.correlations[-16:]
     found = summarize_survey(survey)
     profiles = survey.edges
     edge = np.median(_centred(profiles), axis=0)
@@ -343,7 +348,8 @@ def _fit_codec(survey: Survey, found: SurveySummary, curve: Sequence[tuple[int, 
     if found.blockiness is None or not curve:
         return None
     # Coarser quantisation never reduces blockiness.
-    qualities, blocky = [q for q, _ in curve], np.maximum.accumulate([b for _, b in curve])
+    qualities = [q for q, _ in curve]
+    blocky = np.maximum.accumulate([b for _, b in curve])
     of_file = statistics.median(survey.qualities) if survey.qualities else 100
     explained = float(np.interp(-of_file, [-q for q in qualities], blocky))
     if found.blockiness <= explained + _BLOCKY:

@@ -174,7 +174,8 @@ def find_anchors(
     `clothing_k` warmer. Without a `ground_grey`, anchors refer to their own surroundings.
     """
     found: list[Anchor] = []
-    scale, levels = backdrop.grey_unit, backdrop.levels
+    scale = backdrop.grey_unit
+    levels = backdrop.levels
     ceiling = levels[1] - CLIP_MARGIN * scale
     floor = levels[0] + CLIP_MARGIN * scale
     for i in backdrop.labels:
@@ -253,8 +254,10 @@ def draw_gain(
         reasons not to trust the gain (`DOUBTS`).
     """
     read = _Readings.of(anchors, air_k, reference, scale, prior, warm)
-    slope, grey = float(band_radiance_slope(air_k)), read.above_ground(share)
-    variance, known = (prior.sd * read.grey_per_k) ** 2, np.linalg.inv(read.covariance)
+    slope = float(band_radiance_slope(air_k))
+    grey = read.above_ground(share)
+    variance = (prior.sd * read.grey_per_k) ** 2
+    known = np.linalg.inv(read.covariance)
     weight = 1 / variance + read.contrast @ known @ read.contrast
     centre = float((prior.mean * read.grey_per_k / variance + read.contrast @ known @ grey) / weight)
     sd = float(weight) ** -0.5

@@ -148,7 +148,8 @@ def match_locally(
 
 def describe_insert(placed: PlacedObject, weather: Weather, view: View | None) -> Insert:
     """Describe a placed object for matching; distances are known only where `view` gives the real camera's height."""
-    box, warm = placed.box_xyxy, is_warm(placed, weather)
+    box = placed.box_xyxy
+    warm = is_warm(placed, weather)
     if view is None:
         return Insert(box, warm=warm)
     u, v = ((box[:2] + box[2:]) / 2).tolist()
@@ -186,14 +187,16 @@ def local_mapping(
         on_ground = find_anchors(picture, free, backdrop, weather.air_k, settings.clothing_k, behind.ground_grey, reach)
         anchors = (*on_ground, *_land_anchors(behind, backdrop, weather))
         settled = Settled(_estimate(on_ground, anchors, backdrop.grey_unit, weather, settings, rng), behind)
-    curve, behind = settled.curve, settled.over(behind)
+    curve = settled.curve
+    behind = settled.over(behind)
 
     around = [_kind_and_ring(behind, picture, free, insert.box_xyxy, reach) for insert in inserts]
     places = []
     for insert, (kind, ring) in zip(inserts, around, strict=True):
         dark, span = curve.line(insert, behind, kind, ring, weather)
         if black_hot:
-            dark, span = low + high - dark, -span
+            dark = low + high - dark
+            span = -span
         x, y = ((insert.box_xyxy[:2] + insert.box_xyxy[2:]) / 2).tolist()
         places.append(Place((x, y), dark, dark + span))
     beyond = settings.headroom * (high - low)
@@ -298,7 +301,8 @@ def _estimate(
     rng: np.random.Generator,
 ) -> Curve:
     """Draw share, gains and offsets of a picture from their posteriors."""
-    of_ground, prior = radiance_at(weather.ground_k), settings.prior
+    of_ground = radiance_at(weather.ground_k)
+    prior = settings.prior
     share, share_facts = draw_share(on_ground, weather.air_k, of_ground, unit, settings.local_share, prior, rng)
     gains: dict[Side, float] = {}
     offsets: dict[Side, float] = {}
@@ -384,7 +388,8 @@ def is_warm(placed: PlacedObject, weather: Weather) -> bool:
 
     Labelled parts are weighted by their visible area and assumed to reflect half sky and half ground.
     """
-    zenith, ground = _zenith(weather), radiance_at(weather.ground_k)
+    zenith = _zenith(weather)
+    ground = radiance_at(weather.ground_k)
     parts = {name: part for name, part in placed.spec.parts.items() if part.label}
     own = band_radiance([part.temperature_k + placed.part_sun_rise_k[name] for name, part in parts.items()]).tolist()
     total = 0.0
@@ -402,7 +407,8 @@ def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_gre
     faint in the picture.
     """
     around = (_zenith(weather), radiance_at(weather.ground_k))
-    areas, rises = placed.part_areas_px, placed.part_sun_range_k
+    areas = placed.part_areas_px
+    rises = placed.part_sun_range_k
     parts = {name: part for name, part in placed.spec.parts.items() if part.label and areas[name] > 0}
     own = band_radiance([[part.temperature_k + rise for rise in rises[name]] for name, part in parts.items()]).tolist()
     found: list[tuple[float, float]] = []
@@ -413,7 +419,8 @@ def expected_contrast(placed: PlacedObject, place: GreyMapping | Place, ring_gre
             for light in lights
         ]
         found.append((max(abs(v - ring_grey) for v in levels), areas[name]))
-    total, seen = sum(area for _, area in found), 0.0
+    total = sum(area for _, area in found)
+    seen = 0.0
     for contrast, area in sorted(found, reverse=True):
         seen += area
         if seen >= _SEEN_SHARE * total:

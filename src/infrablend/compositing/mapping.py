@@ -71,7 +71,8 @@ class GreyMapping:
             x, y = (n.astype(np.float32) + np.float32(o + 0.5) for n, o in zip((columns, rows), offset_xy, strict=True))
             away = [np.hypot(x - np.float32(p.centre_xy[0]), y - np.float32(p.centre_xy[1])) for p in self.places]
             nearest = np.argmin(away, axis=0)
-            dark, span = np.zeros_like(alpha), np.zeros_like(alpha)
+            dark = np.zeros_like(alpha)
+            span = np.zeros_like(alpha)
             dark[rows, columns] = np.array([p.dark for p in self.places], np.float32)[nearest]
             span[rows, columns] = np.array([p.bright - p.dark for p in self.places], np.float32)[nearest]
         grey = dark * alpha + span * radiance

@@ -84,7 +84,8 @@ def edge_profiles(
     t = EDGE_PX.astype(np.float32)
     soft = cv2.GaussianBlur(grey, (0, 0), 1.0)
     # Steps instead of 8-bit levels: one dead pixel far below the scene would leave the rest of 16-bit pictures clipped.
-    rounded, most = np.rint(soft), np.iinfo(np.int16).max
+    rounded = np.rint(soft)
+    most = np.iinfo(np.int16).max
     right, down = (
         np.clip(cv2.Sobel(rounded, cv2.CV_32F, dx, 1 - dx, borderType=cv2.BORDER_REPLICATE), -most, most)
         for dx in (1, 0)
@@ -133,7 +134,9 @@ def profile_sigmas(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
 
     Measured between the two crossings nearest to the middle; the blur of the measurement is subtracted.
     """
-    rows, middle, at = np.arange(len(profiles)), len(EDGE_PX) // 2, np.arange(len(EDGE_PX))
+    rows = np.arange(len(profiles))
+    middle = len(EDGE_PX) // 2
+    at = np.arange(len(EDGE_PX))
     centre = middle - 8 + np.argmin(np.abs(profiles[:, middle - 8 : middle + 9] - 0.5), axis=1)[:, None]
     above = (profiles >= 0.9) & (at >= centre)
     below = (profiles <= 0.1) & (at <= centre)
@@ -263,11 +266,13 @@ def true_grain(noise: float, correlation: float, step: float) -> tuple[float, fl
     from their own rounding. Subtracting the quadratic surface removes six low-frequency components of the block, which
     hold more of the variance the coarser the grain is.
     """
-    sigma, grain = noise, grain_of(correlation)
+    sigma = noise
+    grain = grain_of(correlation)
     for _ in range(4):
         taken = min(6 * 4 * math.pi * grain**2 / _BLOCK**2, 0.5)
         variance = noise**2 / (1 - taken)
         together = (correlation * (1 - taken) + taken) * variance
         unrounded = max(variance - step**2 / 12, 0.1 * variance)
-        sigma, grain = math.sqrt(unrounded), grain_of(together / unrounded)
+        sigma = math.sqrt(unrounded)
+        grain = grain_of(together / unrounded)
     return sigma, grain

@@ -140,7 +140,8 @@ def slope_within_images(objects: Sequence[ObjectContrast], level: Level) -> Slop
         of_object = getattr(o.contrast, level)
         if UNCLIPPED[0] < of_object < UNCLIPPED[1]:
             images.setdefault(o.image, []).append((o.contrast.ring, of_object))
-    sums, count = [], 0
+    sums = []
+    count = 0
     for _, pairs in sorted(images.items()):
         if len(pairs) >= MIN_IN_IMAGE:
             ring, of_object = (np.array(side) - np.mean(side) for side in zip(*sorted(pairs), strict=True))

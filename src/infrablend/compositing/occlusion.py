@@ -195,7 +195,8 @@ class Scenery:
         window, share, shape_hw = at
         if not lines and not self.is_tangled(np.array(window, np.float64)):
             return None
-        best, most = None, 0.0
+        best = None
+        most = 0.0
         for width in _widths(shape_hw):
             for bright in (True, False):
                 strength = self.strength(window, bright, width)
@@ -206,7 +207,8 @@ class Scenery:
                 matte = _matte_of(strength, occluder.limit_grey, occluder.soft_grey)
                 merit = self._prominence(window, matte)
                 if merit > most and self._is_outlined(window, matte, share, lines):
-                    best, most = occluder, merit
+                    best = occluder
+                    most = merit
         return best
 
     def again(
@@ -240,8 +242,10 @@ class Scenery:
         if not rows.size:
             return None
         (x, y), (h, w) = offset_xy, self.pixels.shape
-        left, top = max(x + int(columns[0]) - _MARGIN_PX, 0), max(y + int(rows[0]) - _MARGIN_PX, 0)
-        right, bottom = min(x + int(columns[-1]) + 1 + _MARGIN_PX, w), min(y + int(rows[-1]) + 1 + _MARGIN_PX, h)
+        left = max(x + int(columns[0]) - _MARGIN_PX, 0)
+        top = max(y + int(rows[0]) - _MARGIN_PX, 0)
+        right = min(x + int(columns[-1]) + 1 + _MARGIN_PX, w)
+        bottom = min(y + int(rows[-1]) + 1 + _MARGIN_PX, h)
         share = np.zeros((bottom - top, right - left), np.float32)
         inner = silhouette[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         at_x, at_y = x + int(columns[0]) - left, y + int(rows[0]) - top
@@ -263,7 +267,8 @@ class Scenery:
             return Occluder((0, 0, 0, 0), True, 0, limit, soft, round(1 - hidden, 4))
 
         # The visible share rises with the threshold.
-        below, above = self.least_grey, float(strength.max())
+        below = self.least_grey
+        above = float(strength.max())
         best = at(below)
         if best.visible < aim < 1:
             for _ in range(_STEPS):

@@ -18,7 +18,9 @@ from infrablend.compositing.sensor import blurred, enhance, grain
 from infrablend.config.recipe import Randomise
 
 # Sigma of scattered light, of the detail enhancement and of the noise's grain, px.
-_BLOOM_PX, _HALO_PX, _GRAIN_PX = 3.0, 1.6, 0.6
+_BLOOM_PX = 3.0
+_HALO_PX = 1.6
+_GRAIN_PX = 0.6
 
 
 @dataclass(frozen=True)

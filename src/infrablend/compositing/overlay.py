@@ -75,7 +75,8 @@ def make_layer(
     (x0, y0), (w, h) = result.offset_xy, result.frame_wh
     if not result.alpha.size:
         return Layer((0, 0), np.zeros((0, 0), np.float32), np.zeros((0, 0), np.float32))
-    grey, alpha = mapping.apply(result.radiance, result.alpha, (x0, y0)), result.alpha
+    grey = mapping.apply(result.radiance, result.alpha, (x0, y0))
+    alpha = result.alpha
     if result.ground_radiance is not None:
         # The translucent share adds its light to the background: what it has in common with the ground is taken out.
         solid = np.minimum(result.coverage.sum(axis=0), alpha)
@@ -91,8 +92,10 @@ def make_layer(
     reach = max(reach, bloom.reach_px)
     if reach:
         rows, columns = alpha.shape
-        left, top = min(reach, x0), min(reach, y0)
-        right, bottom = min(reach, w - x0 - columns), min(reach, h - y0 - rows)
+        left = min(reach, x0)
+        top = min(reach, y0)
+        right = min(reach, w - x0 - columns)
+        bottom = min(reach, h - y0 - rows)
         # At the frame's own edge the object continues beyond it: repeat its last pixels there.
         stacked = np.stack([grey, alpha], axis=-1)
         inner = cv2.copyMakeBorder(stacked, top, bottom, left, right, cv2.BORDER_CONSTANT, value=0)
@@ -105,7 +108,8 @@ def make_layer(
             soft = _blurred(inner, softness_px)
         if bloom.share:
             soft = np.float32(1 - bloom.share) * soft + np.float32(bloom.share) * _blurred(inner, bloom.sigma_px)
-        grey, alpha = np.ascontiguousarray(soft[..., 0]), np.ascontiguousarray(soft[..., 1])
+        grey = np.ascontiguousarray(soft[..., 0])
+        alpha = np.ascontiguousarray(soft[..., 1])
         x0, y0 = x0 - left, y0 - top
     return Layer((x0, y0), grey, np.clip(alpha, 0, 1))
 
@@ -125,7 +129,8 @@ def flat_layer(result: RenderResult, mapping: GreyMapping) -> Layer:
     that no labelled object is invisible.
     """
     grey = mapping.apply(result.radiance, result.alpha, result.offset_xy)
-    alpha, level = np.zeros_like(result.alpha), np.zeros_like(result.alpha)
+    alpha = np.zeros_like(result.alpha)
+    level = np.zeros_like(result.alpha)
     for share in result.coverage:
         if not share.size or share.max() <= 0:
             continue
@@ -181,7 +186,9 @@ def _tailed_gaussian(t: NDArray[np.float64], length: float, sigma: float) -> NDA
 
 def _log_erfc(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Logarithm of the complementary error function; above 5 by its asymptotic series, good to 1e-5."""
-    found, near, far = np.empty_like(x), x < 5, x[x >= 5]
+    found = np.empty_like(x)
+    near = x < 5
+    far = x[x >= 5]
     found[near] = np.log(np.fromiter(map(math.erfc, x[near].tolist()), np.float64))
     q = 1 / (2 * far * far)
     found[~near] = -far * far - np.log(far * math.sqrt(math.pi)) + np.log1p(-q + 3 * q * q - 15 * q**3)

@@ -23,7 +23,8 @@ FEATHER_PX = 2
 # Width of the ring that gives the level around the box, as in `contrast`.
 _MIN_RING_PX = 4
 # The matte rises from 0 to 1 between these differences, in deviations of the ring's noise, which is at least a level.
-_FROM_NOISE, _TO_NOISE = 2.0, 5.0
+_FROM_NOISE = 2.0
+_TO_NOISE = 5.0
 _LEAST_NOISE = 1.0
 _SMOOTH_PX = 0.8
 # Quantile that counts as an object's largest difference.

@@ -72,7 +72,8 @@ def match_radiometric(
         The scene whose weather has the picture's ground; the mapping to radiance at the sensor; and the facts.
     """
     spec = scene.spec
-    weather, view = spec.weather, spec.view
+    weather = spec.weather
+    view = spec.view
     if weather is None or view is None:
         raise ValueError(f"{spec.frame_id}: radiometric matching needs the weather and the real camera")
     inserts = [describe_insert(placed, weather, view) for placed in scene.objects]
@@ -81,7 +82,8 @@ def match_radiometric(
     rings = [ring_level(picture, i.box_xyxy, free) for i in inserts]
     ground_k, source = _ground(inserts, rings, picture, free, spec.camera, view.ground_z_m, weather)
     weather = replace(weather, ground_k=ground_k)
-    places, through = [], []
+    places = []
+    through = []
     of_air = float(band_radiance(weather.air_k))
     for insert in inserts:
         assert insert.range_m is not None  # known with the real camera

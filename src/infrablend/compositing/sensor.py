@@ -152,7 +152,9 @@ def fit_sensor(
         levels = p.levels
     scale = 1.0 if background.dtype == np.uint8 else (levels[1] - levels[0]) / 220.0
     gain = strength.halo * p.halo_gain
-    blur, sigma, edges = None, None, 0
+    blur = None
+    sigma = None
+    edges = 0
     if strength.optics > 0:
         sigma, edges = edge_sigma(background, scale)
         prior = sharpened_sigma(p.psf_sigma_px, p.halo_gain, p.halo_radius_px)
@@ -161,7 +163,9 @@ def fit_sensor(
         # Edges in the picture have been sharpened already: undo that, since the insert will be sharpened as well.
         total = strength.optics * unsharpened_sigma(min(max(believed, low), high), gain, p.halo_radius_px)
         blur = round(math.sqrt(max(total**2 - PIXEL_BOX_VARIANCE, 0.0)), 4)
-    noise, grain, blocks = 0.0, p.noise_grain_px, 0
+    noise = 0.0
+    grain = p.noise_grain_px
+    blocks = 0
     if strength.noise > 0:
         found, correlation, blocks = flat_noise(background, levels, scale)
         noise = p.noise_grey * scale if found is None else found
@@ -215,8 +219,10 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
     height, width = background.shape
     reach = blur_radius_px(sensor.halo_radius_px) if sensor.halo_gain > 0 else 0
     x0, y0 = layer.offset_xy
-    left, top = max(x0 - reach, 0), max(y0 - reach, 0)
-    right, bottom = min(x0 + columns + reach, width), min(y0 + rows + reach, height)
+    left = max(x0 - reach, 0)
+    top = max(y0 - reach, 0)
+    right = min(x0 + columns + reach, width)
+    bottom = min(y0 + rows + reach, height)
     inner = (slice(y0 - top, y0 - top + rows), slice(x0 - left, x0 - left + columns))
 
     under = background[top:bottom, left:right]
@@ -230,7 +236,8 @@ def apply_sensor(background: GreyImage, layer: Layer, sensor: Sensor) -> GreyIma
         # The background is already sharpened. The part hidden by the insert must be subtracted in its unsharpened form;
         # otherwise its texture would show through the insert, inverted.
         wide = 3 * reach
-        up, back = min(top, wide), min(left, wide)
+        up = min(top, wide)
+        back = min(left, wide)
         around = background[top - up : bottom + wide, left - back : right + wide]
         hidden = np.zeros(around.shape, np.uint8)
         inside = (slice(up, up + bottom - top), slice(back, back + right - left))

@@ -73,7 +73,9 @@ def with_optics(camera: Mapping[str, Any]) -> dict[str, Any]:
         ValueError: The data state others, or both a model and a pitch.
     """
     found = dict(camera)
-    model, pitch_um, size = found.get("model"), found.get("pixel_pitch_um"), found.get("size_px", (640, 512))
+    model = found.get("model")
+    pitch_um = found.get("pixel_pitch_um")
+    size = found.get("size_px", (640, 512))
     given: dict[str, float] = {}
     if isinstance(model, str) and model in OPTICS:
         optics = OPTICS[cast(CameraModel, model)]

@@ -177,7 +177,8 @@ def _complete_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]], probl
     It also counts more than the field of view of the pictures' own files. A `field_of_view` of the recipe's file does
     not prevent that, for recipes that the studio writes state every field; one among the settings does.
     """
-    camera, stated = data.get("camera"), stated_camera_fields(pairs)
+    camera = data.get("camera")
+    stated = stated_camera_fields(pairs)
     if not isinstance(camera, dict):
         return
     if (missing := prefer_stated_optics(camera, stated)) is not None:
@@ -211,7 +212,8 @@ def _make_paths_whole(data: Mapping[str, Any], folder: Path) -> None:
 
     The record of a run has the whole path, so that the run can be used from any folder.
     """
-    objects, sensor = data.get("objects"), data.get("sensor")
+    objects = data.get("objects")
+    sensor = data.get("sensor")
     places = [(item, "model", _YAML) for item in (objects if isinstance(objects, list) else ())]
     for item, field, suffixes in [*places, (sensor, "profile", PROFILE_SUFFIXES)]:
         named = item.get(field) if isinstance(item, dict) else None

@@ -103,7 +103,8 @@ def wrong_modes(data: Mapping[str, Any]) -> list[Problem]:
         if word not in choices:
             expected = " or ".join(f"'{c}'" for c in choices)
             found.append(Problem(key, "recipe-value", f"found {shorten(word)}", expected))
-    modes, matching = modes_of(data), _section(data, "matching")
+    modes = modes_of(data)
+    matching = _section(data, "matching")
     if "mode" in matching and modes.matching != RADIOMETRIC:
         if matching["mode"] == RADIOMETRIC:
             has = f"found radiometric with placement.mode {modes.placement} and appearance.mode {modes.look}"
@@ -184,7 +185,8 @@ def kept_camera_warnings(
         return []
     given = stated_camera_fields(settings)
     camera = {name: info.default for name, info in Camera.model_fields.items()} | dict(_section(data, "camera"))
-    has, needs = _CAMERAS[old.placement], _CAMERAS[new.placement]
+    has = _CAMERAS[old.placement]
+    needs = _CAMERAS[new.placement]
     expected = f"that of {needs}, for placement.mode {new.placement}"
     found = []
     if not given & LENS:
@@ -208,7 +210,8 @@ def explain_unknown(path: tuple[int | str, ...], modes: Modes) -> tuple[str, str
     steps = [s for s in path if isinstance(s, str)]
     if len(steps) != 2:
         return None
-    field, name = (steps[0], steps[1]), ".".join(steps)
+    field = (steps[0], steps[1])
+    name = ".".join(steps)
     if name in REMOVED:
         return "this field was removed", REMOVED[name]
     if not any(field in fields_of(m) for m in all_modes()):

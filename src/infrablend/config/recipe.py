@@ -1060,7 +1060,8 @@ class Render(Strict):
     """Samples per pixel, traced by Cycles; overrides `quality`."""
 
 
-MAX_LOOSEN, MAX_LOOSEN_PX = 2.0, 32.0
+MAX_LOOSEN = 2.0
+MAX_LOOSEN_PX = 32.0
 LooseFactor = Annotated[float, Field(ge=1, le=MAX_LOOSEN)]
 LoosePx = Annotated[float, Field(ge=0, le=MAX_LOOSEN_PX)]
 

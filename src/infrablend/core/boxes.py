@@ -112,7 +112,8 @@ def _well_inside(points_xy: FloatArray, directions: int) -> NDArray[np.bool_]:
     start = points_xy[np.argmax(np.stack([np.cos(angle), np.sin(angle)], axis=1) @ points_xy.T, axis=1)]
     edge = np.roll(start, -1, axis=0) - start
     used = (edge != 0).any(axis=1)
-    start, edge = start[used], edge[used]
+    start = start[used]
+    edge = edge[used]
     if len(edge) < 3:
         return np.zeros(len(points_xy), np.bool_)
     normal = np.stack([-edge[:, 1], edge[:, 0]], axis=1)
@@ -170,7 +171,8 @@ def clip_convex(polygon_xy: FloatArray, clip_xy: FloatArray) -> FloatArray:
             break
         ex, ey = b - a
         side = ex * (polygon[:, 1] - a[1]) - ey * (polygon[:, 0] - a[0])
-        nxt, nxt_side = np.roll(polygon, -1, axis=0), np.roll(side, -1)
+        nxt = np.roll(polygon, -1, axis=0)
+        nxt_side = np.roll(side, -1)
         crossing = side * nxt_side < 0
         share = np.divide(side, side - nxt_side, out=np.zeros_like(side), where=crossing)
         cut = polygon + share[:, None] * (nxt - polygon)
@@ -220,7 +222,8 @@ def clip_triangles_near(xyz_m: FloatArray, near_m: float) -> tuple[FloatArray, N
         point[:, 2] = near_m
         return point
 
-    one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
+    one = np.flatnonzero(count == 1)
+    two = np.flatnonzero(count == 2)
     t1, t2 = turned(one, ahead), turned(two, ~ahead)
     tip = np.stack([t1[:, 0], crossing(t1[:, 0], t1[:, 1]), crossing(t1[:, 0], t1[:, 2])], axis=1)
     p, q = crossing(t2[:, 1], t2[:, 0]), crossing(t2[:, 2], t2[:, 0])
@@ -253,9 +256,13 @@ def clip_triangles_to_rect(triangles: FloatArray, rect_xyxy: FloatArray) -> Floa
         out = still & ((a[:, :2] < [x0, y0]) | (a[:, :2] > [x1, y1]))
         enter = np.where(still, -np.inf, enter_exit.min(axis=0)).max(axis=1)
         leave = np.where(still, np.inf, enter_exit.max(axis=0)).min(axis=1)
-        enter, leave = np.maximum(enter, 0.0), np.minimum(leave, 1.0)
+        enter = np.maximum(enter, 0.0)
+        leave = np.minimum(leave, 1.0)
         crosses = (enter <= leave) & ~out.any(axis=1)
-        a, step, enter, leave = a[crosses], step[crosses], enter[crosses, None], leave[crosses, None]
+        a = a[crosses]
+        step = step[crosses]
+        enter = enter[crosses, None]
+        leave = leave[crosses, None]
         found += [a + enter * step, a + leave * step]
         # ... and corners of the rectangle that lie in the triangle.
         for corner in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)):
@@ -289,7 +296,10 @@ def corners_of_cxcywha(boxes: FloatArray) -> FloatArray:
     The width runs along (cos angle, sin angle), so a positive angle turns clockwise; at angle 0 the corners
     are top left, top right, bottom right, bottom left.
     """
-    centre, w, h, angle = boxes[..., :2], boxes[..., 2:3], boxes[..., 3:4], boxes[..., 4]
+    centre = boxes[..., :2]
+    w = boxes[..., 2:3]
+    h = boxes[..., 3:4]
+    angle = boxes[..., 4]
     along = np.stack([np.cos(angle), np.sin(angle)], axis=-1) * w / 2
     across = np.stack([-np.sin(angle), np.cos(angle)], axis=-1) * h / 2
     return np.stack(
@@ -305,7 +315,8 @@ def cxcywha_of_corners(corners_xy: FloatArray) -> FloatArray:
     give the rectangle with their mean sides.
     """
     c0, c1, c2, c3 = (corners_xy[..., i, :] for i in range(4))
-    along, across = (c1 - c0 + c2 - c3) / 2, (c3 - c0 + c2 - c1) / 2
+    along = (c1 - c0 + c2 - c3) / 2
+    across = (c3 - c0 + c2 - c1) / 2
     w, h = np.hypot(along[..., 0], along[..., 1]), np.hypot(across[..., 0], across[..., 1])
     # A box without width still has a direction if it has a height.
     angle = np.where(w > 0, np.arctan2(along[..., 1], along[..., 0]), np.arctan2(-across[..., 0], across[..., 1]))
@@ -440,7 +451,8 @@ def smallest_rectangle_inside(points_xy: FloatArray, size_wh: tuple[int, int]) -
     candidates = np.concatenate([low[None], high[None], touching.reshape(-1, len(low))])  # (10, intervals)
     belongs = (candidates >= low) & (candidates <= high)
 
-    cos2, sin2 = np.cos(2 * candidates), np.sin(2 * candidates)
+    cos2 = np.cos(2 * candidates)
+    sin2 = np.sin(2 * candidates)
     left = p[:, None] + q[:, None] * cos2 + r[:, None] * sin2  # (4, 10, intervals)
     belongs &= (left >= -_SLACK_PX).all(axis=0)
     c, s = np.cos(candidates), np.sin(candidates)

@@ -19,9 +19,11 @@ SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
 # Keys of `Instance.extra` with the exact box (x, y, width, height) and the exact corners of the oriented box (x, y of
 # each) of an object whose box was enlarged or fitted, see `annotation.looseness`.
-TIGHT_BOX, TIGHT_OBB = "tight_bbox", "tight_obb"
+TIGHT_BOX = "tight_bbox"
+TIGHT_OBB = "tight_obb"
 # The same fields for what is visible of an inserted object with `labels.fit: visible`, see `annotation.visible_fit`.
-SEEN_BOX, SEEN_OBB = "seen_bbox", "seen_obb"
+SEEN_BOX = "seen_bbox"
+SEEN_OBB = "seen_obb"
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,8 @@ def distinct_names(wanted: Sequence[str], taken: Iterable[str] = ()) -> list[str
     used = {fold_name(n) for n in taken}
     names = []
     for name in wanted:
-        chosen, number = name, 2
+        chosen = name
+        number = 2
         while fold_name(chosen) in (used if chosen == name else reserved):
             chosen = f"{name}-{number}"
             number += 1
@@ -95,7 +96,8 @@ def file_name(text: str) -> str:
 
 def leaves(name: str) -> bool:
     """Return whether a relative path from data leads out of its folder, on any system."""
-    posix, windows = PurePosixPath(name), PureWindowsPath(name)
+    posix = PurePosixPath(name)
+    windows = PureWindowsPath(name)
     climbs = ".." in posix.parts or ".." in windows.parts
     return climbs or "\0" in name or posix.is_absolute() or bool(windows.drive or windows.root)
 

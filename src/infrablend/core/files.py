@@ -30,7 +30,8 @@ NAME_TOO_LONG = "name-too-long"
 
 LFS_POINTER = b"version https://git-lfs"
 """Start of the small text that Git leaves in place of a file that is stored with Git LFS."""
-LFS_FOUND, LFS_TODO = "a pointer of Git LFS in place of the file", "run `git lfs pull` in its repository"
+LFS_FOUND = "a pointer of Git LFS in place of the file"
+LFS_TODO = "run `git lfs pull` in its repository"
 
 _MARK = 10  # digits of the digest in a temporary name
 
@@ -90,7 +91,8 @@ def require_free_space(
 ) -> None:
     """Raise OutputError if the disk of a folder has less free space than `what` needs."""
     if (free := free_bytes(folder)) < need_bytes:
-        found, expected = f"{free / 1e9:.2f} GB free", f"at least {need_bytes / 1e9:.2f} GB"
+        found = f"{free / 1e9:.2f} GB free"
+        expected = f"at least {need_bytes / 1e9:.2f} GB"
         problem = Problem(str(folder), "disk-full", found, expected, todo)
         raise OutputError(f"{folder}: not enough disk space for {what}", [problem])
 

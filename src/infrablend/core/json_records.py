@@ -160,7 +160,9 @@ def _check_value(window: _Window, name: str, in_place: int) -> tuple[Any, int]:
         return window.value(name)
     closing = _CLOSING[opening]
     window.at += 1
-    start, count, size = window.offset(), 0, 2
+    start = window.offset()
+    count = 0
+    size = 2
     kept: list[tuple[str | int, Any]] | None = []
     keys: set[str | int] = set()
     twice = ""
@@ -242,14 +244,18 @@ class _Window:
     """
 
     def __init__(self, path: Path, stream: BinaryIO, start: int = 0) -> None:
-        self.path, self.stream = path, stream
-        self.text, self.at, self.level = "", 0, 0
+        self.path = path
+        self.stream = stream
+        self.text = ""
+        self.at = 0
+        self.level = 0
         self._decoder = codecs.getincrementaldecoder("utf-8")()
         self._ended = False
         if start == 0 and stream.read(len(codecs.BOM_UTF8)) == codecs.BOM_UTF8:
             start = len(codecs.BOM_UTF8)
         stream.seek(start)
-        self._counted_to, self._offset = 0, start
+        self._counted_to = 0
+        self._offset = start
 
     def offset(self) -> int:
         """Return the byte of the file that the place in the text is at."""
@@ -339,13 +345,15 @@ def too_deep(path: Path, where: str = "") -> DatasetError:
 
 def depth(value: Any) -> int:
     """Return the nesting depth of lists and objects, counted up to one level more than allowed."""
-    level, found = [value] if type(value) in (dict, list) else [], 0
+    level = [value] if type(value) in (dict, list) else []
+    found = 0
     while level and found <= MAX_DEPTH:
         inner: list[Any] = []
         for v in level:
             inside = v.values() if type(v) is dict else v
             inner += [w for w in inside if type(w) in (dict, list)]
-        level, found = inner, found + 1
+        level = inner
+        found = found + 1
     return found
 
 

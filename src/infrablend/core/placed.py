@@ -109,8 +109,10 @@ class PlacedObject:
     @cached_property
     def part_sun_rise_k(self) -> Mapping[str, float]:
         """Mean rise of each part by the sun, kelvin, over its area that faces the camera."""
-        number, area = self.mesh.part_of_triangle, self._facing_px2
-        rise, count = self.sun_rise_k.reshape(-1, 3).mean(axis=1), len(self.mesh.part_names)
+        number = self.mesh.part_of_triangle
+        area = self._facing_px2
+        rise = self.sun_rise_k.reshape(-1, 3).mean(axis=1)
+        count = len(self.mesh.part_names)
         mean = np.bincount(number, area * rise, count) / np.maximum(np.bincount(number, area, count), 1e-12)
         return dict(zip(self.mesh.part_names, mean.tolist(), strict=True))
 
@@ -118,7 +120,8 @@ class PlacedObject:
     def part_sun_range_k(self) -> Mapping[str, tuple[float, float]]:
         """Smallest and largest rise of each part by the sun, kelvin, over its faces towards the camera."""
         facing = self._facing_px2 > 0
-        rise, number = self.sun_rise_k.reshape(-1, 3).mean(axis=1)[facing], self.mesh.part_of_triangle[facing]
+        rise = self.sun_rise_k.reshape(-1, 3).mean(axis=1)[facing]
+        number = self.mesh.part_of_triangle[facing]
         found = {}
         for k, name in enumerate(self.mesh.part_names):
             own = rise[number == k]
@@ -211,7 +214,8 @@ def _face_vectors(mesh: Mesh, world_m: FloatArray) -> FloatArray:
 
 def _vertex_normals(triangles: NDArray[np.int32], faces: FloatArray, count: int) -> FloatArray:
     """Return the (V, 3) unit normals of the vertices: the mean of their faces, weighted by area."""
-    at, weight = triangles.ravel(), np.repeat(faces, 3, axis=0)
+    at = triangles.ravel()
+    weight = np.repeat(faces, 3, axis=0)
     return _unit(np.stack([np.bincount(at, weight[:, k], count) for k in range(3)], axis=1))
 
 
@@ -226,7 +230,8 @@ def _sunlit(world_m: FloatArray, normals: FloatArray, triangles: NDArray[np.int3
     axes = np.stack([side, np.cross(toward, side), toward], axis=1)
     local = world_m @ axes
     box = box_of_points(local)
-    low, extent = box[:2], box[2:] - box[:2]
+    low = box[:2]
+    extent = box[2:] - box[:2]
     cell = max(float(np.linalg.norm(extent)) / _CELLS, 1e-6)
     points = _spread(local[triangles], cell)
     # A margin of four cells around, for what is looked up beside the object.

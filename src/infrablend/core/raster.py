@@ -122,7 +122,12 @@ def _spans(corners: FloatArray, shape_hw: tuple[int, int]) -> _Spans:
         & (np.minimum(np.minimum(xa, xb), xc) <= columns - 0.5)
     )
     first, count = first[used], (last - first)[used]
-    xa, xb, xc, ya, yb, yc = xa[used], xb[used], xc[used], ya[used], yb[used], yc[used]
+    xa = xa[used]
+    xb = xb[used]
+    xc = xc[used]
+    ya = ya[used]
+    yb = yb[used]
+    yc = yc[used]
     # Corners by height. Every edge then runs downwards, so two triangles compute a shared edge with the same bits.
     for swap_bc in (False, True, False):
         if swap_bc:
@@ -199,13 +204,15 @@ def fragments_of(
     triangles_xy: FloatArray, inverse_depth: FloatArray, grid: SampleGrid, chosen: NDArray[np.intp]
 ) -> Fragments:
     """Return the fragments of chosen triangles, among (T, 3, 2) in pixels, with 1 / depth (T, 3) at the corners."""
-    corners, inverse_depth = grid.to_samples(triangles_xy[chosen]), inverse_depth[chosen]
+    corners = grid.to_samples(triangles_xy[chosen])
+    inverse_depth = inverse_depth[chosen]
     spans = _spans(corners, grid.shape_hw)
     # 1/z is linear in the image. Gradients of slivers are wild, so values are held within the corners' range.
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     ab, ac = b - a, c - a
     za = inverse_depth[:, 0]
-    zab, zac = inverse_depth[:, 1] - za, inverse_depth[:, 2] - za
+    zab = inverse_depth[:, 1] - za
+    zac = inverse_depth[:, 2] - za
     twice_area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     safe = np.where(twice_area == 0, 1.0, twice_area)
     slope_x = np.where(twice_area == 0, 0.0, (zab * ac[:, 1] - zac * ab[:, 1]) / safe)
@@ -298,12 +305,10 @@ def hidden_points(points_xy: FloatArray, inverse_depth: FloatArray, occluders: P
         & (high >= reach_low).all(axis=1)
         & (occluders.inverse_depth.max(axis=1) > inverse_depth.min())
     )
-    xy, inverse, low, high = (
-        occluders.xy[possible],
-        occluders.inverse_depth[possible],
-        low[possible],
-        high[possible],
-    )
+    xy = occluders.xy[possible]
+    inverse = occluders.inverse_depth[possible]
+    low = low[possible]
+    high = high[possible]
     # 4M pairs at a time.
     for part in np.array_split(np.arange(len(points_xy)), math.ceil(len(points_xy) * len(xy) / 2**22) or 1):
         x, y = points_xy[part, :1], points_xy[part, 1:]
@@ -313,7 +318,10 @@ def hidden_points(points_xy: FloatArray, inverse_depth: FloatArray, occluders: P
         cross = d[:, :, 0] * nxt[:, :, 1] - d[:, :, 1] * nxt[:, :, 0]
         total = cross.sum(axis=1)
         inside = ((cross >= 0).all(axis=1) | (cross <= 0).all(axis=1)) & (total != 0)
-        point, triangle, cross, total = point[inside], triangle[inside], cross[inside], total[inside]
+        point = point[inside]
+        triangle = triangle[inside]
+        cross = cross[inside]
+        total = total[inside]
         weight = np.roll(cross, 2, axis=1) / total[:, None]
         z = (weight * inverse[triangle]).sum(axis=1)
         nearer = z > inverse_depth[part[point]] * (1 + 1e-9)

@@ -18,7 +18,8 @@ from infrablend.errors import OutputError
 RUN_FILE = "run.json"
 IMAGES = "images"
 EIGHT_BIT = "8bit"
-TRACKS, VIDEO = "tracks", "video"
+TRACKS = "tracks"
+VIDEO = "video"
 PICTURE_TABLES = tuple(f"{IMAGES}/{split}/metadata.jsonl" for split in SPLITS)
 """Tables with the labels of the pictures beside them, as Hugging Face's `imagefolder` reads them."""
 EXCLUDED = "excluded"

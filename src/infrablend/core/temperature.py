@@ -141,7 +141,8 @@ class TemperatureScale:
         Raises:
             ValueError: The values are no scale.
         """
-        slope, offset = data.get("slope_k"), data.get("offset_k", 0.0)
+        slope = data.get("slope_k")
+        offset = data.get("offset_k", 0.0)
         numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (slope, offset))
         if not numbers:
             raise ValueError(f"slope_k {slope!r} and offset_k {offset!r}; expected numbers")

@@ -90,7 +90,8 @@ def run_command(record: Mapping[str, Any], recipe: str, data: str, out: str) -> 
     """Return the words of the command that makes a run with this record, with these names in place of its own."""
     words = ["infrablend", "generate", recipe, "--data", data, "--out", out, "--seed", str(record.get("seed", 0))]
     request = record.get("request") or {}
-    reading, selection = request.get("reading", {}), request.get("selection", {})
+    reading = request.get("reading", {})
+    selection = request.get("selection", {})
     words += reading_words(reading, folders=False)
     words += [w for name in ("limit", "sample") if name in selection for w in (f"--{name}", str(selection[name]))]
     if frames := selection.get("frames"):

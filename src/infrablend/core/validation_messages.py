@@ -101,7 +101,8 @@ def _field_problems(
         found.append(_unknown(path, e) if e["type"] == "extra_forbidden" else _problem(path, e, code))
 
     def _unknown(path: Path, e: ErrorDetails) -> Problem:
-        where, value = _dotted(path), shorten(e["input"])
+        where = _dotted(path)
+        value = shorten(e["input"])
         if explained := explain(path):
             return Problem(where, f"{code}-unknown-key", explained[0], "", explained[1])
         todo = did_you_mean(str(path[-1]), _known_names(model, path)) or see
@@ -150,7 +151,8 @@ def _locate(e: ErrorDetails, data: Any) -> tuple[Path, Path, str | None]:
         else:
             # Not a field: the name of a union's member, or an end of the range that a single number stands for.
             if isinstance(step, str) and member is None:
-                at, member = tuple(path), step
+                at = tuple(path)
+                member = step
             continue
         path.append(step)
     return tuple(path), at, member

@@ -82,7 +82,8 @@ class Wire:
             self._socket.close()
 
     def _fill(self, buffer: bytearray | memoryview) -> bytearray | memoryview:
-        view, done = memoryview(buffer), 0
+        view = memoryview(buffer)
+        done = 0
         while done < len(view):
             try:
                 count = self._socket.recv_into(view[done:])

@@ -109,7 +109,8 @@ class Workspace:
             else:
                 self.locks.enter_context(_lock(self.out, self.noun))
                 self.out.rename(self.partial)
-        self.folder, self.state = self.partial, "started"
+        self.folder = self.partial
+        self.state = "started"
         _write_note(self.folder, self.noun, foreign=foreign)
         (self.folder / self.record).unlink()
 
@@ -136,7 +137,9 @@ class Workspace:
 
     def _publish(self) -> None:
         """Give the folder its name; after a kill, the next call goes on from here."""
-        out, partial, replaced = self.out, self.partial, _replaced_of(self.out)
+        out = self.out
+        partial = self.partial
+        replaced = _replaced_of(self.out)
         replaces = bool((read_object(partial / NOTE) or {}).get("replaces"))
         with _reported(out):
             if partial.parent == out:
@@ -268,7 +271,8 @@ def is_being_written(out: Path) -> bool:
 
 def _require_own(space: Workspace, *, replaced: bool) -> None:
     """Check that the folder has the record of this command and, if it is replaced, nothing that others put there."""
-    root, noun = space.out, space.noun
+    root = space.out
+    noun = space.noun
     found = read_object(root / space.record) or {}
     contents = found.get(CONTENTS)
     if "infrablend" not in found or not isinstance(contents, Mapping):
@@ -280,10 +284,12 @@ def _require_own(space: Workspace, *, replaced: bool) -> None:
         return
     left_out = {*_OWN, *space.derived}
     # Anybody may have edited the record: what it does not say plainly was not written.
-    listed, number = contents.get("names"), contents.get("files")
+    listed = contents.get("names")
+    number = contents.get("files")
     names = {str(name) for name in listed} if isinstance(listed, list) else set()
     foreign = sorted({p.name for p in root.iterdir()} - names - left_out)
-    count, written = _count_files(root, left_out), number if isinstance(number, int) else 0
+    count = _count_files(root, left_out)
+    written = number if isinstance(number, int) else 0
     if foreign or count > written:
         what = _listed(foreign) if foreign else f"{count} files, where the {noun} had {written}"
         raise OutputError(
@@ -293,7 +299,8 @@ def _require_own(space: Workspace, *, replaced: bool) -> None:
 
 
 def _open(space: Workspace, existing: Existing, keep: bool) -> None:
-    root, partial = space.out, space.partial
+    root = space.out
+    partial = space.partial
     entries = sorted({p.name for p in root.iterdir()} - _OWN) if root.is_dir() else []
     left = sorted(p.name for p in partial.iterdir())
     started = (partial / NOTE).is_file()
@@ -307,7 +314,8 @@ def _open(space: Workspace, existing: Existing, keep: bool) -> None:
     if entries:
         _require_own(space, replaced=existing == "overwrite")
     if existing == "resume" and entries:
-        space.folder, space.state = root, "complete"
+        space.folder = root
+        space.state = "complete"
         return
     space.clear(keep=())
     _write_note(partial, space.noun, replaces=bool(entries))

@@ -77,7 +77,8 @@ def _keep_text(node: Node, done: set[int]) -> None:
 
 def _describe(error: YAMLError) -> str:
     """Return the error and its place on one line, without the library's hints about its own settings."""
-    problem, mark = getattr(error, "problem", None), getattr(error, "problem_mark", None)
+    problem = getattr(error, "problem", None)
+    mark = getattr(error, "problem_mark", None)
     if problem is None or mark is None:
         return " ".join(str(error).split())
     context = getattr(error, "context", None)

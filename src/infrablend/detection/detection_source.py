@@ -38,10 +38,12 @@ class DetectionSource:
             file = _file_of(path)
             if file.suffix == ".json":
                 self._saved = read_predictions(file)
-                self.classes, self.task = self._saved.classes, self._saved.task
+                self.classes = self._saved.classes
+                self.task = self._saved.task
             else:
                 self._detector = predict.load_detector(file, device)
-                self.classes, self.task = self._detector.classes, self._detector.task
+                self.classes = self._detector.classes
+                self.task = self._detector.task
         except (DatasetError, ModelError) as error:
             problems += error.problems
 
@@ -83,7 +85,8 @@ def _file_of(path: Path) -> Path:
     for file in (PREDICTIONS, WEIGHTS):
         if (path / file).is_file():
             return path / file
-    found, todo = unfinished(path), ""
+    found = unfinished(path)
+    todo = ""
     if found is None:
         found = f"a folder with neither {PREDICTIONS} nor {WEIGHTS}"
         todo = f"give {WEIGHTS} of a finished `infrablend train`, or {PREDICTIONS} of an earlier evaluation"

@@ -117,7 +117,8 @@ def write_predictions(path: Path, predictions: Predictions) -> Path:
     Raises:
         OutputError: The file cannot be written.
     """
-    images, found = [], []
+    images = []
+    found = []
     for number, (key, one) in enumerate(sorted(predictions.images.items()), 1):
         width, height = predictions.sizes_wh[key]
         images.append({"id": number, "file_name": key, "width": width, "height": height})

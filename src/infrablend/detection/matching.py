@@ -66,7 +66,9 @@ def match_all(
         ious: (t,) thresholds of the overlap, ascending.
     """
     ranges = np.array(list(bins.values()), np.float64)
-    classes, a, t = range(len(case.classes)), len(ranges), len(ious)
+    classes = range(len(case.classes))
+    a = len(ranges)
+    t = len(ious)
     objects = np.zeros((len(classes), a, len(case.labels)), np.int32)
     none = np.zeros((a, t, 0), np.bool_)
     gathered = [[(np.zeros(0), np.zeros(0, np.int32), none, none)] for _ in classes]
@@ -112,7 +114,8 @@ def match_image(
     """
     n, g = overlap.shape
     a, t = len(away), len(ious)
-    right, neutral = np.zeros((a, t, n), np.bool_), np.zeros((a, t, n), np.bool_)
+    right = np.zeros((a, t, n), np.bool_)
+    neutral = np.zeros((a, t, n), np.bool_)
     if not n or not g:
         return right, neutral
     least = np.minimum(ious, 1 - 1e-10)
@@ -155,12 +158,14 @@ def overlaps(found: Detections, truth: Truth, task: Task) -> FloatArray:
     if task == "obb":
         assert found.corners_xy is not None and truth.corners_xy is not None
         both = quad_intersections(found.corners_xy, truth.corners_xy)
-        of_found, of_truth = polygon_areas(found.corners_xy), polygon_areas(truth.corners_xy)
+        of_found = polygon_areas(found.corners_xy)
+        of_truth = polygon_areas(truth.corners_xy)
     else:
         low = np.maximum(found.boxes_xyxy[:, None, :2], truth.boxes_xyxy[None, :, :2])
         high = np.minimum(found.boxes_xyxy[:, None, 2:], truth.boxes_xyxy[None, :, 2:])
         both = np.prod(np.maximum(high - low, 0.0), axis=-1)
-        of_found, of_truth = _areas(found.boxes_xyxy), _areas(truth.boxes_xyxy)
+        of_found = _areas(found.boxes_xyxy)
+        of_truth = _areas(truth.boxes_xyxy)
     whole = np.where(truth.ignore[None], of_found[:, None], of_found[:, None] + of_truth[None] - both)
     return np.asarray(np.divide(both, whole, out=np.zeros_like(both), where=whole > 0))
 
@@ -188,7 +193,8 @@ def quad_intersections(a: FloatArray, b: FloatArray) -> FloatArray:
     rows, columns = np.nonzero(meet.all(axis=-1))
     area = np.zeros((len(a), len(b)))
     if len(rows):
-        polygon, other = a[rows], b[columns]
+        polygon = a[rows]
+        other = b[columns]
         for k in range(4):
             polygon = _clip_by_line(polygon, other[:, k], other[:, (k + 1) % 4])
         area[rows, columns] = polygon_areas(polygon)
@@ -200,7 +206,8 @@ def _clip_by_line(polygons: FloatArray, start: FloatArray, end: FloatArray) -> F
     edge = (end - start)[:, None]
     off = polygons - start[:, None]
     side = edge[..., 0] * off[..., 1] - edge[..., 1] * off[..., 0]
-    following, side_after = np.roll(polygons, -1, axis=1), np.roll(side, -1, axis=1)
+    following = np.roll(polygons, -1, axis=1)
+    side_after = np.roll(side, -1, axis=1)
     crossing = side * side_after < 0
     share = np.divide(side, side - side_after, out=np.zeros_like(side), where=crossing)
     cut = polygons + share[..., None] * (following - polygons)

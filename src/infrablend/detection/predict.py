@@ -84,7 +84,8 @@ def pick_device(wanted: str) -> str:
     require_ultralytics()
     import torch
 
-    cuda, mps = torch.cuda.is_available(), torch.backends.mps.is_available()
+    cuda = torch.cuda.is_available()
+    mps = torch.backends.mps.is_available()
     if wanted == "auto":
         return "cuda:0" if cuda else "cpu"
     try:
@@ -272,7 +273,8 @@ def _file_damage(image: ImageRecord) -> Problem | None:
 
 def _size_mismatch(image: ImageRecord, size_wh: tuple[int, int]) -> Problem:
     assert image.size_wh is not None
-    found, expected = "{}x{} px".format(*size_wh), "{}x{} px as annotated".format(*image.size_wh)
+    found = "{}x{} px".format(*size_wh)
+    expected = "{}x{} px as annotated".format(*image.size_wh)
     return Problem(image_key(image), "image-size", found, expected)
 
 
@@ -354,7 +356,8 @@ def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> _Pic
     if (w, h) != (width, height):
         pixels = cv2.resize(pixels, (w, h), interpolation=cv2.INTER_LINEAR).reshape(h, w, -1)
     full_w, full_h = (math.ceil(v / stride + 0.5) * stride for v in (w, h))
-    left, top = round((full_w - w) / 2 - 0.1), round((full_h - h) / 2 - 0.1)
+    left = round((full_w - w) / 2 - 0.1)
+    top = round((full_h - h) / 2 - 0.1)
     padded = np.full((full_h, full_w, pixels.shape[2]), _GREY, np.uint8)
     padded[top : top + h, left : left + w] = pixels
     return _Picture(padded, (width, height), (w / width, h / height), (left, top))
@@ -409,7 +412,8 @@ def _scaled(rows: Any, picture: _Picture, task: Task, prototypes: Any) -> Detect
     if task == "segment":
         rows, masks = _masks(rows, picture, prototypes)
     values = rows.cpu().numpy().astype(np.float64)
-    pad, scale = np.array(picture.pad_xy, np.float64), np.array(picture.scale_xy, np.float64)
+    pad = np.array(picture.pad_xy, np.float64)
+    scale = np.array(picture.scale_xy, np.float64)
     size = np.array(picture.size_wh, np.float64)
     if task == "obb":
         corners = (corners_of_cxcywha(np.concatenate([values[:, :4], values[:, 6:7]], axis=1)) - pad) / scale
@@ -425,7 +429,8 @@ def _masks(rows: Any, picture: _Picture, prototypes: Any) -> tuple[Any, list[Mas
 
     height, width = picture.pixels.shape[:2]
     (left, top), (w, h) = picture.pad_xy, picture.size_wh
-    made, kept = [], []
+    made = []
+    kept = []
     inner_w, inner_h = round(w * picture.scale_xy[0]), round(h * picture.scale_xy[1])
     for start in range(0, len(rows), 32):  # 300 masks of a large picture at once fill the memory
         part = rows[start : start + 32]

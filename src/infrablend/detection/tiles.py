@@ -65,7 +65,8 @@ class Tile:
         size_wh = (int(size[0]), int(size[1]))
         box = instance.box_xyxy - np.tile(shift, 2)
         cut = clip_boxes(box[None], size_wh)[0]
-        whole, seen = _area(box), _area(cut)
+        whole = _area(box)
+        seen = _area(cut)
         if seen <= 0 or seen < MIN_SHARE * whole:
             return None
         corners = instance.corners_xy

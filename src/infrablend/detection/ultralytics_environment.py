@@ -95,7 +95,8 @@ def _replace_broken_torchvision() -> None:
     except Exception as error:  # RuntimeError for operators that the other build lacks
         for name in [n for n in sys.modules if n.partition(".")[0] == "torchvision"]:
             del sys.modules[name]
-        stand_in, ops = ModuleType("torchvision"), ModuleType("torchvision.ops")
+        stand_in = ModuleType("torchvision")
+        ops = ModuleType("torchvision.ops")
         stand_in.__doc__ = f"Stand-in: the real one does not import ({error})."
         stand_in.__spec__ = ModuleSpec("torchvision", None)  # find_spec raises for modules without a spec
         ops.nms = nms  # type: ignore[attr-defined]

@@ -71,14 +71,16 @@ def only_looked_at(path: Path) -> None:
 def _refusal_to_open(path: Path, where: str, expected: str, limit: int | None) -> Problem | None:
     """Return why a file must not be opened: a link out of its folder, not a regular file, or too large."""
     if leaves_folder(path):
-        found, todo = f"{path.name!r} is a link out of its folder", "copy the file, or link the whole folder instead"
+        found = f"{path.name!r} is a link out of its folder"
+        todo = "copy the file, or link the whole folder instead"
         return Problem(where, "name-climbs", found, "a file inside it", todo)
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         return Problem(where, "annotation-unreadable", "not a regular file", expected, "replace or remove it")
     if limit is None or status.st_size <= limit:
         return None
-    found, most = f"{status.st_size / 1e6:.0f} MB of text", f"at most {limit / 1e6:.0f} MB"
+    found = f"{status.st_size / 1e6:.0f} MB of text"
+    most = f"at most {limit / 1e6:.0f} MB"
     return Problem(where, "annotation-too-large", found, most, "split it into several files")
 
 
@@ -96,7 +98,8 @@ def read_json(path: Path, *, rows: bool = False) -> Any:
         DatasetError: The file is missing, unreadable, not JSON, a link out of its folder, nested more than `MAX_DEPTH`
             levels, or a record takes more than `MAX_RECORD` characters.
     """
-    expected, todo = "a JSON file", "fetch the file again or leave it out"
+    expected = "a JSON file"
+    todo = "fetch the file again or leave it out"
     try:
         problem = _refusal_to_open(path, path.name, expected, None)
         if problem is None:
@@ -153,9 +156,11 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
             number = 0
             while line := stream.readline(MAX_RECORD + 1):
                 number += 1
-                here, todo = f"{where}: line {number}", "correct the line"
+                here = f"{where}: line {number}"
+                todo = "correct the line"
                 if len(line) > MAX_RECORD:
-                    found, most = f"more than {MAX_RECORD / 1e6:g} MB", f"at most {MAX_RECORD / 1e6:g} MB a line"
+                    found = f"more than {MAX_RECORD / 1e6:g} MB"
+                    most = f"at most {MAX_RECORD / 1e6:g} MB a line"
                     problems.append(Problem(here, TOO_LARGE, found, most, todo))
                     while line and not line.endswith(b"\n"):
                         line = stream.readline(MAX_RECORD)
@@ -231,11 +236,14 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
         found = "XML with a document type or entities, which are refused: they can fill the memory or name other files"
         todo = "remove `<!DOCTYPE ...>`"
     except ElementTree.ParseError as error:
-        found, todo = f"damaged XML ({error})", "fetch it again"
+        found = f"damaged XML ({error})"
+        todo = "fetch it again"
     except OSError as error:
-        found, todo = f"cannot be read ({error.strerror or 'unknown reason'})", "check the file and its permissions"
+        found = f"cannot be read ({error.strerror or 'unknown reason'})"
+        todo = "check the file and its permissions"
     except Exception as error:  # unknown encodings, nesting without end
-        found, todo = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name), "fetch it again"
+        found = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name)
+        todo = "fetch it again"
     return None, or_lfs_pointer(Problem(where, "annotation-not-xml", found, "an XML file with labels", todo), path)
 
 
@@ -251,7 +259,8 @@ _DECIMAL_POINT = re.compile(r"[-+]?\d+\.\d+", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+", re.ASCII)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+", re.ASCII)
 # Characters that are searched for separators, and rows for decimal points and commas.
-_LINE_CHARACTERS, _ROWS = 20_000, 200
+_LINE_CHARACTERS = 20_000
+_ROWS = 200
 
 
 def delimiter_of(text: str, lines: int = 1) -> str:

@@ -226,7 +226,8 @@ class Numbered:
 
     def by_split(self) -> dict[Split, Numbered]:
         """Return the images of each split that has some."""
-        parts, start = {}, 0
+        parts = {}
+        start = 0
         for split, images in split_parts(self.images).items():
             parts[split] = self.part(range(start, start + len(images)))
             start += len(images)
@@ -253,7 +254,8 @@ def number_ids(images: Sequence[ImageRecord], ids: Literal["source", "new"], fir
         free = itertools.count(max([first - 1, *(v for row in known for v in row if type(v) is int)]) + 1)
         object_ids = [[next(free) if o.source_id is None else o.source_id for o in i.instances] for i in images]
         return Numbered(images, image_ids, object_ids, every)  # type: ignore[arg-type]
-    new_ids, start = [], first
+    new_ids = []
+    start = first
     for image in images:
         new_ids.append(range(start, start + len(image.instances)))
         start += len(image.instances)

@@ -196,11 +196,13 @@ def _nothing_to_read(root: Path) -> Problem:
 
 
 def _missing(root: Path) -> DatasetError:
-    found, todo = "no such folder", "check the path"
+    found = "no such folder"
+    todo = "check the path"
     if address_of(root) is not None:
         todo = "copy it here first, with `infrablend merge` if it is a run"
     elif root.is_file():
-        found, todo = "a file", "give the folder that it is in, or unpack it if it is an archive"
+        found = "a file"
+        todo = "give the folder that it is in, or unpack it if it is an archive"
     elif (left := unfinished(root)) is not None:
         found, _, todo = left.partition("; ")
     problem = Problem(shown(root), "folder-missing", found, "the folder of a dataset", todo)
@@ -253,7 +255,8 @@ def _with_regular_pictures(dataset: Dataset) -> Dataset:
 
     Opening a pipe would wait for ever, and links out of the folder would copy foreign files.
     """
-    problems, kept = list(dataset.problems), []
+    problems = list(dataset.problems)
+    kept = []
     for image in dataset.images:
         problem = _picture_fault(image.path, f"{image.split}/{image.name}")
         if problem is None:

@@ -86,7 +86,8 @@ def _by_day(dataset: Dataset, training: Sequence[ImageRecord]) -> tuple[dict[str
     by_day: dict[str, list[ImageRecord]] = {}
     by_sequence: dict[str, list[ImageRecord]] = {}
     for i in training:
-        sequence, day = i.capture.sequence, (i.capture.captured or "")[:10]
+        sequence = i.capture.sequence
+        day = (i.capture.captured or "")[:10]
         by_day.setdefault(first_day.get(sequence, day or str(sequence)), []).append(i)
         by_sequence.setdefault(day if sequence is None else sequence, []).append(i)
     if len(by_day) > 1:

@@ -59,7 +59,8 @@ def frame_places(images: Sequence[ImageRecord]) -> list[tuple[str, int] | None]:
     guessed = _guess_places([i.name for i in images])
     places: list[tuple[str, int] | None] = []
     for image, guess in zip(images, guessed, strict=True):
-        facts, sequence = facts_from_name(image.name), image.capture.sequence
+        facts = facts_from_name(image.name)
+        sequence = image.capture.sequence
         if facts is not None:
             places.append(("", facts.frame))
         elif sequence is not None and image.capture.frame is not None:
@@ -166,13 +167,16 @@ def group_images(images: Sequence[ImageRecord], by: Grouping, gap: int = NEAR) -
     keys: Mapping[str, str | None]
     if by == "gap":
         keys = _runs(images, gap)
-        lacks, todo = "a frame number in their name", "use --by sequence or --by date"
+        lacks = "a frame number in their name"
+        todo = "use --by sequence or --by date"
     elif by == "date":
         keys = {i.id: None if i.capture.captured is None else i.capture.captured[:10] for i in images}
-        lacks, todo = "a date of capture", "use --by sequence or --by gap"
+        lacks = "a date of capture"
+        todo = "use --by sequence or --by gap"
     else:
         keys = {i.id: i.capture.sequence for i in images}
-        lacks, todo = "a sequence", "use --by gap, which needs numbers in the file names"
+        lacks = "a sequence"
+        todo = "use --by gap, which needs numbers in the file names"
     without = [i.name for i in images if keys[i.id] is None]
     if without:
         found = f"{len(without)} of {len(images)} images without {lacks}: {', '.join(without[:3])}"
@@ -188,7 +192,8 @@ def _runs(images: Sequence[ImageRecord], gap: int) -> dict[str, str | None]:
     places = zip(images, frame_places(images), strict=True)
     found: dict[str, str | None] = {i.id: None for i in images}
     ordered = sorted((place, image.id) for image, place in places if place is not None)
-    name, before = "", None
+    name = ""
+    before = None
     for (clip, number), id_ in ordered:
         if before is None or before[0] != clip or number - before[1] > gap:
             name = f"{clip} {number:06}".strip()

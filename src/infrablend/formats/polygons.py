@@ -53,7 +53,9 @@ def ellipse(cxcywha: Sequence[float], size_wh: tuple[int, int]) -> tuple[tuple[f
     if not is_near(cxcywha):
         raise ValueError("an ellipse without finite numbers")
     cx, cy, w, h, angle = cxcywha
-    turn, cos, sin = np.linspace(0, 2 * np.pi, 360, endpoint=False), np.cos(angle), np.sin(angle)
+    turn = np.linspace(0, 2 * np.pi, 360, endpoint=False)
+    cos = np.cos(angle)
+    sin = np.sin(angle)
     x, y = w / 2 * np.cos(turn), h / 2 * np.sin(turn)
     ring = np.stack([cx + x * cos - y * sin, cy + x * sin + y * cos], axis=1)
     mask = Mask.from_rings([ring.ravel().tolist()], (size_wh[1], size_wh[0]))
@@ -199,7 +201,8 @@ def _sides(eighth_in: int, eighth_out: int, stairs: bool) -> Sequence[tuple[int,
 
     Steps are numbers on the compass.
     """
-    diagonal_in, diagonal_out = eighth_in % 2, eighth_out % 2
+    diagonal_in = eighth_in % 2
+    diagonal_out = eighth_out % 2
     turn = (eighth_out - eighth_in + 3) % 8 - 3  # eighths to the right, -3 to 4; a reversal goes around the outside
     # A diagonal step is a left turn along the edges of its two pixels: it ends an eighth to the left of itself and
     # begins an eighth to the right.

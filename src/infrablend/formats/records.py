@@ -158,7 +158,8 @@ class Findings:
             self.add_all(error.problems, self.place(path))
             return None
         # The frames as they are were read before, with the same faults.
-        where, known = self.place(path), {(p.where, p.code) for p in self.problems}
+        where = self.place(path)
+        known = {(p.where, p.code) for p in self.problems}
         self.add_all([p for p in problems if (where, p.code) not in known], where)
         return frames
 

@@ -136,7 +136,8 @@ def write_pictures(
 
     renamed = known = 0
     for image, place in zip(images, places, strict=True):
-        path, facts = path_of(image, place), _telemetry(image)
+        path = path_of(image, place)
+        facts = _telemetry(image)
         if link:
             yield link_or_copy(image.path, out / path)
         losses["name_changed"] += _base(place, within, path) != image.name
@@ -226,7 +227,8 @@ def rate_of(
     median = median_low(s for s, _ in steps)
     usual = [(s, n) for s, n in steps if n * abs(s - median) <= _SAME_S]
     step = sum(s * n for s, n in usual) / sum(n for _, n in usual)
-    shortest, longest = min(steps)[0], max(steps)[0]
+    shortest = min(steps)[0]
+    longest = max(steps)[0]
     varies = "" if len(usual) == len(steps) else f"{shortest:.6g} to {longest:.6g} s from one number to the next"
     rates = [r for r in (stated, *(float(f"{1 / step:.{digits}g}") for digits in range(2, 17))) if r]
     near = [r for r in rates if abs(1 / r - step) <= _MICROSECOND]
@@ -281,7 +283,8 @@ class Tracks:
             key = _key(o)
             if key is None or self._numbers[key] in used:
                 losses["track_made"] += 1
-                key, number = None, next(self._free)
+                key = None
+                number = next(self._free)
             else:
                 number = self._numbers[key]
             used.add(number)

@@ -61,9 +61,11 @@ def _class_names(categories: Sequence[Category]) -> dict[str, str]:
     for old, new in fitting.items():
         if old == new:
             continue
-        name, number = new, 2
+        name = new
+        number = 2
         while name in taken:
-            name, number = f"{new} {number}", number + 1
+            name = f"{new} {number}"
+            number = number + 1
         taken.add(name)
         names[old] = name
     return names

@@ -118,7 +118,8 @@ def unread_files(
     if masks:  # but for pictures that have labels of their own, or are named by an annotation
         taken = {i.path for i in dataset.images}.union(read)
         masks = {name: stem for name, stem in masks.items() if dataset.root / name not in taken}
-    below, known = path_below(dataset.root), {os.fspath(path) for path in read}
+    below = path_below(dataset.root)
+    known = {os.fspath(path) for path in read}
     others = [name for name in files if name not in masks and below + name not in known]
     return [
         *_unread_labels(dataset, files, masks, read, splits),
@@ -160,7 +161,8 @@ def _unread_labels(
         labelled[stem] = bool(image.instances) or labelled.get(stem, False)
     # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
     places = set() if plain else {_place(os.fspath(i.path)) for i in dataset.images}
-    problems, alike = [], defaultdict[tuple[str, str, str, str, Severity], list[str]](list)
+    problems = []
+    alike = defaultdict[tuple[str, str, str, str, Severity], list[str]](list)
     for name in left:
         path = dataset.root / name
         stem = fold_name(path.stem)
@@ -194,7 +196,8 @@ def _unread_labels(
             alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", _TODO, severity].append(name)
     for (_, _, found, todo, severity), same in alike.items():
         if len(same) > _MOST_NAMED:
-            found, same = f"{len(same)} files: {found}", same[:1]
+            found = f"{len(same)} files: {found}"
+            same = same[:1]
         problems += [Problem(name, "label-unread", found, _EXPECTED, todo, severity) for name in same]
     return problems
 
@@ -215,7 +218,8 @@ def hidden_pictures(root: Path) -> list[Problem]:
     if not left_out:
         return []
     found = f"{len(left_out)} hidden picture(s) with labels, left out, such as {left_out[0]}"
-    expected, todo = "names that do not begin with a dot", "rename pictures and label files"
+    expected = "names that do not begin with a dot"
+    todo = "rename pictures and label files"
     return [Problem(root.name, "picture-hidden", found, expected, todo, "warning")]
 
 
@@ -296,7 +300,8 @@ class _Pictures:
     @classmethod
     def of(cls, dataset: Dataset) -> _Pictures:
         paths = [i.path for i in dataset.images]
-        names, stems = frozenset(fold_name(p.name) for p in paths), frozenset(p.stem for p in paths)
+        names = frozenset(fold_name(p.name) for p in paths)
+        stems = frozenset(p.stem for p in paths)
         folders = frozenset(fold_name(p.parent.name) for p in paths)
         numbers = frozenset(s.lstrip("0") for s in stems if s.isdecimal())
         words = 1 + max((len(_BREAK.findall(n)) for n in names), default=0)
@@ -332,7 +337,8 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
         pictures: The pictures of the dataset.
         alone: Whether the file has the stem of a picture without labels.
     """
-    stem, suffix = fold_name(path.stem), _suffix(path.name)
+    stem = fold_name(path.stem)
+    suffix = _suffix(path.name)
     if stem in pictures.names:  # f.jpg.json
         return "error"
     with suppress(OSError), open_regular(path) as stream:
@@ -374,7 +380,8 @@ def _said_in_records(
     text: str, lines: Sequence[str], pictures: _Pictures, suffix: str, *, alone: bool
 ) -> Severity | None:
     """Return what `_tells_of` does for JSON, YAML or XML, whose keys or tags speak of labels or do not."""
-    is_json, keys = suffix in _JSON_SUFFIXES, _TAG if suffix == ".xml" else _KEY
+    is_json = suffix in _JSON_SUFFIXES
+    keys = _TAG if suffix == ".xml" else _KEY
     if suffix in _YAML_SUFFIXES:
         keys = _YAML_KEY
         if _RECIPE.search(text):

@@ -43,7 +43,8 @@ _MOST_NAMED = 3  # folders that are named one by one
 _FEW_VIDEOS = 3  # named one by one
 _LEAST_CLASSES = 2
 # Options of readers that take some of the pictures of a folder, and those that choose among folders.
-_SAMPLING, _CHOOSING = {"every", "frames"}, {"form", "modality", "camera"}
+_SAMPLING = {"every", "frames"}
+_CHOOSING = {"form", "modality", "camera"}
 _UNLISTED = "in no record of the dataset, which are not read"
 _LIST_THEM = (
     "if they belong to the dataset, add them to its labels or lists (`test:` in YOLO's data.yaml); if they are another "
@@ -84,7 +85,8 @@ def unread_pictures(
     labelled = {(top, stem) for top, stem in labelled if top not in forms.tops}
     unlisted = {}
     for place, names in left.items():
-        taken, top = place in forms.places, place.partition("/")[0]
+        taken = place in forms.places
+        top = place.partition("/")[0]
         own = [n for n in names if not forms.has(n) or (top, _stem(n)) in labelled]
         if splits is not None and stated_split(place) not in splits:
             continue
@@ -100,7 +102,8 @@ def unread_pictures(
             unlisted[place] = own
     problems = [(place, f"{len(own)} picture(s) {_UNLISTED}, such as {own[0]}") for place, own in unlisted.items()]
     if len(problems) > _MOST_NAMED:
-        count, first = sum(map(len, unlisted.values())), next(iter(unlisted.values()))[0]
+        count = sum(map(len, unlisted.values()))
+        first = next(iter(unlisted.values()))[0]
         problems = [("", f"{count} picture(s) in {len(unlisted)} folders {_UNLISTED}, such as {first}")]
     expected = "labels or lists of all pictures"
     return [

@@ -103,7 +103,8 @@ def write(
 
 def _native_not_writable(source: Dataset) -> Written:
     found = f"{source.format} is read but not written; native was left out"
-    expected, todo = f"one of {', '.join(written_names())}", "ask for another format"
+    expected = f"one of {', '.join(written_names())}"
+    todo = "ask for another format"
     return Written(problems=(Problem("native", "format-none", found, expected, todo, "warning"),))
 
 

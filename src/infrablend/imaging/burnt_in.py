@@ -39,11 +39,15 @@ _BELOW_TEXT = 60.0
 _JOIN_PX = 9
 _LEAST_MARK_PX = 4
 # Details on a larger share of the picture, or more of them, are its texture; clips with text and reticle have up to 70.
-_MOST_MARKED, _MOST_MARKS = 0.25, 200
+_MOST_MARKED = 0.25
+_MOST_MARKS = 200
 _MARGIN_PX = 2
 # A line of a reticle is along the picture's rows or columns, at most so wide, at least so long, has gaps of at most so
 # many px, and differs from both sides by this much, 8-bit levels.
-_LINE_PX, _LINE_LONG_PX, _LINE_GAP_PX, _LINE_ABOVE = 3, 32, 5, 30.0
+_LINE_PX = 3
+_LINE_LONG_PX = 32
+_LINE_GAP_PX = 5
+_LINE_ABOVE = 30.0
 
 
 _Box = tuple[int, int, int, int]

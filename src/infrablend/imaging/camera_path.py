@@ -27,9 +27,12 @@ the frame before again; `bridged` between the frames around it; `lost`: its back
 _MOST_TAKEN = 0.15
 # Where they differ by more than this, px, and by more than so many errors, the key is right if it fits at least this
 # share of the corners that the frame before fits: a flock moves alike in neighbouring frames only.
-_APART_PX, _APART_ERRORS, _AS_MANY = 2.0, 5.0, 0.6
+_APART_PX = 2.0
+_APART_ERRORS = 5.0
+_AS_MANY = 0.6
 # Share of a key's corners that have to be in view for frames to be compared with it, and with a key of before.
-_IN_VIEW, _IN_VIEW_AGAIN = 0.5, 0.6
+_IN_VIEW = 0.5
+_IN_VIEW_AGAIN = 0.6
 # A frame is the one before again, but for its coding, if their levels differ by less than this in the mean.
 _SAME_LEVELS = 0.15
 # Frames at most that are bridged between two of one span; after more, one that cannot be followed begins a new span.
@@ -37,7 +40,8 @@ BRIDGE = 3
 # A movement whose error at a corner of the picture is larger, px, is none.
 MOST_ERROR_PX = 3.0
 # A scene is another one if small pictures of it, so many px wide, correlate less than this.
-_SMALL_PX, _ALIKE = 32, 0.5
+_SMALL_PX = 32
+_ALIKE = 0.5
 _IDENTITY = np.eye(3)
 # From OpenCV's pixels, where the middle of the first is at 0.
 _HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
@@ -116,7 +120,8 @@ def _moments(views: Iterable[View]) -> Iterator[Moment]:
                 keys = [_Key(view, found)]
         before = _Key(view, replace(found, sharpness=_sharpness(view)))
         if before.moment.known:
-            known, lost = before, 0
+            known = before
+            lost = 0
         else:
             lost += 1
         yield before.moment
@@ -138,7 +143,8 @@ def _corrected(stepped: Moment, seen: Moment, size_wh: tuple[int, int]) -> Momen
     apart = float(np.linalg.norm(moved(middle, stepped.to_first) - moved(middle, seen.to_first)))
     if apart > max(_APART_PX, _APART_ERRORS * float(np.hypot(stepped.error_px, seen.error_px))):
         return seen if seen.fitting >= _AS_MANY * stepped.fitting else stepped
-    of_step, of_key = stepped.error_px**2, seen.error_px**2
+    of_step = stepped.error_px**2
+    of_key = seen.error_px**2
     share = min(of_step / max(of_step + of_key, 1e-12), _MOST_TAKEN)
     mixed = {k: (1 - share) * getattr(stepped, k) + share * getattr(seen, k) for k in ("to_first", "gain", "offset")}
     # Frames that lean on the same key share its error, so the mean of both is not less wrong than the better one.

@@ -20,24 +20,33 @@ Points = NDArray[np.float32]
 
 # Corners of the background that are followed, their least quality relative to the best, and how far apart they are.
 # The picture has so many cells in a row and a column, each with at most so many: a flock must not outvote the rest.
-_CORNERS, _QUALITY, _APART_PX = 400, 0.01, 7
-_CELLS, _IN_CELL = 8, 12
+_CORNERS = 400
+_QUALITY = 0.01
+_APART_PX = 7
+_CELLS = 8
+_IN_CELL = 12
 # Halvings of the picture from which following begins, and by how many px going there and back may miss.
-_LEVELS, _LOOP_PX = 4, 0.7
+_LEVELS = 4
+_LOOP_PX = 0.7
 # Half the window in which a corner is followed: nearer to the picture's edge it is pulled inwards.
 _EDGE_PX = 11
 # From such a change of direction or size on (its largest element), one picture is turned before corners are followed.
 _TURNED = 0.03
 # A model: how well it fits corners, px, and which number and share of the followed ones it has to fit.
-_FIT_PX, LEAST_CORNERS, _LEAST_SHARE = 1.0, 12, 0.5
+_FIT_PX = 1.0
+LEAST_CORNERS = 12
+_LEAST_SHARE = 0.5
 # Errors that all corners share, px.
 _BIAS_PX = 0.015
 # Change of size beyond which a model is no movement of a camera.
 _MOST_ZOOM = 0.25
 # A homography has to fit at least so many corners, and so many times as many as the similarity.
-_LEAST_FOR_HOMOGRAPHY, _BETTER = 40, 1.15
+_LEAST_FOR_HOMOGRAPHY = 40
+_BETTER = 1.15
 # Pixels compared for gain and offset: every so many px, smoothed over so many; levels that differ by less show no gain.
-_STRIDE_PX, _SMOOTH_PX, _FLAT_LEVELS = 4, 2.0, 4.0
+_STRIDE_PX = 4
+_SMOOTH_PX = 2.0
+_FLAT_LEVELS = 4.0
 # Levels that correlate less show no gain either.
 _ALIKE = 0.8
 
@@ -98,7 +107,8 @@ def find_corners(view: View, most: int = _CORNERS, apart_px: float = _APART_PX) 
         return np.zeros((0, 2), np.float32)
     points = np.asarray(found[:, 0], np.float32)
     column, row = (np.asarray(points[:, k] * _CELLS / n, int) for k, n in enumerate(view.size_wh))
-    cell, taken = row * _CELLS + column, np.zeros(_CELLS**2, int)
+    cell = row * _CELLS + column
+    taken = np.zeros(_CELLS**2, int)
     keep = []
     for k, c in enumerate(cell.tolist()):
         if taken[c] < _IN_CELL:
@@ -234,7 +244,8 @@ def find_levels(first: View, second: View, matrix: Matrix) -> tuple[float, float
     x, y = x[inner], y[inner]
     if len(x) < LEAST_CORNERS:
         return 1.0, 0.0
-    gain, keep = 1.0, np.ones(len(x), np.bool_)
+    gain = 1.0
+    keep = np.ones(len(x), np.bool_)
     for _ in range(3):  # least squares without what does not fit, such as what moves
         if np.ptp(np.percentile(x[keep], (5, 95))) >= _FLAT_LEVELS:
             gain = _slope(x[keep], y[keep])

@@ -46,7 +46,8 @@ def find_margin(picture: NDArray[np.uint8] | NDArray[np.uint16], scale: float = 
     along = np.bincount(_at_edge(parts), minlength=len(found))
     along[0] = 0
     dark = picture <= _RIM * scale
-    margin, largest = np.zeros(picture.shape, np.bool_), 0.0
+    margin = np.zeros(picture.shape, np.bool_)
+    largest = 0.0
     for k in np.flatnonzero(along >= _LEAST_EDGE * min(picture.shape)):
         share = found[k, cv2.CC_STAT_AREA] / picture.size
         if share < _LEAST_FURTHER:

@@ -34,13 +34,18 @@ over the whole video."""
 _ENOUGH = 8
 
 # Boxes grow by this many px and this share of their size: objects glow.
-_GROW_PX, _GROW = 6, 0.2
+_GROW_PX = 6
+_GROW = 0.2
 # Width of the surroundings by which frames are compared, px; other frames used besides the best, by their differences.
-_AROUND_PX, _WORSE = 14, 4.0
+_AROUND_PX = 14
+_WORSE = 4.0
 # Width over which painted and real pixels blend, px, and how far levels of the surroundings reach in.
-_BLEND_PX, _LEVEL_PX = 3.0, 8.0
+_BLEND_PX = 3.0
+_LEVEL_PX = 8.0
 # Strokes of text differ by this from their surroundings, 8-bit levels, within so many px; interpolation spreads them.
-_STROKE, _STROKE_PX, _SPREAD_PX = 25.0, 7, 3
+_STROKE = 25.0
+_STROKE_PX = 7
+_SPREAD_PX = 3
 # What is finer than this is grain, px.
 _GRAIN_PX = 1.5
 
@@ -199,7 +204,8 @@ def _fill(
             continue
         levelled = other.pixels + _smoothed(frame - other.pixels, around)
         alike.append((float(np.abs(levelled - frame)[around].mean()), number, levelled))
-    painted, missing = frame.copy(), inside.copy()
+    painted = frame.copy()
+    missing = inside.copy()
     for difference, number, levelled in sorted(alike, key=lambda a: a[:2]):
         if difference > _WORSE * min(a[0] for a in alike) + 1:
             break
@@ -226,9 +232,11 @@ def _inpainted(
     level = cv2.GaussianBlur(level.astype(np.float32), (0, 0), _GRAIN_PX)
     rows, columns = window
     height, width = missing.shape
-    best, grain = np.inf, np.zeros_like(level)
+    best = np.inf
+    grain = np.zeros_like(level)
     for down, right in ((0, -1), (0, 1), (-1, 0), (1, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)):
-        top, left = rows.start + down * height, columns.start + right * width
+        top = rows.start + down * height
+        left = columns.start + right * width
         if top < 0 or left < 0 or top + height > blocked.shape[0] or left + width > blocked.shape[1]:
             continue
         there = slice(top, top + height), slice(left, left + width)
@@ -238,5 +246,6 @@ def _inpainted(
         soft = cv2.GaussianBlur(source, (0, 0), _GRAIN_PX)
         apart = float(np.abs(soft - level)[missing].mean())
         if apart < best:
-            best, grain = apart, source - soft
+            best = apart
+            grain = source - soft
     return np.asarray(level + grain, np.float32)

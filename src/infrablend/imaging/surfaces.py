@@ -26,7 +26,8 @@ Share = NDArray[np.float32]
 
 # The longer side of pictures that the model sees, px; it has learnt from 320x256. Sides are multiples of what its
 # levels halve.
-_LONGER_PX, _STEP_PX = 320, 64
+_LONGER_PX = 320
+_STEP_PX = 64
 # Contrast below which a picture is even: it is not spread further, levels as a share of the whole range.
 _LEAST_SPREAD = 4 / 255
 # How far one can stand and drive on each kind.

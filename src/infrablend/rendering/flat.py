@@ -116,7 +116,8 @@ def _parts(scene: PlacedScene) -> _Parts:
 
 def _radiance(state: PartState, scene: SceneSpec) -> float:
     """Return the light from a surface: 0 to 1 in the artistic look, W m^-2 sr^-1 in the physical one."""
-    look, e = scene.appearance, state.emissivity
+    look = scene.appearance
+    e = state.emissivity
     if scene.weather is not None:
         return e * float(band_radiance(state.temperature_k)) + (1 - e) * float(band_radiance(scene.weather.ground_k))
     own, mirrored = (

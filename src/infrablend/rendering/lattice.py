@@ -153,7 +153,8 @@ def _surfaces_of(placed: PlacedObject, spec: SceneSpec) -> _Surfaces:
 
 
 def _compute_surfaces(placed: PlacedObject, spec: SceneSpec) -> _Surfaces:
-    mesh, camera = placed.mesh, placed.camera
+    mesh = placed.mesh
+    camera = placed.camera
     given = {name: values.reshape(-1, 3) for name, values in surface_values(placed, spec).items()}
     vertices = camera.to_camera(placed.world_m)
     face, normals = corner_normals(vertices, mesh.triangles, mesh.smooth)
@@ -199,7 +200,8 @@ def _draw(
         thin, of_thin, through = _veil(surfaces, thin, grid)
         weight = through[solid.index]
     runs = _runs(solid, weight, grid, supersample)
-    pixels, per_pixel = w * h, 1 / supersample**2
+    pixels = w * h
+    per_pixel = 1 / supersample**2
 
     def layer(at: NDArray[np.intp], values: FloatArray | None = None) -> FloatArray:
         """Return the mean over the samples of each pixel, (h, w)."""
@@ -319,13 +321,18 @@ def _values_at(surfaces: _Surfaces, at: _Places, grid: SampleGrid, channels: sli
     # A value divided by depth is linear in the image.
     value = surfaces.values[seen, :, channels] * surfaces.inverse_depth[seen, :, None]
     a, b, c = np.moveaxis(grid.to_samples(surfaces.xy[seen])[:, :, :, None], 1, 0)
-    ab, ac, value_ab, value_ac = b - a, c - a, value[:, 1] - value[:, 0], value[:, 2] - value[:, 0]
+    ab = b - a
+    ac = c - a
+    value_ab = value[:, 1] - value[:, 0]
+    value_ac = value[:, 2] - value[:, 0]
     twice_area = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     scale = np.where(twice_area == 0, 0.0, 1 / np.where(twice_area == 0, 1.0, twice_area))
     slope_x = (value_ab * ac[:, 1] - value_ac * ab[:, 1]) * scale
     slope_y = (value_ac * ab[:, 0] - value_ab * ac[:, 0]) * scale
     base = value[:, 0] - slope_x * a[:, 0] - slope_y * a[:, 1]
-    x, y, inverse_depth = at.x[:, None], at.y[:, None], at.inverse_depth[:, None]
+    x = at.x[:, None]
+    y = at.y[:, None]
+    inverse_depth = at.inverse_depth[:, None]
     return np.asarray((base[number] + slope_x[number] * x + slope_y[number] * y) / inverse_depth)
 
 
@@ -341,21 +348,25 @@ def crops_of(scene: PlacedScene) -> list[tuple[Crop, list[int]]]:
     """
     found: list[tuple[Crop, list[int]]] = []
     for k, placed in enumerate(scene.objects):
-        crop, group = _crop_around([placed], scene.spec.camera.size_wh), [k]
+        crop = _crop_around([placed], scene.spec.camera.size_wh)
+        group = [k]
         if crop is None:
             continue
         while near := next((f for f in found if _belong_together(f[0], crop)), None):
             found.remove(near)
-            crop, group = _joined(near[0], crop), sorted([*near[1], *group])
+            crop = _joined(near[0], crop)
+            group = sorted([*near[1], *group])
         found.append((crop, group))
     return found
 
 
 def _crop_around(objects: Sequence[PlacedObject], size_wh: tuple[int, int]) -> Crop | None:
     w, h = size_wh
-    lows, highs = [], []
+    lows = []
+    highs = []
     for placed in objects:
-        xy, depth = placed.xy, placed.depth_m
+        xy = placed.xy
+        depth = placed.depth_m
         if (depth <= 0.01).any():
             if (depth <= 0.01).all():
                 continue

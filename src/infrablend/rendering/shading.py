@@ -49,7 +49,8 @@ class ArtisticLook:
 
     def __init__(self, look: Appearance) -> None:
         """Take the limits of the grey scale, and the temperature of the surroundings."""
-        self._cold_c, self._span_k = look.cold_k - ZERO_C_K, look.hot_k - look.cold_k
+        self._cold_c = look.cold_k - ZERO_C_K
+        self._span_k = look.hot_k - look.cold_k
         self._mirrored = min(max((look.surroundings_k - look.cold_k) / self._span_k, 0.0), 1.0)
 
     def light(self, at: Points) -> FloatArray:
@@ -104,7 +105,8 @@ def _shares_of_rings() -> FloatArray:
     component is m; they are integrated in closed form over the azimuths at which they are positive.
     """
     m, z = _NORMALS[:, None], _RINGS
-    level, wave = m * z, np.sqrt(1 - m * m) * np.sqrt(1 - z * z)
+    level = m * z
+    wave = np.sqrt(1 - m * m) * np.sqrt(1 - z * z)
     limit = np.arccos(np.clip(-level / np.maximum(wave, 1e-12), -1, 1))
     light = np.maximum(level * limit + wave * np.sin(limit), 0)
     return np.asarray(light / light.sum(axis=1, keepdims=True))

@@ -32,7 +32,8 @@ def surface_values(placed: PlacedObject, scene: SceneSpec) -> dict[str, NDArray[
 
     In the physical look also `roughness` and `metal`; for objects with translucent parts also `opacity`.
     """
-    spec, mesh = placed.spec, placed.mesh
+    spec = placed.spec
+    mesh = placed.mesh
     states = [spec.parts[name] for name in mesh.part_names]
     temperature_c = np.array([s.temperature_k - ZERO_C_K for s in states])
     glow = np.repeat(np.array([s.glow for s in states])[mesh.part_of_triangle], 3)

@@ -295,7 +295,8 @@ def _provenance_of(data: Any, stated_by: str) -> Provenance | None:
 
 
 def _inserts_of(entry: Mapping[str, Any]) -> Inserts:
-    labels, seed = entry.get("labels"), entry.get("seed")
+    labels = entry.get("labels")
+    seed = entry.get("seed")
     return Inserts(
         _text(entry, "recipe"),
         seed if type(seed) is int else None,
@@ -306,7 +307,8 @@ def _inserts_of(entry: Mapping[str, Any]) -> Inserts:
 
 
 def _licence_of(stated: Mapping[str, Any]) -> Licence:
-    identifier, name = _text(stated, "id"), _text(stated, "name")
+    identifier = _text(stated, "id")
+    name = _text(stated, "name")
     if not identifier and not name:
         return UNKNOWN
     known = identifier.lower() if identifier.lower() in _HUB_LICENCES else "other"
@@ -409,7 +411,8 @@ def _loading(card: Card) -> list[str]:
 
 def _front_matter(card: Card) -> dict[str, Any]:
     images = sum(card.images_per_split.values())
-    licence, named = card.source.licence, {}
+    licence = card.source.licence
+    named = {}
     if licence.id == "other":
         name = re.sub(r"[^a-z0-9.]+", "-", licence.name.lower()).strip("-") or "other"
         named = {"license_name": name, "license_link": licence.url or LICENCE_COPY}
@@ -547,7 +550,8 @@ def write_card(folder: Path, card: Card) -> list[Problem]:
     problems = []
     path = folder / CARD_FILE
     if path.exists() and not is_own(path):
-        found, todo = "an edited card, so no new one was written", "delete it to get a new one"
+        found = "an edited card, so no new one was written"
+        todo = "delete it to get a new one"
         problems.append(Problem(CARD_FILE, "card-kept", found, "", todo, "warning"))
     else:
         write_text(path, card_text(card))

@@ -102,11 +102,13 @@ class Checking:
             decode: Decode every picture; False reads only the headers.
             in_parts: The pictures of a part are gone when the next one is added; their files are then always read.
         """
-        self._decode, self._in_parts = decode, in_parts
+        self._decode = decode
+        self._in_parts = in_parts
         self._problems: list[Problem] = []
         self._copies: dict[bytes, list[str]] = {}
         self._images = self._objects = 0
-        self._root, self._format = Path(), ""
+        self._root = Path()
+        self._format = ""
 
     def add(
         self, dataset: Dataset, *, on_image: Callable[[int, int], None] | None = None, total: int | None = None
@@ -118,7 +120,8 @@ class Checking:
             on_image: Called with the number of images checked and of all images.
             total: Number of all images; None if these are all.
         """
-        self._root, self._format = dataset.root, dataset.format
+        self._root = dataset.root
+        self._format = dataset.format
         self._problems += dataset.problems
         # Some readers already report duplicates, with their lines.
         compares = any(p.code == "object-duplicate" for p in dataset.problems)
@@ -188,7 +191,8 @@ def _wrong_size(image: ImageRecord, where: str, found: tuple[int, int] | None) -
     said = image.size_wh
     if said is None or found is None or found == said:
         return []
-    text, expected = f"{found[0]}x{found[1]} px", f"{said[0]}x{said[1]} px as annotated"
+    text = f"{found[0]}x{found[1]} px"
+    expected = f"{said[0]}x{said[1]} px as annotated"
     return [Problem(where, "image-size", text, expected, "correct the annotation or replace the picture")]
 
 
@@ -205,7 +209,8 @@ def check_objects(
     """
     problems: list[Problem] = []
     keys = [_key(o) for o in image.instances]
-    times, seen = Counter(keys), Counter[tuple[Any, ...]]()
+    times = Counter(keys)
+    seen = Counter[tuple[Any, ...]]()
     for k, (o, key) in enumerate(zip(image.instances, keys, strict=True)):
         number = k if o.source_id is None else o.source_id
         here = f"{where}: {'object' if o.source_id is None else 'annotation'} {number}"

@@ -131,7 +131,8 @@ def draw_ground(plain: Rgb, labels: Sequence[Instance], scene: SceneSpec) -> tup
     People of 1.7 m stand beside labelled ones and at five places; cars stand beside labelled cars.
     """
     canvas = np.repeat(np.repeat(plain, SCALE, 0), SCALE, 1)
-    camera, view = scene.camera, scene.view
+    camera = scene.camera
+    view = scene.view
     assert view is not None
     spacing = _draw_grid(canvas, camera, view.ground_z_m)
     references = 0

@@ -197,7 +197,8 @@ def _counted(items: Iterable[str], order: Sequence[str] = ()) -> dict[str, int]:
 def _binned(values: Sequence[float | None], unit: str) -> tuple[list[str], tuple[str, ...]]:
     """Return the text of each value and all texts in order; many distinct values are grouped into bins."""
     known = sorted({v for v in values if v is not None})
-    few, width = len(known) <= MAX_DISTINCT, 10.0
+    few = len(known) <= MAX_DISTINCT
+    width = 10.0
     while not few and len({v // width for v in known}) > MAX_DISTINCT:
         width *= 2
 
@@ -237,7 +238,8 @@ def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem
     kinds: Counter[str] = Counter()
     levels: list[tuple[int, int]] = []
     surfaces: Counter[str] = Counter()
-    sums, pixels = 0.0, 0
+    sums = 0.0
+    pixels = 0
     problems: list[Problem] = []
     for image in images:
         try:

@@ -52,7 +52,8 @@ INSET_WH = (310, 240)
 INSET_CAPTION_PX = 18
 INSET_MARGIN_PX = 8
 MAX_INSETS = 3  # pairs per frame
-MAX_ZOOM, MIN_ZOOM = 4, 2
+MAX_ZOOM = 4
+MIN_ZOOM = 2
 
 _SUBPIXEL_BITS = 4
 
@@ -437,7 +438,9 @@ def _coco_entries(layout: RunFolder, split: str) -> list[tuple[str, Path, tuple[
 def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int, int]) -> Instance:
     x, y, w, h = (float(v) for v in a["bbox"])
     corners = finite(a["obb"]).reshape(4, 2) if a.get("obb") else None
-    visibility, outline, mask = a.get("visibility"), a.get("segmentation"), None
+    visibility = a.get("visibility")
+    outline = a.get("segmentation")
+    mask = None
     # An outline that was derived from a box is not a mask.
     if outline and a.get("segmentation_from", "mask") == "mask":
         read = Mask.from_rings if isinstance(outline, list) else Mask.from_coco
@@ -455,7 +458,8 @@ def _instance(a: Mapping[str, Any], names: Mapping[int, str], size_wh: tuple[int
 
 def _title(layout: RunFolder, frame_id: str) -> str:
     """Return name, pitch, altitude and time of day, as far as they are known."""
-    parts, facts = [frame_id], {}
+    parts = [frame_id]
+    facts = {}
     try:
         record = layout.record(frame_id)
         facts = dict(record.background)

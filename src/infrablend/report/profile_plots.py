@@ -13,7 +13,10 @@ from infrablend.compositing.measure import EDGE_PX
 from infrablend.report.figures import plot_text, png_bytes
 
 # Distinct for colour-blind readers too.
-FOUND, FITTED, OTHER, FAINT = "#1b1b1b", "#d55e00", "#0072b2", "#9a9a9a"
+FOUND = "#1b1b1b"
+FITTED = "#d55e00"
+OTHER = "#0072b2"
+FAINT = "#9a9a9a"
 
 
 def draw_profile(

@@ -26,7 +26,8 @@ COLOURS: dict[SurfaceKind, tuple[int, int, int]] = {
     "sky": (170, 220, 255),
     "margin": (40, 40, 40),
 }
-_CELL_WIDTH_PX, _COLUMNS = 360, 2
+_CELL_WIDTH_PX = 360
+_COLUMNS = 2
 
 
 def coloured(kinds: NDArray[np.uint8]) -> Rgb:

@@ -36,7 +36,8 @@ def place_by_hand(
     where = f"frames.{frame_id}.objects"
     if len(given.objects) > len(wanted):
         raise _wrong(recipe, where, f"found {len(given.objects)} entries", f"at most {len(wanted)}, one per object")
-    poses, placed = list(drawn), set()
+    poses = list(drawn)
+    placed = set()
     for k, entry in enumerate(given.objects):
         if entry == ObjectByHand():
             continue

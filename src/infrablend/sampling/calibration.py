@@ -56,9 +56,11 @@ the relief between there and here is unknown, or from the laser range finder."""
 
 def prior_of(heights: StatedHeights, picture: Capture) -> HeightPrior:
     """Return the prior of a picture's height from a table, as the recipe states it for its dataset."""
-    factor, spread = heights.factor, heights.spread
+    factor = heights.factor
+    spread = heights.spread
     if (flight := of_flight(heights.by_flight, picture)) is not None:
-        factor, spread = flight.factor, flight.spread or spread
+        factor = flight.factor
+        spread = flight.spread or spread
     low, high = (bound * (factor / NOMINAL_FACTOR) for bound in FACTOR_BOUNDS)
     return HeightPrior(factor, spread, (low, high), heights.references, heights.box_looseness)
 
@@ -124,7 +126,8 @@ def calibrate(
         if ratio is not None:
             ratios.setdefault(kind, []).append(math.log(ratio / prior.box_looseness))
     # A box larger than predicted means that the camera is closer than stated.
-    weight, total = 1 / prior.sd**2, math.log(prior.factor) / prior.sd**2
+    weight = 1 / prior.sd**2
+    total = math.log(prior.factor) / prior.sd**2
     for name, found in sorted(ratios.items()):
         # Objects of one image share their errors (pose, annotator), so more than a few add little.
         precision = min(len(found), 6) / REFERENCES[name].sd ** 2

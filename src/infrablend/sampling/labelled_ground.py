@@ -20,9 +20,11 @@ from infrablend.core.surface_kinds import GROUND, SURFACES, Affinity, SurfaceKin
 from infrablend.imaging.surfaces import Grey, SurfaceMap, find_surfaces
 
 # Width of the ring around a box, as a share of its shorter side, and least width in cells of the map.
-_RING, _LEAST_RING = 0.5, 1.5
+_RING = 0.5
+_LEAST_RING = 1.5
 # Fewer objects than this say nothing; with so many in addition, all kinds would be alike.
-_FEWEST, _PRIOR = 30, 20
+_FEWEST = 30
+_PRIOR = 20
 # Kinds with a smaller share of the pictures are not compared.
 _LEAST_SHARE = 0.003
 # Factors are rounded to this step: a last digit that depends on the processor would change places.
@@ -64,7 +66,8 @@ def learn_ground(pictures: Iterable[Picture], classes: Collection[str] | None = 
     anywhere: dict[str, list[NDArray[np.float64]]] = defaultdict(list)
     for pixels, labels, time in pictures:
         found = find_surfaces(pixels)
-        shares, boxes = found.sharp(), _cells_of(found, boxes_of(labels))
+        shares = found.sharp()
+        boxes = _cells_of(found, boxes_of(labels))
         free = np.ones(shares.shape[1:], np.bool_)
         for x0, y0, x1, y1 in boxes:
             free[max(int(y0), 0) : int(y1) + 1, max(int(x0), 0) : int(x1) + 1] = False
@@ -93,7 +96,8 @@ def with_labels(affinity: Affinity, ground: LabelledGround, category: str, time:
     if learned is None:
         return affinity
     changed = {kind: value * learned.factors.get(kind, 1.0) for kind, value in affinity.items()}
-    most, greatest = max(affinity.values(), default=0.0), max(changed.values(), default=0.0)
+    most = max(affinity.values(), default=0.0)
+    greatest = max(changed.values(), default=0.0)
     return {kind: value * most / greatest for kind, value in changed.items()} if greatest > 0 else affinity
 
 
@@ -117,7 +121,8 @@ def _ring(shares: NDArray[np.float32], free: NDArray[np.bool_], box: NDArray[np.
 def _class_ground(rings: Sequence[NDArray[np.float64]], anywhere: NDArray[np.float64]) -> ClassGround:
     around = {kind: float(v) for kind, v in zip(SURFACES, np.mean(rings, axis=0), strict=True)}
     usual = {kind: float(v) for kind, v in zip(SURFACES, anywhere, strict=True)}
-    count, factors = len(rings), {}
+    count = len(rings)
+    factors = {}
     for kind in GROUND:
         if usual[kind] >= _LEAST_SHARE:
             factor = (count * around[kind] + _PRIOR * usual[kind]) / ((count + _PRIOR) * usual[kind])

@@ -71,7 +71,9 @@ _IN_COMPANY = 0.5
 _LEAST_CLARITY = 0.08
 # With `along: road`: how far edges count, and how far the road is followed to tell its direction from that across it,
 # metres. One of them is taken if the road reaches so many times farther there.
-_EDGES_M, _FOLLOWED_M, _LONGER = 9.0, 25.0, 1.25
+_EDGES_M = 9.0
+_FOLLOWED_M = 25.0
+_LONGER = 1.25
 # Number of edges, about, that are looked at around each place.
 _MOST_EDGES = 3000
 # Largest difference in heading between neighbouring parked cars, degrees.
@@ -147,8 +149,11 @@ class MetricPlacer(Placer):
         aligned = {k: a for k, a in kinds if a is not None and a.time_of_day in (None, site.time_of_day)}
         if not aligned:
             return _Headings({}, None)
-        turn, across, off_view = float(rng.random()), bool(rng.random() < 0.5), float(rng.standard_normal())
-        along_lines, edges = math.pi * turn, None
+        turn = float(rng.random())
+        across = bool(rng.random() < 0.5)
+        off_view = float(rng.standard_normal())
+        along_lines = math.pi * turn
+        edges = None
         if any(align.along != "view" for align in aligned.values()):
             boxes = [*boxes_of(site.labels), *site.text_boxes]
             edges = find_ground_edges(site.pixels, camera, view.ground_z_m, boxes, site.margin)
@@ -191,8 +196,13 @@ class _Search:
         occupied: Sequence[tuple[PlacementRequest, Pose]] = (),
     ) -> None:
         """Measure the background; `occupied` has the inserts that have their place already."""
-        self._camera, self._view, self._site = camera, view, site
-        self._rules, self._headings, self._rng, self._tally = recipe.placement, headings, rng, tally
+        self._camera = camera
+        self._view = view
+        self._site = site
+        self._rules = recipe.placement
+        self._headings = headings
+        self._rng = rng
+        self._tally = tally
         tally.first_distance_m = camera.distance_m
         self._ignored = boxes_of([i for i in site.labels if i.category in site.ignored])
         self._annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
@@ -214,8 +224,10 @@ class _Search:
             return None
         in_a_row = self._missed.get(id(item.kind), 0)
         attempts = attempts_after(in_a_row, self._rules.attempts)
-        mates, aim = self._mates(item), self._ground_aim(item)
-        hiding, examined = None if item.visible_aim is None else self._site.hiding, 0
+        mates = self._mates(item)
+        aim = self._ground_aim(item)
+        hiding = None if item.visible_aim is None else self._site.hiding
+        examined = 0
         for attempt in range(attempts):
             self._tally.attempts += 1
             if attempt >= _HIDDEN * attempts or examined == _HIDING_PLACES:
@@ -268,7 +280,8 @@ class _Search:
         """
         if self._real is None or not item.model.stands:
             return None
-        aim, vertices = draw_aim(self._real, self._rng), item.labelled_vertices_m
+        aim = draw_aim(self._real, self._rng)
+        vertices = item.labelled_vertices_m
         outline = vertices[:: max(len(vertices) // _ROUGH_VERTICES, 1)]
 
         def accepts(pose: Pose, tried: float, beside: bool) -> bool:
@@ -280,7 +293,8 @@ class _Search:
 
     def _misfit(self, item: PlacementRequest, pose: Pose, hiding: Hiding | None, beside: bool) -> str | None:
         """Return the rule that a pose breaks, or None; then the box of the object is taken."""
-        world, group = item.in_world(pose), _kind(item).group
+        world = item.in_world(pose)
+        group = _kind(item).group
         reason, box = examine(self._camera, world, item, self._rules)
         self._tally.note_size(reason, box)
         reason = reason or self._collision(box, MAX_OVERLAP if group is None or not beside else group.max_overlap)
@@ -332,7 +346,9 @@ class _Search:
 
     def _draw(self, item: PlacementRequest, suitable: SuitableGround | None) -> Pose | str:
         """Draw a pose, or return the reason for rejecting it; every call uses the same number of random numbers."""
-        kind, camera, rng = _kind(item), self._camera, self._rng
+        kind = _kind(item)
+        camera = self._camera
+        rng = self._rng
         w, h = camera.size_wh
         if suitable is None:
             u, v = float(rng.uniform(0, w)), float(rng.uniform(0, h))
@@ -360,35 +376,44 @@ class _Search:
 
         Objects in a row have the heading of their neighbour, whether or not that follows the picture's.
         """
-        kind, rng = _kind(item), self._rng
+        kind = _kind(item)
+        rng = self._rng
         group = kind.group
         assert group is not None
         mate = mates[int(rng.integers(len(mates)))]
         x, y, z, mate_yaw = mate
-        away, turn, heading = float(rng.uniform(*group.apart_m)), float(rng.random()), float(rng.random())
+        away = float(rng.uniform(*group.apart_m))
+        turn = float(rng.random())
+        heading = float(rng.random())
         if group.in_row:
             yaw = mate_yaw + math.radians(_ROW_TURN_DEG) * (2 * heading - 1) + (math.pi if rng.random() < 0.5 else 0.0)
             towards = mate_yaw + (math.pi / 2 if turn < 0.5 else -math.pi / 2)
         else:
             low, high = (math.radians(d) for d in kind.yaw_deg)
-            yaw, towards = self._aligned(low + (high - low) * heading, item, (x, y)), 2 * math.pi * turn
+            yaw = self._aligned(low + (high - low) * heading, item, (x, y))
+            towards = 2 * math.pi * turn
         pose = x + away * math.cos(towards), y + away * math.sin(towards), z, yaw
         suitable = self._suitable_ground(item)
         return pose if suitable is None or suitable.carries(self._camera, item, pose, mate) else "unfit_ground"
 
     def _aligned(self, yaw: float, item: PlacementRequest, place_xy: tuple[float, float]) -> float:
         """Return a heading along the picture's or the road's, or the given one for objects that do not follow it."""
-        align, common, rng = _kind(item).align, self._headings.of_kind.get(id(item.kind)), self._rng
+        align = _kind(item).align
+        common = self._headings.of_kind.get(id(item.kind))
+        rng = self._rng
         if align is None or common is None:
             return yaw
-        follows, back, off = rng.random() < align.share, rng.random() < 0.5, float(rng.standard_normal())
+        follows = rng.random() < align.share
+        back = rng.random() < 0.5
+        off = float(rng.standard_normal())
         if align.along == "road" and follows:
             common = self._along_road(common, item, place_xy)
         return common + (math.pi if back else 0.0) + math.radians(align.spread_deg) * off if follows else yaw
 
     def _along_road(self, common: float, item: PlacementRequest, place_xy: tuple[float, float]) -> float:
         """Return the direction of the road at a place, or that of the picture where no edges are clear."""
-        edges, z = self._headings.edges, self._view.ground_z_m
+        edges = self._headings.edges
+        z = self._view.ground_z_m
         lines = None if edges is None else edges.lines(place_xy, _EDGES_M)
         along = common if lines is None or lines.clarity < _LEAST_CLARITY else lines.yaw_rad
         suitable = self._suitable_ground(item)

@@ -45,9 +45,11 @@ class PaperPlacer(Placer):
         one in the view of that camera, because redrawing all objects until they fit together would take far too many
         draws.
         """
-        rules, rng = self.recipe.placement, streams("placement")
+        rules = self.recipe.placement
+        rng = streams("placement")
         ignored = [i for i in site.labels if i.category in site.ignored] if site and rules.clear_of_ignored else []
-        avoid, margin = boxes_of(ignored), site.margin if site else None
+        avoid = boxes_of(ignored)
+        margin = site.margin if site else None
         camera = self._camera(like, rng)
         tally.first_distance_m = camera.distance_m
         poses: list[Pose | None] = []

@@ -35,7 +35,8 @@ _GAITS: Mapping[MotionKind, _Gait] = {
     "drive": _Gait(2.5, 0.4, 0.0),
 }
 # Grazing animals take a few steps, and then stand and eat; seconds.
-_STEPS_S, _MEAL_S = (1.0, 4.0), (4.0, 15.0)
+_STEPS_S = (1.0, 4.0)
+_MEAL_S = (4.0, 15.0)
 # A heading wanders in curves: what turns it lasts so long, seconds.
 _CURVE_S = 1.0
 # What stops an object is looked for this long ahead, and at least so far.
@@ -45,7 +46,8 @@ _ACCELERATION = 4.0
 # Drag of multirotors, per metre: they lean 10 degrees forward at 8 m/s.
 _DRAG = 0.027
 # Periods of what a hovering drone does in the wind, and of the wander of a drone in the picture, seconds.
-_HOVER_S, _WANDER_S = (3.0, 12.0), (5.0, 25.0)
+_HOVER_S = (3.0, 12.0)
+_WANDER_S = (5.0, 25.0)
 
 Fits = Callable[[float, float], bool]
 """Whether an object may be at a place on the ground, x and y in metres."""
@@ -101,7 +103,8 @@ def find_path(
     if kind == "still":
         return _still(start, before, after)
     if kind in _GAITS:
-        ahead, past = _branch(rng), _branch(rng)
+        ahead = _branch(rng)
+        past = _branch(rng)
         there = _march(kind, start, speed_m_s, after, ahead, fits)
         x, y, z, yaw = start
         turned = (x, y, z, yaw + math.pi)
@@ -117,7 +120,8 @@ def find_path(
 def sway(times_s: FloatArray, size: float, periods_s: tuple[float, float], rng: np.random.Generator) -> FloatArray:
     """Return (n,) smooth values about 0 that stay within `size`: three waves with periods of the range."""
     low, high = (math.log(p) for p in periods_s)
-    periods, phases = np.exp(rng.uniform(low, high, 3)), rng.uniform(0, 2 * np.pi, 3)
+    periods = np.exp(rng.uniform(low, high, 3))
+    phases = rng.uniform(0, 2 * np.pi, 3)
     shares = np.array([0.5, 0.3, 0.2])
     waves = np.sin(2 * np.pi * times_s[:, None] / periods + phases)
     return np.asarray(size * (waves * shares).sum(axis=1))
@@ -152,10 +156,13 @@ def _march(
     of_meals = _branch(rng)  # a stream of its own: neither depends on how long the other one is
     wander = _curves(gait.wander * math.sqrt(STEP_S) * rng.standard_normal(count))
     moves = _appetite(count, of_meals) if kind == "graze" else np.ones(count)
-    v, turn_to, way = speed * moves[0], 0.0, 0.0
+    v = speed * moves[0]
+    turn_to = 0.0
+    way = 0.0
     rows = [(x, y, yaw, way)]
     for k in range(count):
-        want, turned = speed * moves[k], 0.0
+        want = speed * moves[k]
+        turned = 0.0
         look = max(_AHEAD_M, v * _AHEAD_S + v * v / (2 * gait.acceleration))
         if want > 0 and not fits(x + look * math.cos(yaw), y + look * math.sin(yaw)):
             if kind == "drive":
@@ -171,7 +178,9 @@ def _march(
         v += min(max(want - v, -gait.acceleration * STEP_S), gait.acceleration * STEP_S)
         turn = turned or wander[k] * v / max(speed, 1e-9)  # who stands does not turn
         yaw += min(max(turn, -gait.turn * STEP_S), gait.turn * STEP_S)
-        x, y, way = x + v * STEP_S * math.cos(yaw), y + v * STEP_S * math.sin(yaw), way + v * STEP_S
+        x = x + v * STEP_S * math.cos(yaw)
+        y = y + v * STEP_S * math.sin(yaw)
+        way = way + v * STEP_S
         rows.append((x, y, yaw, way))
     found = np.array(rows)
     zero = np.zeros(len(rows))
@@ -233,7 +242,8 @@ def _flight(
     """Fly curves at an even speed, facing where it goes, and bank in them."""
     times = _grid(before, after)
     most = min(_ACCELERATION / max(speed, 1e-6), 0.8)  # rad/s
-    mean, turned = float(rng.uniform(0.15, 0.6) * most), float(rng.uniform(0, 2 * math.pi))
+    mean = float(rng.uniform(0.15, 0.6) * most)
+    turned = float(rng.uniform(0, 2 * math.pi))
     sign = 1.0 if rng.random() < 0.5 else -1.0
     turns = sign * mean + sway(times, most - mean, (6.0, 20.0), rng)
     yaw = np.cumsum(turns) * STEP_S

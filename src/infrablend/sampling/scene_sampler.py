@@ -50,7 +50,9 @@ class RecipeSampler:
 
     def __init__(self, recipe: Recipe, models: Mapping[str, ObjectModel], seed: int) -> None:
         """Choose the placement."""
-        self._recipe, self._models, self._seed = recipe, models, seed
+        self._recipe = recipe
+        self._models = models
+        self._seed = seed
         self.placer = _PLACERS[recipe.placement.mode](recipe)
 
     def _streams(self, frame_id: str) -> Streams:
@@ -61,7 +63,9 @@ class RecipeSampler:
 
         Metric placement needs the background, as does keeping clear of ignore regions.
         """
-        recipe, streams, tally = self._recipe, self._streams(frame.frame_id), DrawStatistics()
+        recipe = self._recipe
+        streams = self._streams(frame.frame_id)
+        tally = DrawStatistics()
         world = streams("world")
         pitch_deg, pitch_from = _pitch_deg(frame, recipe, world, site)
         air_k = draw_air_k(frame, recipe.environment, world)
@@ -118,10 +122,12 @@ class RecipeSampler:
 
     def _objects(self, frame: FrameKey, streams: Streams) -> list[PlacementRequest]:
         """Draw number, shape and size of the objects of a frame, and which of them are to be partly hidden."""
-        recipe, rng = self._recipe, streams("shape")
+        recipe = self._recipe
+        rng = streams("shape")
         drawn = []
         for kind in recipe.objects:
-            model, options = self._models[kind.model], kind.options
+            model = self._models[kind.model]
+            options = kind.options
             # The artistic look stays as the paper tuned it, at any time of day.
             by_time = recipe.appearance.follows_time_of_day and "time_of_day" in model.options
             if by_time and frame.capture.time_of_day is not None:
@@ -147,9 +153,11 @@ class RecipeSampler:
         light: _Light,
     ) -> tuple[list[ObjectSpec], list[Mesh]]:
         """Draw the temperatures of a frame's objects, and return those that have a place, with their meshes."""
-        objects, meshes = [], []
+        objects = []
+        meshes = []
         for number, (item, pose) in enumerate(zip(wanted, poses, strict=True)):
-            kind, model = item.kind, item.model
+            kind = item.kind
+            model = item.model
             item, shaded = (item, False) if pose is None else light.fall_on(item, pose)
             # Drawn even if the object found no place, so that the draws of later objects do not depend on that.
             parts = light.parts(kind, model.roles(item.params), item.mesh)
@@ -180,11 +188,15 @@ class RecipeSampler:
         Shapes and temperatures stay; the other objects stay where they are. An object without another place is left
         out. None if the placement does not move objects (again).
         """
-        spec, moved, tally = scene.spec, sorted(numbers), DrawStatistics()
-        requests, occupied = [], []
+        spec = scene.spec
+        moved = sorted(numbers)
+        tally = DrawStatistics()
+        requests = []
+        occupied = []
         for k, placed in enumerate(scene.objects):
             o = placed.spec
-            kind, model = self._recipe.objects[o.kind], self._models[o.model]
+            kind = self._recipe.objects[o.kind]
+            model = self._models[o.model]
             request = PlacementRequest(kind, model, o.params, placed.mesh, o.scale, o.visible_aim, o.number or 0)
             if k in numbers:
                 requests.append(without_shadow(request))
@@ -216,7 +228,8 @@ class RecipeSampler:
 
 def _moved(placed: PlacedObject, item: PlacementRequest, pose: Pose, spec: SceneSpec, site: Site) -> PlacedObject:
     """Return an object at another place, with the shadow that it throws there."""
-    parts, shaded = placed.spec.parts, False
+    parts = placed.spec.parts
+    shaded = False
     sun = None if spec.weather is None else spec.weather.sun
     if sun is not None:
         shadowed, shaded = _shade(item, pose, spec.camera, sun, site)
@@ -240,7 +253,9 @@ class _Light:
         self, air_k: float, weather: Weather | None, camera: CameraSpec, site: Site | None, streams: Streams
     ) -> None:
         """Start the streams of temperatures and emissivities, and in the sun that of surfaces' absorptivities."""
-        self._air_k, self._camera, self._site = air_k, camera, site
+        self._air_k = air_k
+        self._camera = camera
+        self._site = site
         self._sun = None if weather is None else weather.sun
         self._overcast = weather is not None and weather.overcast
         self._heat = streams("heat")
@@ -270,13 +285,15 @@ class _Light:
             role = roles[name]
             own, surface = self._heat.random(2)
             override = kind.part_override(name, ground=role.ground)
-            sun, rise_k = role.sun if absorbs else None, 0.0
+            sun = role.sun if absorbs else None
+            rise_k = 0.0
             delta = role.delta_t_k if sun is None else sun.shade_k
             if self._overcast:
                 delta = under_clouds(role, lit=sun is not None)
             if override and override.delta_t_k:
                 # What a recipe states includes the sun.
-                delta, sun = override.delta_t_k, None
+                delta = override.delta_t_k
+                sun = None
             if sun is not None:
                 rise_k = sun.rise_k[0] + (sun.rise_k[1] - sun.rise_k[0]) * absorbs[sun.surface]
             emissivity = override.emissivity if override and override.emissivity else role.emissivity

@@ -23,9 +23,12 @@ from infrablend.sampling.placement import PlacementRequest, Pose
 from infrablend.sampling.site import Site
 
 # Points of a footprint, along and across, and how far it reaches beyond the object, metres.
-_ALONG, _ACROSS, _BEYOND_M = 7, 4, 0.25
+_ALONG = 7
+_ACROSS = 4
+_BEYOND_M = 0.25
 # The worst share of the footprint does not count, and how well the rest suits at least, of the place drawn.
-_WORST, _NEARLY = 0.08, 0.5
+_WORST = 0.08
+_NEARLY = 0.5
 # What hides standing objects.
 _PLANTS: Affinity = {"tree": 1.0, "shrub": 1.0}
 

@@ -34,10 +34,16 @@ from infrablend.sampling.paths import Fits, Path, find_path, sway
 _HEADING_M = 0.5
 # A followed drone is within this share of the picture's half about its middle; how fast the operator's corrections of
 # the camera are smoothed out of its path, and how much its distance varies, over periods of so many seconds.
-_WANDER, _STEADY_S, _NEARER, _NEARER_S = 0.45, 1.0, 0.12, (20.0, 60.0)
+_WANDER = 0.45
+_STEADY_S = 1.0
+_NEARER = 0.12
+_NEARER_S = (20.0, 60.0)
 # Periods of its wander in the picture, of its heading and of its attitude, seconds; their sizes, radians.
-_WANDER_S, _TURN_S, _LEAN_S = (6.0, 25.0), (8.0, 30.0), (3.0, 12.0)
-_TURN, _LEAN = 0.7, math.radians(5)
+_WANDER_S = (6.0, 25.0)
+_TURN_S = (8.0, 30.0)
+_LEAN_S = (3.0, 12.0)
+_TURN = 0.7
+_LEAN = math.radians(5)
 # What of an object at the edge of the picture is less wide or high is not drawn, px; of small ones, less than a half.
 _SLIVER_PX = 2.0
 # Azimuth has no meaning for a camera that looks straight down.
@@ -152,17 +158,20 @@ def find_track(
 
     An individual whose pose does not walk stays where it is, whatever the motion.
     """
-    camera, spec = placed.camera, placed.spec
+    camera = placed.camera
+    spec = placed.spec
     times = footage.times_s - footage.times_s[anchor]
     low, high = motion.speed_m_s or SPEED_M_S[motion.kind]
-    speed, phase = low + (high - low) * float(rng.random()), float(rng.random())
+    speed = low + (high - low) * float(rng.random())
+    phase = float(rng.random())
     if motion.path is not None:
         path = _path_by_hand(motion.path, placed, model.stands, view, footage.times_s)
     elif motion.kind == "followed":
         return _followed(number, placed, view, anchor, footage, rng)
     else:
         rests = model.stands and model.stride_m is not None and model.stride_m(spec.params) == 0
-        start, span = (*spec.position_m, spec.yaw_rad), (min(times[0], 0.0), max(times[-1], 0.0))
+        start = (*spec.position_m, spec.yaw_rad)
+        span = (min(times[0], 0.0), max(times[-1], 0.0))
         path = find_path("still" if rests else motion.kind, start, speed, span, rng, fits).at(times)
     heading = np.stack([np.cos(path.yaw_rad), np.sin(path.yaw_rad), np.zeros(len(times))], axis=1)
     xy, _ = camera.project(path.place_m)
@@ -179,7 +188,9 @@ def _path_by_hand(
     Raises:
         RecipeError: A point of the picture that is to be one of the ground is above the horizon.
     """
-    camera, spec, known = placed.camera, placed.spec, []
+    camera = placed.camera
+    spec = placed.spec
+    known = []
     for number, p in enumerate(points):
         place: FloatArray | None
         if p.offset_m is not None:
@@ -210,7 +221,8 @@ def _followed(
     number: int, placed: PlacedObject, view: View, anchor: int, footage: Footage, rng: np.random.Generator
 ) -> Track:
     """Return the track of a drone that the camera follows: about the middle of the picture, in all of its span."""
-    times, size_wh = footage.times_s, footage.size_of(anchor)
+    times = footage.times_s
+    size_wh = footage.size_of(anchor)
     middle = np.array([size_wh]) / 2
     span = footage.of_span(anchor)
     centres = np.full((len(times), 2), np.nan)
@@ -236,7 +248,9 @@ def _smoothed(values: FloatArray, times_s: FloatArray) -> FloatArray:
         low, high = np.searchsorted(times_s, (time - 4 * _STEADY_S, time + 4 * _STEADY_S))
         off = times_s[low:high] - time
         weight = np.exp(-((off / _STEADY_S) ** 2) / 2)
-        w, wx, wxx = weight.sum(), weight @ off, weight @ off**2
+        w = weight.sum()
+        wx = weight @ off
+        wxx = weight @ off**2
         y, xy = weight @ values[low:high], (weight * off) @ values[low:high]
         spread = w * wxx - wx**2
         found[k] = (wxx * y - wx * xy) / spread if spread > 1e-9 else y / w
@@ -273,7 +287,8 @@ def camera_in(
 def _turn_and_zoom(matrix: Matrix, xy: FloatArray) -> tuple[float, float]:
     """Return by how much a matrix turns (clockwise in the picture) and enlarges what is around a position."""
     place = moved(np.array([xy, xy + (1, 0), xy + (0, 1)]), matrix)
-    across, down = place[1] - place[0], place[2] - place[0]
+    across = place[1] - place[0]
+    down = place[2] - place[0]
     return math.atan2(across[1], across[0]), math.sqrt(abs(across[0] * down[1] - across[1] * down[0]))
 
 
@@ -304,10 +319,12 @@ def objects_in(
 
 def _spec_in(track: Track, footage: Footage, n: int, camera: CameraSpec, view: View) -> ObjectSpec | None:
     """Return an object where it is in a frame; None where that is no place in front of the camera."""
-    xy, before = track.xy_px[n], track.placed.camera
+    xy = track.xy_px[n]
+    before = track.placed.camera
     if not np.isfinite(xy).all():
         return None
-    matrix, spec = footage.from_to(track.anchor, n), track.placed.spec
+    matrix = footage.from_to(track.anchor, n)
+    spec = track.placed.spec
     u, v = (float(c) for c in moved(xy[None], matrix)[0])
     _, zoom = _turn_and_zoom(matrix, xy)
     if not track.stands:
@@ -331,7 +348,8 @@ def _spec_in(track: Track, footage: Footage, n: int, camera: CameraSpec, view: V
 
 def _moving(model: ObjectModel, params: Params, track: Track, n: int) -> Params:
     """Return the parameters of an object in a frame: its limbs move as it goes, its attitude changes with its path."""
-    lean, bank = math.degrees(track.path.lean_rad[n]), math.degrees(track.path.bank_rad[n])
+    lean = math.degrees(track.path.lean_rad[n])
+    bank = math.degrees(track.path.bank_rad[n])
     found = dict(params)
     stride = model.stride_m(params) * track.placed.spec.scale if model.stride_m is not None else 0.0
     cycle_hz = model.cycle_hz(params) if model.cycle_hz is not None else 0.0
@@ -385,7 +403,8 @@ def scene_in(
     `frame` is its id, the background's id and the configuration; `out_of_view` tracks of its span are not in it.
     """
     frame_id, background_id, configuration = frame
-    draws, here = first.spec.draws, Counter(o.spec.kind for o in objects)
+    draws = first.spec.draws
+    here = Counter(o.spec.kind for o in objects)
     asked = Counter({int(kind): n for kind, n in draws.get("wanted_by_kind", {}).items()})
     here += asked - Counter(o.kind for o in first.spec.objects)  # what found no place when the sequence was populated
     wanted = {"wanted": here.total(), "wanted_by_kind": {str(kind): n for kind, n in sorted(here.items())}}

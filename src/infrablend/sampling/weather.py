@@ -42,7 +42,8 @@ def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:
     """
     if environment.time_of_day is not None:
         return replace(capture, time_of_day=environment.time_of_day, time_from="recipe")
-    when, place = time_of(capture.captured), environment.place
+    when = time_of(capture.captured)
+    place = environment.place
     if when is None or place is None:
         return capture
     found = time_of_sun(when, place.latitude_deg, place.longitude_deg)
@@ -101,11 +102,13 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
     low, high = LOW_SUN_DEG if is_low else environment.sun_elevation_deg
     elevation = math.radians(low + (high - low) * share)
     source: Literal["computed", "drawn", "contradicted"] = "drawn"
-    when, place = time_of(frame.capture.captured), environment.place
+    when = time_of(frame.capture.captured)
+    place = environment.place
     if place is not None and when is not None:
         _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
         if low <= math.degrees(computed) <= high if is_low else computed > 0:
-            elevation, source = computed, "computed"
+            elevation = computed
+            source = "computed"
         elif frame.capture.time_from != "recipe":
             source = "contradicted"
     direct, diffuse = (low_irradiance if is_low else irradiance)(elevation, cloud)

@@ -112,7 +112,8 @@ class PairView:
     @classmethod
     def from_query(cls, query: Mapping[str, str]) -> PairView:
         """Return the view in an address; what it does not know is left out."""
-        side, sort = query.get("side", ""), query.get("sort", "")
+        side = query.get("side", "")
+        sort = query.get("sort", "")
         return cls(
             side if side in ("a", "b") else "both",
             sort if sort in SORTS else "difference",
@@ -192,7 +193,8 @@ class RecipeComparison:
             RecipeError: The second recipe cannot be used.
         """
         tuning.read(second, {})
-        self._tuning, self.names = tuning, (tuning.recipe, second)
+        self._tuning = tuning
+        self.names = (tuning.recipe, second)
         self._lock = threading.Lock()
         self._drawn: OrderedDict[tuple[int, int], Tuned] = OrderedDict()
         self._rows: dict[tuple[int, int], FrameRow] = {}

@@ -67,7 +67,8 @@ class FrameRow:
 
 def row_of(record: Mapping[str, Any]) -> FrameRow:
     """Return the row of a frame's record."""
-    inserted, background = record["inserted"], record["background"]
+    inserted = record["inserted"]
+    background = record["background"]
     corners = [finite(i["box_xyxy"]) for i in inserted]
     boxes = tuple((float(x0), float(y0), float(x1), float(y1)) for x0, y0, x1, y1 in corners)
     extra = [i.get("extra") or {} for i in inserted]

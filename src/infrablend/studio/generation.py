@@ -35,7 +35,8 @@ class Generation:
 
     def __init__(self, words: Sequence[str], out: Path) -> None:
         """Start `infrablend` with these words."""
-        self.command, self.out = shlex.join(["infrablend", *words]), out
+        self.command = shlex.join(["infrablend", *words])
+        self.out = out
         self.done = self.total = 0
         self.progress = ""
         self.lines: list[str] = []

@@ -49,7 +49,8 @@ def show_places(tuned: Tuned, ignored: Collection[str]) -> tuple[Rgb, Legend]:
     Raises:
         DatasetError: The background or its mask cannot be read.
     """
-    rgb, suits = to_rgb(tuned.trial.frame.pixels), _suits(tuned.recipe, _site(tuned, ignored))
+    rgb = to_rgb(tuned.trial.frame.pixels)
+    suits = _suits(tuned.recipe, _site(tuned, ignored))
     if not suits:
         return rgb, {"This recipe asks for no surface.": None}
     legend: Legend = {f"Bright where {name} may stand: {100 * (s > 0).mean():.0f} %": None for name, s in suits.items()}
@@ -67,7 +68,8 @@ def paint(tuned: Tuned, data: Path, line: Sequence[Sequence[float]], pen_px: int
         OutputError: The mask cannot be written, or would be in the dataset.
         DatasetError: The mask cannot be read.
     """
-    where, image = tuned.recipe.placement.surfaces, tuned.background
+    where = tuned.recipe.placement.surfaces
+    image = tuned.background
     if where is None:
         raise RecipeError("objects stand anywhere in this recipe; expected placement.mode metric with placement.where")
     folder = Path(where.masks or f"{real_path(data)}.places")
@@ -85,7 +87,8 @@ def paint(tuned: Tuned, data: Path, line: Sequence[Sequence[float]], pen_px: int
 
 def _site(tuned: Tuned, ignored: Collection[str]) -> Site:
     """Return the background of a frame as placement sees it."""
-    image, where = tuned.background, tuned.recipe.placement.surfaces
+    image = tuned.background
+    where = tuned.recipe.placement.surfaces
     background = load_background(image.path, image.size_wh)
     folder = None if where is None else where.masks
     return Site(

@@ -54,7 +54,8 @@ class FoundResults:
         """
         if not 0 <= report < len(self.reports) or not 0 <= number < len(self.reports[report].pictures):
             raise DatasetError(f"report {report}, picture {number}: no such picture")
-        path, folder = self.reports[report].pictures[number], self.reports[report].folder
+        path = self.reports[report].pictures[number]
+        folder = self.reports[report].folder
         try:
             return read_regular(path, folder), path.suffix.lower()
         except OSError as error:
@@ -81,7 +82,8 @@ def find_results(run: Path, further: Sequence[Path] = ()) -> FoundResults:
     report_readers: ReportReaders = resolve(READERS)
     comparison = run.with_name(f"{run.name}-realism")
     folders = [path for path in (*inside, comparison) if report_readers(path)] + list(further)
-    reports, unreadable = [], []
+    reports = []
+    unreadable = []
     for folder in folders:
         readers = report_readers(folder)
         if not readers:

@@ -40,7 +40,8 @@ def serve(request: StudioRequest, address: Address, on_ready: Callable[[str], No
         add_pages(session)
         app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
         ui.run_with(app, title="InfraBlend studio", show_welcome_message=False, reconnect_timeout=30)
-        host, port = address.host, listening.getsockname()[1]
+        host = address.host
+        port = listening.getsockname()[1]
         shown = f"[{host}]" if ":" in host else host
         guard = Guard(app, port, host)
 

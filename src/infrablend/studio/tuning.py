@@ -118,7 +118,8 @@ class Tuned:
         scene = self.trial.frame.scene
         if scene is None:
             return {}
-        counts, objects = scene.draws.get("wanted_by_kind", {}), self.recipe.objects
+        counts = scene.draws.get("wanted_by_kind", {})
+        objects = self.recipe.objects
         names = [
             kind.category or load_model(kind.model).category
             for k, kind in enumerate(objects)
@@ -269,7 +270,8 @@ class Tuning:
         """
         if path.suffix.lower() not in (".yaml", ".yml"):
             raise ArgumentError(f"{path}: expected the name of a file that ends in .yaml")
-        path, text = path.resolve(), _to_yaml(recipe)
+        path = path.resolve()
+        text = _to_yaml(recipe)
         # The same recipe is what a run of an earlier studio is resumed with.
         if path.exists() and path not in self._saved and not _has_text(path, text):
             raise OutputError(f"{path}: exists already, and was not saved by this studio; give another name")

@@ -94,7 +94,8 @@ def relative_humidity(air_k: float, dew_point_k: float) -> float:
 
     Magnus' formula with a = 17.625, b = 243.04 C, good to 0.4 % from -40 to 50 C (Alduchov and Eskridge 1996).
     """
-    air_c, dew_c = air_k - ZERO_C_K, min(dew_point_k, air_k) - ZERO_C_K
+    air_c = air_k - ZERO_C_K
+    dew_c = min(dew_point_k, air_k) - ZERO_C_K
     return math.exp(17.625 * dew_c / (243.04 + dew_c) - 17.625 * air_c / (243.04 + air_c))
 
 
@@ -154,7 +155,8 @@ def sun_position(when: datetime, latitude_deg: float, longitude_deg: float) -> t
     ascension = math.atan2(math.cos(tilt) * math.sin(longitude), math.cos(longitude))
     declination = math.asin(math.sin(tilt) * math.sin(longitude))
     sidereal = math.radians(280.46062 + 360.98564737 * days + longitude_deg)
-    hour, latitude = sidereal - ascension, math.radians(latitude_deg)
+    hour = sidereal - ascension
+    latitude = math.radians(latitude_deg)
     up = math.sin(latitude) * math.sin(declination) + math.cos(latitude) * math.cos(declination) * math.cos(hour)
     east = -math.cos(declination) * math.sin(hour)
     north = math.cos(latitude) * math.sin(declination) - math.sin(latitude) * math.cos(declination) * math.cos(hour)

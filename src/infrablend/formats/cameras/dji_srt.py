@@ -114,7 +114,8 @@ def _blocks(text: str) -> Iterator[tuple[float, str]]:
             continue
         if seconds is not None:
             yield seconds, "\n".join(lines[:-1] if lines and lines[-1].strip().isdigit() else lines)
-        seconds, lines = math.nan, []
+        seconds = math.nan
+        lines = []
         if match is not None:
             seconds = int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3]) + int(match[4].ljust(3, "0")) / 1000
     if seconds is not None:

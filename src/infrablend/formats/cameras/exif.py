@@ -15,10 +15,16 @@ from infrablend.formats.cameras.jpeg_segments import APP1, JpegHeader
 from infrablend.formats.values import to_number
 
 _SIGNATURE = b"Exif\0\0"
-_EXIF_IFD, _GPS_IFD = 0x8769, 0x8825
-_MAKE, _MODEL, _MODIFY_DATE = 0x010F, 0x0110, 0x0132
-_ORIGINAL_DATE, _CREATE_DATE = 0x9003, 0x9004
-_FOCAL_LENGTH, _FOCAL_LENGTH_35MM, _ZOOM = 0x920A, 0xA405, 0xA404
+_EXIF_IFD = 0x8769
+_GPS_IFD = 0x8825
+_MAKE = 0x010F
+_MODEL = 0x0110
+_MODIFY_DATE = 0x0132
+_ORIGINAL_DATE = 0x9003
+_CREATE_DATE = 0x9004
+_FOCAL_LENGTH = 0x920A
+_FOCAL_LENGTH_35MM = 0xA405
+_ZOOM = 0xA404
 _WIDTH, _HEIGHT = 0xA002, 0xA003
 _ORIENTATION = 0x0112
 
@@ -64,7 +70,9 @@ def read_exif(header: JpegHeader) -> Exif:
             warnings.simplefilter("ignore")
             exif = Image.Exif()
             exif.load(header.read(segments))
-            main, detail, gps = dict(exif), exif.get_ifd(_EXIF_IFD), exif.get_ifd(_GPS_IFD)
+            main = dict(exif)
+            detail = exif.get_ifd(_EXIF_IFD)
+            gps = exif.get_ifd(_GPS_IFD)
     except Exception as error:  # Pillow raises what it likes on broken directories
         found = f"EXIF that cannot be read ({type(error).__name__}), left out"
         problem = Problem(header.path.name, "exif-unreadable", found, "EXIF as cameras write it", severity="warning")

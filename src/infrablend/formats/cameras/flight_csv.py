@@ -268,7 +268,9 @@ def _clock(text: str) -> float:
         return math.nan
     a, b, c = int(day[1]), int(day[2]), int(day[3])
     if a > 31:
-        year, month, number = a, b, c
+        year = a
+        month = b
+        number = c
     elif c > 31 and (a > 12 or b > 12 or a == b):
         year, month, number = (c, b, a) if a > 12 else (c, a, b)
     else:  # 3/4/2024 is in March or in April

@@ -29,7 +29,8 @@ from infrablend.formats.values import is_place, to_time
 from infrablend.thermal.daytime import time_of_sun
 from infrablend.thermal.sky import sun_position, time_of
 
-_JPEG, _TIFF = (".jpg", ".jpeg"), (".tif", ".tiff")
+_JPEG = (".jpg", ".jpeg")
+_TIFF = (".tif", ".tiff")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
 _HEAD_BYTES = 65536
@@ -41,7 +42,8 @@ _LEAST_PAIRS = 3
 # A local clock is within this of the sun's time: time zones and daylight saving.
 _CLOCK_OFF_H = (-2, -1, 0, 1, 2)
 # By a clock of an unknown zone, it is day or night where the sun is beyond these at all times that it may mean.
-_DAY_ABOVE_DEG, _NIGHT_BELOW_DEG = 3.0, -3.0
+_DAY_ABOVE_DEG = 3.0
+_NIGHT_BELOW_DEG = -3.0
 _NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
 _ANY_NUMBER = re.compile(r"[+-]?\d[\d.]*(?:[eE][+-]?\d+)?", re.ASCII)
 _ASKED = {
@@ -90,7 +92,8 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     left_out = _left_out(dataset.images, facts)
     kept = [i for i in dataset.images if _key(i) not in left_out]
     if not kept:
-        kept, left_out = list(dataset.images), {}
+        kept = list(dataset.images)
+        left_out = {}
     problems += _left_out_warnings(dataset, left_out)
     images = _with_flights([_complete(i, facts.get(_key(i))) for i in kept])
     known = [facts[_key(i)] for i in kept if _key(i) in facts]
@@ -284,7 +287,8 @@ def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
             groups[str(image.path.parent), image.capture.camera or ""].append((when, k))
     flights: dict[int, str] = {}
     for times in groups.values():
-        start, last = None, None
+        start = None
+        last = None
         for when, k in sorted(times):
             if last is None or (when - last).total_seconds() > BREAK_S:
                 start = when

@@ -242,14 +242,17 @@ def read_log_text(path: Path) -> str:
     Raises:
         DatasetError: The file is missing, not a regular file, too large or empty.
     """
-    found, expected, todo = "", "a log", "check the path"
+    found = ""
+    expected = "a log"
+    todo = "check the path"
     data = b""
     try:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             found = "not a regular file"
         elif status.st_size > MAX_LOG_BYTES:
-            found, expected = f"{status.st_size / 1e6:.0f} MB", f"at most {MAX_LOG_BYTES / 1e6:.0f} MB"
+            found = f"{status.st_size / 1e6:.0f} MB"
+            expected = f"at most {MAX_LOG_BYTES / 1e6:.0f} MB"
             todo = "split the log"
         else:
             data = path.read_bytes()

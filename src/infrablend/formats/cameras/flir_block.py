@@ -30,7 +30,8 @@ _ENTRY_BYTES = 0x20
 MAX_RECORDS = 512
 # The largest microbolometers have 1.3 million pixels, and 3.1 million after FLIR's own enlargement.
 MAX_LAYER_PIXELS = 4 * 1024 * 1024
-_RAW_DATA, _CAMERA_INFO = 0x01, 0x20
+_RAW_DATA = 0x01
+_CAMERA_INFO = 0x20
 _RAW_HEADER_BYTES = 0x20
 # The camera record of every known model is longer; shorter ones lack the last constants.
 _CAMERA_INFO_BYTES = 0x310
@@ -43,7 +44,10 @@ _SETTINGS = {
     "emissivity": (0.01, 1.0), "distance_m": (0.0, 1e5), "reflected_k": (100.0, 2000.0), "air_k": (100.0, 2000.0),
     "humidity": (0.0, 1.0), "window_k": (100.0, 2000.0), "window_transmission": (0.01, 1.0),
 }  # fmt: skip
-_FIELD_OF_VIEW, _MODEL, _OFFSET, _DATE = 0x1B4, 0xD4, 0x308, 0x384
+_FIELD_OF_VIEW = 0x1B4
+_MODEL = 0xD4
+_OFFSET = 0x308
+_DATE = 0x384
 
 
 @dataclass(frozen=True)
@@ -166,7 +170,8 @@ class FlirBlock:
     def _read(self, start: int, length: int, code: str) -> bytes:
         if start + length > self.length:
             raise self._bad(code, f"a FLIR block of {self.length} bytes that points to byte {start + length}")
-        parts, at = [], 0
+        parts = []
+        at = 0
         for chunk in self._chunks:
             size = chunk.length - _HEAD_BYTES
             low, high = max(start, at), min(start + length, at + size)

@@ -21,10 +21,14 @@ from infrablend.formats.values import is_place, to_number
 FIELDS = ("pitch_deg", "roll_deg", "yaw_deg", "altitude_m", "hfov_deg", "captured", "latitude_deg", "longitude_deg")
 """Facts in the order of tables. Pitch is the angle below the horizon, the height is that above the ground."""
 
-DJI, FLIR, PIX4D = "http://www.dji.com/drone-dji/1.0/", "http://ns.flir.com/xmp/1.0/", "http://pix4d.com/camera/1.0/"
-UTC_AT_EXPOSURE, UTC_TAG = (DJI, "UTCAtExposure"), "XMP drone-dji:UTCAtExposure"
+DJI = "http://www.dji.com/drone-dji/1.0/"
+FLIR = "http://ns.flir.com/xmp/1.0/"
+PIX4D = "http://pix4d.com/camera/1.0/"
+UTC_AT_EXPOSURE = (DJI, "UTCAtExposure")
+UTC_TAG = "XMP drone-dji:UTCAtExposure"
 EXIF_TIME = "EXIF DateTimeOriginal"
-_QUARTER, _MOST_OFF = timedelta(minutes=15), timedelta(minutes=1)
+_QUARTER = timedelta(minutes=15)
+_MOST_OFF = timedelta(minutes=1)
 _XMP_DATES = (("http://ns.adobe.com/xap/1.0/", "CreateDate"), ("http://ns.adobe.com/xap/1.0/", "ModifyDate"))
 # Below this pitch a laser that points along the camera's axis hits the ground too far away to give a height.
 _LEAST_LASER_PITCH_DEG = 15.0
@@ -120,7 +124,8 @@ def read_facts(path: Path) -> CameraFacts:
         DatasetError: The file is no JPEG file, or its segments contradict themselves; with one problem.
     """
     header = read_header(path)
-    exif, xmp = read_exif(header), read_xmp(header)
+    exif = read_exif(header)
+    xmp = read_xmp(header)
     problems = [*exif.problems, *xmp.problems]
     record = _camera_record(header, problems)
     raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if raw_segments(header) else ""
@@ -275,7 +280,8 @@ def _add_field_of_view(
             both = f"{source} gives {fov:.1f} degrees across, {name} {other:.1f}; the first is used"
             warn("flight-lens", both, "one field of view")
     if exif.zoom is not None and exif.zoom > 1:
-        fov, source = zoomed(fov, exif.zoom), f"{source}, DigitalZoomRatio"
+        fov = zoomed(fov, exif.zoom)
+        source = f"{source}, DigitalZoomRatio"
     if 0.1 <= fov <= 170.0:
         facts["hfov_deg"] = Fact(round(fov, 4), source)
 
@@ -363,7 +369,8 @@ def _add_time_and_place(
 ) -> None:
     original = clocks.get(EXIF_TIME)
     if original is not None:
-        utc, source = _as_time(xmp.values.get(UTC_AT_EXPOSURE, "")), EXIF_TIME
+        utc = _as_time(xmp.values.get(UTC_AT_EXPOSURE, ""))
+        source = EXIF_TIME
         zone = None if utc is None else zone_of(original, utc)
         if zone is not None:
             source += f", {UTC_TAG}"

@@ -13,7 +13,9 @@ from infrablend.errors import DatasetError, Problem
 MAX_SEGMENTS = 2_000
 # Bytes of each segment that are kept while walking: enough for every signature.
 _PREFIX = 64
-_SOI, _SOS, _EOI = 0xD8, 0xDA, 0xD9
+_SOI = 0xD8
+_SOS = 0xDA
+_EOI = 0xD9
 # Frame headers hold the size; DHT, JPG and DAC share their range.
 _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _STANDALONE = frozenset((0x01, *range(0xD0, 0xD8)))

@@ -15,9 +15,11 @@ from infrablend.formats.pictures.video import Timeline
 Mask = NDArray[np.bool_]
 
 # A recording in a log is that of a video if they differ in length by at most this much, or this share.
-_SAME_S, _SAME_SHARE = 2.5, 0.02
+_SAME_S = 2.5
+_SAME_SHARE = 0.02
 # Subtitles may be longer than their video by this much, or this share.
-_LONGER_S, _LONGER_SHARE = 3.0, 0.05
+_LONGER_S = 3.0
+_LONGER_SHARE = 0.05
 # Clocks are wrong by up to decades.
 _MOST_S = 4e9
 # Times of subtitles that differ more than this from those of the frames that they count are not used.

@@ -131,7 +131,8 @@ def _xmp(maker: Maker, shot: Shot, elements: bool) -> bytes:
     else:
         spaces = {"FLIR": FLIR, "Camera": PIX4D.rstrip("/")}  # as FLIR writes it
         relative = None if shot.altitude_m is None else f"{shot.altitude_m:.3f}"
-        roll, yaw = f"{shot.roll_deg:.3f}", f"{shot.yaw_deg:.3f}"
+        roll = f"{shot.roll_deg:.3f}"
+        yaw = f"{shot.yaw_deg:.3f}"
         named = {"FLIR:MAVRelativeAltitude": relative, "Camera:Pitch": gimbal, "Camera:Roll": roll, "Camera:Yaw": yaw}
         values = {k: v for k, v in named.items() if v is not None}
     text = _RDF_HEAD + "".join(f" xmlns:{k}={quoteattr(v)}" for k, v in spaces.items())

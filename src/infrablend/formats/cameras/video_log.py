@@ -96,7 +96,8 @@ def log_problems(aligned: Aligned, sampled: Sampled, todo: str) -> list[Problem]
         sampled: The log at the times of the frames.
         todo: Remedy for frames that the log does not cover.
     """
-    log, c = aligned.log, sampled.coverage
+    log = aligned.log
+    c = sampled.coverage
     problems = [*log.problems, *aligned.problems]
     if c.before or c.after or c.in_gaps:
         found = f"{c.before} frame(s) before the log, {c.after} after it, {c.in_gaps} in gaps of up to "

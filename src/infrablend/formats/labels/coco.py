@@ -81,7 +81,9 @@ _DIGITS = 9
 MEASURED = ("changed_grey", "contrast_grey", "scr")
 _ROBOFLOW = "_annotations.coco.json"
 # FLIR's ADAS dataset v2: COCO's file, one with all that annotators drew, and which frames show the same.
-_FLIR, _UNFILTERED, _PAIRS = "coco.json", "index.json", "rgb_to_thermal_vid_map.json"
+_FLIR = "coco.json"
+_UNFILTERED = "index.json"
+_PAIRS = "rgb_to_thermal_vid_map.json"
 _FLIR_NAME = re.compile(r"video-(\w+)-frame-(\d{1,9})-", re.ASCII)
 _VISIBLE = re.compile(r"(?<![a-z])(rgb|visible)(?![a-z])", re.IGNORECASE)
 # Scale of 16-bit pictures: in `info` if a file's pictures share it, else with each picture.
@@ -171,7 +173,8 @@ def coco_chunks(
     new = ids == "new"
     texts: dict[str, Iterator[str]] = {}
     for split, part in number_ids(ordered, ids, 1).by_split().items():
-        common, videos = info_of_scale(i for i, _, _ in part), _videos(i for i, _, _ in part)
+        common = info_of_scale(i for i, _, _ in part)
+        videos = _videos(i for i, _, _ in part)
         top = {
             "info": {**(info or _INFO), **({} if common is None else {_SCALE: common})},
             "licenses": [],
@@ -441,7 +444,8 @@ def read(
 
 def _of_flir(record: ImageRecord, visible: bool) -> ImageRecord:
     """Return a picture of FLIR's dataset with the sequence and the number that its name states, and its light."""
-    named, capture = _FLIR_NAME.search(record.name), record.capture
+    named = _FLIR_NAME.search(record.name)
+    capture = record.capture
     if named is not None:
         capture = replace(capture, sequence=named[1], frame=int(named[2]))
     return replace(record, capture=capture, extra={**record.extra, **({"modality": "visible"} if visible else {})})
@@ -617,7 +621,8 @@ def _remarks(
     if left_out:
         found = f"{len(left_out)} picture(s) that another annotation file contains too; left out here"
         found += f" with {sum(left_out)} annotation(s)"
-        expected, todo = "each picture once", "remove or join the files"
+        expected = "each picture once"
+        todo = "remove or join the files"
         problems.append(Problem(where, "image-duplicate", found, expected, todo, repeated))
     if measured:
         found = f"{measured} image(s) without width and height, which were read from the pictures"
@@ -659,7 +664,8 @@ def _read_annotations(
         seen |= {number} if number is not None else set()
         category = _key(a.get("category_id"))
         if category is None or category not in names:
-            text, expected = f"category_id {a.get('category_id')!r}", f"one of {sorted(names, key=str)}"
+            text = f"category_id {a.get('category_id')!r}"
+            expected = f"one of {sorted(names, key=str)}"
             found.add(here, "category-unknown", text, expected, "add it to categories")
             continue
         bbox = to_floats(a.get("bbox"), 4)

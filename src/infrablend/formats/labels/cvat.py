@@ -119,7 +119,8 @@ def _write_videos(
             for i in image.instances:
                 count_dropped(i, losses, "occlusion boxes", "mask")
                 losses["obb_not_rectangle"] += _is_skewed(i)
-        head, tracks = _head(folder, len(sequence), known, sequence[0]), cvat_video.tracks_of(sequence, _box, losses)
+        head = _head(folder, len(sequence), known, sequence[0])
+        tracks = cvat_video.tracks_of(sequence, _box, losses)
         yield write_chunks(out / folder / cvat_video.FILE, chain([head], tracks, ["</annotations>\n"]))
 
     def path_of(image: ImageRecord, place: Place) -> str:
@@ -208,7 +209,8 @@ def _is_skewed(i: Instance) -> bool:
 
 def _box(i: Instance, said: str, ending: str = "") -> str:
     """Return the element of an object's box, turned if it has an oriented one; `said` are its first attributes."""
-    edges, rotation = i.box_xyxy, ""
+    edges = i.box_xyxy
+    rotation = ""
     if i.corners_xy is not None:
         cx, cy, w, h, angle = obb_from_corners(i.corners_xy)
         edges = np.array([cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2])

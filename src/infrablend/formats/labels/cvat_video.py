@@ -24,7 +24,8 @@ from infrablend.formats.records import Findings
 from infrablend.formats.sequence_writing import Frames, Tracks, plain_id
 from infrablend.formats.values import to_int
 
-FILE, PICTURES = "annotations.xml", "images"
+FILE = "annotations.xml"
+PICTURES = "images"
 _FRAME = re.compile(r"frame_(\d{1,9})", re.ASCII)
 
 ReadShape = Callable[[Findings, Any, str, tuple[int, int] | None], Instance | None]
@@ -66,11 +67,13 @@ def read_video(
     where = found.place(path)
     pictures = next((p for place in places if (p := list_pictures(place, is_labelled=lambda _: True))), {})
     if not pictures:
-        expected, todo = f"pictures in {PICTURES}/", "export with pictures, or extract the frames of the video there"
+        expected = f"pictures in {PICTURES}/"
+        todo = "export with pictures, or extract the frames of the video there"
         found.add(where, "image-missing", "no picture of a frame", expected, todo)
         return []
     if len({t.get("task_id") for t in top.iter("track")}) > 1:
-        text, todo = "tracks of several tasks, whose frames cannot be told apart; left out", "export each task"
+        text = "tracks of several tasks, whose frames cannot be told apart; left out"
+        todo = "export each task"
         found.add(where, "annotation-layout", text, "one task per file", todo)
         return []
     frames = _frames(top, list(pictures.values()))
@@ -115,7 +118,8 @@ def _shapes(
     of_frame: dict[int, list[tuple[str, Any, str]]] = defaultdict(list)
     lost = gaps = 0
     for n, track in enumerate(top.iter("track")):
-        number, label = track.get("id") or str(n), track.get("label") or ""
+        number = track.get("id") or str(n)
+        label = track.get("label") or ""
         here = f"{where}: track {number}"
         before: int | None = None
         seen: set[int] = set()

@@ -61,7 +61,8 @@ def dota_names(categories: Iterable[Category]) -> dict[str, str]:
         name = plain = "-".join(c.name.split())
         k = 2
         while name in names.values():
-            name, k = f"{plain}-{k}", k + 1
+            name = f"{plain}-{k}"
+            k = k + 1
         names[c.name] = name
     return names
 

@@ -141,7 +141,8 @@ class _Columns:
     def row(self, image: ImageRecord) -> dict[str, Any]:
         """Return the line of a picture; the columns in `_NULLABLE` may be null."""
         w, h = require_size(image)
-        facts, scale = image.capture.to_json(), image.capture.scale
+        facts = image.capture.to_json()
+        scale = image.capture.scale
         require_known(image, self.ids)
         return {
             "file_name": image.name,

@@ -150,7 +150,8 @@ def encode_brush(mask: NDArray[np.bool_]) -> list[int]:
     ends = np.flatnonzero(np.concatenate([flat[1:] != flat[:-1], [True]])) + 1
     bits = [f"{4 * flat.size:032b}", f"{8 - 1:05b}", *(f"{n - 1:04b}" for n in _RUN_BITS)]
     for start, end in zip(np.concatenate([[0], ends[:-1]]), ends, strict=True):
-        value, left = f"{255 * int(flat[start]):08b}", 4 * int(end - start)
+        value = f"{255 * int(flat[start]):08b}"
+        left = 4 * int(end - start)
         while left:
             run = min(left, 1 << _RUN_BITS[-1])
             size = next(k for k, n in enumerate(_RUN_BITS) if run <= 1 << n)
@@ -360,7 +361,8 @@ def _joined(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     shapes = {str(r.get("id")) for r in rows if f"{r.get('type')}labels" in _KINDS}
     joined: list[Mapping[str, Any]] = []
     for r in rows:
-        region, kind = str(r.get("id")), f"{r.get('type')}labels"
+        region = str(r.get("id"))
+        kind = f"{r.get('type')}labels"
         if kind in _KINDS and region in labels and isinstance(r.get("value"), dict):
             joined.append({**r, "type": kind, "value": {**r["value"], kind: labels[region]}})
         elif r.get("type") != "labels" or region not in shapes:

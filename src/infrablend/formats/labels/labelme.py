@@ -263,7 +263,8 @@ def _painted(code: object, points: NDArray[np.float64], size_wh: tuple[int, int]
     x, y = (int(v) for v in points[0])
     painted = np.zeros((h, w), np.bool_)
     inside = part[max(-y, 0) : max(h - y, 0), max(-x, 0) : max(w - x, 0)]
-    top, left = max(y, 0), max(x, 0)
+    top = max(y, 0)
+    left = max(x, 0)
     painted[top : top + inside.shape[0], left : left + inside.shape[1]] = inside
     return painted
 

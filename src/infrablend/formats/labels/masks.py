@@ -201,7 +201,8 @@ def _read_table(
     top = found.json(path)
     if top is None:
         return None
-    rows, size_wh = top.get("objects"), to_size(top.get("width"), top.get("height"))
+    rows = top.get("objects")
+    size_wh = to_size(top.get("width"), top.get("height"))
     if not is_list(rows) or size_wh is None:
         text = "no list `objects`, or no width and height"
         found.add(where, "annotation-layout", text, "a table of masks", "leave it out")
@@ -261,7 +262,8 @@ def _read_object(
         return None
     seen.add(number)
     if not isinstance(row.get("category"), str) or row["category"] not in names:
-        text, expected = f"category {row.get('category')!r}", f"one of {', '.join(sorted(names))}"
+        text = f"category {row.get('category')!r}"
+        expected = f"one of {', '.join(sorted(names))}"
         found.add(where, "category-unknown", text, expected, f"add it to {CATEGORIES_FILE}")
         return None
     inside = found.box(box, size_wh, where)

@@ -66,7 +66,10 @@ CLASSES = (
 )  # fmt: skip
 """Names of MOTChallenge's classes, from 1 on, as Datumaro and CVAT call them."""
 
-_GT, _LABELS, _INFO, _PICTURES = "gt/gt.txt", "labels.txt", "seqinfo.ini", "img1"
+_GT = "gt/gt.txt"
+_LABELS = "labels.txt"
+_INFO = "seqinfo.ini"
+_PICTURES = "img1"
 _DEPTH = 3
 _ROW = "frame,id,x,y,width,height,conf,class,visibility, counted from 1"
 _CHALLENGE = re.compile(r"(?:2D)?MOT-?(?:20)?(?:15|16|17|20)(?!\d)", re.IGNORECASE)
@@ -75,7 +78,8 @@ ASSUMED_RATE = 30.0
 """Frames per second where nothing says it: trackers need one, and MOTChallenge's own value is mostly this."""
 # Field of our own that says which rate nobody knows; at the end, because some trackers find fields by their neighbours.
 _ASSUMED = "assumedFrameRate"
-_TRACKS_FILE, _TRACKS_COLUMNS = "tracks.csv", ("sequence", "id", "category", "track_id")
+_TRACKS_FILE = "tracks.csv"
+_TRACKS_COLUMNS = ("sequence", "id", "category", "track_id")
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
@@ -187,7 +191,8 @@ def _read_tracks(reading: _Reading) -> dict[tuple[str, int], int | str]:
     for n, row in enumerate(reading.own_table(_TRACKS_FILE, _TRACKS_COLUMNS)[1:], 2):
         number = to_int(row[1]) if len(row) == len(_TRACKS_COLUMNS) else None
         if number is None:
-            found, expected = repr(",".join(row))[:80], ",".join(_TRACKS_COLUMNS)
+            found = repr(",".join(row))[:80]
+            expected = ",".join(_TRACKS_COLUMNS)
             reading.add(f"{_TRACKS_FILE}: line {n}", "row-malformed", found, expected, "correct the line")
         else:
             tracks[row[0], number] = plain_id(row[3])
@@ -257,7 +262,8 @@ def _numbered_pictures(reading: _Reading, folder: Path, where: str, info: Mappin
         return {}
     listed = list(list_pictures(folder / inside, is_labelled=lambda p: True).values())
     if not listed:
-        expected, todo = f"pictures in {inside}/, named 000001.jpg and so on", "extract the frames of the video there"
+        expected = f"pictures in {inside}/, named 000001.jpg and so on"
+        todo = "extract the frames of the video there"
         reading.add(where, "image-missing", f"no picture in {inside}/", expected, todo)
     numbers = [int(p.stem) if _NUMBER.fullmatch(p.stem) else 0 for p in listed]
     if len({*numbers, 0}) == len(listed) + 1:
@@ -413,7 +419,8 @@ def write(
     changed: list[tuple[str, int, str, int | str]] = []
     rates: dict[str, float | None] = {}
     for folder, group in by_sequence(places).items():
-        sequence, sequence_numbers = Frames(ordered, group), [places[n].number for n in group]
+        sequence = Frames(ordered, group)
+        sequence_numbers = [places[n].number for n in group]
         rates[folder] = _rate(folder, sequence, sequence_numbers, problems)
         info = _info(folder, sequence, sequence_numbers[-1] + 1, rates[folder], problems)
         files.append(write_text(out / folder / _INFO, info))
@@ -460,9 +467,11 @@ def _rate(folder: str, sequence: Frames, numbers: Sequence[int], problems: list[
     stated = (to_number(image.extra.get("frame_rate")) for image in sequence)
     first = next((r for r in stated if r is not None and r > 0), None)
     rate, varies = rate_of((image.capture.time_s for image in sequence), numbers, first)
-    where, expected = f"{folder}/{_INFO}", "frames per second"
+    where = f"{folder}/{_INFO}"
+    expected = "frames per second"
     if rate is None:
-        found, todo = f"frame rate unknown; {ASSUMED_RATE:g} is stated", "correct frameRate before you use a tracker"
+        found = f"frame rate unknown; {ASSUMED_RATE:g} is stated"
+        todo = "correct frameRate before you use a tracker"
         problems.append(Problem(where, "frame-rate", found, expected, todo, "warning"))
     elif varies:
         found = f"steps of {varies}; the rate of the median step, {number_text(rate)}, is stated"

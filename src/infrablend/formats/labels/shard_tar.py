@@ -106,7 +106,8 @@ class TarWriter:
     def add(self, key: str, suffix: str, data: bytes) -> int:
         """Append a file and return the offset of its content."""
         info = tarfile.TarInfo(f"{key}.{suffix}")  # time, owner and group are 0, and their names empty
-        info.size, info.mode = len(data), 0o644
+        info.size = len(data)
+        info.mode = 0o644
         self._tar.addfile(info, BytesIO(data))
         self._tar.members.clear()  # type: ignore[attr-defined]  # the list of all files would grow with the tar
         return int(self._tar.offset) - _padded(len(data))
@@ -166,6 +167,7 @@ def packed_frames(path: Path) -> Iterator[PackedFrame]:
 
 
 def _frame(key: str, group: dict[str, bytes]) -> PackedFrame:
-    label, scene = group.pop(LABEL), group.pop(SCENE)
+    label = group.pop(LABEL)
+    scene = group.pop(SCENE)
     (image,) = group.values()
     return PackedFrame(key, image, label, scene)

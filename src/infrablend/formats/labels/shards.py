@@ -63,7 +63,8 @@ def read_parts(root: Path, folder: Path, *, splits: Iterable[str] | None = None,
         splits: Splits to read; None reads all.
         most: Largest number of frames of a part.
     """
-    frames, count = _Frames(root, check_splits(splits)), 0
+    frames = _Frames(root, check_splits(splits))
+    count = 0
     unpacked = frames.unpacked(lambda files: folder, again=True)
     while part := list(islice(unpacked, most)):
         count += len(part)
@@ -89,7 +90,8 @@ class _Frames:
     """
 
     def __init__(self, root: Path, wanted: Collection[str]) -> None:
-        self._root, self._wanted = root, wanted
+        self._root = root
+        self._wanted = wanted
         self._shards = _markers(root)
         count = (read_object(root / SHARDS_FILE) or {}).get("shards")
         if len(self._shards) != count:
@@ -119,7 +121,8 @@ class _Frames:
                     if unknown := {i.category for i in image.instances} - known:
                         raise ValueError(f"category {min(map(str, unknown))!r} is not in {files.marker.name}")
                 except _DAMAGED as error:
-                    where, text = f"{files.tar.name}: {frame.key}", f"{type(error).__name__}: {error}"
+                    where = f"{files.tar.name}: {frame.key}"
+                    text = f"{type(error).__name__}: {error}"
                     self.problems.append(
                         Problem(where, "annotation-layout", text, "labels as they were written", _MAKE_AGAIN)
                     )
@@ -138,7 +141,8 @@ class _Frames:
     def dataset(self, found: Sequence[ImageRecord]) -> Dataset:
         ids = assign_ids(f"{i.split}/{i.name}" for i in found)
         images = sort_images(replace(i, id=ids[f"{i.split}/{i.name}"]) for i in found)
-        problems, self.problems = tuple(self.problems), []
+        problems = tuple(self.problems)
+        self.problems = []
         notes = {"labels": NAME, "shards": len(self._shards)}
         # As JSON, because line breaks in other texts that are read are replaced.
         extra = {} if self._source is None else {SOURCE: json.dumps(self._source)}

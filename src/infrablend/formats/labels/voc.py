@@ -83,7 +83,8 @@ def detect(root: Path) -> Match:
     if not names:
         return Match(NAME, False, "no XML file in the folder or below it")
     pictures = {picture_key(n) for n in list_pictures(root)}
-    reason, readable = f"no picture for {names[0]} or the next XML files", 0
+    reason = f"no picture for {names[0]} or the next XML files"
+    readable = 0
     for name in names:
         top, problem = read_xml(root / name, name)
         _strip_namespaces(top)
@@ -215,7 +216,8 @@ def _find_picture(
     found: Findings, name: str, top: Any, pictures: Mapping[PictureKey, list[str]], taken: Mapping[str, ImageRecord]
 ) -> str | None:
     """Return the picture with the XML file's name, else the one named inside it; or None, with a problem."""
-    own, named = picture_key(name), _named(name, top)
+    own = picture_key(name)
+    named = _named(name, top)
     said = child_text(top, "filename") or ""
     choices = pictures.get(own) or pictures.get(named) or []
     if not choices:
@@ -301,7 +303,8 @@ def _object(
     found: Findings, element: Any, where: str, name: str, size_wh: tuple[int, int] | None, from_one: bool
 ) -> Instance | None:
     """Return an object with its box, any oriented box, and flags; None, with a problem, if the box is invalid."""
-    turned, boxes = element.find("robndbox"), element.findall("bndbox")
+    turned = element.find("robndbox")
+    boxes = element.findall("bndbox")
     keys = ("cx", "cy", "w", "h", "angle") if turned is not None else ("xmin", "ymin", "xmax", "ymax")
     base = turned if turned is not None else next(iter(boxes), None)
     said = None if base is None else [child_text(base, k) for k in keys]

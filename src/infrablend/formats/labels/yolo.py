@@ -326,16 +326,19 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
             numbers = []
         polygon = not keypoints and len(numbers) >= 7 and len(numbers) % 2 == 1
         shape = len(numbers) in (5, 5 + keypoints) or polygon
-        said, todo = repr(line[:80]), "correct the line"
+        said = repr(line[:80])
+        todo = "correct the line"
         if not shape or not numbers[0].is_integer() or numbers[0] < 0:
             expected = "class cx cy w h, "
             expected += f"then {keypoints} values of keypoints" if keypoints else "or class and three or more x y pairs"
             found.problems.append(Problem(here, "label-malformed", said, expected, todo))
             continue
-        class_, values = int(numbers[0]), tuple(numbers[1:])
+        class_ = int(numbers[0])
+        values = tuple(numbers[1:])
         if not all(abs(v) < _FAR_SHARE for v in values):
             code = "box-outside" if all(map(math.isfinite, values)) else "box-not-finite"
-            expected, todo = "shares of the picture, from 0 to 1", "divide pixels by its width and height"
+            expected = "shares of the picture, from 0 to 1"
+            todo = "divide pixels by its width and height"
             found.problems.append(Problem(here, code, said, expected, todo))
             continue
         if (class_, values) in seen:
@@ -473,7 +476,8 @@ def build_records(
             parsed[p.path] = replace(labels, rows=rows)
     used = {number for labels in parsed.values() for _, number, _ in labels.rows}
     if names is not None and not names and used:
-        said, expected = f"no class names, but labels of {len(used)} class(es)", "a name for each class"
+        said = f"no class names, but labels of {len(used)} class(es)"
+        expected = "a name for each class"
         todo = "name them in data.yaml or classes.txt"
         raise DatasetError(f"{root}: no class names", [Problem(root.name, "names", said, expected, todo)])
     known = dict(names) if names is not None else {n: f"class_{n}" for n in sorted(used)}
@@ -555,7 +559,8 @@ def _read_darknet(path: Path, root: Path) -> dict[str, Any]:
     said = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
     names = end_inside(root, said.get("names", ""))
     if problem is None and names is None:
-        found, expected = f"names = {said.get('names')!r}"[:120], "a file of the dataset with a class on each line"
+        found = f"names = {said.get('names')!r}"[:120]
+        expected = "a file of the dataset with a class on each line"
         problem = Problem(path.name, "names", found, expected, "correct the line or restore the file")
     if problem is None:
         text, problem = read_text(root / str(names), str(names), "a class on each line")
@@ -603,7 +608,8 @@ def name_warnings(path: Path, names: Mapping[int, str]) -> list[Problem]:
 
     The text must have passed `read_yaml`, which refuses aliases that exhaust memory.
     """
-    text, found = read_text(path, path.name, "a data.yaml")[0], []
+    text = read_text(path, path.name, "a data.yaml")[0]
+    found = []
     for read in (yaml.safe_load, plain_yaml):
         with contextlib.suppress(yaml.YAMLError, ValueError, KeyError, TypeError):
             found.append(_by_number(read(text)["names"]))
@@ -739,9 +745,11 @@ def _listed_pictures(found: Findings, lists: Sequence[tuple[Split, Path]]) -> di
             fault = check_name(name, here)
             path = next((p for p in (file.parent / name, root / name) if not fault and _is_file(p)), None)
             if path is None and (end := end_inside(root, name)) is not None:
-                path, fault = root / end, None
+                path = root / end
+                fault = None
             if path is None:
-                expected, todo = "a picture of the dataset", "correct the list"
+                expected = "a picture of the dataset"
+                todo = "correct the list"
                 found.problems.append(
                     fault or Problem(here, "image-missing", f"no file {name[:120]!r}", expected, todo)
                 )

@@ -79,7 +79,8 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
     except Image.DecompressionBombError as error:
         raise _refuse(path, "image-too-large", str(error), f"at most {MAX_PIXELS} px", "scale it down") from error
     except Exception as error:  # PIL's decoders raise what they like on broken headers
-        found, expected = "no picture that can be read", "a JPEG, PNG, BMP or TIFF file"
+        found = "no picture that can be read"
+        expected = "a JPEG, PNG, BMP or TIFF file"
         raise _refuse(path, "image-unreadable", found, expected, "replace or remove it") from error
     with picture:
         size_wh = (int(picture.width), int(picture.height))
@@ -87,14 +88,16 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             found = f"{size_wh[0]}x{size_wh[1]} px"
             raise _refuse(path, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
         if expected_wh is not None and size_wh != tuple(expected_wh):
-            found, expected = f"{size_wh[0]}x{size_wh[1]} px", f"{expected_wh[0]}x{expected_wh[1]} px as annotated"
+            found = f"{size_wh[0]}x{size_wh[1]} px"
+            expected = f"{expected_wh[0]}x{expected_wh[1]} px as annotated"
             raise _refuse(path, "image-size", found, expected, "correct the annotation or replace the picture")
         # Cameras put a preview behind the picture (MPO): Pillow opens the first frame, which is the picture.
         file_type = "JPEG" if picture.format == "MPO" else str(picture.format)
         try:
             frames = 1 if file_type == "JPEG" else int(getattr(picture, "n_frames", 1))
         except Exception as error:  # Pillow reads the directories of all frames of a TIFF file to count them
-            found, expected = "a second frame that cannot be read", "one picture"
+            found = "a second frame that cannot be read"
+            expected = "one picture"
             raise _refuse(path, "image-unreadable", found, expected, "replace or remove it") from error
         if frames != 1:
             raise _refuse(path, "image-frames", f"{frames} frames", "one picture", "split the file")
@@ -106,7 +109,8 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             raise _refuse(path, "image-truncated", found, "a complete picture", "fetch it again") from error
         pixels, mode, problems = _grey(picture, path)
         if deep_colour:
-            found, expected = "16-bit colour or alpha, read in 8 bits", "16-bit grey, or 8 bits"
+            found = "16-bit colour or alpha, read in 8 bits"
+            expected = "16-bit grey, or 8 bits"
             problems.append(Problem(where, "image-depth", found, expected, severity="warning"))
         if _orientation(picture) != 1:
             found = "EXIF says the picture is turned; pixels are taken as stored"

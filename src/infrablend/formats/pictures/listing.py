@@ -319,7 +319,8 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         found = str(error)
     except Exception as error:  # PIL's decoders raise what they like on broken headers
         found = f"no readable picture ({error or type(error).__name__})".replace(str(path), path.name)
-        expected, todo = "a JPEG, PNG, BMP or TIFF file", "replace or remove the file"
+        expected = "a JPEG, PNG, BMP or TIFF file"
+        todo = "replace or remove the file"
         return None, or_lfs_pointer(Problem(where, "image-unreadable", found, expected, todo), path)
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
 

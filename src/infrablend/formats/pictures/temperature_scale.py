@@ -148,7 +148,8 @@ def implausible_scales(dataset: Dataset, ground: Callable[[ImageRecord], bool]) 
         dataset: Pictures; a few with a scale are opened.
         ground: Whether a picture shows the ground, not the sky alone.
     """
-    medians, of_ground = [], False
+    medians = []
+    of_ground = False
     for image in _some([i for i in dataset.images if i.capture.scale is not None]):
         try:
             pixels = load_background(image.path).pixels

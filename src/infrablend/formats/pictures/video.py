@@ -181,18 +181,21 @@ class Video:
                 if packet.size and not packet.is_discard:
                     stamps.append(packet.pts if packet.pts is not None else packet.dts)
         if not stamps:
-            found, todo = "a video stream without frames", "copy the file from the card again"
+            found = "a video stream without frames"
+            todo = "copy the file from the card again"
             raise _refuse(self.path, "video-none", found, "at least one frame", todo)
         begin = min((s for s in stamps if s is not None), default=0)
         self._begin_s = float(begin * (self._stream.time_base or 0))
-        base, rate = self._stream.time_base, self._stream.average_rate or self._stream.guessed_rate
+        base = self._stream.time_base
+        rate = self._stream.average_rate or self._stream.guessed_rate
         known = sorted(s for s in stamps if s is not None)
         if len(known) == len(stamps) and base:
             repeated = len(known) - len({*known})
             times = np.array([float((s - known[0]) * base) for s in known], np.float64)
             return Timeline(times, {} if repeated else {s: k for k, s in enumerate(known)}, repeated)
         if not rate:
-            found, todo = "frames without times, and no frame rate", "convert it to MP4 or MKV"
+            found = "frames without times, and no frame rate"
+            todo = "convert it to MP4 or MKV"
             raise _refuse(self.path, "video-times", found, "a container with times", todo)
         return Timeline(np.arange(len(stamps)) / float(rate), {})
 
@@ -267,8 +270,10 @@ class Video:
 
     def problems(self) -> list[Problem]:
         """Return the faults of the video that were seen so far."""
-        where, again = self.path.name, "copy the file from the card again"
-        frames, repeated = len(self.timeline.times_s), self.timeline.repeated
+        where = self.path.name
+        again = "copy the file from the card again"
+        frames = len(self.timeline.times_s)
+        repeated = self.timeline.repeated
         missing = f"{self.damaged} frame(s) that cannot be decoded, missing"
         early = f"ends after {frames} of {self.announced} frames"
         other = f"{self.other_size} frame(s) of another size than {self.size_wh[0]}x{self.size_wh[1]}, left out"
@@ -326,7 +331,8 @@ def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:
     name = str(picture.format.name)
     planes = _PLANES.get(name, name.removesuffix("be") + "le" if name.startswith("yuv") and name.endswith("be") else "")
     if planes:
-        name, picture = planes, picture.reformat(format=planes)
+        name = planes
+        picture = picture.reformat(format=planes)
     if name.startswith("gray"):
         levels: NDArray[Any] = picture.to_ndarray()
         return np.ascontiguousarray(levels)
@@ -335,7 +341,8 @@ def _pixels(picture: Any) -> NDArray[np.uint8] | NDArray[np.uint16]:
         bits = int(planar[0].bits)
         luminance = _plane(picture, 0, bits)
         chroma = [_plane(picture, k, bits) for k in (1, 2)] if len(picture.planes) == 3 else []
-        middle, slack = 1 << (bits - 1), _NEUTRAL << (bits - 8)
+        middle = 1 << (bits - 1)
+        slack = _NEUTRAL << (bits - 8)
         if chroma and all(np.abs(c.astype(np.int32) - middle).max(initial=0) <= slack for c in chroma):
             full = name.startswith("yuvj") or int(getattr(picture, "color_range", 0) or 0) == 2
             if bits > 8:

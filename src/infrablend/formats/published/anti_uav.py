@@ -77,16 +77,19 @@ _SPLITS: Mapping[str, Split] = {
 }  # fmt: skip
 _DEPTH = 3
 _DATE = re.compile(r"(20\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])_", re.ASCII)
-_PICTURE_STEP, _VIDEO_STEP = 1, 25
+_PICTURE_STEP = 1
+_VIDEO_STEP = 25
 
 
-_TEXT, _VIEWS = ".txt", "osd.csv"
+_TEXT = ".txt"
+_VIEWS = "osd.csv"
 _BETWEEN_NUMBERS = re.compile(r"[\s,;]+")
 _COLUMNS = {"field_of_view_deg": "hfov_deg", "elevation_at_start_deg": "pitch_deg"}
 _PAINTED: Mapping[How, str] = {"other-frames": "painted", "in-part": "painted_in_part", "guessed": "painted_by_guess"}
 
 
-_TARGETS_FILE, _TARGETS_COLUMNS = "targets.csv", ("folder", "of", "first", "category", "track_id", "ignore")
+_TARGETS_FILE = "targets.csv"
+_TARGETS_COLUMNS = ("folder", "of", "first", "category", "track_id", "ignore")
 
 
 @dataclass(frozen=True)
@@ -248,10 +251,12 @@ def _read_targets(found: Findings) -> dict[str, _Target]:
     for n, row in enumerate(found.own_table(_TARGETS_FILE, _TARGETS_COLUMNS)[1:], 2):
         first = to_int(row[2]) if len(row) == len(_TARGETS_COLUMNS) else None
         if first is None or first < 0 or not row[3]:
-            text, expected = repr(",".join(row))[:80], ",".join(_TARGETS_COLUMNS)
+            text = repr(",".join(row))[:80]
+            expected = ",".join(_TARGETS_COLUMNS)
             found.add(f"{_TARGETS_FILE}: line {n}", "row-malformed", text, expected, "correct the line")
         else:
-            of, track = row[1] if row[1] != row[0] else "", plain_id(row[4] or "0")
+            of = row[1] if row[1] != row[0] else ""
+            track = plain_id(row[4] or "0")
             targets[row[0]] = _Target(of, first, row[3], track, row[5] == "1")
     return targets
 
@@ -315,7 +320,8 @@ def _views(found: Findings, sequences: Sequence[_Sequence]) -> dict[Path, Captur
     clips = [s for s in sequences if s.label.suffix == _TEXT and s.video is not None]
     views: dict[Path, Capture] = {}
     for folder in sorted({s.folder for s in clips if (s.folder / _VIEWS).is_file()}):
-        path, here = folder / _VIEWS, [s for s in clips if s.folder == folder]
+        path = folder / _VIEWS
+        here = [s for s in clips if s.folder == folder]
         try:
             rows = [(where, _named(row)) for where, row in csv_rows(path)]
             table = table_of_rows(path, rows)
@@ -554,7 +560,8 @@ def write(
             losses["unlabelled_unsaid"] += not is_labelled(ordered[n])
             losses["ignore_as_class"] += dont_care == "keep" and count_crowds(ordered[n].instances, ignored)
         targets = _targets(sequence, ignored if dont_care == "drop" else None, losses) or {(CATEGORIES[0].name, 0): {}}
-        split, whole = places[group[0]].split, folder.partition("/")[2]
+        split = places[group[0]].split
+        whole = folder.partition("/")[2]
         wanted = [file_name(f"{whole}_{track}") for _, track in list(targets)[1:]]
         named = distinct_names(wanted, used[split])
         used[split] |= {*named}
@@ -597,7 +604,9 @@ def _targets(sequence: Frames, dropped: Collection[str] | None, losses: Losses) 
         dropped: Classes to ignore, which are left out with crowds; None keeps all.
         losses: Counts what is left out, changed and lost.
     """
-    numbered, several, largest = True, set[str](), -1
+    numbered = True
+    several = set[str]()
+    largest = -1
     for image in sequence:
         numbered = numbered and image.capture.sequence is not None and image.capture.frame is not None
         here = [o for o in image.instances if _is_kept(o, dropped)]

@@ -135,7 +135,8 @@ def read(
         path = state.pictures.by_name[name]
         size_wh = state.size(path, f"{_PICTURES}/{name}")
         if size_wh is not None:
-            capture, unsaid = Capture(pitch_deg=STRAIGHT_DOWN_DEG), {"labelled": False}
+            capture = Capture(pitch_deg=STRAIGHT_DOWN_DEG)
+            unsaid = {"labelled": False}
             state.records.append(
                 ImageRecord("", path, "train", size_wh, (), capture, extra=unsaid, file_name=name)
             )  # fmt: skip
@@ -176,8 +177,10 @@ def _date(top: dict[str, Any]) -> str | None:
 def _frame_record(state: _Reading, flight: _Flight, frame: Any, where: str) -> ImageRecord | None:
     """Return the record of a frame, or None with a problem if its entry or picture cannot be used."""
     entry = frame if isinstance(frame, dict) else {}
-    given, path = entry.get("annotations"), None
-    name, problem = str(entry.get("thermal_image")), check_name(entry.get("thermal_image"), where)
+    given = entry.get("annotations")
+    path = None
+    name = str(entry.get("thermal_image"))
+    problem = check_name(entry.get("thermal_image"), where)
     if problem is None and not isinstance(given, list):
         expected = "a list of annotations"
         problem = Problem(where, "annotation-layout", "no list of annotations", expected, "fetch the file again")
@@ -209,7 +212,8 @@ def _instances(state: _Reading, given: Any, size_wh: tuple[int, int], where: str
         here = f"{where}: annotation {n}"
         state.counts["objects"] += 1
         values = annotation if isinstance(annotation, dict) else {}
-        species, box = values.get("species"), values.get("bbox")
+        species = values.get("species")
+        box = values.get("bbox")
         edges = to_floats([box.get(k) for k in _EDGES], 4) if isinstance(box, dict) else None
         if not isinstance(species, str) or not species.strip() or edges is None:
             expected = "species, and bbox with x_min, y_min, x_max and y_max"

@@ -44,7 +44,10 @@ WIKIDATA = {
 }  # fmt: skip
 """Species by their published numbers, which files in any language contain."""
 
-_TRACKS, _POSES, _METADATA, _VIDEO = "_gt.txt", "_matched_poses.json", "_metadata.json", "_matched_processed.mp4"
+_TRACKS = "_gt.txt"
+_POSES = "_matched_poses.json"
+_METADATA = "_metadata.json"
+_VIDEO = "_matched_processed.mp4"
 _PICTURE = re.compile(r"(\d{1,6})(?:_matched_processed)?_(\d{1,9})", re.ASCII)
 _PICTURE_FOLDERS = ("thermal", "frames/thermal")
 COUNTS = ("flights", "frames", "objects", "read", "no_animal", "interpolated_frames", "without_pose")
@@ -241,7 +244,8 @@ def _pictures(found: Flights, folder: Path, flight: str, numbers: Sequence[int])
                     leave_out([p])  # many frames of a flight have no labels
                     if int(match[2]) in wanted:
                         pictures.setdefault(int(match[2]), p)
-    video, missing = folder / f"{flight}{_VIDEO}", [n for n in numbers if n not in pictures]
+    video = folder / f"{flight}{_VIDEO}"
+    missing = [n for n in numbers if n not in pictures]
     if missing and video.is_file() and not leaves_folder(video):
         try:
             width, height = Video(video).size_wh
@@ -276,7 +280,8 @@ def _poses(found: Findings, path: Path | None) -> dict[int, Pose]:
         values = entry if isinstance(entry, dict) else {}
         rotation = values.get("rotation")
         tilt = values.get("pitch", rotation[0] if isinstance(rotation, list) and rotation else None)
-        degrees, when = to_number(tilt), to_time(values.get("timestamp"))
+        degrees = to_number(tilt)
+        when = to_time(values.get("timestamp"))
         start = when if k == 0 else start
         if degrees is not None:
             captured = when.isoformat() if when else None
@@ -318,7 +323,8 @@ def _read_yolo(found: Flights, poses: Mapping[str, Path], wanted: Sequence[Split
             if match is None:
                 found.add(where, "name-unknown", "a name without flight and frame", "<flight>_<frame>.png")
                 continue
-            flight, number = match[1], int(match[2])
+            flight = match[1]
+            number = int(match[2])
             label = (found.root / "labels" / split / name).with_suffix(".txt")
             size_wh = found.size(path, where)
             if size_wh is None:
@@ -338,7 +344,8 @@ def _yolo_instances(found: Flights, path: Path, size_wh: tuple[int, int]) -> Ite
     found.problems += labels.problems
     for n, class_, values in labels.rows:
         found.counts["objects"] += 1
-        here, species = f"{where}: line {n}", species_of(class_)
+        here = f"{where}: line {n}"
+        species = species_of(class_)
         if species is None or len(values) != 4:
             text = f"class {class_}, {len(values)} numbers"
             found.add(here, "category-unknown", text, "class 0 to 74 and a box")

@@ -240,7 +240,8 @@ def _further_species(reading: _Reading) -> dict[int, Category]:
 
 
 def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabelled: str) -> list[ImageRecord]:
-    frames, tables = part.frames, part.tables
+    frames = part.frames
+    tables = part.tables
     records: list[ImageRecord] = []
     where = reading.place(part.folder) if part.folder != reading.root else reading.root.name
     if part.others:
@@ -274,7 +275,8 @@ def _read_part(reading: _Reading, part: _Part, order: bool, offset: int, unlabel
             if size_wh is None:
                 continue
             instances = _instances(reading, of_frame.get(number, []), size_wh)
-            capture, extra = Capture(sequence=sequence, frame=number), {} if number in of_frame else {"labelled": False}
+            capture = Capture(sequence=sequence, frame=number)
+            extra = {} if number in of_frame else {"labelled": False}
             name = f"{sequence}/{path.name}"
             records.append(ImageRecord("", path, part.split, size_wh, instances, capture, extra=extra, file_name=name))
     reading.counts["unlabelled"] += missing
@@ -416,7 +418,8 @@ def write(
                 table.append(_line(places[image.id][1], o, species, tracks[sequence], losses))
     for name, rows in sorted(lines.items()):
         files.append(write_text(out / name, "".join(rows)))
-    renamed, known = [], []
+    renamed = []
+    known = []
     for image in ordered:
         sequence, frame = places[image.id]
         base = f"{sequence}/{sequence}_{frame:010d}{PurePosixPath(image.name).suffix}"
@@ -533,5 +536,6 @@ def _line(
     x0, y0, x1, y1 = instance.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))
     hidden = instance.extra.get("occluded") is True or (instance.visibility is not None and instance.visibility < 1)
-    occluded, noisy = hidden or instance.extra.get("occlusion") == 1, instance.extra.get("noise") == 1
+    occluded = hidden or instance.extra.get("occlusion") == 1
+    noisy = instance.extra.get("noise") == 1
     return f"{frame},{tracks.number(instance.track_id)},{box},{class_},{number},{int(occluded)},{int(noisy)}\n"

@@ -116,9 +116,11 @@ def _read_split(
     pictures, labels = (folder / f"{split}{suffix}" for suffix in _KINDS[kind])
     twins = folder / f"{split}{_KINDS['rgb' if kind == 'ir' else 'ir'][0]}"
     names = sorted(p.name for p in pictures.iterdir() if is_picture_name(p.name)) if pictures.is_dir() else []
-    records, without = [], 0
+    records = []
+    without = 0
     for name in names:
-        path, label = pictures / name, labels / f"{Path(name).stem}.xml"
+        path = pictures / name
+        label = labels / f"{Path(name).stem}.xml"
         without += not label.is_file()
         if not label.is_file() and unlabelled == "drop":
             continue

@@ -103,7 +103,8 @@ def _require_decoder() -> Any:
 
 def _read_labels(path: Path, where: str, decoder: Any) -> tuple[list[Any], Problem | None]:
     """Return one box or None per frame, or an empty list and the problem."""
-    expected, todo = "a MATLAB file with a groundTruth object", "fetch the file again"
+    expected = "a MATLAB file with a groundTruth object"
+    todo = "fetch the file again"
     try:
         if leaves_folder(path) or not path.is_file():
             return [], Problem(where, "annotation-missing", "no label file", expected, todo)
@@ -123,7 +124,8 @@ def _read_labels(path: Path, where: str, decoder: Any) -> tuple[list[Any], Probl
 
 def _read_clip(found: Findings, clip: str, path: Path, step: int, decoder: Any) -> list[ImageRecord]:
     label = path.with_name(clip + _LABELS)
-    where, here = found.place(label), found.place(path)
+    where = found.place(label)
+    here = found.place(path)
     boxes, problem = _read_labels(label, where, decoder)
     if problem is not None:
         found.problems.append(problem)

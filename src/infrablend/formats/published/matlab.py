@@ -11,7 +11,10 @@ import zlib
 from collections.abc import Iterator
 
 _HEADER_BYTES = 128
-_INT8, _UINT8, _MATRIX, _COMPRESSED = 1, 2, 14, 15
+_INT8 = 1
+_UINT8 = 2
+_MATRIX = 14
+_COMPRESSED = 15
 _MAX_BYTES = 200_000_000
 
 

@@ -207,7 +207,8 @@ def _read_videos(found: Findings, split: Split, folder: Path, unlabelled: str) -
                 continue
             made = (_object(found, r.values, size_wh, r.where, r.track) for r in rows.get(number, ()))
             capture = Capture(sequence=sequence.name, frame=number - 1)
-            name, objects = f"{sequence.name}/{path.name}", tuple(o for o in made if o is not None)
+            name = f"{sequence.name}/{path.name}"
+            objects = tuple(o for o in made if o is not None)
             yield ImageRecord("", path, split, size_wh, objects, capture, extra=extra, file_name=name)
 
 

@@ -106,7 +106,8 @@ def read(
             frame = _FRAME.search(r.path.stem)
             capture = Capture(sequence=clip, captured=_captured(clip), frame=int(frame[1]) if frame else None)
             extra = {**r.extra, "modality": "visible"} if kind == "vis" else r.extra
-            labels, name = (*r.instances, *logos), f"{clip}/{r.name}"
+            labels = (*r.instances, *logos)
+            name = f"{clip}/{r.name}"
             records.append(replace(r, split=of_all, instances=labels, capture=capture, extra=extra, file_name=name))
     _summarise(found, modality, logo)
     categories = CATEGORIES if found.counts["logos"] else CATEGORIES[:1]
@@ -131,7 +132,8 @@ def _report_strays(found: Findings, folder: str, pictures: Mapping[str, Path]) -
 
 
 def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
-    where, counts = found.place(path), found.counts
+    where = found.place(path)
+    counts = found.counts
     text = found.text(path, "a YOLO label file")
     if text is None:
         return None
@@ -183,7 +185,8 @@ def _logo(found: Findings, image: ImageRecord, region: tuple[float, ...] | None)
 
 
 def _summarise(found: Findings, modality: str, logo: str) -> None:
-    name, counts = found.root.name, found.counts
+    name = found.root.name
+    counts = found.counts
     if counts["other_clips"]:
         text = f"{counts['other_clips']} clip(s) with {counts['other_pictures']} pictures left out"
         found.warn(name, "modality-excluded", text, f"modality={modality}")

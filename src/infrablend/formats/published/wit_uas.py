@@ -85,7 +85,8 @@ def read(
         capture = Capture(sequence=run, captured=date[1] if date else None)
         for r in with_label_files(found, frames, ".label", unlabelled, folder, _read_label):
             time = Capture.from_json({"time_s": r.path.stem.removeprefix("time_")}, strict=False)
-            extra, name = {"sensor": sensor.lower(), **r.extra}, "/".join([*parts, r.name])
+            extra = {"sensor": sensor.lower(), **r.extra}
+            name = "/".join([*parts, r.name])
             records.append(replace(r, split=split, capture=time.over(capture), extra=extra, file_name=name))
     if found.counts["other_camera"]:
         text = f"{found.counts['other_camera']} picture(s) of the other camera left out"

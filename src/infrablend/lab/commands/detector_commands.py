@@ -80,8 +80,10 @@ def start_text(plan: Mapping[str, Any]) -> str:
 
 def _training(record: Mapping[str, Any]) -> dict[str, str]:
     """Return the rows on a finished training; an object counts once per tile that contains it."""
-    start, prepared = record["start"], record["prepared"]
-    used, tiles = f"{prepared['images']}, {prepared['labels']}: all used", prepared.get("tiles")
+    start = record["start"]
+    prepared = record["prepared"]
+    used = f"{prepared['images']}, {prepared['labels']}: all used"
+    tiles = prepared.get("tiles")
     pieces = tiles and tiles["labels_left_out"]
     rows = {
         "classes": ", ".join(record["classes"]),
@@ -143,7 +145,8 @@ def _evaluation(report: EvaluationReport) -> list[str]:
     classes = metrics["classes"]
     rows = [[*row, page.class_interval(classes[row[0]]["ci"], "map50_95")] for row in page.table_rows(classes)]
     blocks = [grid([*page.HEAD, "interval"], rows)]
-    targets, alarms = metrics["targets"], metrics["false_alarms"]
+    targets = metrics["targets"]
+    alarms = metrics["false_alarms"]
     blocks.append(page.as_one_text(classes["all"]))
     blocks.append(f"{page.target_title(targets)}:\n" + grid(page.TARGET_HEAD, page.target_rows(metrics)))
     blocks.append(grid(["size or visible share", "objects", "found"], page.kind_rows(targets)))

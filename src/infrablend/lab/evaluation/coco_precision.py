@@ -54,7 +54,8 @@ class _Eval(COCOeval):  # type: ignore[misc]
             return super().computeIoU(imgId, catId)
         if not self._dts[imgId, catId]:
             return []
-        truth, found = self._case.labels[imgId - 1], self._case.found[imgId - 1]
+        truth = self._case.labels[imgId - 1]
+        found = self._case.found[imgId - 1]
         its = np.flatnonzero(found.classes == catId - 1)[:MAX_DETECTIONS]
         return overlaps(found.take(its), truth, "obb")[:, (truth.classes == catId - 1) | (truth.classes == -1)]
 

@@ -50,7 +50,8 @@ from infrablend.lab.evaluation.small_targets import BODY_BINS, NO_BODY_PX, body_
 from infrablend.lab.evaluation.tracking import require_trackers
 from infrablend.lab.pages.evaluation_page import draw_plots, evaluation_page
 
-PAGE, PLOTS = "evaluation.html", "plots"
+PAGE = "evaluation.html"
+PLOTS = "plots"
 _SHOWN = 5
 _LEAST_AP = 0.001
 
@@ -278,7 +279,8 @@ def image_groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]
 
 def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
     """Return the frame that each image shows: its own key, or one name for an original and all images made of it."""
-    backgrounds, made = [], []
+    backgrounds = []
+    made = []
     for image in images:
         key = PurePosixPath(image_key(image))
         background = background_stem(key.stem)
@@ -298,7 +300,8 @@ def _frames(images: Sequence[ImageRecord]) -> tuple[str, ...]:
 
 def measure_bodies(case: Case, counts: dict[str, int], problems: list[Problem]) -> list[FloatArray]:
     """Return the sizes of the bodies of the labels on each image, px; append those without one to `problems`."""
-    found, unread = [], []
+    found = []
+    unread = []
     for image, truth in zip(case.images, case.labels, strict=True):
         sizes = np.full(len(truth.ignore), NO_BODY_PX)
         if not truth.ignore.all():
@@ -324,7 +327,9 @@ def measure_bodies(case: Case, counts: dict[str, int], problems: list[Problem]) 
 
 def _detection_warnings(table: Mapping[str, Mapping[str, Any]], detections: int) -> list[Problem]:
     """Return a warning if there are no detections, or if the AP of every class rounds to 0.000."""
-    code, found, todo = "no-detections", f"no detection of {', '.join(c for c in table if c != 'all')}", ""
+    code = "no-detections"
+    found = f"no detection of {', '.join(c for c in table if c != 'all')}"
+    todo = ""
     if detections:
         if max(row["map50"] for row in table.values() if row["map50"] is not None) >= _LEAST_AP:
             return []

@@ -85,7 +85,8 @@ def _numbered(images: Sequence[ImageRecord]) -> tuple[dict[str, dict[int, int]],
     numbered: dict[str, dict[int, int]] = {}
     counts: Counter[str] = Counter()
     for k, image in enumerate(images):
-        name, number = image.capture.sequence, image.capture.frame
+        name = image.capture.sequence
+        number = image.capture.frame
         if name is None:
             counts["pictures_without_sequence"] += 1
         elif number is None:

@@ -142,7 +142,8 @@ def require_same(record: Mapping[str, Any], ours: Mapping[str, Any], where: Path
         if found == expected or (what in ("images", "labels") and problems):  # other splits have other images
             continue
         if what == "labels":
-            found, expected = "different labels or images", "the same"
+            found = "different labels or images"
+            expected = "the same"
         problems.append(Problem(str(where), f"other-{what}", f"{what}: {found}", str(expected), todo))
     if problems:
         raise DatasetError(f"{where}: cannot be compared image by image", problems)

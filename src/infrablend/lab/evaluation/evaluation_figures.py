@@ -57,7 +57,9 @@ def figures(
         seed: Seed of the draws.
         bodies_px: Sizes of the bodies of the labels on each image, if they are measured.
     """
-    names, matches, coco = case.classes, match_all(case), coco_precisions(case)[0]
+    names = case.classes
+    matches = match_all(case)
+    coco = coco_precisions(case)[0]
     ours = np.array([average_precisions(m)[0] for m in matches])
     if not np.allclose(coco, ours, rtol=0, atol=1e-6, equal_nan=True):
         raise AssertionError("pycocotools and our own matching disagree: a bug")
@@ -117,7 +119,8 @@ def _as_one(
 ) -> dict[str, Any]:
     """Return the AP of all classes as one, and the intervals `ci` with its own if there are any."""
     once = np.ones((1, weights.shape[1]), np.int32)
-    values, drawn = drawn_figures(one, once)[0, 0], drawn_figures(one, weights)[:, 0]
+    values = drawn_figures(one, once)[0, 0]
+    drawn = drawn_figures(one, weights)[:, 0]
     ours = {measure: float(v) for measure, v in zip(AS_ONE, values, strict=True)}
     return {**ours, "ci": None if ci is None else ci | {m: interval(drawn[:, n]) for n, m in enumerate(AS_ONE)}}
 
@@ -208,7 +211,8 @@ def confusion_matrix(case: Case, confidence: float) -> NDArray[np.int64]:
     for truth, found in zip(case.labels, case.found, strict=True):
         free = ~truth.ignore
         sure = found.take(np.flatnonzero(found.scores >= confidence))
-        overlap, regions = overlaps(sure, truth, case.task), truth.regions_of(sure.classes)
+        overlap = overlaps(sure, truth, case.task)
+        regions = truth.regions_of(sure.classes)
         for d, c in enumerate(sure.classes):
             value = np.where(free, overlap[d], 0.0)
             if value.max(initial=0.0) >= CONFUSION_IOU:

@@ -45,7 +45,9 @@ def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = Non
     special = np.flatnonzero(mixed)
     before = np.cumsum(~mixed)[special]
     wrong_images = of_image[~mixed][: int(before[-1]) if len(before) else 0]
-    right, neutral, of = right[:, special], neutral[:, special], of_image[special]
+    right = right[:, special]
+    neutral = neutral[:, special]
+    of = of_image[special]
     thresholds = len(right)
     result = np.full((len(counts), thresholds), np.nan)
     step = max(1, _CELLS // max(len(wrong_images), len(special), 1))
@@ -55,7 +57,8 @@ def average_precisions(matches: ClassMatches, weights: NDArray[Any] | None = Non
         some = total > 0
         passed = np.zeros((len(w), len(wrong_images) + 1), np.int32)
         np.cumsum(w[:, wrong_images], axis=1, out=passed[:, 1:])
-        base, own = passed[:, before], w[:, of]
+        base = passed[:, before]
+        own = w[:, of]
         for t in range(thresholds):
             ap = np.zeros(len(w))
             if right[t].any():
@@ -81,7 +84,8 @@ def _area(hits: FloatArray, misses: FloatArray, total: FloatArray) -> FloatArray
 
 def precision_by_recall(matches: ClassMatches) -> FloatArray:
     """Return the (101,) interpolated precision at each recall at IoU 0.5; its mean is the average precision."""
-    right, neutral = matches.right[0, 0], matches.neutral[0, 0]
+    right = matches.right[0, 0]
+    neutral = matches.neutral[0, 0]
     hits, misses = np.cumsum(right), np.cumsum(~right & ~neutral)
     total = int(matches.objects[0].sum())
     curve = np.zeros(len(RECALLS))
@@ -116,8 +120,10 @@ def confidence_curves(matches: ClassMatches) -> tuple[FloatArray, FloatArray]:
 
     Above the highest score precision is 1 and recall 0; without detections both are 0.
     """
-    right, neutral = matches.right[0, 0], matches.neutral[0, 0]
-    scores, right = matches.scores[~neutral], right[~neutral]
+    right = matches.right[0, 0]
+    neutral = matches.neutral[0, 0]
+    scores = matches.scores[~neutral]
+    right = right[~neutral]
     if not len(scores):
         return np.zeros(len(CONFIDENCES)), np.zeros(len(CONFIDENCES))
     hits = np.cumsum(right)

@@ -96,7 +96,9 @@ def found_by_kind(case: Case, confidence: float) -> dict[str, dict[str, dict[str
     Sizes are the longer sides of boxes, px. Objects whose visible share is unknown are in no range of it, and a range
     without objects is left out.
     """
-    sizes, shares, found = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, np.bool_)]
+    sizes = [np.zeros(0)]
+    shares = [np.zeros(0)]
+    found = [np.zeros(0, np.bool_)]
     for truth, names in zip(case.labels, _names(case, confidence), strict=True):
         objects = ~truth.ignore
         sizes.append(long_sides(truth)[objects])
@@ -150,7 +152,8 @@ def false_alarms(case: Case, matches: Mapping[str, ClassMatches], confidence: fl
     classes = {}
     for name, m in matches.items() if pictures else ():
         scores = m.scores[empty[m.images] & ~m.neutral[0, 0]]
-        hits, objects = np.cumsum(m.right[0, 0]), int(m.objects[0].sum())
+        hits = np.cumsum(m.right[0, 0])
+        objects = int(m.objects[0].sum())
         at_recall: dict[str, dict[str, float] | None] = {}
         for level in RECALL_LEVELS:
             needed = math.ceil(level * objects - 1e-9)
@@ -167,7 +170,8 @@ def false_alarms(case: Case, matches: Mapping[str, ClassMatches], confidence: fl
 
 def target_shares(target: Mapping[str, Any], alarms: Mapping[str, Any] | None) -> dict[str, float | None]:
     """Return a class's share of objects found, of these the share named, and false alarms a picture at recall 0.8."""
-    objects, found = target["objects"], target["found"]
+    objects = target["objects"]
+    found = target["found"]
     at_recall = alarms["at_recall"]["0.8"] if alarms else None
     return {
         "found": found / objects if objects else None,
@@ -192,7 +196,8 @@ def sizes_by_body(case: Case, bodies_px: Sequence[FloatArray]) -> list[tuple[Flo
     The body of a detection is unknown; its size is the longer side of its box less the median margin of the labels of
     its class, from body to box.
     """
-    body, of = np.concatenate(bodies_px), np.concatenate([t.classes for t in case.labels])
+    body = np.concatenate(bodies_px)
+    of = np.concatenate([t.classes for t in case.labels])
     margin = np.concatenate([long_sides(t) for t in case.labels]) - body
     known = [(body != NO_BODY_PX) & (of == c) for c in range(len(case.classes))]
     margins = np.array([np.median(margin[its]) if its.any() else 0.0 for its in known])

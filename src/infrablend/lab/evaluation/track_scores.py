@@ -67,7 +67,8 @@ def track_figures(
     """
     names = [s.name for s in sequences]
     weights = np.concatenate([np.ones((1, len(names)), np.int32), draw_images(names, draws, seed)])
-    counts, values = [], []
+    counts = []
+    values = []
     for c in range(len(classes)):
         data = [_sequence_data(s, c, task) for s in sequences]
         fields = ("num_gt_dets", "num_gt_ids", "num_tracker_ids")
@@ -97,11 +98,14 @@ def _sequence_data(sequence: Followed, c: int, task: Task) -> dict[str, Any]:
     """Return the tracks of one class as trackeval's metrics expect them, without detections in regions to ignore."""
     labelled: dict[Hashable, int] = {}
     tracked: dict[Hashable, int] = {}
-    gt_ids, tracker_ids, similarity = [], [], []
+    gt_ids = []
+    tracker_ids = []
+    similarity = []
     for truth, (found, ids) in zip(sequence.labels, sequence.found, strict=True):
         its = np.flatnonzero(found.classes == c)
         of = found.take(its)
-        overlap, objects = overlaps(of, truth, task), np.flatnonzero((truth.classes == c) & ~truth.ignore)
+        overlap = overlaps(of, truth, task)
+        objects = np.flatnonzero((truth.classes == c) & ~truth.ignore)
         near = overlap >= MATCH_IOU
         kept = near[:, objects].any(axis=1) | ~(near & truth.regions_of(of.classes)).any(axis=1)
         gt_ids.append(_numbers([truth.track_ids[k] for k in objects], labelled))
@@ -127,7 +131,9 @@ def _measure(data: Sequence[dict[str, Any]], weights: NDArray[np.int32]) -> Floa
     """Return the (b, 6) measures for (b, s) numbers of times that each sequence counts."""
     from trackeval.metrics import CLEAR, HOTA, Identity
 
-    hota, clear, identity = HOTA(), CLEAR({"PRINT_CONFIG": False}), Identity({"PRINT_CONFIG": False})
+    hota = HOTA()
+    clear = CLEAR({"PRINT_CONFIG": False})
+    identity = Identity({"PRINT_CONFIG": False})
     # Fields of HOTA are arrays over overlaps, to which the draws are a second axis: counts are multiplied, means stay.
     parts = {
         k: {

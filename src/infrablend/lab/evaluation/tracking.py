@@ -73,7 +73,8 @@ def _update(tracker: Any, found: Detections, picture: NDArray[np.uint8] | None) 
     rows = np.column_stack([places[np.sort(first)], named.scores, named.classes])
     # The size of the picture, here 1, is for relative coordinates, which trackers do not use.
     said = tracker.update((OBB if turned else Boxes)(rows, (1, 1)), picture).reshape(-1, 9 if turned else 8)
-    tracked, ids = named.take(said[:, -1].astype(np.int64)), said[:, -4].astype(np.int64)
+    tracked = named.take(said[:, -1].astype(np.int64))
+    ids = said[:, -4].astype(np.int64)
     if not turned:
         return replace(tracked, boxes_xyxy=said[:, :4].astype(np.float64)), ids
     corners = corners_of_cxcywha(said[:, :5].astype(np.float64))

@@ -27,7 +27,11 @@ def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
         from ultralytics.utils.metrics import ap_per_class
 
         matcher = SimpleNamespace(iouv=torch.linspace(0.5, 0.95, len(IOUS)))
-        right, scores, predicted, labels, images = [], [], [], [], []
+        right = []
+        scores = []
+        predicted = []
+        labels = []
+        images = []
         for truth, found in zip(case.labels, case.found, strict=True):
             real = np.flatnonzero(~truth.ignore)
             labels.append(truth.classes[real])

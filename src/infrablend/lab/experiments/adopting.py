@@ -55,7 +55,8 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
 
 
 def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
-    inputs, data = job.stage.inputs, job.needs["data"].result
+    inputs = job.stage.inputs
+    data = job.needs["data"].result
     path = folder / "train.json"
     try:
         found = load_json(path)
@@ -64,7 +65,8 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
         problem = Problem(str(path), "adopt-record", f"cannot be read ({error})", expected)
         raise DatasetError("nothing to adopt", [problem]) from error
     record = found if isinstance(found, dict) else {}
-    prepared, asked = record.get("prepared") or {}, dict(inputs["preset"])
+    prepared = record.get("prepared") or {}
+    asked = dict(inputs["preset"])
     settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
     classes = list(inputs["classes"] or data["classes"])
     labels = {k: n for k, n in data["labels"].get("train", {}).items() if k in classes and n}
@@ -92,7 +94,8 @@ def _check_run(job: StageJob, folder: Path) -> None:
     spec: Generate = job.stage.spec
     recipe = read_recipe(spec.recipe, spec.settings).recipe
     recorded = RecordedRun.from_record(record, folder / RUN_FILE).recipe
-    source, seed = job.needs["of"], job.request.seed
+    source = job.needs["of"]
+    seed = job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)
     keys = []
     for splits in (spec.splits, SPLITS):  # made from the splits that are needed, or from all

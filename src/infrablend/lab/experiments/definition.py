@@ -337,7 +337,9 @@ class Check(Strict):
 
     @model_validator(mode="after")
     def _whole(self) -> Check:
-        no_comparison, no_ratio, at_least = self.comparison is None, self.ratio is None, self.expect == "at_least"
+        no_comparison = self.comparison is None
+        no_ratio = self.ratio is None
+        at_least = self.expect == "at_least"
         of_interval = self.expect in ("below", "above", "within", "not_below")
         for wrong, why in (
             (no_comparison == no_ratio, "a check needs either comparison or ratio, not both"),
@@ -423,7 +425,8 @@ class Experiment(Strict):
 
     def _references(self) -> Iterator[tuple[str, str, str]]:
         """Yield place, kind and name of every reference in the file."""
-        data, evaluation = "source or data", "evaluation"
+        data = "source or data"
+        evaluation = "evaluation"
         for n in self.data:
             yield from ((f"data.{n}", data, i) for i in self.inputs_of(n).values())
         yield from ((f"trainings.{n}.data", data, t.data) for n, t in self.trainings.items())
@@ -454,7 +457,8 @@ class Experiment(Strict):
 
     def seeds_of_data(self) -> dict[str, tuple[str, ...]]:
         """Return the names of all draws of each data item: one per seed of the trainings that use it, if redrawn."""
-        seeds, found = self.seeds_of_trainings(), {}
+        seeds = self.seeds_of_trainings()
+        found = {}
         for n, d in self.data.items():
             redrawn = isinstance(d, Merge) and d.redraw
             counts = [len(seeds[k]) for k, t in self.trainings.items() if t.data == n and redrawn]

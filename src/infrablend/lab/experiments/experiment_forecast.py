@@ -34,7 +34,8 @@ NO_WORK = ("done", "not needed", "adopted")
 """Statuses of stages that take no time."""
 
 # Seconds on one core, as in docs/explanation/performance.md.
-FRAME_S, OBJECT_S = 0.06, 0.06
+FRAME_S = 0.06
+OBJECT_S = 0.06
 WORLD_S = 2.0
 COPY_S = 0.002
 PASTE_S = 0.02
@@ -71,7 +72,8 @@ def measured_rates(work: Path, device: str = "cpu") -> Rates:
 
 
 def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
-    result, seconds = record["result"], float(record["seconds"])
+    result = record["result"]
+    seconds = float(record["seconds"])
     match record["kind"]:
         case "train":
             return float(result["record"]["seconds"]), int(result["record"]["passes"])
@@ -103,7 +105,8 @@ def stage_seconds(stage: Stage, rates: Rates, request: ExperimentRequest) -> flo
     if stage.kind == "train":
         if known is not None and (passes := stage.inputs["preset"].get("passes")):
             return START_S + float(passes) * known
-        preset, shown = preset_of(request, stage.spec), stage.images.get("train", 0)
+        preset = preset_of(request, stage.spec)
+        shown = stage.images.get("train", 0)
         if preset.tile:  # with about five objects in a picture, for which HIT-UAV needs 1.4 tiles
             shown += math.ceil(0.08 * (5 * shown))
         shown = min(shown, preset.tiles) if preset.tiles else shown
@@ -207,7 +210,8 @@ def plan_experiment(prepared: PreparedExperiment) -> ExperimentPlan:
         MissingDependencyError: The device that was asked for is not available.
         OutputError: The trainer does not know a setting.
     """
-    graph, request = prepared.graph, prepared.request
+    graph = prepared.graph
+    request = prepared.request
     prepared.require_adoptable()
     finished = set(prepared.finished())
     adopted = set(request.adopt) - finished

@@ -149,7 +149,9 @@ def _parents_first(experiment: Experiment) -> list[str]:
 
 class _Builder:
     def __init__(self, experiment: Experiment, given: Mapping[str, Path], request: ExperimentRequest) -> None:
-        self.experiment, self.given, self.request = experiment, given, request
+        self.experiment = experiment
+        self.given = given
+        self.request = request
         self.stages: dict[str, Stage] = {}
         self.left_out: dict[str, str] = {}
         self.problems: list[Problem] = []
@@ -202,7 +204,8 @@ class _Builder:
         needed = self.experiment.splits_used(name)
         empty = [s for s in needed if not facts["images"].get(s)]
         if empty:
-            found, expected = f"no image in {', '.join(empty)}", f"images in {', '.join(needed)}"
+            found = f"no image in {', '.join(empty)}"
+            expected = f"images in {', '.join(needed)}"
             self.problems.append(Problem(str(path), "split-empty", found, expected, "see `infrablend split`"))
         inputs = {"content": content_digest(dataset), "options": options, "limits": limits}
         self.add(Stage("source", name, inputs, {}, source, _limited(facts["images"], limits), path))
@@ -329,12 +332,14 @@ def _convert_inputs(spec: Convert, images: ImagesByRole, request: ExperimentRequ
 def _split_inputs(spec: Resplit, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
     inputs: dict[str, Any] = {"by": spec.by, "gap": spec.gap, "shares": list(spec.shares), "seed": request.seed}
     inputs |= {"test": list(spec.test)} if spec.test else {}
-    total, shares = sum(images["of"].values()), sum(spec.shares)
+    total = sum(images["of"].values())
+    shares = sum(spec.shares)
     return inputs, {s: round(total * k / shares) for s, k in zip(SPLITS, spec.shares, strict=True)}
 
 
 def _merge_inputs(spec: Merge, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
-    parts, made = [], Counter[str]()
+    parts = []
+    made = Counter[str]()
     for part, of_part in zip(spec.parts, images.values(), strict=True):
         limits = _at_scale(part.images, request)
         moved = {} if part.into is None else {"into": part.into}

@@ -50,7 +50,8 @@ def _make_source(job: StageJob) -> dict[str, Any]:
 
 
 def _make_world(job: StageJob) -> dict[str, Any]:
-    inputs, out = job.stage.inputs, job.out
+    inputs = job.stage.inputs
+    out = job.out
     if inputs["layout"] == "sky":
         write_sky_pictures(out, inputs["images"], inputs["seed"], inputs["classes"])
     else:
@@ -62,7 +63,8 @@ def _make_world(job: StageJob) -> dict[str, Any]:
 def _make_run(job: StageJob) -> dict[str, Any]:
     """Insert objects by a recipe; frames that failed are tried a second time."""
     spec: Generate = job.stage.spec
-    source, request = job.needs["of"], job.request
+    source = job.needs["of"]
+    request = job.request
     execution = Execution(request.workers, renderer=request.renderer, in_process=request.renderer == "flat")
     run = RunRequest(
         spec.recipe,
@@ -89,7 +91,8 @@ def _make_run(job: StageJob) -> dict[str, Any]:
 def _make_part(job: StageJob) -> dict[str, Any]:
     """Write a part of a dataset with its classes renamed or dropped."""
     spec: Convert = job.stage.spec
-    source, out = job.needs["of"], job.out
+    source = job.needs["of"]
+    out = job.out
     dataset = read_dataset(source.dataset, splits=spec.splits, options=source.reader_options)
     images = [image for split in spec.splits for image in _chosen_images(job, dataset, split)]
     dataset = replace(dataset, images=tuple(images))
@@ -191,7 +194,8 @@ def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
 
 def _make_split(job: StageJob) -> dict[str, Any]:
     spec: Resplit = job.stage.spec
-    source, out = job.needs["of"], job.out
+    source = job.needs["of"]
+    out = job.out
     dataset = read_dataset(source.dataset, options=source.reader_options)
     rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed, spec.test)
     report = split_dataset(dataset, out, rule, to="coco")
@@ -234,7 +238,8 @@ def _make_training(job: StageJob) -> dict[str, Any]:
 
 def _make_evaluation(job: StageJob) -> dict[str, Any]:
     spec: Evaluation = job.stage.spec
-    training, data = job.needs["training"], job.needs["data"]
+    training = job.needs["training"]
+    data = job.needs["data"]
     report = evaluate_detector(
         training.folder / training.result["weights"],
         read_dataset(data.dataset, options=data.reader_options),

@@ -30,7 +30,9 @@ from infrablend.lab.experiments.definition import Paste
 from infrablend.lab.experiments.stage import StageJob
 
 # Cut-outs tried at the place of an insert, then elsewhere in the sky, and places in the sky tried for each.
-_THERE, _ELSEWHERE, _PLACES = 8, 8, 40
+_THERE = 8
+_ELSEWHERE = 8
+_PLACES = 40
 # Least distance of a pasted object from annotated objects and text, px.
 _APART_PX = 2
 
@@ -38,14 +40,18 @@ _APART_PX = 2
 def make_paste(job: StageJob) -> dict[str, Any]:
     """Write the frames of a run with cut-outs of real objects in place of the inserted ones."""
     spec: Paste = job.stage.spec
-    objects, onto, run = job.needs["of"], job.needs["onto"], job.needs["like"]
+    objects = job.needs["of"]
+    onto = job.needs["onto"]
+    run = job.needs["like"]
     real = read_dataset(objects.dataset, splits=[spec.split], options=objects.reader_options)
     cuts, unusable = cut_objects(real, spec.category)
     if not cuts:
         found = f"no usable object of {spec.category} in the split {spec.split}; unusable: {dict(unusable) or 'none'}"
         problem = Problem(job.stage.id, "class-none", found, "objects that stand out from their surroundings")
         raise DatasetError(f"{job.stage.id}: nothing to paste", [problem])
-    made, scenes, out = read_dataset(run.dataset), RunFolder(run.dataset.parent), job.out
+    made = read_dataset(run.dataset)
+    scenes = RunFolder(run.dataset.parent)
+    out = job.out
     paster = Paster(cuts, spec.category, job.stage.inputs["seed"])
     report = paced(job.on_progress)
     images = []
@@ -112,7 +118,8 @@ def is_seen(
     time_of_day: TimeOfDay | None,
 ) -> bool:
     """Return whether an object has the contrast that is required of inserted ones."""
-    contrast, least = measure_contrast(picture, box_xyxy, others), real_least(category, time_of_day)
+    contrast = measure_contrast(picture, box_xyxy, others)
+    least = real_least(category, time_of_day)
     return contrast is not None and least.is_met(contrast.change, contrast.clutter)
 
 
@@ -125,7 +132,8 @@ class Paster:
     """
 
     def __init__(self, cuts: Sequence[CutOut], category: str, seed: int) -> None:
-        self.category, self.seed = category, seed
+        self.category = category
+        self.seed = seed
         self.counts = {"objects": 0, "moved": 0, "left_out": 0}
         self._queue = _shuffled_rounds(cuts, seed)
 
@@ -199,7 +207,8 @@ def _paste_somewhere(
     if w < width and h < height:
         places += [(int(rng.integers(width - w)), int(rng.integers(height - h))) for _ in range(_PLACES)]
     for number, (x, y) in enumerate(places):
-        box, moved = placed_box(cut, (x, y)), number >= there
+        box = placed_box(cut, (x, y))
+        moved = number >= there
         if not fits(cut, (x, y), (width, height)) or near_edge(box, picture.shape) or _touches(box, taken):
             continue
         if not moved or sky[y : y + h, x : x + w].all():

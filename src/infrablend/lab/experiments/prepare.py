@@ -61,7 +61,8 @@ class PreparedExperiment:
             DatasetError: An id names no stage or one of another kind, a folder does not exist, or a stage that is
                 needed for the comparison is not finished.
         """
-        by_id, adopt = self.graph.by_id, self.request.adopt
+        by_id = self.graph.by_id
+        adopt = self.request.adopt
         if unknown := [i for i in adopt if i not in by_id]:
             raise unknown_stage("--adopt", unknown, by_id, by_id)
         finished = self.finished()

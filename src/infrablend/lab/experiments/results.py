@@ -42,7 +42,9 @@ _FIGURES = ("images", "instances", *METRICS)
 
 def collect_results(prepared: PreparedExperiment, finished: Finished, stopped: str | None = None) -> dict[str, Any]:
     """Return everything that the page shows, as plain JSON, from the records of finished stages alone."""
-    experiment, graph, request = prepared.experiment, prepared.graph, prepared.request
+    experiment = prepared.experiment
+    graph = prepared.graph
+    request = prepared.request
     evaluations = {
         n: _evaluation(finished[i].result["metrics"])
         for n in experiment.evaluations

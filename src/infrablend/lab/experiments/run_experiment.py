@@ -99,8 +99,11 @@ def run_experiment(
 
 class _Run:
     def __init__(self, prepared: PreparedExperiment, on_stage: OnStage | None, on_progress: OnProgress | None) -> None:
-        self.prepared, self.graph, self.request = prepared, prepared.graph, prepared.request
-        self.on_stage, self.on_progress = on_stage, on_progress
+        self.prepared = prepared
+        self.graph = prepared.graph
+        self.request = prepared.request
+        self.on_stage = on_stage
+        self.on_progress = on_progress
         self.finished: dict[str, FinishedStage] = {}
         self.made: list[str] = []
         self.reused: list[str] = []
@@ -109,7 +112,8 @@ class _Run:
 
     def run(self) -> ExperimentReport:
         self.adopt()
-        name, finished = self.prepared.experiment.name, self.prepared.finished()
+        name = self.prepared.experiment.name
+        finished = self.prepared.finished()
         wanted = self.graph.select(self.request.only, finished) & self.prepared.required(finished)
         _require_ready(self.prepared, wanted - set(finished))
         try:
@@ -129,7 +133,8 @@ class _Run:
         page = write_page(facts, self.request.results_folder)
         left_out = {n: why for n, why in self.graph.left_out.items() if why != OTHER_SCALES}
         problems = tuple(Problem(n, "left-out", why, severity="warning") for n, why in left_out.items())
-        scale, status = self.request.scale, facts["status"]
+        scale = self.request.scale
+        status = facts["status"]
         return ExperimentReport(name, scale, status, tuple(self.made), tuple(self.reused), page, facts, problems)
 
     def make_missing(self, wanted: Collection[str]) -> None:

@@ -18,7 +18,8 @@ def repeat_seeds(experiment: Experiment, scale: Scale) -> Experiment:
     seeds. The two sides of a comparison or ratio have as many seeds as the evaluation with the fewest at the scale.
     """
     of_training = experiment.seeds_of_trainings()
-    of_evaluation, of_data = experiment.seeds_of_evaluations(), experiment.seeds_of_data()
+    of_evaluation = experiment.seeds_of_evaluations()
+    of_data = experiment.seeds_of_data()
     here = {n: experiment.trainings[e.training].seeds_at(scale) for n, e in experiment.evaluations.items()
             if e.training in experiment.trainings}  # fmt: skip
     data = {

@@ -139,7 +139,8 @@ def _figure(width: float, height: float) -> tuple[Any, Any]:
 def _pr(facts: Mapping[str, Any]) -> bytes:
     figure, axis = _figure(6.4, 4.8)
     for k, (name, precision) in enumerate(facts["curves"]["precision"].items()):
-        point, colour = facts["classes"][name], _COLOURS[(k + 1) % len(_COLOURS)]
+        point = facts["classes"][name]
+        colour = _COLOURS[(k + 1) % len(_COLOURS)]
         label = f"{plot_text(name)} {decimals(point['map50'])}"
         axis.plot(facts["curves"]["recall"], precision, color=colour, lw=1.8, label=label)
         if point["p"] is not None:
@@ -158,7 +159,8 @@ def _confusion(facts: Mapping[str, Any]) -> bytes:
     figure, axis = _figure(side + 1, side)
     axis.imshow(share, cmap="Blues", vmin=0, vmax=1)
     for row, column in list(np.ndindex(share.shape))[:-1]:  # background found as background has no number
-        text, colour = f"{int(matrix[row, column])}\n{share[row, column]:.2f}", _COLOURS[0]
+        text = f"{int(matrix[row, column])}\n{share[row, column]:.2f}"
+        colour = _COLOURS[0]
         if share[row, column] > 0.5:
             colour = "white"
         axis.text(column, row, text, ha="center", va="center", fontsize=8, color=colour)
@@ -197,7 +199,9 @@ def _stratum(facts: Mapping[str, Any], kind: str, title: str) -> bytes:
 def evaluation_page(facts: Mapping[str, Any], plots: Mapping[str, bytes]) -> str:
     """Return the HTML page with the plots of `draw_plots`; the same facts give the same bytes."""
     detector = {key: value for key, value in facts["detector"].items() if key != "classes"}
-    classes, listed, paired = facts["classes"], facts.get("first_detections"), facts["paired"]
+    classes = facts["classes"]
+    listed = facts.get("first_detections")
+    paired = facts["paired"]
     tracks = facts.get("tracks")
     return render_page(
         "evaluation",

@@ -16,7 +16,9 @@ from infrablend.lab.pages.experiment_page import METRICS, class_order
 from infrablend.report.figures import plot_text
 
 # Distinguishable for colour-blind readers.
-OURS, PAPER, FAINT = "#0072b2", "#d55e00", "#9a9a9a"
+OURS = "#0072b2"
+PAPER = "#d55e00"
+FAINT = "#9a9a9a"
 CURVES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b1b1b", "#9a9a9a")
 COLUMNS = 4  # panels of curves beside each other
 
@@ -51,7 +53,8 @@ def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     figure, axes, y = _panels(names, 0.34)
     for ax, metric in zip(axes, ("map50", "map50_95"), strict=True):
         for at, (_, r) in zip(y, rows, strict=True):
-            value, ci = r["ours"][metric], (r["ours"].get("ci") or {}).get(metric)
+            value = r["ours"][metric]
+            ci = (r["ours"].get("ci") or {}).get(metric)
             if value is not None:
                 ax.barh(at, value, height=0.6, color=OURS, alpha=0.75)
             if ci:

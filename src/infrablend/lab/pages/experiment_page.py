@@ -146,7 +146,8 @@ def _found_lists(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
 def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
     lines = []
     for r in rows:
-        paper, ours = r["paper"], r["ours"] or {}
+        paper = r["paper"]
+        ours = r["ours"] or {}
         cells = [paper_and_ours(paper[k], ours.get(k), ",") for k in ("images", "classes")]
         cells.append(paper_and_ours(", ".join(paper["labels"]), ", ".join(ours.get("labels", ())), "s"))
         objects = f"{ours['instances']:,} of {', '.join(ours['names'])}" if ours else f"- ({r['missing']})"
@@ -316,7 +317,9 @@ def list_differences(facts: Mapping[str, Any]) -> list[str]:
 
 def _sources(facts: Mapping[str, Any]) -> Iterator[str]:
     for s in facts["sources"].values():
-        paper, ours, whole = s["paper_images"], s["images"], s["whole"]
+        paper = s["paper_images"]
+        ours = s["images"]
+        whole = s["whole"]
         if s["stand_in"]:
             yield f"**{s['title']} was not given: a rendered virtual world stands in for it** ({_per_split(ours)})."
             continue
@@ -370,8 +373,11 @@ def _scale(facts: Mapping[str, Any]) -> Iterator[str]:
 
 def _training(record: Mapping[str, Any]) -> str:
     """Return a training in one line: images, network, length, start and time."""
-    settings, prepared, start = record.get("settings") or {}, record.get("prepared") or {}, record["start"] or {}
-    pictures, tiles = prepared.get("pictures"), (prepared.get("tiles") or {}).get("tiles")
+    settings = record.get("settings") or {}
+    prepared = record.get("prepared") or {}
+    start = record["start"] or {}
+    pictures = prepared.get("pictures")
+    tiles = (prepared.get("tiles") or {}).get("tiles")
     number = "" if tiles is None else f"{tiles:,} "
     of_paper = f" (paper: {record['paper_images']:,} for training)" if record.get("paper_images") else ""
     origin = "from scratch" if start.get("kind") == "scratch" else f"from {start.get('model')}"

@@ -113,7 +113,8 @@ def page_text(page: Mapping[str, Any], charts: Sequence[tuple[str, str]] = (), l
         links: Links to documents on the method.
     """
     classes = page["classes"]
-    contrasts, scores = _timed(classes, "contrast"), _timed(classes, "by_time")
+    contrasts = _timed(classes, "contrast")
+    scores = _timed(classes, "by_time")
     as_written = _rows(check_rows, classes, "contrast_as_written")
     not_valid = [f"* {name}: {'; '.join(f['invalid_because'])}." for name, f in scores if not f["valid"]]
     blocks = [
@@ -187,7 +188,8 @@ def _source_cells(run: Mapping[str, Any]) -> list[str]:
 
 def _charts(classes: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
-    rows, charts = _timed(classes, "contrast"), []
+    rows = _timed(classes, "contrast")
+    charts = []
     if any(any(s["real"]["slope"].values()) for _, s in rows):
         charts.append(("slopes", "Slope within images, with 95 % intervals: real and inserted", _slopes(rows)))
     if rows:

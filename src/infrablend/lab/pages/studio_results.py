@@ -33,7 +33,8 @@ def _pictures(folder: Path, pattern: str) -> tuple[Path, ...]:
 
 
 def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
-    dataset, detector = record["dataset"], record["detector"]
+    dataset = record["dataset"]
+    detector = record["detector"]
     lines = [
         f"{dataset['images']} images of {dataset['name']}, split {dataset['split']}; task {record['task']}",
         f"detector: {detector.get('weights') or 'saved detections'}, classes {', '.join(detector['classes'])}",

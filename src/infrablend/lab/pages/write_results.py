@@ -37,7 +37,8 @@ def require_own_pages(out: Path, experiment: str, scale: str) -> None:
     Raises:
         OutputError: Somebody else wrote one.
     """
-    first, index = page_name(experiment, scale), out / INDEX_FILE
+    first = page_name(experiment, scale)
+    index = out / INDEX_FILE
     foreign = [p for stem in (first, f"{first}{UNFINISHED_END}") for p in _foreign(out, stem)]
     foreign += [index] if os.path.lexists(index) and not _says(index, INTRO) else []
     require_no_foreign(foreign, out, "the results", "a page that InfraBlend wrote", "--results")
@@ -45,7 +46,8 @@ def require_own_pages(out: Path, experiment: str, scale: str) -> None:
 
 def _foreign(out: Path, stem: str) -> list[Path]:
     """Return the files in the place of a page that are not InfraBlend's; charts are, if their record is."""
-    record, page = out / f"{stem}.json", out / f"{stem}.md"
+    record = out / f"{stem}.json"
+    page = out / f"{stem}.md"
     own = (read_object(record) or {}).keys() >= {"experiment", "scale", "status"}
     foreign = [] if own else [record, *(out / f"{stem}_{name}.svg" for name in CHARTS)]
     foreign += [] if own and _says(page, PAGE_MARK) else [page]

@@ -27,7 +27,9 @@ FLOOR_RANGE = (0.70, 0.80)
 
 Pairs = Sequence[tuple[Measured, Measured]]
 # Crops of a subset of the MMD, subsets, and side of the block of lowest frequencies.
-SUBSET, SUBSETS, _SIDE = 100, 100, 8
+SUBSET = 100
+SUBSETS = 100
+_SIDE = 8
 # Largest difference in size of a pair.
 CALIPER_OCTAVES = 0.25
 
@@ -63,8 +65,10 @@ def compare_class(
     `redone` are objects measured again, by population: `floor` and `hard_paste` (with the keys of the pairs' real
     objects), steps of the sensor chain (with the keys of the inserted ones).
     """
-    reals, inserts = [r for r, _ in pairs], [i for _, i in pairs]
-    floor, hard = redone.get("floor", ()), redone.get("hard_paste", ())
+    reals = [r for r, _ in pairs]
+    inserts = [i for _, i in pairs]
+    floor = redone.get("floor", ())
+    hard = redone.get("hard_paste", ())
     logistic, boosting = _both_scores(pairs)
     partner = {i.key: r for r, i in pairs}
     steps: dict[str, Any] = {}
@@ -152,7 +156,8 @@ def _both_scores(pairs: Pairs) -> tuple[Score | None, Score | None]:
     """Return the scores of both classifiers; None where there are too few pairs or backgrounds for the folds."""
     if _too_few(pairs):
         return None, None
-    real, other = [r for r, _ in pairs], [o for _, o in pairs]
+    real = [r for r, _ in pairs]
+    other = [o for _, o in pairs]
     return score(real, other, "logistic"), score(real, other, "boosting")
 
 

@@ -99,7 +99,8 @@ def auc(y: NDArray[np.int64], predictions: NDArray[np.float64], weight: NDArray[
 
 
 def _auc_by_place(y: NDArray[np.int64], place: NDArray[np.int64], weight: NDArray[np.float64]) -> float:
-    ones, zeros = np.bincount(place, weight * y), np.bincount(place, weight * (1 - y))
+    ones = np.bincount(place, weight * y)
+    zeros = np.bincount(place, weight * (1 - y))
     below = np.cumsum(zeros) - zeros / 2
     return float((ones * below).sum() / (ones.sum() * zeros.sum()))
 

@@ -160,7 +160,8 @@ def measure_populations(
     surveyed += [
         PictureJob(backgrounds[_background_key(r)], r) for r in records if any(o.category in chosen for o in r.inserted)
     ]
-    found, report = Measurements(), paced(on_progress)
+    found = Measurements()
+    report = paced(on_progress)
     _run(found, settings, surveyed, request, report)
     if request.real is None:
         found.drop_without_real_object()
@@ -254,11 +255,13 @@ def _require_like_levels(backgrounds: Mapping[str, ImageRecord], real: Dataset) 
     inserted = is_deep(background)
     scales = [i.capture.scale for i in (first, background)]
     if inserted != is_deep(first):
-        code, expected = "image-depth", "pictures of the same depth"
+        code = "image-depth"
+        expected = "pictures of the same depth"
         found = f"{8 + 8 * is_deep(first)}-bit pictures, and {8 + 8 * inserted}-bit ones in the run"
         todo = "compare a run on 8-bit pictures, or give real objects in 16-bit pictures with --real"
     elif scales[0] != scales[1] and not background.path.is_relative_to(real.root):
-        code, expected = "image-scale", "levels of the same scale"
+        code = "image-scale"
+        expected = "levels of the same scale"
         found = f"levels with the scale {scales[0]}, and with {scales[1]} in the run"
         todo = "give pictures of the same unit with --real"
     else:

@@ -65,7 +65,8 @@ def free_place(
         return None
     found: list[tuple[float, tuple[int, int], float]] = []
     for _ in range(TRIES):
-        left, top = int(rng.integers(margin, w - margin - (x1 - x0))), int(rng.integers(margin, h - margin - (y1 - y0)))
+        left = int(rng.integers(margin, w - margin - (x1 - x0)))
+        top = int(rng.integers(margin, h - margin - (y1 - y0)))
         near = (slice(top - _GAP_PX, top + y1 - y0 + _GAP_PX), slice(left - _GAP_PX, left + x1 - x0 + _GAP_PX))
         if taken[near].any():
             continue
@@ -128,7 +129,8 @@ class Controls:
 
 def paste_controls(picture: Picture, labels: Labels, objects: Sequence[tuple[int, Instance]], key: str) -> Controls:
     """Paste both controls of some of a picture's objects, given with their numbers, each at its own free place."""
-    real, flat = picture.copy(), picture.copy()
+    real = picture.copy()
+    flat = picture.copy()
     taken = ~labels.free
     placed: dict[int, Instance] = {}
     for number, instance in objects:
@@ -162,7 +164,8 @@ def _paste(
     level: NDArray[np.float32],
 ) -> None:
     h, w = target.shape
-    top, left = part[0].start + shift_xy[1], part[1].start + shift_xy[0]
+    top = part[0].start + shift_xy[1]
+    left = part[1].start + shift_xy[0]
     rows, columns = alpha.shape
     a, b = max(-top, 0), max(-left, 0)
     c, d = min(rows, h - top), min(columns, w - left)

@@ -205,7 +205,8 @@ def measure(
     centre = float(np.median(inside[h // 4 : h - h // 4, w // 4 : w - w // 4]))
     level = ring(picture, box, free)
     level = math.nan if level is None else level
-    features, outlined = np.full(len(FEATURES), math.nan), (math.nan,) * 4
+    features = np.full(len(FEATURES), math.nan)
+    outlined = (math.nan,) * 4
     found = outline(picture, box, free)
     flaw = found if isinstance(found, str) else ""
     if isinstance(found, Outline):
@@ -318,11 +319,13 @@ def _widths_10_90(profiles: NDArray[np.float64]) -> NDArray[np.float64]:
     Takes (n, k) profiles; those without all three crossings have no width and are left out.
     """
     count = profiles.shape[1]
-    column, half = np.arange(count), np.argmax(profiles >= 0.5, axis=1)
+    column = np.arange(count)
+    half = np.argmax(profiles >= 0.5, axis=1)
     above = (profiles >= 0.9) & (column >= half[:, None])
     below = (profiles <= 0.1) & (column <= half[:, None])
     crossing = (half > 0) & above.any(axis=1) & below.any(axis=1)
-    p, row = profiles[crossing], np.arange(np.count_nonzero(crossing))
+    p = profiles[crossing]
+    row = np.arange(np.count_nonzero(crossing))
     i, j = np.argmax(above[crossing], axis=1), count - 1 - np.argmax(below[crossing, ::-1], axis=1)
     right = i - (p[row, i] - 0.9) / (p[row, i] - p[row, i - 1])
     left = j + (0.1 - p[row, j]) / (p[row, j + 1] - p[row, j])

@@ -118,7 +118,8 @@ class Measurements:
     def drop_without_real_object(self) -> None:
         """Leave out inserted objects whose background shows no real object of their class to compare with."""
         beside = {(m.category, m.group) for m in self.objects["real"]}
-        inserted, self.objects["inserted"] = self.objects["inserted"], []
+        inserted = self.objects["inserted"]
+        self.objects["inserted"] = []
         for m in inserted:
             if (m.category, m.group) in beside:
                 self.objects["inserted"].append(m)
@@ -170,7 +171,8 @@ class ObjectMeasurer:
             pixels = load_background(source.path, source.size_wh).pixels
         except DatasetError as error:  # `generate` has left it out, too
             return Measurements(unreadable=[error.message])
-        picture, key = eight_bit(pixels, self._settings.levels), image_key(source)
+        picture = eight_bit(pixels, self._settings.levels)
+        key = image_key(source)
         found = self._all_of("real", picture, source, source.instances, source.instances, key)
         drawn = self._contrasts(picture, source, source.instances, source.instances, key)
         found.contrasts["real"] = [c for _, c in drawn]
@@ -179,7 +181,8 @@ class ObjectMeasurer:
 
     def _inserted(self, source: ImageRecord, record: FrameRecord) -> Measurements:
         pixels = load_background(RunFolder(self._settings.run).image(record.image)).pixels
-        picture, kept = eight_bit(pixels, self._settings.levels), _kept_of(source, record)
+        picture = eight_bit(pixels, self._settings.levels)
+        kept = _kept_of(source, record)
         image = replace(source, instances=record.inserted, size_wh=(picture.shape[1], picture.shape[0]))
 
         def contrasts_in(boxes: ImageRecord) -> list[tuple[Instance, ObjectContrast]]:
@@ -189,7 +192,8 @@ class ObjectMeasurer:
         found = self._all_of("inserted", picture, source, [*kept, *record.inserted], record.inserted, record.frame_id)
         drawn = contrasts_in(image)
         found.contrasts["inserted"] = [c for _, c in drawn]
-        looseness, fitted = Looseness.of_labels(self._recipe.labels), image
+        looseness = Looseness.of_labels(self._recipe.labels)
+        fitted = image
         if looseness.fit != "shape":
             # A margin is in addition to a fit, so the fitted boxes are compared with the visible extents.
             fitted, _ = loosen_image(image, Looseness(fit=looseness.fit))
@@ -208,7 +212,8 @@ class ObjectMeasurer:
         key: str,
     ) -> list[tuple[Instance, ObjectContrast]]:
         """Return the contrasts of the objects of the wanted classes; objects with too small a ring are left out."""
-        level, time = float(np.median(picture)), source.capture.time_of_day or "unknown"
+        level = float(np.median(picture))
+        time = source.capture.time_of_day or "unknown"
         return [
             (i, ObjectContrast(i.category, key, time, contrast, level))
             for i in objects
@@ -225,7 +230,8 @@ class ObjectMeasurer:
         key: str,
     ) -> Measurements:
         """Measure the features of the wanted classes; `labels` are all labels of the picture."""
-        found, where = Measurements(), Labels(picture.shape, labels)
+        found = Measurements()
+        where = Labels(picture.shape, labels)
         for number, instance in enumerate(objects):
             if instance.category not in self._settings.categories:
                 continue
@@ -238,7 +244,9 @@ class ObjectMeasurer:
         return found
 
     def _controls(self, source: ImageRecord, numbers: Sequence[int]) -> Measurements:
-        found, key, levels = Measurements(), image_key(source), self._settings.levels
+        found = Measurements()
+        key = image_key(source)
+        levels = self._settings.levels
         background = load_background(source.path, source.size_wh)
         picture = eight_bit(background.pixels, levels)
         chosen = [(n, source.instances[n]) for n in numbers]
@@ -255,13 +263,15 @@ class ObjectMeasurer:
 
     def _rendered_again(self, source: ImageRecord, record: FrameRecord, numbers: Sequence[int]) -> Measurements:
         """Measure inserted objects with one more step of the sensor chain each time; the frame is rendered once."""
-        found, fitted = Measurements(), record.facts.get("sensor")
+        found = Measurements()
+        fitted = record.facts.get("sensor")
         assert fitted is not None and record.scene is not None and record.mapping is not None
         background = load_background(source.path, source.size_wh)
         scene = rebuild_scene(record.scene, {o.model: load_model(o.model) for o in record.scene.objects})
         if self._renderer is None:
             self._renderer = make_renderer(self._settings.renderer, self._settings.device)
-        rendered, mapping = self._renderer.render(scene), GreyMapping.from_json(record.mapping)
+        rendered = self._renderer.render(scene)
+        mapping = GreyMapping.from_json(record.mapping)
         free = Labels(background.pixels.shape, [*_kept_of(source, record), *record.inserted]).free
         front = recorded_front(record.facts, background.pixels, rendered)
         for step, sensor in sensor_steps(Sensor.from_json(fitted)).items():

@@ -21,7 +21,8 @@ BATCH = 64
 LEAST_CROPS = 1000
 WEIGHTS = "inception_v3_google-0cc3c7bd.pth"  # torchvision's, trained on ImageNet
 _SIDE = 299
-_MEAN, _SD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+_MEAN = (0.485, 0.456, 0.406)
+_SD = (0.229, 0.224, 0.225)
 
 
 def missing(*modules: str) -> str | None:
@@ -42,7 +43,8 @@ def score_crops(real: Sequence[Measured], other: Sequence[Measured], epochs: int
     y = np.repeat([0, 1], [len(real), len(other)])
     groups = group_numbers([*real, *other])
     predictions = np.zeros(len(y))
-    before, threads = torch.get_deterministic_debug_mode(), torch.get_num_threads()
+    before = torch.get_deterministic_debug_mode()
+    threads = torch.get_num_threads()
     torch.set_deterministic_debug_mode("error")  # use_deterministic_algorithms would import torch's compiler
     torch.set_num_threads(1)  # rounding of sums depends on the number of threads
     try:
@@ -118,7 +120,8 @@ def inception_features(objects: Sequence[Measured]) -> NDArray[np.float64]:
     net.fc = torch.nn.Identity()
     net.eval()
     found = []
-    mean, sd = np.array(_MEAN, np.float32), np.array(_SD, np.float32)
+    mean = np.array(_MEAN, np.float32)
+    sd = np.array(_SD, np.float32)
     for start in range(0, len(objects), 32):
         crops = [
             cv2.resize(m.patch.astype(np.float32) / 255, (_SIDE, _SIDE), interpolation=cv2.INTER_CUBIC)

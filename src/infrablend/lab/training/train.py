@@ -134,7 +134,8 @@ def _remove_working_files(folder: Path) -> None:
 
 def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
     """Raise OtherSettingsError if a training to resume was started with other data or settings."""
-    now, record = _flat(json.loads(json.dumps(asked))), _flat(record)
+    now = _flat(json.loads(json.dumps(asked)))
+    record = _flat(record)
     now.pop("data")  # the data must be the same, not their folder
     if "weights_sha256" not in record:  # earlier versions recorded the path of the weights alone
         now.pop("weights_sha256", None)

@@ -112,7 +112,10 @@ class ShuffledPasses:
     """
 
     def __init__(self, images: int, shown: int, seed: int, epoch: int = 0) -> None:
-        self.images, self.shown, self.seed, self.epoch = images, shown, seed, epoch
+        self.images = images
+        self.shown = shown
+        self.seed = seed
+        self.epoch = epoch
 
     def __len__(self) -> int:
         return self.shown
@@ -185,13 +188,17 @@ class _Progress:
     """Callbacks of Ultralytics' trainer: they check the loaded data, fix the seeds, and report and keep progress."""
 
     def __init__(self, job: Job, checkpoint: Path, say: Any) -> None:
-        self._job, self._checkpoint, self._say = job, checkpoint, say
-        self._steps, self._next_s = 0, 0.0
+        self._job = job
+        self._checkpoint = checkpoint
+        self._say = say
+        self._steps = 0
+        self._next_s = 0.0
         self._loaded: dict[str, int] = {}
 
     def gate(self, t: Any) -> None:
         """Refuse to train on other images and labels than those that were prepared."""
-        job, log = self._job, self._checkpoint.with_name(LOG)
+        job = self._job
+        log = self._checkpoint.with_name(LOG)
         images, labels = _loaded(t.train_loader)
         shown = len(t.train_loader.sampler)
         val = _loaded(t.test_loader) if job.val_images else (0, 0)
@@ -237,7 +244,9 @@ class _Progress:
         """Write the checkpoint, with the progress in it, and report the epoch."""
         import torch
 
-        job, losses, batch = self._job, _rounded(t.tloss, 5), t.train_loader.batch_size
+        job = self._job
+        losses = _rounded(t.tloss, 5)
+        batch = t.train_loader.batch_size
         reached = Reached(t.epoch + 1, bool(t.stop), dict(self._loaded), losses, batch, t.batch_size != job.batch)
         beside = self._checkpoint.with_name(NEW_CHECKPOINT)
         with replace_atomically(self._checkpoint, beside=beside, durable=True) as temporary:

@@ -38,7 +38,8 @@ log = logging.getLogger(__name__)
 
 def select_training_data(dataset: Dataset, request: TrainRequest) -> tuple[Dataset, dict[str, int]]:
     """Return the dataset to train on and the labels left out by class; report all faults at once."""
-    task, classes = request.task, request.classes
+    task = request.task
+    classes = request.classes
     if task not in TASKS:
         raise OutputError(f"--task {task}: no such task; expected one of {', '.join(TASKS)}")
     known = [c.name for c in dataset.categories if not c.ignore]
@@ -93,7 +94,8 @@ def _split_problems(wanted: Dataset, keep: Sequence[str], preset: Preset) -> Ite
             problem = Problem(f"split {split}", "split-empty", "no pictures", expected, todo)
             yield problem if split == "train" or preset.patience else replace(problem, severity="warning")
     if 0 < splits["train"] < _FEW_PICTURES and preset.name != "smoke":
-        found, expected = f"{splits['train']} pictures", f"{_FEW_PICTURES} or more: a detector finds little after fewer"
+        found = f"{splits['train']} pictures"
+        expected = f"{_FEW_PICTURES} or more: a detector finds little after fewer"
         todo = "give more pictures, or take its figures as those of a test run"
         yield Problem("split train", "few-pictures", found, expected, todo, severity="warning")
     objects = _objects_of(wanted.images, "train")
@@ -111,9 +113,13 @@ def _shape_problems(wanted: Dataset, keep: Sequence[str], task: str) -> Iterator
     if lacks is None:
         return
     bare = Counter(o.category for i in wanted.images for o in i.instances if lacks(o))
-    todo, code, what = "train --task detect", "obb-missing", "oriented box"
+    todo = "train --task detect"
+    code = "obb-missing"
+    what = "oriented box"
     if task == "segment":
-        code, what, objects = "mask-missing", "mask", _objects_of(wanted.images, "train")
+        code = "mask-missing"
+        what = "mask"
+        objects = _objects_of(wanted.images, "train")
         with_masks = _classes_line([c for c in keep if objects[c] and not bare[c]])
         todo += f", or {with_masks}" if with_masks else ""
     for name, count in bare.items():
@@ -137,7 +143,9 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
         DatasetError: Pictures that cannot be read, have another size than annotated, or hold floats; pictures of 8 and
             of 16 bits; 16-bit pictures without the temperature scale that the AGC needs: all of them.
     """
-    images, problems, deep = [], [], []
+    images = []
+    problems = []
+    deep = []
     for image in dataset.images:
         if image.split == "test":
             continue
@@ -160,7 +168,8 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
             Problem(i.id, "image-depth", "16 bits per pixel", "8-bit pictures, as the others have", todo) for i in deep
         ]
     elif agc.needs_scale:
-        expected, todo = "a temperature scale, which a fixed AGC needs", "state it: --read unit=centikelvin"
+        expected = "a temperature scale, which a fixed AGC needs"
+        todo = "state it: --read unit=centikelvin"
         lacking = [i for i in deep if i.capture.radiometry is None or i.capture.scale is None]
         problems += [Problem(i.id, "no-temperature-scale", "none", expected, todo) for i in lacking]
     if problems:

@@ -77,13 +77,16 @@ def plan_training(
 
 def plan_of(wanted: Dataset, device: str, request: TrainRequest) -> TrainPlan:
     """Return the plan of a training on selected data; see `select_training_data`."""
-    preset, seed = request.chosen_preset(), request.seed
+    preset = request.chosen_preset()
+    seed = request.seed
     parts = {s: [i for i in wanted.images if i.split == s] for s in ("train", "val")}
     if preset.tile:
         cut = {s: tiles.plan_tiles(p, preset.tile, seed=seed, most=most_tiles(preset, s)) for s, p in parts.items()}
-        images, size = len(cut["train"]), sum(len(c) for c in cut.values()) * preset.tile**2
+        images = len(cut["train"])
+        size = sum(len(c) for c in cut.values()) * preset.tile**2
     else:
-        images, size = len(parts["train"]), sum(i.path.stat().st_size for i in wanted.images if i.path.is_file())
+        images = len(parts["train"])
+        size = sum(i.path.stat().st_size for i in wanted.images if i.path.is_file())
     labels = sum(len(i.instances) for i in parts["train"])
     epochs, shown = preset.epochs_for(images)
     return TrainPlan(

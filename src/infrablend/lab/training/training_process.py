@@ -99,9 +99,11 @@ def _stopped(sessions: list[dict[str, Any]], epochs: int) -> Interrupted:
     reached = 0  # each session continued the one before or started again
     for s in sessions:
         reached = max(0 if "restarted" in s else reached, s["epoch"])
-    at, then = f"after epoch {reached} of {epochs}", "continues"
+    at = f"after epoch {reached} of {epochs}"
+    then = "continues"
     if not reached:
-        at, then = f"before the end of the first of {epochs} epochs", "starts it again"
+        at = f"before the end of the first of {epochs} epochs"
+        then = "starts it again"
     return Interrupted(f"Stopped {at}; the same command with --resume {then}.")
 
 

@@ -168,7 +168,8 @@ class WorldWorker:
 
     def __init__(self, seed: int, folder: Path) -> None:
         """Start Blender; images go to `folder`/<split>/."""
-        self._seed, self._folder = seed, folder
+        self._seed = seed
+        self._folder = folder
         self._renderer = WorldRenderer()
         self._flight: Flight | None = None
 

@@ -43,11 +43,15 @@ def draw_building(
     u, a = draws.uniform, weather.air_k
     length, width, height = size_m
     if weather.night:
-        roof, wall = a - 1.5 - 4.0 * weather.clear_sky + u(-1, 1), a + u(0.8, 3.2)
-        window, solar = a + u(-1.5, 3.0), 0.0
+        roof = a - 1.5 - 4.0 * weather.clear_sky + u(-1, 1)
+        wall = a + u(0.8, 3.2)
+        window = a + u(-1.5, 3.0)
+        solar = 0.0
     else:
-        roof, wall = a + u(2, 8), a + u(2, 5)
-        window, solar = a + u(0, 4), weather.solar * u(7, 18)
+        roof = a + u(2, 8)
+        wall = a + u(2, 5)
+        window = a + u(0, 4)
+        solar = weather.solar * u(7, 18)
     kind = "gable" if height < 5 and draws.chance(0.5) else draws.one_of(ROOFS)
     lit_share = u(0.0, 0.35) if weather.night else 0.0
     return Building(
@@ -109,7 +113,8 @@ def _windows(p: SurfaceBuilder, b: Building, rng: np.random.Generator, a: FloatA
     span = float(np.linalg.norm(c - a))
     along = (c - a) / span
     out = np.array([along[1], -along[0]])
-    columns, storeys = int(span / 3.0), max(int(b.height_m / 3.1), 1)
+    columns = int(span / 3.0)
+    storeys = max(int(b.height_m / 3.1), 1)
 
     def face(s0: float, s1: float, z0: float, z1: float, off: float) -> Solid:
         lo, hi = a + along * s0 + out * off, a + along * s1 + out * off

@@ -29,7 +29,8 @@ def forest(site: Site) -> str:
         road = add_road(site, u(2.6, 4.0), 0.0, curved=True, through=0.3)
     gap = u(0.5, 3.5)
     clearing = (u(site.x0, site.x1), u(site.y0, site.y1), u(0.0, 0.6) * min(site.x1 - site.x0, site.y1 - site.y0))
-    size, spread = u(0.8, 2.0), u(0.02, 0.12)
+    size = u(0.8, 2.0)
+    spread = u(0.02, 0.12)
     for _ in range(min(int(spread / size * (2 * site.reach) ** 2), _MOST_TREES)):
         x, y = u(-site.reach, site.reach), u(-site.reach, site.reach)
         if math.hypot(x - clearing[0], y - clearing[1]) > clearing[2] and site.clear_of_roads(x, y, gap):
@@ -42,7 +43,8 @@ def river(site: Site) -> str:
     """Fill a site with a river between banks, perhaps with a bridge or a road along it, or a pond in a meadow."""
     draws = site.draws
     u = draws.uniform
-    heading, width = u(-math.pi / 2, math.pi / 2), u(0.1, 0.9) * (site.x1 - site.x0)
+    heading = u(-math.pi / 2, math.pi / 2)
+    width = u(0.1, 0.9) * (site.x1 - site.x0)
     x, y = u(-0.4, 0.4) * (site.x1 - site.x0), u(-0.4, 0.4) * (site.y1 - site.y0)
     if draws.chance(0.3):
         site.patches.append(Patch("ellipse", x, y, heading, width, u(0.5, 1.0) * width, "water", 0.0, u(0.1, 1.0)))
@@ -65,7 +67,8 @@ def river(site: Site) -> str:
         if draws.chance(0.6):
             kinds: Sequence[TreeKind] = ("shrub", "crown") if draws.chance(0.5) else ("crown", "bare", "shrub")
             tree_row(site, middle, side * (width / 2 + u(0.5, 4)), u(2.0, 8), kinds, u(0.8, 1.5))
-    density, kept = u(0.0, 0.03), width / 2 + 1.0
+    density = u(0.0, 0.03)
+    kept = width / 2 + 1.0
     for _ in range(int(density * (2 * site.reach) ** 2)):
         px, py = u(-site.reach, site.reach), u(-site.reach, site.reach)
         if middle.offset_m(px, py) > kept and site.clear_of_roads(px, py, 2.0):
@@ -83,7 +86,9 @@ def suburb(site: Site) -> str:
         s = -site.reach + u(0, 15)
         hedge = draws.chance(0.5)
         while s < site.reach:
-            length, depth, setback = u(8, 14), u(7, 11), u(3, 8)
+            length = u(8, 14)
+            depth = u(7, 11)
+            setback = u(3, 8)
             x, y, h = road.at(s + length / 2, side * (edge + setback + depth / 2))
             if draws.chance(0.85):
                 site.add_building(x, y, h, length, depth, u(3, 7))
@@ -117,17 +122,22 @@ def suburb(site: Site) -> str:
 
 def courts(site: Site) -> str:
     """Fill a site with basketball courts in rows, back to back: hardly any edge, hoops, players, strips between."""
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     u = draws.uniform
     h = u(-math.pi / 2, math.pi / 2)
-    length, width, gap, strip = 28.0, 15.0, u(0.5, 6), u(1.5, 7)
+    length = 28.0
+    width = 15.0
+    gap = u(0.5, 6)
+    strip = u(1.5, 7)
     ox, oy = u(-0.5, 0.5) * length, u(-0.5, 0.5) * width
     c, s = math.cos(h), math.sin(h)
 
     def at(x: float, y: float) -> tuple[float, float]:
         return ox + x * c - y * s, oy + x * s + y * c
 
-    along, across = draws.integer(2, 5), draws.integer(3, 7)
+    along = draws.integer(2, 5)
+    across = draws.integer(3, 7)
     total = along * (length + strip) + 2 * strip, across * (width + gap) + 2 * gap
     site.patches.append(Patch("rect", *at(0, 0), h, *total, "court", 0.0, u(0.05, 0.4)))
     line = u(-1.5, 1.5) * (1.0 if weather.night else 2.0)
@@ -152,7 +162,10 @@ def athletics(site: Site) -> str:
     """Fill a site with a running track around a lawn, with runways, pits, people who walk on it, and stands."""
     draws = site.draws
     u = draws.uniform
-    h, straight, radius, track = u(-math.pi / 2, math.pi / 2), u(50, 90), u(16, 37), u(5, 10)
+    h = u(-math.pi / 2, math.pi / 2)
+    straight = u(50, 90)
+    radius = u(16, 37)
+    track = u(5, 10)
     c, s = math.cos(h), math.sin(h)
     # A straight, a bend or the lawn is in the middle of the picture.
     cx, cy = u(-0.6, 0.6) * straight, draws.one_of((-1, 1)) * u(0.2, 1.3) * radius

@@ -56,7 +56,8 @@ def sample_world(
     site = Site(draws, world_camera(pitch_deg, altitude_m, size_wh, focal_px), weather)
     base = PLACES[kind](site)
     wear(site)
-    u, night = draws.uniform, weather.night
+    u = draws.uniform
+    night = weather.night
     return WorldPlan(
         camera=site.camera,
         pitch_deg=pitch_deg,
@@ -86,7 +87,8 @@ def sample_world(
 
 def wear(site: Site) -> None:
     """Add traces of use to the ground: cracks, stains and repairs."""
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     for _ in range(draws.integer(2, 6)):  # cracks wander
         x, y, a = draws.uniform(site.x0, site.x1), draws.uniform(site.y0, site.y1), draws.uniform(0, 6.28)
         amount = draws.uniform(-1.2, -0.5) if weather.night else draws.uniform(1.2, 3.0)

@@ -45,10 +45,12 @@ def draw_tree_size(draws: Draws, kind: TreeKind, scale: float) -> tuple[float, f
 
 def draw_tree(draws: Draws, weather: Weather, kind: TreeKind, x: float, y: float, size_m: tuple[float, float]) -> Tree:
     """Draw a tree of a given (height, radius) at (x, y): its prototype, heading and temperatures."""
-    u, clear = draws.uniform, weather.clear_sky
+    u = draws.uniform
+    clear = weather.clear_sky
     kelvin = weather.air_k + (-0.4 - 1.9 * clear + u(-0.5, 0.5) if weather.night else u(-2.0, 1.0))
     kelvin -= 1.2 * clear if kind == "shrub" and weather.night else 0
-    prototype, heading = draws.integer(64), u(0, 2 * math.pi)
+    prototype = draws.integer(64)
+    heading = u(0, 2 * math.pi)
     kelvin += 1.6 if kind == "bare" and weather.night else 0
     return Tree(kind, prototype, x, y, heading, *size_m, kelvin, weather.solar * u(1, 3.5))
 
@@ -103,7 +105,9 @@ def _conifer(rng: np.random.Generator) -> Surface:
     """Return a spruce or a cypress: whorls of branches that hang, shorter towards the top."""
     p = SurfaceBuilder()
     p.add(shapes.capsule((0, 0, 0), (0, 0, 0.95), 0.05, 0.01, n=6), 1.2, LEAF, 0.3, 0.3)
-    ball, droop, low = _icosahedron(), float(rng.uniform(0.1, 0.45)), float(rng.uniform(0.03, 0.15))
+    ball = _icosahedron()
+    droop = float(rng.uniform(0.1, 0.45))
+    low = float(rng.uniform(0.03, 0.15))
     for z in np.arange(low, 0.98, 0.045):
         reach = (1 - (z - low) / (1 - low)) ** float(rng.uniform(0.7, 1.0))
         for angle in rng.uniform(0, 2 * math.pi) + np.arange(0, 2 * math.pi, 0.5 + 0.4 * (1 - reach)):

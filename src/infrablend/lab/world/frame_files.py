@@ -41,9 +41,12 @@ from infrablend.thermal.flir import ObjectSettings
 DJI_SCALE = TemperatureScale(0.02, -20.0)
 _PLACE = (46.2, 15.1)
 # Local time of the first frame, hours ahead of UTC, and seconds between frames.
-_START, _ZONE_H, _STEP_S = datetime(2026, 1, 12, 5, 0), 1, 20
+_START = datetime(2026, 1, 12, 5, 0)
+_ZONE_H = 1
+_STEP_S = 20
 # Blur of the lens, and noise of one reading.
-_BLUR_PX, _NOISE_K = 0.6, 0.04
+_BLUR_PX = 0.6
+_NOISE_K = 0.04
 # Every second frame has the laser's distance.
 _LASER_EVERY = 2
 

@@ -129,11 +129,13 @@ class Road:
         """Return the arc length of ground points and their offset to the left of the centre line, in metres."""
         c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
         dx, dy = x_m - self.x_m, y_m - self.y_m
-        forward, left = dx * c + dy * s, dy * c - dx * s
+        forward = dx * c + dy * s
+        left = dy * c - dx * s
         k = self.curvature_per_m
         if abs(k) < 1e-6:
             return np.asarray(forward), np.asarray(left)
-        radius, sign = 1 / abs(k), math.copysign(1.0, k)
+        radius = 1 / abs(k)
+        sign = math.copysign(1.0, k)
         # Seen from the arc's centre, which lies at `sign * radius` to the left.
         inward = radius - sign * left
         return np.asarray(radius * np.arctan2(forward, inward)), np.asarray(sign * (radius - np.hypot(forward, inward)))
@@ -146,7 +148,9 @@ class Road:
         """Return x, y and the heading of the road at an arc length and an offset to the left."""
         k, h = self.curvature_per_m, self.heading_rad
         if abs(k) < 1e-6:
-            forward, left, turn = along_m, left_m, 0.0
+            forward = along_m
+            left = left_m
+            turn = 0.0
         else:
             turn = k * along_m
             forward = math.sin(turn) * (1 / k - left_m)

@@ -44,11 +44,15 @@ def draw_person(draws: Draws, weather: Weather, x: float, y: float, heading: flo
     skin = a + min(306.0 - a, 30.0) * u(0.75, 0.95)
     if weather.night:
         top = a + u(8.5, 16)
-        legs, hair, solar = a + u(8, 15), a + u(8, 14), 0.0
+        legs = a + u(8, 15)
+        hair = a + u(8, 14)
+        solar = 0.0
     else:
         # Dark cloth in the sun glows, light cloth does not; top and trousers differ.
-        top, legs = a + u(7, 17), a + u(5, 15)
-        hair, solar = a + u(8, 13), weather.solar * u(5, 20)
+        top = a + u(7, 17)
+        legs = a + u(5, 15)
+        hair = a + u(8, 13)
+        solar = weather.solar * u(5, 20)
     return Person(
         x_m=x, y_m=y, heading_rad=heading, height_m=u(1.56, 1.84), girth=u(1.05, 1.4), pose=pose,
         stride=u(-1, 1), spread=u(0.05, 0.35) if pose != "reach" else u(0.6, 1.0),
@@ -69,7 +73,8 @@ def person(q: Person, seat_m: float | None = None) -> Surface:
     def at(x: float, y: float, z: float) -> tuple[float, float, float]:
         return (x * h, y * h, z * h)
 
-    jacket, arm = 0.165 * g, 0.062 * g
+    jacket = 0.165 * g
+    arm = 0.062 * g
     torso = shapes.sweep(
         [at(0, 0, hip - 0.06), at(0.3 * fwd, 0, hip + 0.16), at(0.9 * fwd, 0, chest - 0.06), at(fwd, 0, chest + 0.05)],
         [0.155 * g * h, 0.16 * g * h, 0.205 * g * h, 0.12 * h],
@@ -148,9 +153,13 @@ def draw_cycle(draws: Draws, weather: Weather, x: float, y: float, heading: floa
     u, a = draws.uniform, weather.air_k
     scooter = draws.chance(0.8)
     if weather.night:
-        body, seat, solar = a - 0.6 - 3.6 * weather.clear_sky + u(-0.8, 0.8), a - 1 - 2.5 * weather.clear_sky, 0.0
+        body = a - 0.6 - 3.6 * weather.clear_sky + u(-0.8, 0.8)
+        seat = a - 1 - 2.5 * weather.clear_sky
+        solar = 0.0
     else:
-        body, seat, solar = a + u(0, 4), a + u(2, 8), weather.solar * u(6, 22)
+        body = a + u(0, 4)
+        seat = a + u(2, 8)
+        solar = weather.solar * u(6, 22)
     motor = a + (u(8, 20) if ridden else u(-1, 1))
     rider = replace(draw_person(draws, weather, x, y, heading, "ride"), stride=0.0) if ridden else None
     return Cycle(

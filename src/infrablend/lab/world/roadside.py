@@ -70,9 +70,12 @@ def kerb_parking(site: Site, road: Road, side: int, occupancy: float) -> None:
 
 def cold_mark(site: Site, x: float, y: float, heading: float) -> None:
     """Add the mark of a car that left recently: its shade kept the ground cold by day, and still shows at night."""
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     amount = draws.uniform(-3.2, -1.2) if weather.night else draws.uniform(-5, -2)
-    length, width, soft = draws.uniform(3.9, 4.6), draws.uniform(1.6, 1.9), draws.uniform(0.3, 0.9)
+    length = draws.uniform(3.9, 4.6)
+    width = draws.uniform(1.6, 1.9)
+    soft = draws.uniform(0.3, 0.9)
     site.patches.append(Patch("rect", x, y, heading, length, width, None, amount, soft))
 
 
@@ -120,7 +123,8 @@ def tree_row(site: Site, road: Road, left: float, spacing: float, kinds: Sequenc
 
 def furniture(site: Site, road: Road) -> None:
     """Add manholes in the road, and bins and benches beside it."""
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     s = -site.reach
     k = 1.0 if weather.night else 3.0
     while s < site.reach:
@@ -141,7 +145,8 @@ def furniture(site: Site, road: Road) -> None:
 
 def lamps(site: Site, road: Road, side: int) -> None:
     """Add street lamps along one side of a road."""
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     s = -site.reach + draws.uniform(0, 25)
     hot = weather.night and draws.chance(0.6)
     while s < site.reach:
@@ -175,7 +180,9 @@ def building_row(site: Site, road: Road, side: int, setback: float) -> None:
     draws = site.draws
     s = -site.reach + draws.uniform(0, 15)
     while s < site.reach:
-        length, width, height = draws.uniform(14, 32), draws.uniform(9, 15), draws.uniform(3.5, 11)
+        length = draws.uniform(14, 32)
+        width = draws.uniform(9, 15)
+        height = draws.uniform(3.5, 11)
         x, y, h = road.at(s + length / 2, side * (road.half_width_m + road.pavement_m + setback + width / 2))
         site.add_building(x, y, h, length, width, height)
         s += length + draws.uniform(5, 18)

@@ -23,7 +23,9 @@ class Site:
 
     def __init__(self, draws: Draws, camera: CameraSpec, weather: Weather) -> None:
         """Start with empty ground that covers the camera's view."""
-        self.draws, self.camera, self.weather = draws, camera, weather
+        self.draws = draws
+        self.camera = camera
+        self.weather = weather
         w, h = camera.size_wh
         corners = ground_points(camera, np.array([[0.0, 0], [w, 0], [0, h], [w, h]]))
         self.x0, self.y0 = (float(v) for v in corners.min(axis=0))

@@ -86,7 +86,8 @@ def draw_weather(draws: Draws, time_of_day: TimeOfDay) -> Weather:
     clear_sky = u(0.35, 1.0)
     if night:
         return Weather(night, air_k, clear_sky, None, 0.0)
-    height, azimuth = math.radians(u(28, 62)), u(0, 2 * math.pi)
+    height = math.radians(u(28, 62))
+    azimuth = u(0, 2 * math.pi)
     sun = (math.cos(height) * math.cos(azimuth), math.cos(height) * math.sin(azimuth), math.sin(height))
     return Weather(night, air_k, clear_sky, sun, u(0.6, 1.1))
 

@@ -22,7 +22,10 @@ from infrablend.formats.pictures.images import png_bytes
 
 SIZE_WH = (320, 256)
 # Levels of sky and trees, and of objects above the sky; deviation of the noise.
-_SKY, _TREES, _OBJECT, _NOISE = 70.0, 150.0, (60.0, 120.0), 1.5
+_SKY = 70.0
+_TREES = 150.0
+_OBJECT = (60.0, 120.0)
+_NOISE = 1.5
 # Longest side of objects, px.
 _SIZE_PX = (14.0, 26.0)
 # Bars from the middle of an object, as (length, angle), by class; other classes look like drones.

@@ -14,7 +14,9 @@ from infrablend.core.temperature import TemperatureScale
 
 Field = NDArray[np.float32]
 # HIT-UAV keeps the limited range of video; the camera holds the mean near mid-grey.
-LOW_GREY, HIGH_GREY, MEAN_GREY = 16.0, 235.0, 126.0
+LOW_GREY = 16.0
+HIGH_GREY = 235.0
+MEAN_GREY = 126.0
 HEADROOM_GREY = 95.0
 # Noise equivalent temperature difference of uncooled cameras at f/1.0, by their data sheets.
 NETD_K = 0.05
@@ -36,7 +38,8 @@ def gain(kelvin: Field, gain_per_k: float, std_grey: float, mean_grey: float = M
         mean_grey: Target mean, after clipping to the displayable range.
     """
     # A few very hot or cold spots must not set the gain.
-    centre, limit = float(np.median(kelvin)), 110.0 / gain_per_k
+    centre = float(np.median(kelvin))
+    limit = 110.0 / gain_per_k
     inner = np.clip(kelvin, centre - limit, centre + limit)
     slope = float(np.clip(std_grey / max(float(inner.std()), 1e-6), 0.8 * gain_per_k, 2.0 * gain_per_k))
     # Leave headroom above the ground, so that people do not vanish on a white road.

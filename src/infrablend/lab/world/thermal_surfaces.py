@@ -18,7 +18,15 @@ from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray
 
 # Share of the sky's radiance that a surface mirrors at normal incidence: 1 - emissivity in 8-14 um.
-PAINT, GLASS, RUBBER, CLOTH, SKIN, WALL, ROOF, LEAF, METAL = 0.07, 0.13, 0.06, 0.03, 0.02, 0.06, 0.08, 0.02, 0.10
+PAINT = 0.07
+GLASS = 0.13
+RUBBER = 0.06
+CLOTH = 0.03
+SKIN = 0.02
+WALL = 0.06
+ROOF = 0.08
+LEAF = 0.02
+METAL = 0.10
 
 
 @dataclass(frozen=True, eq=False)

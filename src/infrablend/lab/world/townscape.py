@@ -87,8 +87,10 @@ def parking(site: Site) -> str:
     road = replace(road, markings=False, surface="asphalt")
     site.roads[-1] = road
     h = road.heading_rad
-    bay, depth = u(2.45, 2.7), u(5.0, 5.5)
-    occupancy, lit = u(0.35, 0.85), draws.chance(0.6)
+    bay = u(2.45, 2.7)
+    depth = u(5.0, 5.5)
+    occupancy = u(0.35, 0.85)
+    lit = draws.chance(0.6)
     rows: list[tuple[float, int]] = []
     aisle = 2 * road.half_width_m
     edge = road.half_width_m
@@ -144,7 +146,8 @@ def _bays(site: Site, road: Road, left: float, side: int, bay_m: tuple[float, fl
 
 def court(site: Site) -> str:
     """Fill a site with basketball courts, games, a fence, a path and trees."""
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     u = draws.uniform
     h = u(-math.pi / 2, math.pi / 2)
     c, s = math.cos(h), math.sin(h)
@@ -153,7 +156,9 @@ def court(site: Site) -> str:
     def at(x: float, y: float) -> tuple[float, float]:
         return cx + x * c - y * s, cy + x * s + y * c
 
-    length, width, gap = 28.0, 15.0, u(3, 6)
+    length = 28.0
+    width = 15.0
+    gap = u(3, 6)
     across = 3 if site.reach > 40 else 2
     along = 2 if site.reach > 40 else 1
     total = (along * (length + gap) + 6, across * (width + gap) + 6)
@@ -194,7 +199,8 @@ def basketball(
     `at` gives the place on the site of a point along and across all courts; lines are `line` kelvin warmer than the
     ground.
     """
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     u = draws.uniform
     (ox, oy), (length, width), sand, box = middle, size_m, 0.08, site.patches.append
     for e in (-1, 1):
@@ -266,7 +272,8 @@ def park(site: Site) -> str:
 
 def airfield(site: Site) -> str:
     """Fill a site with a marked runway in open grass, with a few cars and people on and beside it."""
-    draws, weather = site.draws, site.weather
+    draws = site.draws
+    weather = site.weather
     u = draws.uniform
     road = add_road(site, u(9, 14), 0.0, curved=False, through=0.15)
     road = replace(road, markings=False, surface="concrete" if draws.chance(0.5) else "asphalt", lanes=2)

@@ -60,7 +60,9 @@ def draw_vehicle(draws: Draws, weather: Weather, kind: VehicleKind, at: Position
         "bus": (9.5, 12.0, 2.45, 2.55, 2.9, 3.2),
         "truck": (6.0, 8.5, 2.1, 2.45, 2.5, 3.3),
     }[kind]
-    length, width, height = u(*size[:2]), u(*size[2:4]), u(*size[4:])
+    length = u(*size[:2])
+    width = u(*size[2:4])
+    height = u(*size[4:])
     if weather.night:
         paint = a - 0.6 - 4.2 * weather.clear_sky + u(-1.0, 1.0)
         glass = paint + u(-1.0, 3.2)
@@ -72,14 +74,16 @@ def draw_vehicle(draws: Draws, weather: Weather, kind: VehicleKind, at: Position
             else paint + u(-0.3, 2.0)
         )
         wheel = a + (u(5, 12) if driven else u(-1.5, 1.5))
-        under, solar = a + (u(4, 10) if driven else u(0.5, 3)), 0.0
+        under = a + (u(4, 10) if driven else u(0.5, 3))
+        solar = 0.0
     else:
         # Dark paint absorbs up to three times as much sunlight as white paint.
         solar = weather.solar * u(1, 26)
         paint = a + u(1, 5)
         glass = a + u(-2, 8)
         bonnet = paint + (u(6, 16) if driven else u(0, 3))
-        wheel, under = a + u(5, 14), a + u(0, 6)
+        wheel = a + u(5, 14)
+        under = a + u(0, 6)
     return Vehicle(kind, *at, length, width, height, paint, glass, bonnet, wheel, under, solar)
 
 
@@ -106,7 +110,8 @@ def _car(p: SurfaceBuilder, v: Vehicle) -> None:
 
 
 def _car_body(p: SurfaceBuilder, v: Vehicle, rise: float) -> None:
-    half, length = v.width_m / 2, v.length_m
+    half = v.width_m / 2
+    length = v.length_m
     stations = _SEDAN if v.kind == "sedan" else _SUV
     # Sections of the body from the rear: sill, flank, shoulder, deck; symmetric.
     section = np.array([(0.86, 0.0), (1.0, 0.22), (1.0, 0.62), (0.95, 0.90), (0.80, 1.0), (0.4, 1.03)], np.float64)
@@ -133,15 +138,19 @@ def _car_body(p: SurfaceBuilder, v: Vehicle, rise: float) -> None:
 
 def _car_cabin(p: SurfaceBuilder, v: Vehicle, rise: float) -> None:
     """Add the cabin, glass between belt line and roof, and the mirrors."""
-    half, length = v.width_m / 2, v.length_m
+    half = v.width_m / 2
+    length = v.length_m
     if v.kind == "sedan":
-        base, roof = (-0.36, 0.24), (-0.22, 0.07)
+        base = (-0.36, 0.24)
+        roof = (-0.22, 0.07)
         belt = 0.95 * rise
     elif v.kind == "suv":
-        base, roof = (-0.48, 0.26), (-0.43, 0.10)
+        base = (-0.48, 0.26)
+        roof = (-0.43, 0.10)
         belt = 1.02 * rise
     else:
-        base, roof = (-0.49, 0.36), (-0.475, 0.22)
+        base = (-0.49, 0.36)
+        roof = (-0.475, 0.22)
         belt = 1.02 * rise
     top = v.height_m
     lower = _cabin_outline(base, 0.93 * half, length)
@@ -185,7 +194,9 @@ def _cabin_outline(ends: tuple[float, float], half: float, length: float) -> Flo
 
 
 def _large_vehicle(p: SurfaceBuilder, v: Vehicle) -> None:
-    length, width, height = v.length_m, v.width_m, v.height_m
+    length = v.length_m
+    width = v.width_m
+    height = v.height_m
     if v.kind == "bus":
         p.box((length, width, 0.75), 0.06, (0, 0, 0.7), v.paint_k, PAINT, v.solar_k, corner=0.2)
         p.box(

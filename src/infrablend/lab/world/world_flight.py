@@ -45,15 +45,23 @@ from infrablend.lab.world.world_labels import MIN_PIXELS, MIN_VISIBILITY, Label
 from infrablend.sampling.paths import sway
 
 # The map is so many frames wide and high, seen from so many times the height of the flight.
-ACROSS, _FARTHER = 4, 16
+ACROSS = 4
+_FARTHER = 16
 # How far the camera goes from its mean course, and in which periods, seconds: its height as a share, its heading in
 # radians, jitter of the gimbal in px and radians, gain as a share, and offset in levels.
 _GLIDE_S = (25.0, 70.0)
-_HEIGHT, _HEIGHT_S = 0.04, (15.0, 40.0)
-_TURN, _TURN_S = 0.6, (20.0, 60.0)
-_JITTER_PX, _JITTER, _JITTER_S = 0.8, 0.001, (0.2, 1.0)
-_GAIN, _OFFSET, _LEVELS_S = 0.02, 3.0, (8.0, 40.0)
-_PATTERN_GREY, _STRIPES_GREY = 0.4, 0.3
+_HEIGHT = 0.04
+_HEIGHT_S = (15.0, 40.0)
+_TURN = 0.6
+_TURN_S = (20.0, 60.0)
+_JITTER_PX = 0.8
+_JITTER = 0.001
+_JITTER_S = (0.2, 1.0)
+_GAIN = 0.02
+_OFFSET = 3.0
+_LEVELS_S = (8.0, 40.0)
+_PATTERN_GREY = 0.4
+_STRIPES_GREY = 0.3
 # Most px beside a window that resampling and blur take in.
 _MARGIN_PX = 8
 
@@ -88,7 +96,8 @@ class Pose:
 
 def find_pose(seed: int, number: int, size_wh: tuple[int, int]) -> Pose:
     """Return the pose of a frame; `size_wh` is the size of frames."""
-    rng, time = stream(seed, "world", "flight", "path"), np.array([number / FPS])
+    rng = stream(seed, "world", "flight", "path")
+    time = np.array([number / FPS])
 
     def wave(size: float, periods_s: tuple[float, float]) -> float:
         return float(sway(time, size, periods_s, rng)[0])
@@ -217,7 +226,8 @@ def _seen(labels: Sequence[Label], from_map: FloatArray, size_wh: tuple[int, int
             continue
         outline = label.outline_xy @ from_map[:2, :2].T + from_map[:2, 2]
         inside = clip_convex(outline, frame)
-        area, whole = polygon_area(inside), polygon_area(outline)
+        area = polygon_area(inside)
+        whole = polygon_area(outline)
         visibility = label.visibility * min(area / max(whole, 1e-9), 1.0)
         if visibility < MIN_VISIBILITY or area < MIN_PIXELS:
             continue

@@ -39,7 +39,8 @@ SEQUENCES: tuple[tuple[Split, str, bool], ...] = (
     ("train", "dirtroad_01", False),
 )
 # One frame in ten of this sequence has lost its telemetry.
-_LOSSY, _LOST = "runway_04", 1
+_LOSSY = "runway_04"
+_LOST = 1
 FPS = 25
 # A flight is at one height, over one of these places, which have people and room for animals.
 FLIGHT_ALTITUDE_M = 80.0
@@ -111,7 +112,8 @@ def plan_frames(count: int, seed: int, layout: Layout = "hit-uav") -> tuple[Fram
     given: Counter[Split] = Counter()
     frames = []
     for k in range(count):
-        pitch, altitude = _of_round(PITCHES_DEG, k, seed, "pitch"), _of_round(altitudes, k, seed, "altitude")
+        pitch = _of_round(PITCHES_DEG, k, seed, "pitch")
+        altitude = _of_round(altitudes, k, seed, "altitude")
         if layout == "monet":
             frames.append(_of_sequence(k, seed, pitch, altitude))
         elif layout == "flight":

@@ -193,7 +193,8 @@ class FrameComposer:
             scene = scene.without(range(len(scene.objects)), left_out)
 
         # Objects that nobody can see in the finished picture are moved, or left out in the end.
-        first, moves = FirstContrasts(scene), 0
+        first = FirstContrasts(scene)
+        moves = 0
         picture = self._draw(scene, canvas, first, Unseen(scene))
         while isinstance(picture, Unseen):
             moves += 1
@@ -232,7 +233,9 @@ class FrameComposer:
 
     def _unchanged(self, frame: PlannedFrame) -> ComposedFrame:
         """Return a background as a frame; the image is a byte-for-byte copy unless the recipe changes it."""
-        path, kind, extensions = frame.background.path, self._recipe.output.image, self._settings.extensions
+        path = frame.background.path
+        kind = self._recipe.output.image
+        extensions = self._settings.extensions
         background = extensions.load(frame.background)
         pixels, camera = self._retaken(background.pixels, background, frame)
         if camera or extensions.backgrounds is not None or (kind == "png" and path.suffix.lower() != ".png"):
@@ -260,7 +263,10 @@ class FrameComposer:
         return camera.take(pixels), {"camera": camera.to_json()}
 
     def _canvas(self, frame: PlannedFrame, background: Background) -> Canvas:
-        recipe, source, pixels, unit = self._recipe, frame.as_read, background.pixels, self._grey_unit(background)
+        recipe = self._recipe
+        source = frame.as_read
+        pixels = background.pixels
+        unit = self._grey_unit(background)
         rules = recipe.occlusion
         cover = None if rules.share == 0 else Cover(rules, Scenery(pixels, unit), self._models)
         site = Site(
@@ -288,7 +294,8 @@ class FrameComposer:
 
     def _grey_unit(self, background: Background) -> float:
         """Return the picture's levels per 8-bit level: by its own range if it has 16 bits and the run measured none."""
-        pixels, levels = background.pixels, self._settings.levels
+        pixels = background.pixels
+        levels = self._settings.levels
         if levels is None:
             return 1.0 if background.bit_depth == 8 else grey_unit(pixels, measure_levels([pixels]))
         return grey_unit(pixels, levels)
@@ -302,9 +309,11 @@ class FrameComposer:
         that have been left out since, and its sensor serves again. With a `take`, levels and sensor are those of the
         sequence.
         """
-        recipe, ground = self._recipe, canvas.background.pixels
+        recipe = self._recipe
+        ground = canvas.background.pixels
         match = self._match(scene, canvas, take)
-        scene, matching = match.scene, match.facts or before.matching
+        scene = match.scene
+        matching = match.facts or before.matching
         if faint := movable(scene, match.faint):
             first.add(scene, {k: {"object": k, "changed": round(match.faint[k], 2), "expected": True} for k in faint})
             return Unseen(scene, faint, (), matching, before.sensor)
@@ -361,12 +370,14 @@ class FrameComposer:
         self, scene: PlacedScene, background: Background, scale: TemperatureScale | None, known: Sensor | None
     ) -> Sensor | None:
         """Return the sensor chain, `known` or fitted to this background; None if there is none or no object."""
-        sensor, levels = self._recipe.sensor, self._settings.levels
+        sensor = self._recipe.sensor
+        levels = self._settings.levels
         if sensor.profile == "off" or not scene.objects:
             return None
         assert levels is not None
         unit_k = None if scale is None else abs(scale.slope_k) * grey_unit(background.pixels, levels)
-        profile, range_m = sensor.profile_at(unit_k), nearest_range_m(scene)
+        profile = sensor.profile_at(unit_k)
+        range_m = nearest_range_m(scene)
         strength = SensorStrength(sensor.optics, sensor.halo, sensor.noise, sensor.codec, sensor.clip, sensor.defocus)
         if known is not None:
             return focus_missed(known, profile, strength, range_m)
@@ -395,7 +406,9 @@ class FrameComposer:
         made: Mapping[str, Any],
     ) -> FrameRecord:
         """Return the record of a frame with the labels of its inserts, and the fields of what was `made`."""
-        source, output, wanted = frame.background, self._recipe.output, self._recipe.labels
+        source = frame.background
+        output = self._recipe.output
+        wanted = self._recipe.labels
         # Ignore regions stay in the record: each format leaves them out, or not, when it is written.
         rules = MergeSettings(wanted.mode, wanted.keep_categories, wanted.remove_covered)
         merged = merge(source.instances, labels, rules)

@@ -89,7 +89,8 @@ def with_seen_box(insert: MeasuredInsert, before: GreyImage, after: GreyImage, u
         after: (h, w) finished picture.
         unit: Levels of the pictures per 8-bit level.
     """
-    label, c = insert.labelled(), insert.contrast
+    label = insert.labelled()
+    c = insert.contrast
     change, ring = (insert.changed_grey, None) if c is None else (c.change, c.ring)
     return add_seen_box(label, after, before, change, ring, unit)
 

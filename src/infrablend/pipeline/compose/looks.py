@@ -78,7 +78,8 @@ class ArtisticLook:
     """
 
     def __init__(self, recipe: Recipe, settings: FrameSettings) -> None:
-        self._recipe, self._settings = recipe, settings
+        self._recipe = recipe
+        self._settings = settings
 
     def check(self, frame: PlannedFrame, background: Background) -> None:
         """Refuse a background that the look cannot be matched to.
@@ -112,7 +113,8 @@ class ArtisticLook:
         Raises:
             ArgumentError: The caller's look returned another size or type.
         """
-        motion_px, own = match.scene.spec.motion_px, self._settings.extensions.look
+        motion_px = match.scene.spec.motion_px
+        own = self._settings.extensions.look
         picture = overlay(rendered, background, match.mapping, self._recipe.overlay, sensor, motion_px, front)
         if own is None:
             return picture
@@ -129,7 +131,8 @@ class PhysicalLook(ArtisticLook):
 
     def __init__(self, recipe: PaperPhysicalRecipe | MetricPhysicalRecipe, settings: FrameSettings) -> None:
         super().__init__(recipe, settings)
-        self._matching, self._headroom = recipe.matching, recipe.sensor.headroom
+        self._matching = recipe.matching
+        self._headroom = recipe.sensor.headroom
 
     def check(self, frame: PlannedFrame, background: Background) -> None:
         """Refuse a picture with grey levels that do not follow temperature."""
@@ -168,7 +171,8 @@ class PhysicalLook(ArtisticLook):
         """Return the map of the sequence as it is in a frame."""
         if earlier is None or earlier.match.settled is None:
             return None
-        gain, offset = earlier.gain, earlier.offset
+        gain = earlier.gain
+        offset = earlier.offset
         if self._matching.polarity == "black-hot":  # the map is that of the picture turned to white-hot
             assert self._settings.levels is not None
             offset = (1 - gain) * sum(self._settings.levels) - offset
@@ -217,7 +221,8 @@ def local_settings(matching: LocalMatching, time_of_day: TimeOfDay | None, headr
     """
     m = matching
     low, high = m.gain_grey_per_k
-    mean, share = m.gain_prior_grey_per_k, m.local_share
+    mean = m.gain_prior_grey_per_k
+    share = m.local_share
     if time_of_day == "day" and m.gain_prior_day_grey_per_k is not None:
         mean = m.gain_prior_day_grey_per_k
     if time_of_day == "day" and m.local_share_day is not None:

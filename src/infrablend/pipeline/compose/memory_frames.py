@@ -116,7 +116,8 @@ class Frames:
         Raises:
             RecipeError, DatasetError, ModelError, ArgumentError: See `infrablend.errors`.
         """
-        extensions, source = request.extensions, request.data
+        extensions = request.extensions
+        source = request.data
         if isinstance(source, BackgroundSource):
             extensions = replace(extensions, backgrounds=source)
         if not request.execution.in_process:

@@ -85,7 +85,8 @@ class Cover:
                 continue
             labelled = np.array([spec.parts[n].label for n in placed.mesh.part_names])[placed.mesh.part_of_triangle]
             xy = placed.triangles_of(labelled).xy
-            stands, front = self.models[spec.model].stands, fronts.get(spec.track or 0)
+            stands = self.models[spec.model].stands
+            front = fronts.get(spec.track or 0)
             occluder = self._find(xy, placed.camera.size_wh, spec.visible_aim, stands, front)
             if occluder is not None:
                 found[k] = occluder
@@ -165,7 +166,9 @@ def behind_text(
     `seen` has the coverage of what would be visible without the text; that with it is returned, too.
     """
     left = behind_front(seen, written.astype(np.float32), range(len(seen.coverage)))
-    kept, found, hidden = [], [], []
+    kept = []
+    found = []
+    hidden = []
     for k, label in zip(report.kept, labels, strict=True):
         after, before = (float(r.coverage[k].sum(dtype=np.float64)) for r in (left, seen))
         if after <= 0:

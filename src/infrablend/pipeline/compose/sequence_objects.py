@@ -46,9 +46,11 @@ from infrablend.sampling.tracks import (
 )
 
 # A frame is an anchor if less than this share of it has been shown by those before; points across a picture.
-_SHOWN, _POINTS = 0.5, 9
+_SHOWN = 0.5
+_POINTS = 9
 # Where none of the objects of an anchor can be seen, so many frames later another one is tried, so many times at most.
-_AGAIN, _TRIES = 25, 8
+_AGAIN = 25
+_TRIES = 8
 # Populated sequences that each worker keeps, of two or three MB each.
 _KEPT = 32
 # How well ground has to suit, of the place where an object was put.
@@ -121,7 +123,10 @@ class Sequences:
         settle: Callable[[PlannedFrame], Anchored],
     ) -> None:
         """Keep what sequences are populated with; `settle` draws the objects of one frame."""
-        self._settings, self._recipe, self._models, self._settle = settings, recipe, models, settle
+        self._settings = settings
+        self._recipe = recipe
+        self._models = models
+        self._settle = settle
         # The configurations of a frame follow one another, and who trains on frames in memory shuffles them.
         self._spans = functools.lru_cache(maxsize=max(_KEPT, 4 * recipe.configurations))(self._populate)
         self._text = functools.lru_cache(maxsize=4)(self._written)
@@ -137,7 +142,8 @@ class Sequences:
         if (place := self._places.get(frame.background_id)) is None:
             return None
         sequence, n = place
-        footage, m = sequence.footage, sequence.footage.shown(n)
+        footage = sequence.footage
+        m = sequence.footage.shown(n)
         if frame.configuration is None or not footage.moments[n].known:
             return None
         span = self._spans(sequence.name, frame.configuration)[footage.moments[n].span]
@@ -201,7 +207,8 @@ class Sequences:
         sequence = self._settings.sequences[name]
         footage = sequence.footage
         spans = {m.span: _Span() for m in footage.moments if m.known}
-        number, anchors = sequence.first_track, list[int]()
+        number = sequence.first_track
+        anchors = list[int]()
         stated = sequence.frames[0].background.capture.sequence  # unlike `name`, whatever splits are read
         assert stated is not None
         for n, moment in enumerate(footage.moments):
@@ -233,7 +240,8 @@ class Sequences:
                 rng = stream(self._settings.seed, stated, configuration, "track", purpose)
                 placed = _in_air(placed, _air_k(spans, anchored) - anchored.scene.spec.ambient_k)
                 assert anchored.scene.spec.view is not None
-                model, fits = self._models[placed.spec.model], self._fits(placed, anchored.site)
+                model = self._models[placed.spec.model]
+                fits = self._fits(placed, anchored.site)
                 view = anchored.scene.spec.view
                 track = find_track(number, placed, model, motion, view, n, footage, rng, fits)
                 span.tracks.append(track)
@@ -258,12 +266,15 @@ class Sequences:
 
     def _fits(self, placed: PlacedObject, site: Site) -> Fits:
         """Return whether an object may go to a place; what its anchor does not show is open to it."""
-        kind, model, spec = self._recipe.objects[placed.spec.kind], self._models[placed.spec.model], placed.spec
+        kind = self._recipe.objects[placed.spec.kind]
+        model = self._models[placed.spec.model]
+        spec = placed.spec
         request = PlacementRequest(kind, model, spec.params, placed.mesh, spec.scale)
         ground = suitable_ground(self._recipe.placement.surfaces, site, request)
         if ground is None:
             return lambda x, y: True
-        camera, z = placed.camera, spec.position_m[2]
+        camera = placed.camera
+        z = spec.position_m[2]
         at_start, _ = camera.project(np.array([spec.position_m]))
         least = _NEARLY * float(ground.at(at_start)[0])
 
@@ -295,7 +306,8 @@ def _in_levels(front: Front, gain: float) -> Front:
     """Return what is in front of a track in a frame that has `gain` times the contrast of its anchor."""
     if front.occluder is None:
         return front
-    limit, soft = round(front.occluder.limit_grey * gain, 3), round(front.occluder.soft_grey * gain, 3)
+    limit = round(front.occluder.limit_grey * gain, 3)
+    soft = round(front.occluder.soft_grey * gain, 3)
     return replace(front, occluder=replace(front.occluder, limit_grey=limit, soft_grey=soft))
 
 

@@ -36,7 +36,8 @@ from infrablend.sampling.labelled_ground import LabelledGround
 
 POLL_S = 0.02
 """Time between two looks at recipe and models; the data are looked at less often, since they may be many files."""
-_DATA_POLL_S, _DATA_POLL_SHARE = 0.5, 0.1
+_DATA_POLL_S = 0.5
+_DATA_POLL_SHARE = 0.1
 _MOST_POLLS = 50
 _PICTURES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
 
@@ -124,7 +125,8 @@ def gain_words(matching: Mapping[str, Any]) -> list[str]:
     """Return the gain of a frame, and what it rests on, in words."""
     found = []
     for which, gain in (matching.get("gain") or {}).items():
-        value, count = gain.get("grey_per_k"), gain.get("anchors_used", 0)
+        value = gain.get("grey_per_k")
+        count = gain.get("anchors_used", 0)
         if not isinstance(value, int | float):
             continue
         alone = not count or gain.get("from_prior")
@@ -272,7 +274,8 @@ def _wait_for_rest(paths: Iterable[Path]) -> None:
     """Return when these files stay as they are: editors empty a file before they write it."""
     states = None
     for _ in range(_MOST_POLLS):
-        before, states = states, [_state(path) for path in paths]
+        before = states
+        states = [_state(path) for path in paths]
         if states == before:
             return
         time.sleep(POLL_S)

@@ -27,7 +27,8 @@ from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, Clas
 from infrablend.pipeline.datasets.select import select
 from infrablend.report.card import dataset_card, write_card, written_layout
 
-_LOOSEN, _LOOSEN_PX = "--loosen-inserted", "--loosen-inserted-px"
+_LOOSEN = "--loosen-inserted"
+_LOOSEN_PX = "--loosen-inserted-px"
 
 
 @dataclass(frozen=True)
@@ -169,7 +170,8 @@ def _lost_classes(dataset: Dataset, to: str, counts: Mapping[str, Any]) -> list[
     """Return an error for each class, except those to ignore, of which the files hold no object any more."""
     ignored = {c.name for c in dataset.categories if c.ignore}
     gone = {c: n for c, n in counts["labels_lost"].items() if not counts["labels"].get(c) and c not in ignored}
-    expected, todo = f"objects that {to} can hold", "write another format, which holds them; see the losses"
+    expected = f"objects that {to} can hold"
+    todo = "write another format, which holds them; see the losses"
     return [Problem(f"class {c}", "class-lost", f"all {n} object(s) left out", expected, todo) for c, n in gone.items()]
 
 
@@ -236,7 +238,8 @@ def _loosened(dataset: Dataset, images: list[ImageRecord], by: Looseness) -> tup
         return images, 0
     images, count = loosen_inserted(images, by)
     if not count:
-        found, expected = "no object marked as inserted, among those that are written", "at least one"
+        found = "no object marked as inserted, among those that are written"
+        expected = "at least one"
         todo = "convert the coco folder of a run, which marks them"
         none = Problem(_loosen_option(by), "loosen-none", found, expected, todo)
         raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
@@ -256,11 +259,13 @@ def _require_tight(dataset: Dataset, by: Looseness, earlier: int, to: Writer) ->
     if faults:
         raise DatasetError(f"{dataset.root}: boxes cannot be enlarged by this much", faults)
     if _has_only_masks(to):
-        found, todo = f"{to.name}, which has masks instead of boxes", "leave the option out, or write another format"
+        found = f"{to.name}, which has masks instead of boxes"
+        todo = "leave the option out, or write another format"
         none = Problem(_loosen_option(by), "loosen-none", found, "a format with boxes", todo)
         raise DatasetError(f"{dataset.root}: no box to enlarge", [none])
     if earlier:
-        found, expected = f"{earlier} boxes that are enlarged or fitted already", "boxes that fit tightly"
+        found = f"{earlier} boxes that are enlarged or fitted already"
+        expected = "boxes that fit tightly"
         todo = "leave the option out, or convert a run made without labels.fit, labels.loosen and labels.loosen_px"
         twice = Problem(_loosen_option(by), "loosen-twice", found, expected, todo)
         raise DatasetError(f"{dataset.root}: boxes are enlarged only once", [twice])

@@ -136,15 +136,18 @@ def loosened_before(dataset: Dataset, part: Dataset) -> dict[str, int]:
     not say which ones they are: any box of a part may be one, and the count is `AT_MOST`.
     """
     if count_loosened(dataset):
-        name, count = LOOSENED, count_loosened(part)
+        name = LOOSENED
+        count = count_loosened(part)
     else:
         recorded, labels = _recorded(dataset)
         whole, boxes = (sum(len(i.instances) for i in d.images) for d in (dataset, part))
-        name, count = LOOSENED, recorded
+        name = LOOSENED
+        count = recorded
         if not boxes == labels == whole:
             # Pictures may have been drawn several times.
             copies = max(Counter(i.path for i in part.images).values(), default=1)
-            name, count = AT_MOST, min(copies * recorded, boxes)
+            name = AT_MOST
+            count = min(copies * recorded, boxes)
     return {name: count} if count else {}
 
 
@@ -162,7 +165,8 @@ def _recorded(dataset: Dataset) -> tuple[int, int | None]:
             counts = load_json(record)["counts"]
             if AT_MOST in counts:
                 return int(counts[AT_MOST]), None
-            loosened, labels = int(counts[LOOSENED]), counts.get("labels")
+            loosened = int(counts[LOOSENED])
+            labels = counts.get("labels")
             return loosened, sum(map(int, labels.values())) if isinstance(labels, Mapping) else None
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue

@@ -31,7 +31,8 @@ def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]
     problems = _problems(dataset, wanted)
     if problems:
         raise DatasetError(f"{dataset.root}: invalid selection", problems)
-    named, avoided = wanted.with_class, set(wanted.without)
+    named = wanted.with_class
+    avoided = set(wanted.without)
     left_out: Counter[str] = Counter()
     pool: list[ImageRecord] = []
     for image in dataset.images:
@@ -95,7 +96,8 @@ def _select_alike(
 
 # Width of a step of grey level, and the levels that weigh as much as 10 degrees of pitch or 20 m of height. An object
 # looks less different on ground of another level than at another size.
-_LEVEL_STEP, _LEVEL_WEIGHT = 25.0, 25.0
+_LEVEL_STEP = 25.0
+_LEVEL_WEIGHT = 25.0
 
 
 @dataclass(frozen=True, order=True)
@@ -181,7 +183,8 @@ def draw_with_sum(counts: NDArray[np.int64], order: NDArray[np.int64], size: int
     Starts with the first `size` indices and swaps one selected index for one unselected index, best swap first, as long
     as the sum comes closer to `total`. All other indices stay as they were drawn.
     """
-    taken, left = order[:size].copy(), order[size:].copy()
+    taken = order[:size].copy()
+    left = order[size:].copy()
     missing = int(total - counts[taken].sum())
     while missing and len(taken) and len(left):
         after = np.abs(missing - (counts[left][None, :] - counts[taken][:, None]))

@@ -116,7 +116,9 @@ def split_dataset(
     require_apart(dataset.root, out)
     if rule.by not in GROUPINGS:
         raise DatasetError(f"by: found {rule.by!r}, expected one of {', '.join(GROUPINGS)}")
-    by, gap, seed = rule.by, NEAR if rule.gap is None else rule.gap, rule.seed
+    by = rule.by
+    gap = NEAR if rule.gap is None else rule.gap
+    seed = rule.seed
     wanted = check_shares(rule.shares)
     if gap < 1:
         raise DatasetError(f"gap: found {gap}, expected a positive number of frames")

@@ -69,10 +69,12 @@ class WarmSerial:
 
 def _performed(work: Callable[[Task], Any], task: Task) -> TaskResult:
     begun = time.monotonic()
-    value, failure = None, None
+    value = None
+    failure = None
     try:
         value = work(task)
     except (Exception, SystemExit) as e:
         failure = failure_of(e)
-    seconds, rss_bytes = time.monotonic() - begun, resident_bytes()
+    seconds = time.monotonic() - begun
+    rss_bytes = resident_bytes()
     return TaskResult(task.key, value, failure, seconds=seconds, rss_bytes=rss_bytes)

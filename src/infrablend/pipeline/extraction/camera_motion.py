@@ -38,7 +38,8 @@ _SAMPLES = 12
 # Change of the mid level between two frames that is a jump of the gain, 8-bit levels.
 _JUMP_LEVELS = 15.0
 # A frame is blurred if its second derivative varies less than this share of that of the frames around it, so many.
-_BLURRED, _AROUND = 0.5, 12
+_BLURRED = 0.5
+_AROUND = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +140,9 @@ def write_motion(
     sequences = sequences_of(dataset)
     total = sum(len(images) for images in sequences.values())
     names = distinct_names([file_name(name) for name in sequences])
-    problems, states, done = list(dataset.problems), {}, 0
+    problems = list(dataset.problems)
+    states = {}
+    done = 0
     progress = paced(on_progress)
 
     def read() -> None:
@@ -227,7 +230,8 @@ def find_motion(
     saved = load_json(kept)  # what a later run will read, to the last digit
     known = tuple(moment_from_json(m) for m in saved["frames"])
     other = {span: (w, h) for span, w, h in saved["other_sizes_wh"]}
-    size_wh, levels = tuple(saved["size_wh"]), tuple(saved["levels"])
+    size_wh = tuple(saved["size_wh"])
+    levels = tuple(saved["levels"])
     return SequenceMotion(name, numbers, known, size_wh, other, levels, dict(saved["unread"]))
 
 
@@ -257,7 +261,8 @@ class _Views:
         some = sample_of(images) or [*islice(_readable(images), 1)] or [_pixels(images[0])]
         self.levels = _range_of(some)
         self._written = find_written([_shown(p, *self.levels) for p in some if p.shape == some[0].shape])
-        self._images, self._on_frame = images, on_frame
+        self._images = images
+        self._on_frame = on_frame
         self.size_wh = (int(some[0].shape[1]), int(some[0].shape[0]))
         self.sizes_wh: list[tuple[int, int]] = []
         self.unread: dict[int, str] = {}
@@ -337,14 +342,13 @@ def motion_problems(motion: SequenceMotion) -> Iterator[Problem]:
     where = f"sequence {motion.name}"
     if motion.unread:
         number, reason = next(iter(motion.unread.items()))
-        found, todo = (
-            f"{len(motion.unread)} frame(s) that cannot be read, such as {number} ({reason})",
-            "fetch them again",
-        )
+        found = f"{len(motion.unread)} frame(s) that cannot be read, such as {number} ({reason})"
+        todo = "fetch them again"
         yield Problem(where, "frames-lost", found, "intact pictures", todo, "warning")
     if motion.other_sizes_wh:
         sizes = ", ".join(f"{w}x{h}" for w, h in dict.fromkeys((motion.size_wh, *motion.other_sizes_wh.values())))
-        found, todo = f"pictures of {sizes} px", "no track goes from one size into the other"
+        found = f"pictures of {sizes} px"
+        todo = "no track goes from one size into the other"
         yield Problem(where, "image-size", found, "one size per sequence", todo, "warning")
     lost = [n for n, m in zip(motion.frames, motion.moments, strict=True) if not m.known]
     if len(lost) == len(motion.frames):

@@ -159,7 +159,8 @@ def _open_all(paths: Sequence[Path]) -> list[Video]:
     Raises:
         DatasetError: Some of them cannot be read; with a problem for each.
     """
-    opened, faults = [], []
+    opened = []
+    faults = []
     for path in paths:
         try:
             opened.append(Video(path))

@@ -161,6 +161,7 @@ def spot_warnings(spots: Sequence[SpotCount], scale: TemperatureScale | None) ->
         span_k = (s.highest - s.lowest) * scale.slope_k
         if span_k > _SPOT_SPAN_K:
             (x, y), found = s.spot.xy, f"{s.describe()}, {span_k:.1f} K apart"
-            expected, todo = f"a uniform surface, within {_SPOT_SPAN_K:g} K", "give a spot inside a larger surface"
+            expected = f"a uniform surface, within {_SPOT_SPAN_K:g} K"
+            todo = "give a spot inside a larger surface"
             problems.append(Problem(f"--spot {s.spot.file}:{x},{y}", "spot-uneven", found, expected, todo, "warning"))
     return problems

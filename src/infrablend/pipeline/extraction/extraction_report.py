@@ -139,7 +139,8 @@ def clip_result(
     plan: ClipPlan, written: Sequence[WrittenFrame], sampled: Sampled | None, hfov_deg: float | None
 ) -> Clip:
     """Return the result of one video."""
-    video, timeline = plan.video, plan.video.timeline
+    video = plan.video
+    timeline = plan.video.timeline
     shortest, longest = timeline.steps_s
     facts = {
         "size_wh": list(video.size_wh), "codec": video.codec, "frames": len(timeline.times_s),

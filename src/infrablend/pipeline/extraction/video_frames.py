@@ -55,11 +55,14 @@ def extract_frames(
     flight = flight or FlightFacts()
     if not videos:
         raise ArgumentError("videos: found none, expected at least one file")
-    done, report_done = 0, paced(on_progress)
+    done = 0
+    report_done = paced(on_progress)
     with workspace(out, "extraction of frames", FRAMES_FILE, replacing(overwrite)) as space:
         plans = plan_clips(videos, choice, flight)
         total = sum(len(p.numbers) for p in plans)
-        clips, rows, problems = [], [], []
+        clips = []
+        rows = []
+        problems = []
         for plan in plans:
             written = []
             for frame in _wanted(plan):

@@ -73,7 +73,8 @@ def require_url(url: str) -> None:
         parts = urlsplit(url)
         good = parts.scheme in {"http", "https"} and bool(parts.hostname) and parts.port != 0
     except ValueError:
-        parts, good = urlsplit(""), False
+        parts = urlsplit("")
+        good = False
     if not good or "@" in parts.netloc or re.search(r"[\x00-\x20\x7f]", url):
         raise FetchError(
             f"address {url!r}: cannot be fetched; expected http:// or https:// and a host, without a user name. "
@@ -170,15 +171,18 @@ def without_wrapper(folder: Path) -> Path:
 
 def _network_error(url: str, error: Exception) -> FetchError:
     reason = error.reason if isinstance(error, urllib.error.URLError) else error
-    code, expected = "no-connection", "the file"
+    code = "no-connection"
+    expected = "the file"
     found = f"no connection, or a broken one ({getattr(reason, 'strerror', None) or reason or type(reason).__name__})"
     todo = "repeat the command, or download the file in a browser and give --archive FILE"
     if isinstance(error, urllib.error.HTTPError):
         error.close()
-        code, found = f"http-{error.code}", f"HTTP {error.code} {error.reason}".strip()
+        code = f"http-{error.code}"
+        found = f"HTTP {error.code} {error.reason}".strip()
         todo = _REMEDIES.get(error.code, "try again later; look at the dataset's page")
     elif isinstance(reason, ssl.SSLCertVerificationError):
-        code, expected = "certificate", "a certificate that this machine trusts"
+        code = "certificate"
+        expected = "a certificate that this machine trusts"
         found = f"the server's certificate was not accepted: {reason.verify_message}"
         todo = (
             "check this machine's clock. If a proxy of your organisation opens encrypted connections, set "
@@ -250,8 +254,10 @@ def _require_bounded(archive: Path, members: int, size_bytes: int) -> None:
 
 
 def _bad_members(archive: Path, reasons: dict[str, str]) -> DatasetError:
-    todo, expected = "do not use this file; download it from its authors' page", "plain files below the folder"
-    where, code = archive.name, "archive-entry"
+    todo = "do not use this file; download it from its authors' page"
+    expected = "plain files below the folder"
+    where = archive.name
+    code = "archive-entry"
     problems = [Problem(where, code, f"{name!r}: {reason}", expected, todo) for name, reason in reasons.items()]
     return DatasetError(f"{where}: not unpacked", problems)
 

@@ -274,7 +274,8 @@ def _fetch_part(
     def show(step: Literal["download", "unpack"]) -> Callable[[int, int | None], None]:
         return lambda done, total: on_progress and on_progress(FetchProgress(step, file.name, done, total))
 
-    file, url = request.archive or work / a.file, None
+    file = request.archive or work / a.file
+    url = None
     if request.archive is None:
         url = download(request.url or a.url, file, a.unpacked_bytes, show("download"))
     digest = sha256_of(real_path(file))

@@ -93,11 +93,14 @@ class ModelSurvey:
         flies = "feathers" in self.guess.roles or "bird" in (self.answers.category or "").lower()
         axis = ""
         if self.guess.family == "person" and length > _CLEARLY * height:
-            axis, expected = long, "people who are taller than wide"
+            axis = long
+            expected = "people who are taller than wide"
         elif self.guess.family == "animal" and width > _CLEARLY * height and not flies:
-            axis, expected = short, "animals that are taller than wide"
+            axis = short
+            expected = "animals that are taller than wide"
         elif self.guess.family in ("car", "drone") and height > _CLEARLY * length:
-            axis, expected = short, f"a {self.guess.family} that is longer than high"
+            axis = short
+            expected = f"a {self.guess.family} that is longer than high"
         if not axis:
             return []
         found = f"it seems to lie on its side: {height:.3g} high (axis {up}), {length:.3g} long and {width:.3g} wide"
@@ -108,7 +111,8 @@ class ModelSurvey:
     @property
     def missing(self) -> list[Problem]:
         """Everything that is still to be answered."""
-        where, found = str(self.file), []
+        where = str(self.file)
+        found = []
         if not self.answers.category:
             found.append(Problem(where, "model-category", "no class for its labels", "--category NAME, such as drone"))
         if self.answers.size_m is None:
@@ -188,7 +192,8 @@ def add_model(file: Path, out: Path | None, answers: ModelAnswers) -> Path:
 
 def description(survey: ModelSurvey, name: str, file: str) -> str:
     """Return the YAML of a surveyed file; texts are quoted as in JSON, which YAML 1.2 contains."""
-    family, answers = survey.guess.family, survey.answers
+    family = survey.guess.family
+    answers = survey.answers
     known = [(g, r) for g, r in zip(survey.groups, survey.guess.roles, strict=True) if r is not None]
     # The front of a glTF is +Z by its standard, which Blender turns to -Y.
     standard = survey.file.suffix.lower() in (".glb", ".gltf") and answers.up in (None, "Y")

@@ -33,7 +33,8 @@ PITCH_REPLACED = "pitch-replaced"
 HEIGHT_REPLACED = "height-replaced"
 """Code of the warning about a height of the recipe that replaces others in the files."""
 # Lenses of thermal cameras for drones are narrower, and their sensors smaller than film.
-_WIDE_DEG, _FILM_MM = 75.0, 36.0
+_WIDE_DEG = 75.0
+_FILM_MM = 36.0
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
 # A stated pitch that differs by more from the files' is reported.
@@ -68,7 +69,8 @@ def require_movable(recipe: Recipe, models: Mapping[str, ObjectModel]) -> None:
         possible = ON_GROUND if models[kind.model].stands else IN_AIR
         if motion is not None and motion.kind not in possible:
             where = "stands on the ground" if models[kind.model].stands else "flies"
-            found, expected = f"found {motion.kind}, but {kind.model} {where}", ", ".join(possible)
+            found = f"found {motion.kind}, but {kind.model} {where}"
+            expected = ", ".join(possible)
             problems.append(Problem(f"objects.{n}.motion.kind", "recipe-value", found, expected))
     if problems:
         raise RecipeError(f"recipe {recipe.name}: movements that its models do not have", problems)
@@ -148,7 +150,8 @@ def without_mask(recipe: Recipe, images: Sequence[ImageRecord], known: Sequence[
     where = recipe.placement.surfaces
     if where is None or where.masks is None:
         return []
-    folder, field = Path(where.masks), "placement.where.masks"
+    folder = Path(where.masks)
+    field = "placement.where.masks"
     missing = [i for i in images if find_mask(folder, i) is None]
     expected = f"{missing[0].split}/{missing[0].id}.png or {missing[0].id}.png in {folder}" if missing else ""
     if missing and not any(find_mask(folder, i) for i in known):
@@ -250,7 +253,8 @@ def require_classes(recipe: Recipe, field: str, names: Collection[str], dataset:
     unknown = unknown_classes(dataset, names)
     if unknown:
         known = ", ".join(c.name for c in dataset.categories) or "it has none"
-        found, expected = f"found {', '.join(unknown)}", f"categories of the dataset ({known})"
+        found = f"found {', '.join(unknown)}"
+        expected = f"categories of the dataset ({known})"
         problem = Problem(field, "recipe-value", found, expected)
         raise RecipeError(f"recipe {recipe.name}: does not fit {dataset.root}", [problem])
 
@@ -274,7 +278,8 @@ def require_distinct_classes(recipe: Recipe, inserted: Sequence[str], dataset: D
     for n, name in enumerate(inserted):
         similar = next((k for k in known if differ_in_form(name, k)), None)
         if similar is not None and name not in known:
-            joined, renamed = f"objects.{n}.category={similar}", f"labels.rename={{{similar}: {name}}}"
+            joined = f"objects.{n}.category={similar}"
+            renamed = f"labels.rename={{{similar}: {name}}}"
             found = f"the class {name!r} beside {similar!r} of the dataset: two classes for one kind of object"
             todo = f"set {joined} to insert into the dataset's class, or {renamed} to rename that; or set "
             todo += "labels.similar_names=keep for two classes"

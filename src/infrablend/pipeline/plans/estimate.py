@@ -11,14 +11,18 @@ from infrablend.sampling.scene_sampler import mean_objects
 
 # Measured by `bench/recipes.py`, with one worker. Start and end of a run, and what Blender adds; workers start in
 # parallel, so their number does not change it.
-START_S, BLENDER_START_S = 1.8, 2.0
+START_S = 1.8
+BLENDER_START_S = 2.0
 # Processor time of a frame without its objects and label files: in the artistic look, and in the others, which fit the
 # grey levels and the sensor.
-ARTISTIC_FRAME_CPU_S, FRAME_CPU_S = 0.02, 0.06
+ARTISTIC_FRAME_CPU_S = 0.02
+FRAME_CPU_S = 0.06
 # Of each object, by model, and of drones.
-OBJECT_CPU_S, OTHER_OBJECT_CPU_S = {"person": 0.06, "car": 0.065, "deer": 0.085, "boar": 0.085}, 0.035
+OBJECT_CPU_S = {"person": 0.06, "car": 0.065, "deer": 0.085, "boar": 0.085}
+OTHER_OBJECT_CPU_S = 0.035
 # What Cycles adds for each object: building its scene, and each sample of its pixels.
-CYCLES_OBJECT_CPU_S, CYCLES_SAMPLE_CPU_S = 0.05, 0.002
+CYCLES_OBJECT_CPU_S = 0.05
+CYCLES_SAMPLE_CPU_S = 0.002
 READ_PICTURE_S = 0.002
 WRITE_LABELS_S = 0.0016  # per frame and format, by one process
 # Bytes of records, logs, reports and labels: per frame, and per inserted object.
@@ -37,7 +41,9 @@ def estimate_run(
         shards: Number of shards that the run is divided into; None for an undivided run.
         price_per_core_hour: Price, in any currency; None gives no cost.
     """
-    recipe, frames, workers = plan.recipe, len(plan.frames), max(workers, 1)
+    recipe = plan.recipe
+    frames = len(plan.frames)
+    workers = max(workers, 1)
     by_model = objects_per_frame(plan)
     objects = sum(by_model.values())
     frame_cpu_s = ARTISTIC_FRAME_CPU_S if recipe.look == "artistic" else FRAME_CPU_S

@@ -29,7 +29,8 @@ def usable_images(
 
     `stands` says whether all models of the recipe stand on the ground.
     """
-    usable, problems = [], []
+    usable = []
+    problems = []
     others = Telemetry.of(dataset)
     for image in images:
         problem = _unreadable(image) or telemetry_missing(recipe, image, others)

@@ -19,7 +19,9 @@ from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 log = logging.getLogger(__name__)
 
 IMPORTER = "infrablend.rendering.engine.model_import:make_importer"
-IMPORT_CPU_SECONDS, IMPORT_SECONDS, IMPORT_MEMORY_BYTES = 120, 600.0, 3 * 2**30
+IMPORT_CPU_SECONDS = 120
+IMPORT_SECONDS = 600.0
+IMPORT_MEMORY_BYTES = 3 * 2**30
 TOO_SLOW = "model-too-slow"
 # Time limit of a single job in a worker process.
 JOB_TIMEOUT_S = 300.0

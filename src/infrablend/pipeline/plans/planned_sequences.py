@@ -33,7 +33,8 @@ def plan_sequences(
         DatasetError: No picture belongs to a sequence, or a picture cannot be read.
     """
     of_use, of_place = ({(i.split, i.id) for i in images} for images in (used, anchors))
-    found, problems = {}, []
+    found = {}
+    problems = []
     for name, images in sequences_of(dataset).items():
         if not any((i.split, i.id) in of_use for i in images):
             continue
@@ -43,7 +44,8 @@ def plan_sequences(
         if times is None:
             lacks = any(i.capture.time_s is None for i in images)
             found_times = "no time stamps" if lacks else "time stamps that do not rise from frame to frame"
-            text, todo = f"{found_times}; {ASSUMED_RATE:g} frames per second are assumed", "a table with time_s"
+            text = f"{found_times}; {ASSUMED_RATE:g} frames per second are assumed"
+            todo = "a table with time_s"
             problems.append(Problem(f"sequence {name}", "frame-rate", text, "seconds of each frame", todo, "warning"))
             times = np.array([(i.capture.frame or 0) / ASSUMED_RATE for i in images])
         problems += motion_problems(motion)

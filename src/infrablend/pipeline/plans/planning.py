@@ -70,13 +70,15 @@ def make_plan(
     classes = [o.category or models[o.model].category for o in recipe.objects]
     require_loosened(recipe, {*classes})
     require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
-    read, dataset = dataset, with_used_times(dataset, recipe)
+    read = dataset
+    dataset = with_used_times(dataset, recipe)
     renamed = rename_classes(dataset, recipe.labels.rename)
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
     require_distinct_classes(recipe, classes, renamed)
 
     names = frame_names(renamed.images, recipe)
-    images, chosen = selection.backgrounds(renamed.images, seed), None
+    images = selection.backgrounds(renamed.images, seed)
+    chosen = None
     if selection.frames is not None:
         chosen = find_frames(selection.frames, renamed.images, names)
         of_chosen = {image for image, _ in chosen}
@@ -185,10 +187,12 @@ def frame_names(images: Sequence[ImageRecord], recipe: Recipe) -> dict[tuple[int
     frame keeps it. The names depend on all backgrounds of the split, so that `--limit` does not change them.
     """
     names: dict[tuple[int, int | None], str] = {}
-    originals, count = recipe.output.originals, recipe.configurations
+    originals = recipe.output.originals
+    count = recipe.configurations
 
     def name_of(i: ImageRecord, k: int | None) -> str:
-        name, c = fit_name(i.id), i.capture
+        name = fit_name(i.id)
+        c = i.capture
         if recipe.in_sequences and c.sequence is not None and c.frame is not None:
             name = fit_name(f"{file_name(c.sequence)}_{c.frame:06d}")
             if count == 1 and not originals:

@@ -35,7 +35,8 @@ def time_warnings(recipe: Recipe, read: Sequence[ImageRecord], used: Sequence[Im
         read: All pictures as they were read.
         used: Those that a run uses.
     """
-    sky, known = recipe.environment.sky, {(i.split, i.id): i.capture for i in read}
+    sky = recipe.environment.sky
+    known = {(i.split, i.id): i.capture for i in read}
     if sky is None:
         return []
     captures = [known[i.split, i.id] for i in used]
@@ -62,7 +63,8 @@ def _replaced(stated: str, captures: Sequence[Capture], sky: SkyEnvironment) -> 
     if air:
         found += f"; the air of {air} picture(s) keeps the temperature that their files state"
     todo = "leave it out for the times of the pictures, unless another time of day is wanted"
-    where, expected = "environment.time_of_day", "the time of day of each picture"
+    where = "environment.time_of_day"
+    expected = "the time of day of each picture"
     return [Problem(where, TIME_REPLACED, found, expected, todo, "warning")]
 
 

@@ -158,7 +158,8 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
         OtherSettingsError: Their backgrounds were changed or removed.
     """
     with folder.ledger() as ledger:
-        known, done = ledger.backgrounds(), ledger.done()
+        known = ledger.backgrounds()
+        done = ledger.done()
     kept = [f for f in plan.frames if f.frame_id in done and f.frame_id not in excluded]
     paths = {f.background_id: f.background.path for f in kept if f.background_id in known}
     other = {b for b, path in paths.items() if not is_unchanged(path, known[b])}

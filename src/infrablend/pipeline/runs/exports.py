@@ -322,9 +322,14 @@ def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
 
 def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
     """Return how often scenes were redrawn, by reason, and how redrawing shifted the camera distances."""
-    first, last, pitches, sizes = array("d"), array("d"), array("d"), array("d")
-    rejected, absent = Counter[str](), Counter[str]()
-    wanted, attempts = 0, array("q")
+    first = array("d")
+    last = array("d")
+    pitches = array("d")
+    sizes = array("d")
+    rejected = Counter[str]()
+    absent = Counter[str]()
+    wanted = 0
+    attempts = array("q")
     too_small = array("d")
     for r in records:
         for i in r.inserted:

@@ -25,7 +25,8 @@ from infrablend.pipeline.runs.warnings import absent_warnings
 from infrablend.rendering import make_renderer
 
 # Objects, about, that are placed for a forecast, and bounds of the number of frames for them.
-_OBJECTS, _FRAMES = 60, (2, 40)
+_OBJECTS = 60
+_FRAMES = (2, 40)
 _PERCENT = (5, 50, 95)
 
 
@@ -56,7 +57,8 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, Any], list[Problem]]:
         except DatasetError as error:
             unusable.update({p.code for p in error.problems} or ["unusable"])
     records = [record for _, record in placed]
-    counts, draws = count_objects(plan.recipe, records), draw_statistics(records)
+    counts = count_objects(plan.recipe, records)
+    draws = draw_statistics(records)
     classes = [o.category or plan.models[o.model].category for o in plan.recipe.objects]
     times = len(changed) / len(some)
     found = {
@@ -92,7 +94,8 @@ def _cameras(plan: RunPlan, placed: Iterable[tuple[PlannedFrame, FrameRecord]]) 
     of = plan.recipe.camera
     found = defaultdict[str, dict[str, list[float]]](dict)
     for frame, record in placed:
-        scene, capture = record.scene, frame.background.capture
+        scene = record.scene
+        capture = frame.background.capture
         assert scene is not None
         camera = scene.camera
         stated = "metadata" if of.stated_pitch_deg is None else "recipe"

@@ -20,7 +20,10 @@ def count_objects(recipe: Recipe, records: Iterable[FrameRecord]) -> dict[str, A
 
     Frames with objects placed by hand ask for nothing: their places are not checked.
     """
-    asked, inserted, absent, dropped = Counter[int](), Counter[int](), Counter[str](), Counter[str]()
+    asked = Counter[int]()
+    inserted = Counter[int]()
+    absent = Counter[str]()
+    dropped = Counter[str]()
     for r in records:
         if r.scene is None:
             continue

@@ -26,7 +26,8 @@ def differences(
         asked: The same of the run.
     """
     was, now = _comparable(earlier), _comparable(key)
-    texts, asked_texts = [], _asked_differences(asked_earlier, asked)
+    texts = []
+    asked_texts = _asked_differences(asked_earlier, asked)
     for k in sorted(k for k in now if was.get(k) != now[k]):
         if k == _BACKGROUNDS:  # digests, which nobody can compare by eye
             texts += asked_texts or ["the backgrounds, their labels or their metadata have changed"]

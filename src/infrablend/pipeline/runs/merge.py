@@ -245,7 +245,8 @@ class _ShardFrames:
     """
 
     def __init__(self, places: Mapping[str, _Finished], folder: RunFolder) -> None:
-        self._places, self._folder = places, folder
+        self._places = places
+        self._folder = folder
         self._open: ShardSource | None = None
 
     def run(self, tasks: Iterable[Task]) -> Iterator[TaskResult]:

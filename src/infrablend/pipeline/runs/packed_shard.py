@@ -124,14 +124,16 @@ def pack(
         failures: Why the other frames have no picture.
     """
     ids = {c.name: c.id for c in plan.categories}
-    loosened, looseness = 0, Looseness.of_labels(plan.recipe.labels)
+    loosened = 0
+    looseness = Looseness.of_labels(plan.recipe.labels)
     with replace_atomically(files.tar, durable=True) as tar_part, replace_atomically(files.table) as table_part:
         with tar_part.open("wb") as stream, TarWriter(stream) as tar, TableWriter(table_part, ids) as table:
             for frame, text, picture in frames:
                 known = FrameRecord.from_text(text)
                 image, count = labelled_image(frame, known, Path(known.image), looseness)
                 loosened += count
-                key, label = key_of(frame.frame_id), label_text(frame.frame_id, image, ids)
+                key = key_of(frame.frame_id)
+                label = label_text(frame.frame_id, image, ids)
                 # As people read it in a tar.
                 scene = (json.dumps(json.loads(text), sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
                 offset = tar.add(key, Path(known.image).suffix[1:], picture)

@@ -130,7 +130,8 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
         background = load_background(job.background)
         models = {o.model: ready_model(o.model) for o in recipe.objects}
         assert record.scene is not None and record.mapping is not None, "no unchanged original"
-        scene, fitted = rebuild_scene(record.scene, models), record.facts.get("sensor")
+        scene = rebuild_scene(record.scene, models)
+        fitted = record.facts.get("sensor")
         with contextlib.closing(make_renderer(job.renderer, job.device)) as renderer:
             rendered = renderer.render(scene)
         pixels = overlay(

@@ -170,7 +170,9 @@ def run_in(
     folder = RunFolder(space.folder)
     if (folder.root / LEDGER).is_file():
         with Ledger.open(folder.root) as ledger:
-            previous, done, excluded = ledger.read_run(), ledger.done(), ledger.excluded()
+            previous = ledger.read_run()
+            done = ledger.done()
+            excluded = ledger.excluded()
             _require_same_run(previous, plan, space.out, execution)
             plan = replace(plan, run=str(previous[RUN]), levels=recorded_levels(previous.get("levels")))
             kept_out = dict(excluded if choice is None else choice.choose(excluded))
@@ -188,7 +190,10 @@ def run_in(
         folder = RunFolder(space.folder)
         opened = Ledger.open(folder.root, write=True)
     else:
-        previous, done, kept_out, todo = {}, {}, {}, list(plan.frames)
+        previous = {}
+        done = {}
+        kept_out = {}
+        todo = list(plan.frames)
         if plan.levels is None and plan.needs_levels:
             plan = replace(plan, levels=dataset_levels(plan))
         opened = Ledger.create(folder.root, _header(plan, execution, source))
@@ -328,7 +333,8 @@ def _make_frames(
         if on_progress is not None:
             pace.add(result)
             rate = pace.frames_per_s()
-            done, eta_s = state.resumed + finished, (len(todo) - finished) / rate
+            done = state.resumed + finished
+            eta_s = (len(todo) - finished) / rate
             on_progress(Progress(done, len(plan.frames), rate, eta_s, state.outcomes))
 
 
@@ -336,12 +342,15 @@ def _remaining(
     plan: RunPlan, folder: RunFolder, ledger: Ledger, done: Mapping[str, DoneFrame], kept_out: Mapping[str, str]
 ) -> list[PlannedFrame]:
     """Return the frames to make: those without a picture of the recorded size, or whose background has changed."""
-    known, unchanged = ledger.backgrounds(), dict[str, bool]()
-    output, todo = plan.recipe.output, []
+    known = ledger.backgrounds()
+    unchanged = dict[str, bool]()
+    output = plan.recipe.output
+    todo = []
     for frame in plan.frames:
         if frame.frame_id in kept_out:
             continue
-        row, name = done.get(frame.frame_id), frame.background_id
+        row = done.get(frame.frame_id)
+        name = frame.background_id
         image = frame.image_path(output.group_by, output_suffix(frame.background.path, output.image))
         if row is None or row.image != image or not _is_there(folder, row):
             todo.append(frame)
@@ -377,7 +386,8 @@ def _place_excluded(
     if not kept_out and not (folder.root / EXCLUDED).is_dir():
         return
     for frame_id, frame in done.items():
-        here, aside = folder.image(frame.image), folder.excluded(frame.image)
+        here = folder.image(frame.image)
+        aside = folder.excluded(frame.image)
         left_out = frame_id in kept_out
         source, target = (here, aside) if left_out else (aside, here)
         if source.is_file():
@@ -393,7 +403,9 @@ def _place_excluded(
 
 def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, execution: Execution) -> None:
     """Refuse to resume if frames would differ; warn if they might."""
-    machine, renderer, device = previous["machine"], execution.renderer, execution.device
+    machine = previous["machine"]
+    renderer = execution.renderer
+    device = execution.device
     if machine["renderer"] != renderer:
         raise OtherSettingsError(f"{out}: was rendered with {machine['renderer']}, not {renderer}; use another --out")
     if machine["device"] != device:
@@ -401,7 +413,8 @@ def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, exe
         log.warning(
             "%s: started with --device %s, resumed with %s; devices may differ by one grey level", out, was, device
         )
-    versions, installed = previous["packages"], recorded_versions(execution)
+    versions = previous["packages"]
+    installed = recorded_versions(execution)
     for name in sorted(n for n in installed if versions.get(n, installed[n]) != installed[n]):
         log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], installed[name])
     require_same_key(previous, plan, out)

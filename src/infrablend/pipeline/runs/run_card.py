@@ -64,7 +64,8 @@ def run_card(
 
 def _changes(plan: RunPlan, counts: Mapping[str, Any]) -> list[str]:
     """Return the changes to the backgrounds and their labels, with counts."""
-    output, labels = plan.recipe.output, plan.recipe.labels
+    output = plan.recipe.output
+    labels = plan.recipe.labels
     originals = sum(f.configuration is None for f in plan.frames)
     inserted = ", ".join(f"{n} {name}" for name, n in counts["labels_inserted"].items())
     total = sum(counts["labels_inserted"].values())

@@ -46,7 +46,8 @@ def write_report(
 def _run_facts(
     root: Path, record: Mapping[str, Any], frames: list[FrameFacts], excluded: Mapping[str, str]
 ) -> RunFacts:
-    recipe, data = dict(record["recipe"]), record.get("data", {})
+    recipe = dict(record["recipe"])
+    data = record.get("data", {})
     return RunFacts(
         root=root,
         recipe=str(recipe.get("name", "")),
@@ -69,7 +70,8 @@ def _run_facts(
 
 
 def _frame_facts(record: FrameRecord) -> FrameFacts:
-    background, scene = record.background, record.scene
+    background = record.background
+    scene = record.scene
     pitch = background.get("pitch_deg") if scene is None else round(math.degrees(scene.camera.pitch_rad), 6)
     width, height = background["size_wh"]
     dropped = [str(d["reason"]) for d in record.facts.get("drops", ())]
@@ -116,7 +118,9 @@ def _insert_facts(record: FrameRecord) -> tuple[InsertFacts, ...]:
     measured = {c.get("object"): c for c in record.facts.get("contrast", ())}
     found = []
     for i in record.inserted:
-        number, distance, change = i.extra.get("object"), None, None
+        number = i.extra.get("object")
+        distance = None
+        change = None
         if record.scene is not None and isinstance(number, int) and number < len(record.scene.objects):
             away = np.asarray(record.scene.objects[number].position_m) - record.scene.camera.position_m
             distance = float(np.linalg.norm(away))

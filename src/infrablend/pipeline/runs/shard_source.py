@@ -68,7 +68,8 @@ class ShardFolder:
     def put(self, frame_id: str, folder: RunFolder) -> MadeFrame:
         """Link the picture of a frame, or copy it."""
         ledger, done = self._open()
-        frame, text = done[frame_id], ledger.record_text(frame_id)
+        frame = done[frame_id]
+        text = ledger.record_text(frame_id)
         link_or_copy(self._folder.image(frame.image), folder.image(frame.image))
         return MadeFrame(frame, text, str(json.loads(text)["background"].get("sha256")), {})
 

@@ -31,7 +31,10 @@ def _schema() -> Any:
     """Return the columns, which are the same for every shard of every run, whatever it contains."""
     import pyarrow as pa
 
-    text, number, whole, yes = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+    text = pa.string()
+    number = pa.float64()
+    whole = pa.int64()
+    yes = pa.bool_()
     counts = pa.list_(pa.struct([("reason", text), ("count", whole)]))
     draws = pa.struct(
         [("wanted", whole), ("attempts", whole), ("first_distance_m", number), ("distance_m", number)]
@@ -101,7 +104,8 @@ class TableWriter:
             self._write()
 
     def _object(self, instance: Instance) -> dict[str, Any]:
-        corners, mask = instance.corners_xy, instance.mask
+        corners = instance.corners_xy
+        mask = instance.mask
         return {
             "category": instance.category,
             "category_id": self._ids[instance.category],

@@ -90,7 +90,8 @@ class SharedPlan:
         Raises:
             LookupError, TypeError, ValueError, ArithmeticError: The values are damaged.
         """
-        count, frames = int(data["shards"]), int(data["frames"])
+        count = int(data["shards"])
+        frames = int(data["frames"])
         if not 1 <= count <= MAX_SHARDS or frames < 0:
             raise ValueError(f"{count} shards of {frames} frames, expected 1 to {MAX_SHARDS} of at least 0")
         layout: Layout = data.get("layout", "files")
@@ -288,10 +289,12 @@ class ShardedRun:
         return damage_of(self.shard_files(shard), record, digests=False)
 
     def _state(self, shard: Shard, shared: SharedPlan) -> ShardState:
-        folder, packed = self.shard_folder(shard).root, shared.layout == "shards"
+        folder = self.shard_folder(shard).root
+        packed = shared.layout == "shards"
         planned = len(shard.part_of(range(shared.frames)))
         record = read_object(self.shard_files(shard).marker if packed else folder / RUN_FILE)
-        claimed, partial = is_being_written(folder), partial_of(folder)
+        claimed = is_being_written(folder)
+        partial = partial_of(folder)
         if record is None and not partial.is_dir():
             return ShardState(shard, "missing", planned)
         counts = (record or {}).get("counts")
@@ -345,14 +348,16 @@ def run_shards(
     The arguments and errors are those of `run_shard`, or of another function `make` that makes one shard.
     """
     reports: list[RunReport] = []
-    before, total = 0, sum(len(s.part_of(plan.frames)) for s in shards)
+    before = 0
+    total = sum(len(s.part_of(plan.frames)) for s in shards)
     for shard in shards:
         if reports or len(shards) < shard.count:
             plan = replace(plan, problems=())  # those of the data are reported once: by merging, or with the first
 
         def report(progress: Progress, before: int = before) -> None:
             assert on_progress is not None
-            done, rate = before + progress.done, progress.frames_per_s
+            done = before + progress.done
+            rate = progress.frames_per_s
             on_progress(replace(progress, done=done, total=total, eta_s=(total - done) / rate if rate else None))
 
         reports.append(make(plan, shard, out, execution, existing, None if on_progress is None else report))

@@ -96,7 +96,8 @@ class _StoredShard(ShardArchive):
     def __init__(self, run: StoredRun, shard: Shard) -> None:
         super().__init__(run.shard_files(shard))
         self.place = Path(run.store.place(self._files.tar.name))
-        self._run, self._shard = run, shard
+        self._run = run
+        self._shard = shard
 
     def damage(self, frames: Sequence[str]) -> str | None:
         """Return what is wrong with the sizes in storage; the digest is checked when the tar is copied."""

@@ -111,7 +111,8 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
 
     Missing places are a warning if at least half of the requested objects have none.
     """
-    absent, wanted = dict(draws.get("absent", {})), draws.get("wanted", 0)
+    absent = dict(draws.get("absent", {}))
+    wanted = draws.get("wanted", 0)
     problems = []
     for name, reason in _REASONS.items():
         count = absent.pop(name, 0)

@@ -14,7 +14,8 @@ from infrablend.pipeline.runs.exports import unknown_files
 from infrablend.pipeline.runs.packed_shard import damage_of
 from infrablend.report.card import CARD_FILE
 
-CHANGED, GONE = "file-changed", "file-gone"
+CHANGED = "file-changed"
+GONE = "file-gone"
 _TODO = "repeat the command of the run with --resume, which makes missing pictures and writes the labels again"
 
 

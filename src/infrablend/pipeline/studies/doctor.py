@@ -140,7 +140,9 @@ def survey(folder: str | Path | None = None) -> Machine:
         folder: Folder for the output, by default the current one. It need not exist.
     """
     folder = Path(folder or ".").absolute()
-    temp, cache, shm = Path(tempfile.gettempdir()), cache_folder(), Path("/dev/shm")
+    temp = Path(tempfile.gettempdir())
+    cache = cache_folder()
+    shm = Path("/dev/shm")
     return Machine(
         system=platform.system(),
         architecture=platform.machine(),
@@ -258,7 +260,8 @@ def _check_space(name: str, folder: str, free: int | None) -> Check:
 
 def _check_shm(free: int | None) -> Check:
     if free is None:
-        found, todo = "/dev/shm is missing or cannot be written", "mount it: worker processes use it"
+        found = "/dev/shm is missing or cannot be written"
+        todo = "mount it: worker processes use it"
         return Check("shared memory", "warning", found, todo)
     found = f"{_size(free)} free in /dev/shm"
     if free < LITTLE_SHM_BYTES:
@@ -301,7 +304,8 @@ def _ask_blender(program: Program) -> Blender:
 
 def _ask_trainer(limit_s: float) -> Trainer:
     """Return the versions, and the devices that torch sees in a process of its own."""
-    torch, ultralytics = installed_version("torch"), installed_version("ultralytics")
+    torch = installed_version("torch")
+    ultralytics = installed_version("ultralytics")
     if torch is None:
         return Trainer(None, ultralytics)
     try:

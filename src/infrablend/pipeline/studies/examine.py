@@ -77,7 +77,9 @@ def check_folder(
 
 def _check_packed(root: Path, reading: Reading, decode: bool, on_progress: OnProgress | None) -> CheckReport:
     """Check a run in packed shards with the labels and pictures of one part in memory and on disk."""
-    checking, total, on_image = Checking(decode, in_parts=True), shards.frame_count(root), paced(on_progress)
+    checking = Checking(decode, in_parts=True)
+    total = shards.frame_count(root)
+    on_image = paced(on_progress)
     with tempfile.TemporaryDirectory(prefix="infrablend-") as pictures:
         for part in detection.read_parts(root, Path(pictures), reading):
             checking.add(part, on_image=on_image, total=total)

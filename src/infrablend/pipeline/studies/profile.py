@@ -38,7 +38,8 @@ LEVEL_PERCENT = (0.05, 99.9)
 # Smallest span from the darkest to the brightest level that counts as contrast, by bit depth.
 LEAST_SPAN = {8: 8, 16: 64}
 BOX_MARGIN_PX = 2
-PROFILE_FILE, PLOT_FILE = "profile.json", "profile.png"
+PROFILE_FILE = "profile.json"
+PLOT_FILE = "profile.png"
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,8 @@ def profile_dataset(
 
 
 def _counter(total: int, on_progress: OnProgress | None) -> Callable[[], None]:
-    report, done = paced(on_progress), itertools.count(1)
+    report = paced(on_progress)
+    done = itertools.count(1)
 
     def tick() -> None:
         if report is not None:
@@ -172,7 +174,9 @@ def _levels(
     dataset: Dataset, images: Sequence[ImageRecord], problems: list[Problem]
 ) -> tuple[list[ImageRecord], tuple[float, float], NDArray[np.int64], int]:
     """Return the usable pictures, their range of levels, the histogram of levels, and the bit depth."""
-    usable, histogram, depths = [], np.zeros(65536, np.int64), set()
+    usable = []
+    histogram = np.zeros(65536, np.int64)
+    depths = set()
     for image, picture in _load(images, problems):
         usable.append(image)
         depths.add(picture.bit_depth)
@@ -199,7 +203,8 @@ def _load(images: Sequence[ImageRecord], problems: list[Problem]) -> Iterator[tu
             problems.extend(error.problems)
             continue
         if any(p.code == IN_COLOUR for p in picture.problems):
-            found, expected = "a colour picture, e.g. with a palette", "grey levels of a thermal camera"
+            found = "a colour picture, e.g. with a palette"
+            expected = "grey levels of a thermal camera"
             problems.append(Problem(image.path.name, "profile-colour", found, expected, "export it as white-hot"))
             continue
         yield image, picture
@@ -212,7 +217,8 @@ def _unannotated(image: ImageRecord, picture: Background) -> NDArray[np.bool_] |
     free = np.ones(picture.pixels.shape, np.bool_)
     for i in image.instances:
         x0, y0, x1, y1 = i.box_xyxy
-        top, left = max(int(y0) - BOX_MARGIN_PX, 0), max(int(x0) - BOX_MARGIN_PX, 0)
+        top = max(int(y0) - BOX_MARGIN_PX, 0)
+        left = max(int(x0) - BOX_MARGIN_PX, 0)
         free[top : max(int(np.ceil(y1)) + BOX_MARGIN_PX, 0), left : max(int(np.ceil(x1)) + BOX_MARGIN_PX, 0)] = False
     return free
 
@@ -303,7 +309,8 @@ def _not_compared(rendered: Dataset, objects: Mapping[str, Any]) -> list[Problem
 
 
 def _require_own_profile(out: Path) -> None:
-    path, plot = out / PROFILE_FILE, out / PLOT_FILE
+    path = out / PROFILE_FILE
+    plot = out / PLOT_FILE
     try:
         own = path.is_file() and bool(SensorProfile.model_validate_json(read_regular(path)))
     except (OSError, ValueError):

@@ -65,7 +65,8 @@ def read_objects(
         image = tighten_image(given, fitted=True) if inserted else given
         with contextlib.suppress(DatasetError):  # the problems of pictures are reported where the camera is fitted
             picture = eight_bit(load_background(image.path, image.size_wh).pixels, levels)
-            key, level = f"{image.split}/{image.id}", float(np.median(picture))
+            key = f"{image.split}/{image.id}"
+            level = float(np.median(picture))
             for o in image.instances:
                 if o.inserted != inserted or o.category in ignored or o.truncated:
                     continue

@@ -76,7 +76,10 @@ def map_places(
     problems = list(dataset.problems)
     ignored = {c.name for c in dataset.categories if c.ignore}
     shown = set(spread(len(dataset.images), _ON_SHEET))
-    progress, cells, total, done = paced(on_progress), [], Counter[str](), 0
+    progress = paced(on_progress)
+    cells = []
+    total = Counter[str]()
+    done = 0
     with workspace(out, "maps of places", PLACES_FILE, replacing(overwrite)) as space:
         for n, image in enumerate(dataset.images):
             try:
@@ -146,7 +149,8 @@ def learn_places(dataset: Dataset, count: int = 200, *, on_progress: OnProgress 
     if not labelled:
         raise DatasetError(f"{dataset.root}: no picture has labelled objects; expected some to learn from")
     problems: list[Problem] = []
-    progress, read = paced(on_progress), 0
+    progress = paced(on_progress)
+    read = 0
     chosen = [labelled[k] for k in spread(len(labelled), count)]
 
     def pictures() -> Iterator[Picture]:

@@ -77,7 +77,9 @@ class BlenderRenderer:
             whole_frame: Render every pixel of the frame instead of a crop, and nothing without Cycles; for
                 measurements.
         """
-        self._device, self._blender, self._whole_frame = device, blender, whole_frame
+        self._device = device
+        self._blender = blender
+        self._whole_frame = whole_frame
         self._process: BlenderProcess | None = None
         self._opened = False
 
@@ -88,7 +90,8 @@ class BlenderRenderer:
             MissingDependencyError: There is none.
         """
         if self._process is None:
-            self._process, self._opened = BlenderProcess(find_blender(self._blender)), False
+            self._process = BlenderProcess(find_blender(self._blender))
+            self._opened = False
 
     def render(self, scene: PlacedScene) -> RenderResult:
         """Render a scene, cropped to what its objects cover; a scene without objects gives an empty crop.
@@ -97,7 +100,8 @@ class BlenderRenderer:
             MissingDependencyError: The scene needs Blender or a device, and there is none.
             RenderError: Cycles failed, or Blender died; the next call starts it again.
         """
-        spec, objects = scene.spec, scene.objects
+        spec = scene.spec
+        objects = scene.objects
         w, h = spec.camera.size_wh
         if not spec.samples and not self._whole_frame and needs_no_tracing(scene):
             return render_on_lattice(scene)
@@ -224,7 +228,8 @@ def _sky(weather: Weather) -> dict[str, float]:
 
 def _object(placed: PlacedObject, scene: SceneSpec) -> dict[str, Any]:
     """Return an object as `blender.objects.ObjectScenes` takes it."""
-    look, mesh = scene.appearance, placed.mesh
+    look = scene.appearance
+    mesh = placed.mesh
     properties = {
         "cold_c": look.cold_k - ZERO_C_K,
         "hot_c": look.hot_k - ZERO_C_K,

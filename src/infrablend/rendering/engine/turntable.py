@@ -82,13 +82,15 @@ def write_turntable(renderer: BlenderRenderer, individuals: Sequence[_Individual
     for pitch in STANDING_PITCHES_DEG if stands else FLYING_PITCHES_DEG:
         cells = [_large(renderer, first, pitch, yaw) for yaw in YAWS_DEG]
         rows.append(_row(cells, [f"pitch {pitch}, yaw {yaw}" for yaw in YAWS_DEG]))
-    others, titles = [], []
+    others = []
+    titles = []
     for k, other in enumerate(individuals[1:], start=1):
         for pitch in (30, 75) if stands else (-40, 40):
             others.append(_large(renderer, other, pitch, 30 + 90 * k))
             titles.append(f"individual {k}, pitch {pitch}")
     rows.append(_row(others, titles))
-    small, titles = [], []
+    small = []
+    titles = []
     for pitch in SMALL_STANDING_DEG if stands else SMALL_FLYING_DEG:
         for size in SMALL_PX:
             small.append(_small(renderer, first, pitch, 25, size))
@@ -178,7 +180,8 @@ def _parts(renderer: BlenderRenderer, one: _Individual, width: int) -> NDArray[n
 
 def _part_places(scene: PlacedScene) -> dict[str, tuple[int, int]]:
     """Return a pixel (column, row) well inside the visible area of each part that can be seen."""
-    placed, mesh = scene.objects[0], scene.objects[0].mesh
+    placed = scene.objects[0]
+    mesh = scene.objects[0].mesh
     seen = np.full((PARTS_PX, PARTS_PX), -1, np.int32)
     corners = np.round(placed.xy[mesh.triangles]).astype(np.int32)
     # From far to near: what is in front is drawn over what is behind.
@@ -228,7 +231,8 @@ def _behind(model: ObjectModel, pitch_deg: float) -> int:
 
 def _scene(one: _Individual, pitch_deg: float, yaw_deg: float, fill: float, side_px: int = CELL_PX) -> PlacedScene:
     """Return a scene in which a sphere around the object takes the share `fill` of the cell."""
-    mesh, model = one.mesh, one.model
+    mesh = one.mesh
+    model = one.model
     centre = (mesh.vertices_m.max(axis=0) + mesh.vertices_m.min(axis=0)) / 2
     yaw = math.radians(yaw_deg)
     turned = (

@@ -14,7 +14,10 @@ from infrablend.report.run.run_facts import Filters, FrameFacts
 BINS = 12
 MAP_WH = (8, 6)
 WIDTH, HEIGHT = 420, 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 16, 16, 20, 24
+_LEFT = 16
+_RIGHT = 16
+_TOP = 20
+_BOTTOM = 24
 # Values that spread over more than this factor are shown in bins of growing width.
 _WIDE = 8.0
 _GROWING = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)

@@ -14,7 +14,8 @@ from typing import Any
 from infrablend.errors import Problem
 
 Box = tuple[float, float, float, float]
-_NEAR, _NEAR_PX = 2.0, 30.0
+_NEAR = 2.0
+_NEAR_PX = 30.0
 
 
 @dataclass(frozen=True)

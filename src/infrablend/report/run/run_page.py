@@ -55,7 +55,8 @@ REASONS: Mapping[str, str] = {
 
 def run_page(run: RunFacts) -> str:
     """Return the HTML page of a run; equal runs give equal bytes, except for the section of times."""
-    frames, filters = run.frames, Filters()
+    frames = run.frames
+    filters = Filters()
     problems = _problem_groups(run, filters)
     content = {
         "warnings": [p for p in problems if p["severity"] == "warning"],
@@ -70,7 +71,8 @@ def run_page(run: RunFacts) -> str:
         "time_text": _time_text(run.timing),
         "time_rows": _time_rows(run.timing),
     }
-    extremes, tracks = _extremes(frames), _tracks(frames)
+    extremes = _extremes(frames)
+    tracks = _tracks(frames)
     taken = removed_crops(frames, CROPS)
     boxes = [(k, i.box_xyxy) for _, _, found in (*extremes, *tracks) for k, i in found]
     boxes += [(c.frame, c.window_xyxy) for found in taken.values() for c in found]
@@ -124,7 +126,8 @@ def _grouped(found: Iterable[tuple[Key, int]]) -> dict[Key, list[int]]:
 
 def _tiles(run: RunFacts, filters: Filters) -> list[tuple[str, str, str]]:
     """Return (number, what it counts, link)."""
-    frames, counts = run.frames, run.counts
+    frames = run.frames
+    counts = run.counts
     without = [k for k, f in enumerate(frames) if not f.inserts]
     dropped = sum(len(f.dropped) for f in frames)
     removed = sum(len(f.removed) for f in frames)
@@ -342,7 +345,8 @@ def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: S
         *([] if frame.altitude_m is None else [f"altitude {compact(frame.altitude_m)} m"]),
         *([] if frame.time_text is None else [frame.time_text]),
     ]
-    dropped, removed = Counter(frame.dropped), Counter(r.category for r in frame.removed)
+    dropped = Counter(frame.dropped)
+    removed = Counter(r.category for r in frame.removed)
     notes = [f"dropped: {n} {_why(reason)}" for reason, n in sorted(dropped.items())]
     notes += [f"removed labels: {n} {category}" for category, n in sorted(removed.items())]
     notes += [f"warning {code}" for code in sorted(frame.warnings)]

@@ -24,7 +24,8 @@ from infrablend.report.run.run_facts import Box
 THUMBNAIL_PX = 200
 CROP_PX = 240
 _MIN_WINDOW_PX = 48
-_THUMBNAIL_QUALITY, _CROP_QUALITY = 70, 88
+_THUMBNAIL_QUALITY = 70
+_CROP_QUALITY = 88
 
 
 @dataclass(frozen=True)

@@ -105,7 +105,8 @@ def _inserted(frames: Sequence[FrameFacts], inserts: Sequence[InsertFacts]) -> l
         return [(text, "#removed") if bare else ("Nothing was inserted.", "")]
     filled = sum(bool(f.inserts) for f in frames)
     named = ", ".join(f"{n} x {name}" for name, n in Counter(i.category for i in inserts).most_common())
-    count, of_all = _objects(inserts), _count(len(frames), "picture")
+    count = _objects(inserts)
+    of_all = _count(len(frames), "picture")
     what = f"{_count(count, 'object')} {_were(count)} inserted into {filled} of {of_all}"
     if count < len(inserts):
         what += f", with {_count(len(inserts), 'label')}"

@@ -89,7 +89,8 @@ def show_options(field: FormField, model: str, part: Any, unread: dict[str, str]
         options = options_of(model)
     except ModelError:  # marked at the model
         return {}
-    values, found = dict(field.value), Inputs()
+    values = dict(field.value)
+    found = Inputs()
     known = {o.name for o in options}
     options += [
         OptionField(name, "yaml", "not an option of this model; empty removes it")
@@ -103,7 +104,8 @@ def show_options(field: FormField, model: str, part: Any, unread: dict[str, str]
 
     with ui.expansion(f"options of {model}", value=bool(values)).props("dense").classes("w-full") as inner:
         for option in options:
-            key, given = f"{field.key}.{option.name}", values.get(option.name)
+            key = f"{field.key}.{option.name}"
+            given = values.get(option.name)
             with ui.element("div").classes("tune-field"):
                 change = _setter(option.name, set_value)
                 if option.kind == "choice" and (given is None or fits_choice(option, given)):
@@ -123,7 +125,8 @@ def show_parts(field: FormField, model: str, part: Any, unread: dict[str, str], 
         parts = parts_of(model)
     except ModelError:
         return {}
-    state, found = {"parts": dict(field.value)}, Inputs()
+    state = {"parts": dict(field.value)}
+    found = Inputs()
 
     def set_part(name: str, value: Any) -> None:
         ends = None if value is None else value if isinstance(value, list) else [value, value]

@@ -28,7 +28,8 @@ class PathEditor:
             inputs: Inputs of the form by their field.
             size_wh: Returns the size of the picture, px.
         """
-        self._inputs, self._size_wh = inputs, size_wh
+        self._inputs = inputs
+        self._size_wh = size_wh
         self._choice = show_choice("Path", {"": "None"}, "", lambda _: self._show(), classes="min-w-24")
 
     def show_points(self, stage: Stage) -> None:
@@ -67,7 +68,8 @@ class PathEditor:
 
     def _change(self, event: GenericEventArguments) -> None:
         """Move or delete the point that an event names."""
-        points, given = self._read(), event.args
+        points = self._read()
+        given = event.args
         number = int(given["k"])
         if number >= len(points):
             return
@@ -79,7 +81,8 @@ class PathEditor:
 
     def _show(self) -> None:
         """Show the path in the picture, and times and distances of its points below it."""
-        drawn, points = self._choice.value != "", self._read()
+        drawn = self._choice.value != ""
+        points = self._read()
         self._points.set_visibility(drawn)
         self._stage.draw([[p["x_px"], p["y_px"]] for p in points] if drawn else None)
         self._points.clear()

@@ -140,7 +140,8 @@ class ReviewPage:
         return "/review?" + urlencode(query)
 
     def _count_frames(self) -> None:
-        review, reading = self._run.review, self._run.reading
+        review = self._run.review
+        reading = self._run.reading
         rows = reading.wait() if reading.is_complete else reading.names
         self._order = self._view.apply(rows, review.words, self._run.disagreement)
         counts = review.counts()
@@ -172,7 +173,8 @@ class ReviewPage:
         except InfraBlendError as error:
             tell(error)
             return
-        self._number, self._shown = number, row
+        self._number = number
+        self._shown = row
         self._list.set_visibility(False)
         self._detail.set_visibility(True)
         self._detail.clear()
@@ -291,7 +293,8 @@ class ReviewPage:
         self._grid.run_method("leave", self._address())
 
     def _show_list(self) -> None:
-        number, self._number = self._number, None
+        number = self._number
+        self._number = None
         if number is None:
             return
         self._detail.clear()
@@ -396,7 +399,8 @@ def show_losses(run: OpenedRun) -> None:
 
 
 def _loss_cells(frame_id: str, loss: Mapping[str, Any]) -> list[str | tuple[str, str]]:
-    reason, share = str(loss.get("reason", "")), loss.get("covered_share")
+    reason = str(loss.get("reason", ""))
+    share = loss.get("covered_share")
     covered = f"{100 * share:.0f} %" if isinstance(share, int | float) else ""
     link = (frame_id, frame_address("/review", frame_id))
     return [link, str(loss.get("category", "")), _LOSSES.get(reason, reason), covered]

@@ -29,13 +29,15 @@ def add_run_routes(run: OpenedRun) -> None:
     @app.get("/run/rows")
     def rows(request: Request) -> Response:
         def answer() -> bytes:
-            reading, verdicts = run.reading, run.review.words
+            reading = run.reading
+            verdicts = run.review.words
             view = View.from_query(dict(request.query_params))
             complete = reading.is_complete
             if not complete and view.needs_names_only:
                 found = reading.names
             else:
-                found, complete = reading.wait(), True
+                found = reading.wait()
+                complete = True
             chosen = view.apply(found, verdicts, run.disagreement)
             listed = [(n, found[n].id, found[n].digest[:12], verdicts.get(found[n].id, "")) for n in chosen]
             return json.dumps({"rows": listed, "complete": complete}).encode()
@@ -45,7 +47,8 @@ def add_run_routes(run: OpenedRun) -> None:
     @app.get("/run/sequences/{number}")
     def sequence(number: int) -> Response:
         def answer() -> bytes:
-            found, rows = run.sequences, run.rows
+            found = run.sequences
+            rows = run.rows
             if not 0 <= number < len(found):
                 raise DatasetError(f"sequence {number}: no such sequence; the run has {len(found)}")
             shown = found[number]

@@ -21,7 +21,8 @@ class SequencePlayer(Element, component="components/sequence_player.js"):  # typ
 
 def show_sequence(run: OpenedRun, frame_id: str) -> None:
     """Show the sequence of a frame, or the first one if the id is empty."""
-    ids, sequences = run.reading.ids, run.sequences
+    ids = run.reading.ids
+    sequences = run.sequences
     number = ids.index(frame_id) if frame_id in ids else None
     chosen = next((k for k, s in enumerate(sequences) if number in s.frames or not frame_id), None)
     if chosen is None:

@@ -64,7 +64,8 @@ class TunePage:
 
     def __init__(self, tuning: Tuning, pictures: Pictures, address: Mapping[str, str]) -> None:
         """Build the page with the recipe as it is, on the background of an address, and ask for the first picture."""
-        self._tuning, self._pictures = tuning, pictures
+        self._tuning = tuning
+        self._pictures = pictures
         self._recipe = tuning.recipe
         self._settings: dict[str, Any] = {}
         self._background: ImageRecord = tuning.backgrounds[0]
@@ -92,7 +93,8 @@ class TunePage:
 
     def _go_to(self, address: Mapping[str, str]) -> None:
         """Take background and configuration from the query of an address; the first ones by default."""
-        name, configuration = address.get("background"), address.get("configuration", "0")
+        name = address.get("background")
+        configuration = address.get("configuration", "0")
         number = 0 if name is None else self._tuning.number_of(name)
         if number is None:
             ui.notify(f"{name}: no such background in this dataset; the first one is shown", type="warning")
@@ -248,7 +250,8 @@ class TunePage:
 
     def _paint(self, line: Sequence[Sequence[float]]) -> None:
         """Paint the mask along a line, or all over without one, and have the recipe use it."""
-        tuned, field = self._tuned, self._inputs.get("placement.where")
+        tuned = self._tuned
+        field = self._inputs.get("placement.where")
         rules = None if tuned is None else tuned.recipe.placement.surfaces
         if tuned is None or rules is None or field is None:
             return
@@ -286,10 +289,12 @@ class TunePage:
 
     def _move(self, given: Mapping[str, Any], move: Move | None) -> None:
         """Move the insert that an event names, or have its place drawn again."""
-        tuned, frames = self._tuned, self._settings.get("frames", {})
+        tuned = self._tuned
+        frames = self._settings.get("frames", {})
         if tuned is None or tuned.trial.frame.scene is None:
             return
-        scene, number = tuned.trial.frame.scene, self._marks()[int(given["k"])]["n"]
+        scene = tuned.trial.frame.scene
+        number = self._marks()[int(given["k"])]["n"]
         if move is None:
             frames = released(frames, scene, number)
         else:
@@ -304,7 +309,8 @@ class TunePage:
                 with ui.element("div").classes("studio-card"):
                     if number < _MOST_CROPS:
                         with ui.element("div").classes("crops"):
-                            inserted, found = _address(self._pictures, tuned.crop(number)), real[number]
+                            inserted = _address(self._pictures, tuned.crop(number))
+                            found = real[number]
                             show_picture(inserted, f"Insert {number + 1}, enlarged", "inserted")
                             if found is None:
                                 ui.label("This dataset has no real object of the class.").classes("faint")
@@ -445,7 +451,8 @@ class TunePage:
         return change
 
     def _start_from(self, name: str) -> None:
-        self._recipe, self._settings = name, {}
+        self._recipe = name
+        self._settings = {}
         self._fill_form()
         self._request()
 

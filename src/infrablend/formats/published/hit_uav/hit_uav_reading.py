@@ -46,7 +46,8 @@ def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None =
             problem = Problem("form", "option-value", f"{form!r}", f"one of {', '.join(FORMS)}")
             raise DatasetError(f"{root}: no such form", [problem])
         if form not in forms:
-            found, expected = f"the forms {', '.join(forms)}", f"the form {form}"
+            found = f"the forms {', '.join(forms)}"
+            expected = f"the form {form}"
             raise DatasetError(
                 f"{root}: form {form} is missing",
                 [Problem(str(root), "no-form", found, expected, "leave out --form")],
@@ -100,7 +101,8 @@ def _borrow_pictures(root: Path, forms: Mapping[Form, Path], data: Sequence[Form
                 if part in (p.split, "JPEGImages"):
                     name, path, fault = listing.find(p.name, p.where)
                     if path is not None and fault is None:
-                        p.name, p.path = name, path
+                        p.name = name
+                        p.path = path
                         count[f"{form}/{part}"] += 1
             missing = [p for p in missing if p.path is None]
     return dict(sorted(count.items()))

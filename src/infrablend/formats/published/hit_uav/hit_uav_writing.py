@@ -228,7 +228,8 @@ def _xml_texts(
     form: Form, images: Sequence[ImageRecord], categories: Sequence[Category], losses: Counter[str]
 ) -> Iterator[tuple[str, Iterable[str]]]:
     """Yield path and text of one VOC or roLabelImg file per picture, and of the lists of splits."""
-    known, unsaid = category_ids(categories), ignored_by_class(categories)
+    known = category_ids(categories)
+    unsaid = ignored_by_class(categories)
     stems: dict[str, list[str]] = defaultdict(list)
     for image in images:
         if "/" in image.name:

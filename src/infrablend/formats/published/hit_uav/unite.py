@@ -166,7 +166,8 @@ def _pairs(ours: Sequence[FormObject], theirs: Sequence[FormObject]) -> list[tup
     Overlap fails for a long diagonal box, which overlaps its axis-aligned one little, and for a box thinner than a
     pixel, which is widened. Objects left over are paired if they have the same index in both lists and touch.
     """
-    ids, other = [o.source_id for o in ours], [o.source_id for o in theirs]
+    ids = [o.source_id for o in ours]
+    other = [o.source_id for o in theirs]
     if all(numbers and None not in numbers and len(set(numbers)) == len(numbers) for numbers in (ids, other)):
         place = {n: k for k, n in enumerate(other)}
         pairs: list[tuple[int | None, int | None]] = [(i, place.get(n)) for i, n in enumerate(ids)]
@@ -175,7 +176,8 @@ def _pairs(ours: Sequence[FormObject], theirs: Sequence[FormObject]) -> list[tup
         a.category == b.category and _same_place(a, b) for a, b in zip(ours, theirs, strict=True)
     ):
         return [(i, i) for i in range(len(ours))]
-    ranked, touching = [], set()
+    ranked = []
+    touching = set()
     for i, a in enumerate(ours):
         x = a.bounds()
         for k, b in enumerate(theirs):
@@ -231,9 +233,11 @@ def _unite_objects(
                 differ("flags", b.where, f"{flag} {y}", f"{x}, which is used")
             setattr(a, flag, y if x is None else x)
         if a.box is None and b.box is not None:
-            a.raw, a.box = b.raw, b.box
+            a.raw = b.raw
+            a.box = b.box
         if a.corners is None and b.corners is not None:
-            a.obb, a.corners = b.obb, b.corners
+            a.obb = b.obb
+            a.corners = b.corners
         a.inserted = a.inserted or b.inserted
         a.source_id = b.source_id if a.source_id is None else a.source_id
         for key, value in b.extra.items():

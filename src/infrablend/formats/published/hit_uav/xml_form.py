@@ -82,7 +82,8 @@ def _read_xml_file(data: FormData, path: Path, listing: PictureFolder, split: Sp
         return None
     raw_name = child_text(top, "filename")
     fault = check_name(raw_name, where)
-    name, file = str(raw_name), None
+    name = str(raw_name)
+    file = None
     if fault is None:
         name, file, fault = listing.find(name, where)
     if fault is not None:

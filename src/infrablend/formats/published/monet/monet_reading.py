@@ -95,7 +95,9 @@ def read(
 
 def _read_files(dataset: _Reading, files: Sequence[Path], notes: dict[str, Any]) -> tuple[list[Frame], dict[str, Any]]:
     """Return the pictures of all annotation files, and the top-level fields to keep; `notes` lists what was read."""
-    problems, listing, chosen = dataset.problems, dataset.listing, dataset.options
+    problems = dataset.problems
+    listing = dataset.listing
+    chosen = dataset.options
     frames: list[Frame] = []
     extra: dict[str, Any] = {}
     for path in files:

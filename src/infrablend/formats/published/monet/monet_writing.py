@@ -108,7 +108,8 @@ def _pitch_remarks(images: Sequence[ImageRecord], folders: Mapping[str | None, s
     empty = sum(not k for k in known.values())
     if not empty:
         return []
-    found, todo = f"{empty} sequence(s) without any camera pitch", "read it with --read empty=keep"
+    found = f"{empty} sequence(s) without any camera pitch"
+    todo = "read it with --read empty=keep"
     return [Problem("monet", "telemetry-absent", found, "a pitch in every sequence", todo, "warning")]
 
 

@@ -148,7 +148,8 @@ def _show(value: Any) -> str:
 def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems: list[Problem]) -> dict[str, Any]:
     """Decide which sign looks down, convert all pitches to depression angles, and check the result per file."""
     raw = [f.raw_deg for f in frames if f.raw_deg is not None]
-    below, above = sum(v < 0 for v in raw), sum(v > 0 for v in raw)
+    below = sum(v < 0 for v in raw)
+    above = sum(v > 0 for v in raw)
     keys = sorted({".".join(f.record.extra["telemetry"]["pitch"]) for f in frames if f.raw_deg is not None})
     name = ", ".join(keys)
     todo = "add --read pitch_sign=-1 (negative looks down) or pitch_sign=+1"
