@@ -178,8 +178,8 @@ def test_a_killed_job_leaves_nothing_that_is_taken_for_a_shard(dataset, server, 
     """Killed at each of its writes, before or after it arrived."""
     words = [str(w) for w in shard(dataset, server, "1/2")]
     program = (
-        "import sys; from infrablend.pipeline.plans import request; from infrablend.cli import main; "
-        "request.Execution.__init__.__defaults__ = (None, 'auto', 'flat', True, 'local', None); "
+        "import sys; from infrablend.pipeline.plans import run_request; from infrablend.cli import main; "
+        "run_request.Execution.__init__.__defaults__ = (None, 'auto', 'flat', True, 'local', None); "
         "sys.argv[1:] = sys.argv[1:]; main()"
     )
     left = [number]
