@@ -1,13 +1,14 @@
 #!/usr/bin/env python
-"""Compares the pictures and labels of every shipped recipe with those that another commit makes, byte by byte.
+"""Compares the pictures and labels of every recipe and dataset with those that another commit makes, byte by byte.
 
     INFRABLEND_REAL_DATA=DIR .venv/bin/python scripts/compare_runs.py 66cd77d
     ... compare_runs.py 66cd77d --recipe hit-uav-cars --sample 40
 
-Backgrounds: HIT-UAV's val split for `hit-uav-*` and `deer-above`, Halmstad's val backgrounds for `drone-sky*`, and the
-virtual world in MONET's layout for `monet-*`. `hit-uav-drone` is written in every label format, the others in YOLO's.
-Runs of the commit are kept in build/compare, with a checkout and its environment. Exits with 1 if a file differs, is
-missing or is new, and says by how much the labels differ.
+Runs of every shipped recipe: over HIT-UAV's val split, Halmstad's val backgrounds (`drone-sky*`), the clips of Anti-UAV
+(`drone-video`), and the virtual world in MONET's layout (`monet-*`) or as a flight (`people-video`, `deer-video`).
+Conversions of every real dataset. All of them are written in every label format.
+What the commit makes is kept in build/compare, with a checkout and its environment. Exits with 1 if a file differs, is
+missing or is new, and says by how much the labels of runs differ.
 """
 
 from __future__ import annotations
@@ -27,7 +28,17 @@ from infrablend.core.run_folder import RunFolder
 
 ROOT = Path(__file__).resolve().parents[1]
 WORK = ROOT / "build" / "compare"
-ALL_FORMATS = "hit-uav-drone"
+CONVERTED = {
+    "hit-uav": ("hit-uav", "--split", "val"),
+    "wisard": ("wisard",),
+    "bambi": ("bambi/thermal",),
+    "halmstad-drones": ("halmstad/drones",),
+    "camel": ("camel",),
+    "anti-uav-clips": ("anti-uav-clips", "--read", "every=50"),
+}
+"""Datasets to convert: folder below that of the real data, and options of `convert`."""
+WORLDS = {"monet": "12", "flight": "8"}
+"""Layouts of the virtual world, with the number of pictures."""
 
 
 def run(tree: Path, *arguments: str) -> str:
@@ -36,8 +47,8 @@ def run(tree: Path, *arguments: str) -> str:
     # From a neutral folder: recipes and paths in the working folder must not matter.
     command = [str(tree / ".venv/bin/python"), "-m", "infrablend", *arguments]
     done = subprocess.run(command, env=environment, cwd=WORK, capture_output=True, text=True, check=False)
-    # 1 is also the answer to a picture without pitch, as the virtual world has one; what was made is compared.
-    if done.returncode > 1 or (done.returncode == 1 and "frames planned" not in done.stdout + done.stderr):
+    # 1 is also the answer to pictures left out, as one without pitch in the virtual world; what was made is compared.
+    if done.returncode > 1 or (done.returncode == 1 and "--out" not in arguments):
         sys.exit(f"{' '.join(arguments)}: exit code {done.returncode} in {tree}\n{done.stdout}{done.stderr}")
     return done.stdout
 
@@ -57,6 +68,10 @@ def backgrounds(recipe: str, real: Path) -> list[str]:
     """Return the options of `generate` that read the backgrounds for a recipe."""
     if recipe.startswith("monet"):
         return ["--data", str(WORK / "monet")]
+    if recipe == "drone-video":
+        return ["--data", str(real / "anti-uav-clips"), "--read", "every=25"]
+    if recipe.endswith("-video"):
+        return ["--data", str(WORK / "flight")]
     if recipe.startswith("drone-sky"):
         return ["--data", str(real / "halmstad" / "backgrounds"), "--split", "val"]
     return ["--data", str(real / "hit-uav"), "--split", "val"]
@@ -72,7 +87,8 @@ def formats(tree: Path) -> str:
 def files(folder: Path) -> dict[str, Path]:
     """Return the pictures and label files of a run, by path."""
     tops = [p for p in sorted(folder.iterdir()) if p.is_dir() and p.name not in ("scenes", "log", "excluded")]
-    return {p.relative_to(folder).as_posix(): p for top in tops for p in sorted(top.rglob("*")) if p.is_file()}
+    found = [p for top in tops for p in sorted(top.rglob("*")) if p.is_file()]
+    return {p.relative_to(folder).as_posix(): p for p in found if p.name != "convert.json"}
 
 
 def differences(was: dict[str, Path], now: dict[str, Path]) -> list[str]:
@@ -108,44 +124,63 @@ def label_differences(was: Path, now: Path) -> str:
     )
 
 
+def compare(title: str, was: Path, now: Path) -> bool:
+    """Print how two folders differ, and return whether they are equal."""
+    before = files(was)
+    after = files(now)
+    found = differences(before, after)
+    print(f"{title:28} {len(after):5} files {'equal' if not found else f'{len(found)} DIFFER'}", flush=True)
+    for line in found[:20]:
+        print(f"    {line}")
+    if found and (was / "run.json").is_file():
+        print(f"    {label_differences(was, now)}", flush=True)
+    return bool(before) and not found
+
+
+def kept_of(tree: Path, kept: Path, *command: str) -> Path:
+    """Return what a command of the other commit writes into `--out`, made unless an earlier call has made it."""
+    if not kept.is_dir():
+        partial = kept.with_name(f"unfinished-{kept.name}")
+        shutil.rmtree(partial, ignore_errors=True)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        run(tree, *command, "--out", str(partial))
+        partial.rename(kept)
+    return kept
+
+
 def main() -> None:
-    """Compare, and print a line per recipe."""
+    """Compare, and print a line per recipe, and per dataset and format."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("commit", help="commit to compare with")
-    parser.add_argument("--recipe", action="append", help="only this recipe; may be repeated")
+    parser.add_argument("--recipe", action="append", help="only this recipe and no dataset; may be repeated")
     parser.add_argument("--sample", type=int, default=10, help="backgrounds per recipe [10]")
+    parser.add_argument("--prepare", action="store_true", help="only make what the commit makes")
     asked = parser.parse_args()
     if "INFRABLEND_REAL_DATA" not in os.environ:
         sys.exit("INFRABLEND_REAL_DATA: not set; expected the folder with hit-uav/ and halmstad/")
     real = Path(os.environ["INFRABLEND_REAL_DATA"]).resolve()
     WORK.mkdir(parents=True, exist_ok=True)
     base = checkout(asked.commit)
-    if not (WORK / "monet" / "world.json").is_file():
-        run(base, "world", "--layout", "monet", "--count", "12", "--out", str(WORK / "monet"))
-    names = sorted(p.stem for p in (base / "src" / "infrablend").rglob("recipes/*.yaml"))
-    every, failed = formats(base), 0
-    for recipe in asked.recipe or names:
-        kept = WORK / f"{base.name}-{asked.sample}" / recipe
-        made = WORK / f"this-{os.getpid()}" / recipe
-        more = ["--sample", str(asked.sample), "--to", every if recipe == ALL_FORMATS else "yolo"]
-        options = [recipe, *backgrounds(recipe, real), *more]
-        if not (kept / "run.json").is_file():
-            shutil.rmtree(kept, ignore_errors=True)
-            partial = kept.with_name(f"unfinished-{recipe}")
-            shutil.rmtree(partial, ignore_errors=True)
-            run(base, "generate", *options, "--out", str(partial))
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            partial.rename(kept)
-        run(ROOT, "generate", *options, "--out", str(made))
-        was, now = files(kept), files(made)
-        found = differences(was, now)
-        print(f"{recipe:28} {len(now):5} files {'equal' if not found else f'{len(found)} DIFFER'}", flush=True)
-        print(*(f"    {line}" for line in found[:20]), sep="\n", end="\n" if found else "")
-        if found:
-            print(f"    {label_differences(kept, made)}", flush=True)
-        failed += bool(found) or not was
-        shutil.rmtree(made.parent, ignore_errors=True)
-    sys.exit(bool(failed))
+    for layout, count in WORLDS.items():
+        kept_of(base, WORK / layout, "world", "--layout", layout, "--count", count)
+    every = formats(base)
+    commands = {}
+    for recipe in asked.recipe or sorted(p.stem for p in (base / "src" / "infrablend").rglob("recipes/*.yaml")):
+        sample = ["--sample", str(asked.sample), "--to", every]
+        commands[recipe] = ["generate", recipe, *backgrounds(recipe, real), *sample]
+    for name, (folder, *options) in CONVERTED.items() if not asked.recipe else ():
+        for written in every.split(","):
+            commands[f"{name} as {written}"] = ["convert", str(real / folder), "--to", written, *options]
+    unequal = 0
+    for title, command in commands.items():
+        kept = kept_of(base, WORK / f"{base.name}-{asked.sample}" / title.replace(" ", "-"), *command)
+        if asked.prepare:
+            continue
+        made = WORK / f"this-{os.getpid()}"
+        run(ROOT, *command, "--out", str(made))
+        unequal += not compare(title, kept, made)
+        shutil.rmtree(made)
+    sys.exit(bool(unequal))
 
 
 if __name__ == "__main__":
