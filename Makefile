@@ -6,23 +6,26 @@ MAKEFLAGS += --no-print-directory
 unexport PYTHONDONTWRITEBYTECODE
 .DEFAULT_GOAL := help
 
-# TOOLS=0 leaves out torch, Ultralytics and the libraries of .venv-tools; the summary lists the tests skipped for it.
+# ALL=1 runs all tests, with coverage, as continuous integration does; without it, those that take ten minutes together.
+ALL ?= 0
+# With ALL=1, TOOLS=0 leaves out torch, Ultralytics and the libraries of .venv-tools; the summary lists what is skipped.
 TOOLS ?= 1
 # Further arguments for pytest: make test ARGS="-k masks".
 ARGS ?=
 # Test processes side by side: auto takes one per core, as far as the memory allows; 0 runs the tests one by one.
 TEST_WORKERS ?= auto
-# COVERAGE=1 checks the share of lines that the tests of units, properties and storage execute, as continuous integration
-# does; these tests then take half as long again.
-COVERAGE ?= 0
+# Least share of lines, %, that the tests of units, properties and storage execute.
 COVERAGE_FLOOR := 91
 
 pytest = .venv/bin/python -m pytest
-# The tests of a file run in one process, which makes the file's fixtures once.
-parallel = -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
-# Suites that `make test` runs again with the oldest numpy: those that compute pixels and read and write files.
+# Workers take tests from each other at the end, so that none is left with a long file.
+parallel = -n $(TEST_WORKERS) --dist worksteal
+# Suites that run again with the oldest numpy: those that compute pixels and read and write files.
 numpy1 = $(addprefix tests/unit/,annotation compositing config formats)
 coverage = --cov=infrablend --cov-report= --cov-fail-under=$(COVERAGE_FLOOR)
+# What is set by 1 and left alone by 0.
+all = $(filter-out 0,$(ALL))
+tools = $(and $(all),$(filter-out 0,$(TOOLS)))
 
 .PHONY: help setup train studio ray s3 tools demo test check bench lock reference clean
 
@@ -53,9 +56,13 @@ tools: train studio ## Also install what only tests need: libraries that load ou
 demo: setup ## Render drones into a small virtual thermal world; the last line is the path of the picture
 	@scripts/demo.sh
 
-test: setup $(if $(filter-out 0,$(TOOLS)),tools) $(if $(ARGS),,build/numpy1/done) ## Run all tests
-	@$(if $(filter-out 0,$(TOOLS)),INFRABLEND_REQUIRE_TOOLS=1) $(pytest) $(parallel) $(if $(ARGS)$(filter 0,$(COVERAGE)),,$(coverage)) $(ARGS)
-	@$(if $(ARGS),,PYTHONPATH=$(CURDIR)/build/numpy1 $(pytest) $(parallel) $(numpy1))
+test: setup $(and $(tools),tools) $(if $(ARGS),,$(and $(all),build/numpy1/done)) ## Run the tests; ALL=1 runs all of them
+ifeq ($(all),)
+	@$(pytest) $(parallel) $(ARGS)
+else
+	@$(if $(tools),INFRABLEND_REQUIRE_TOOLS=1) $(pytest) --all $(parallel) $(if $(ARGS),$(ARGS),$(coverage))
+	@$(if $(ARGS),,PYTHONPATH=$(CURDIR)/build/numpy1 $(pytest) --all $(parallel) $(numpy1))
+endif
 
 build/numpy1/done: requirements/numpy1.txt | setup
 	@rm -rf build/numpy1

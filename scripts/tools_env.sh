@@ -16,7 +16,7 @@ want="$(printf '%s' "$want" | sha256sum | cut -d' ' -f1)"
 stamp=.venv-tools/infrablend-tools.stamp
 if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ] && .venv-tools/bin/python -c '' 2>/dev/null; then exit 0; fi
 
-say "installing Supervision, Datumaro and datasets into .venv-tools: about 210 MB to download. To skip this: make test TOOLS=0"
+say "installing Supervision, Datumaro and datasets into .venv-tools: about 210 MB to download. To skip this: make test ALL=1 TOOLS=0"
 
 if [ -e .venv-tools ]; then
   [ -f .venv-tools/pyvenv.cfg ] || [ -z "$(ls -A .venv-tools)" ] || stop ".venv-tools is no environment; move it away"
@@ -25,7 +25,7 @@ fi
 .venv/bin/python -m venv .venv-tools || { rm -rf .venv-tools; stop "could not make .venv-tools"; }
 
 registry="the package registry could not be used, or gave other files than the locked ones: check the network and pip's
-tools: settings and run the same command again, or do without: make test TOOLS=0"
+tools: settings and run the same command again, or do without: make test ALL=1 TOOLS=0"
 install=(.venv-tools/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes
   --only-binary :all:)
 log=build/tools-env.log

@@ -19,10 +19,10 @@ if [ "$(cat "$stamp" 2>/dev/null)" = "$want" ]; then exit 0; fi
 
 say "installing Ultralytics and torch into .venv. To download: about 270 MB (1.1 GB on disk) if pip's settings lead to the
 train: CPU build of torch (PIP_FIND_LINKS or a mirror that has it); otherwise on Linux about 2.7 GB (4.5 GB on disk),
-train: because the registry's own build includes CUDA. To skip this: make test TOOLS=0"
+train: because the registry's own build includes CUDA. To skip this: make test ALL=1 TOOLS=0"
 
 registry="the package registry could not be used, or its files differ from the locked ones: check the network and pip's
-train: settings and run the same command again, or skip this: make test TOOLS=0"
+train: settings and run the same command again, or skip this: make test ALL=1 TOOLS=0"
 # pip instead of uv, because pip's settings may select the small build of torch.
 install=(.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes
   --only-binary :all:)

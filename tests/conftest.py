@@ -18,6 +18,7 @@ from hypothesis import HealthCheck, settings
 from PIL import Image
 
 from infrablend.formats.pictures import derived
+from tests.short_run import LONG_FILES, LONG_FIXTURES, is_long, thinned_out
 
 # The same examples on every machine and in every run; shared machines make deadlines meaningless.
 settings.register_profile(
@@ -180,12 +181,28 @@ def _tiny_annotation(form: str, box: list[float]) -> dict[str, object]:
     return {"segmentation": [corners], "area": (x1 - x0) * (y1 - y0), "bbox": [x0, y0, x1 - x0, y1 - y0]}
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option for the long run."""
+    parser.addoption("--all", action="store_true", help="also run tests with the mark `long`, and thinned ones whole")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leave out files that import what only the long run installs."""
+    left_out = not config.option.all and collection_path.as_posix().endswith(LONG_FILES)
+    return True if left_out else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests by their fixtures and folders.
+    """Mark tests by their fixtures and folders, and leave out those of the long run unless it was asked for.
 
     With `-n`, files with slow tests begin first, so that no worker is left with one at the end.
     """
+    if not config.option.all:
+        thinned = thinned_out(items)
+        left_out = [item for item in items if item in thinned or is_long(item)]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
     for item in items:
         if {"real_data", "real_data_or_none"} & set(getattr(item, "fixturenames", ())):
             item.add_marker("realdata")
@@ -193,8 +210,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker("blender")
         # Coverage costs half of the time of a test again, so only the quick ones are measured, and those of object
         # storage, which needs a server.
-        quick = item.path.relative_to(ROOT).parts[1] in ("unit", "property") or item.path.name == "test_storage.py"
-        if not quick or item.get_closest_marker("slow"):
+        quick = item.path.relative_to(ROOT).parts[1] in ("unit", "property", "lab")
+        needs_tools = not LONG_FIXTURES.isdisjoint(getattr(item, "fixturenames", ()))
+        if item.path.name != "test_storage.py" and (not quick or needs_tools or item.get_closest_marker("slow")):
             item.add_marker("no_cover")
     if not (hasattr(config, "workerinput") or getattr(config.option, "numprocesses", None)):
         return

@@ -85,7 +85,10 @@ def test_the_installed_command_works(installed: Path, tmp_path: Path) -> None:
 
 
 def test_the_installed_package_finds_its_templates(installed: Path, tmp_path: Path) -> None:
-    code = "from infrablend.report.page import _environment as e; print(e().get_template('evaluation.html.jinja').name)"
+    code = (
+        "from infrablend.report.page import _environment as e; "
+        "print(e('infrablend.lab.pages').get_template('evaluation.html.jinja').name)"
+    )
     assert run(installed / "bin" / "python", "-c", code, cwd=tmp_path).strip() == "evaluation.html.jinja"
 
 
