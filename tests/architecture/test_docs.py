@@ -382,6 +382,7 @@ def test_the_notebook_is_stored_without_outputs() -> None:
         assert cell.get("execution_count") is None
 
 
+@pytest.mark.long
 @pytest.mark.blender
 @pytest.mark.slow
 def test_the_notebook_runs(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA_SUFFIXES = {".css", ".jinja", ".js", ".json", ".npz", ".txt", ".typed", ".yaml"}
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 
 def run(*command: str | Path, cwd: Path) -> str:

@@ -14,6 +14,8 @@ from tests.samples import picture
 from infrablend import api
 from infrablend.errors import DatasetError
 
+pytestmark = pytest.mark.long
+
 LFS = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a214614ab2935c943f9e0ff69d22eadbb8f32\nsize 12345\n"
 VOC = (
     "<annotation><filename>{name}.jpg</filename><size><width>64</width><height>48</height></size><object>"

@@ -23,6 +23,8 @@ from infrablend.core.json_stream import COMPACT, SPACED, Streamed, json_chunks
 from infrablend.core.spool import Spool, store_images
 from infrablend.formats import writing
 
+pytestmark = pytest.mark.long
+
 
 def varied_images(folder: Path) -> list[ImageRecord]:
     """Pictures of all splits, with and without labels, pitch, sequence, date and folder in the name."""

@@ -21,6 +21,8 @@ from infrablend.formats.labels import label_studio
 from infrablend.formats.picture_facts import read_table
 from infrablend.formats.unread import unread_files
 
+pytestmark = pytest.mark.long
+
 WITH_JSON = [
     name
     for name in sorted(SAMPLES)

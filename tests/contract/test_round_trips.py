@@ -27,6 +27,8 @@ from infrablend.formats.reading import Reading
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.formats.writing import load_writer
 
+pytestmark = pytest.mark.thinned
+
 ATOL_PX = 1e-6
 SIZE_WH = (64, 48)
 CATEGORIES = (Category(0, "Person"), Category(3, "small car"), Category(4, "DontCare", "", True))

@@ -14,6 +14,8 @@ from tests.samples import SAMPLES, picture
 from infrablend import api
 from infrablend.errors import DatasetError, UnknownFormatError
 
+pytestmark = pytest.mark.thinned
+
 
 def via(name: str) -> str:
     box = {"shape_attributes": {"name": "rect", "x": 1, "y": 2, "width": 4, "height": 3}}

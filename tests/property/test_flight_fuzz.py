@@ -15,6 +15,8 @@ from tests.fuzzing import make_outside
 
 from infrablend.formats.cameras.rjpeg_writing import MAKERS, Maker
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("maker", MAKERS)
 @settings(max_examples=60)

@@ -25,6 +25,8 @@ from infrablend.errors import DatasetError
 from infrablend.formats import annotation_files
 from infrablend.formats.pictures.listing import read_size
 
+pytestmark = pytest.mark.long
+
 GROWTH_KIB = 700 * 1024
 
 

@@ -12,6 +12,8 @@ from infrablend.lab.realism import classify
 from infrablend.lab.realism.controls import paste_controls
 from infrablend.lab.realism.features import FEATURES, MEASURES, Labels, measure, reason_not_measured
 
+pytestmark = pytest.mark.long
+
 LEVELS = (16.0, 235.0)
 
 

@@ -17,6 +17,8 @@ from tests.attack.scenarios import SCENARIOS, Scenario, new_lab
 from tests.fuzzing import make_outside
 from tests.samples import SAMPLES
 
+pytestmark = pytest.mark.long
+
 
 def small(name: str) -> Scenario:
     """Return a scenario with one reader that needs no torch."""

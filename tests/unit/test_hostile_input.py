@@ -26,6 +26,8 @@ from infrablend.pipeline.runs import run
 from infrablend.pipeline.runs.generate import prepare_run
 from tests.run_files import hashes
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture
 def data(tmp_path, write_tiny_hit_uav):

@@ -13,6 +13,8 @@ from infrablend.core.format_table import written_names
 from tests.flat_renderer import render_flat
 from tests.run_files import edit_ledger, hashes, ledger_rows
 
+pytestmark = pytest.mark.long
+
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]")
 
 

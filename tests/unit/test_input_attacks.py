@@ -14,6 +14,8 @@ from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.samples import SAMPLES
 
+pytestmark = pytest.mark.long
+
 SETTINGS = ("--set", "camera.pitch={fixed_deg: 60}", "--set", "camera.size_px=[64, 48]", "--to", "coco")
 DESCRIPTION = """\
 name: thing

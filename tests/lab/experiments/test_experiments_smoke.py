@@ -17,7 +17,7 @@ from infrablend.lab.experiments.stage import Stage
 from tests.coarse_world import coarse_worlds
 from tests.unit.formats.test_clips import write_clip
 
-pytestmark = [pytest.mark.slow, pytest.mark.blender]
+pytestmark = [pytest.mark.slow, pytest.mark.blender, pytest.mark.long]
 
 
 @pytest.fixture(scope="module", autouse=True)

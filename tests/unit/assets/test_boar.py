@@ -13,6 +13,8 @@ from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from tests.meshes import areas, share_inside, signed_volume, vertices_of
 
+pytestmark = pytest.mark.thinned
+
 SHAPES = [(pose, k + 1) for pose in boar.POSES for k in range(len(boar.VARIANTS[pose]))]
 PLAIN: dict[str, Any] = {
     "pose": "standing",

@@ -12,6 +12,8 @@ from infrablend.assets.implicit import Body, ellipsoid, is_closed, surface, tube
 from infrablend.core.rng import stream
 from tests.meshes import areas, share_inside, signed_volume, vertices_of
 
+pytestmark = pytest.mark.thinned
+
 SHAPES = [(pose, variant) for pose in deer.POSES for variant in deer.VARIANTS[pose]]
 DOWN = ("lying", "sleeping")
 UP = [s for s in SHAPES if s[0] not in DOWN]

@@ -12,6 +12,8 @@ from infrablend.core.mesh import Mesh
 from infrablend.core.rng import stream
 from tests.meshes import areas, check_surface, signed_volume, vertices_of
 
+pytestmark = pytest.mark.thinned
+
 SHAPES = [(pose, variant) for pose in person.POSES for variant in person.VARIANTS[pose]]
 STANDING = [s for s in SHAPES if s[0] == "standing"]
 

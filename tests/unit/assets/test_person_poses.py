@@ -24,6 +24,8 @@ from infrablend.core.mesh import FloatArray
 from infrablend.core.rng import stream
 from tests.meshes import share_inside, vertices_of
 
+pytestmark = pytest.mark.thinned
+
 NEW = [(pose, variant) for pose in VARIANTS if pose not in DRAWN_POSES for variant in VARIANTS[pose]]
 LYING = [s for s in NEW if s[0] == "lying"]
 CLOTHES = ("jacket", "sleeve", "collar", "hood")

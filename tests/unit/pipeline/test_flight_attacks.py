@@ -20,6 +20,8 @@ from infrablend.formats.cameras.xmp import EXTENDED
 from tests.command_line import said
 from tests.flights import SIZE_WH, flight, shot, with_xmp
 
+pytestmark = pytest.mark.long
+
 SHAPE = SIZE_WH[::-1]
 
 

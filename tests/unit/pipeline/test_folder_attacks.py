@@ -21,6 +21,8 @@ from tests.killing import run_until_killed
 from tests.run_files import edit_ledger, frame_ids, hashes, records
 from tests.samples import SAMPLES
 
+pytestmark = pytest.mark.long
+
 
 def killed(renames: int, *words: object) -> None:
     """Run a command that dies after this many renames."""

@@ -14,6 +14,8 @@ from PIL import Image
 from tests.command_line import said
 from tests.videos import FRAMES, av, bracketed, timecode, write_srt, write_video
 
+pytestmark = pytest.mark.long
+
 HEADER = "time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),isVideo,gimbal_pitch(degrees)"
 
 

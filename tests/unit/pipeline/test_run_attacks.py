@@ -14,6 +14,8 @@ from tests.flat_renderer import render_flat
 from tests.run_files import excluded, frame_ids, records
 from tests.samples import SAMPLES
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(autouse=True)
 def flat(monkeypatch: pytest.MonkeyPatch) -> None:

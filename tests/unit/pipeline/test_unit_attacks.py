@@ -16,6 +16,8 @@ from infrablend import api
 from tests.command_line import said
 from tests.run_files import records
 
+pytestmark = pytest.mark.long
+
 SHAPE = (128, 160)
 
 
