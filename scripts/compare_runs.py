@@ -48,7 +48,7 @@ def run(tree: Path, *arguments: str) -> str:
     command = [str(tree / ".venv/bin/python"), "-m", "infrablend", *arguments]
     done = subprocess.run(command, env=environment, cwd=WORK, capture_output=True, text=True, check=False)
     # 1 is also the answer to pictures left out, as one without pitch in the virtual world; what was made is compared.
-    if done.returncode > 1 or (done.returncode == 1 and "--out" not in arguments):
+    if done.returncode > 1:
         sys.exit(f"{' '.join(arguments)}: exit code {done.returncode} in {tree}\n{done.stdout}{done.stderr}")
     return done.stdout
 
@@ -137,13 +137,18 @@ def compare(title: str, was: Path, now: Path) -> bool:
     return bool(before) and not found
 
 
+def make(tree: Path, out: Path, command: str, *arguments: str) -> None:
+    """Have a command of a checkout write a folder."""
+    run(tree, command, *arguments, *([str(out)] if command == "convert" else ["--out", str(out)]))
+
+
 def kept_of(tree: Path, kept: Path, *command: str) -> Path:
-    """Return what a command of the other commit writes into `--out`, made unless an earlier call has made it."""
+    """Return what a command of the other commit writes, made unless an earlier call has made it."""
     if not kept.is_dir():
         partial = kept.with_name(f"unfinished-{kept.name}")
         shutil.rmtree(partial, ignore_errors=True)
         kept.parent.mkdir(parents=True, exist_ok=True)
-        run(tree, *command, "--out", str(partial))
+        make(tree, partial, *command)
         partial.rename(kept)
     return kept
 
@@ -177,7 +182,7 @@ def main() -> None:
         if asked.prepare:
             continue
         made = WORK / f"this-{os.getpid()}"
-        run(ROOT, *command, "--out", str(made))
+        make(ROOT, made, *command)
         unequal += not compare(title, kept, made)
         shutil.rmtree(made)
     sys.exit(bool(unequal))
