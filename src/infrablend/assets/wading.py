@@ -5,6 +5,8 @@ Water is opaque in the thermal band within a tenth of a millimetre, so that noth
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,25 +31,7 @@ def above_water(piece: Piece, level: float) -> Piece:
     count = above.sum(axis=1)
     if not count.any():
         raise ValueError(f"all of the piece is below {level:g}; expected some above")
-    corners: list[IntArray] = [triangles[count == 3]]
-    numbers: list[IntArray] = [parts[count == 3]]
-    # Vertices are doubled at sharp edges: the same position is one corner of the rim.
-    _, same = np.unique(v, axis=0, return_inverse=True)
-    same = same.reshape(-1)
-    edges: dict[tuple[int, int], int] = {}
-    new: list[FloatArray] = []
-
-    def crossing(a: int, b: int) -> int:
-        """Return the vertex on the surface between two vertices, the same for both triangles of an edge."""
-        upper, lower = (a, b) if z[a] > 0 else (b, a)
-        key = int(same[upper]), int(same[lower])
-        if key not in edges:
-            p, q = v[upper], v[lower]
-            edges[key] = len(v) + len(new)
-            new.append(p + p[2] / (p[2] - q[2]) * (q - p))
-            new[-1][2] = 0.0
-        return edges[key]
-
+    crossings = _Crossings(v)
     rim: dict[int, tuple[int, int]] = {}  # start of an edge on the surface -> its end and part, as the caps run
     cut: list[tuple[int, int, int]] = []
     own: list[int] = []
@@ -55,7 +39,7 @@ def above_water(piece: Piece, level: float) -> Piece:
     for t, up, part in zip(triangles[crossed], above[crossed], parts[crossed], strict=True):
         lone = int(np.argmax(up if up.sum() == 1 else ~up))
         a, b, c = (int(t[(lone + k) % 3]) for k in range(3))
-        ab, ca = crossing(a, b), crossing(c, a)
+        ab, ca = crossings.between(a, b), crossings.between(c, a)
         if up.sum() == 1:
             cut.append((a, ab, ca))
             rim[ca] = (ab, int(part))
@@ -64,17 +48,46 @@ def above_water(piece: Piece, level: float) -> Piece:
             cut += [(ab, b, c), (ab, c, ca)]
             rim[ab] = (ca, int(part))
             own += [int(part)] * 2
-    caps, of_caps = _caps(rim, v, new)
-    corners.append(np.array(cut + caps, np.int32).reshape(-1, 3))
-    numbers.append(np.array(own + of_caps, np.int32))
-    everything = np.concatenate([v, np.array(new).reshape(-1, 3)])
-    return _compact(everything, np.concatenate(corners), np.concatenate(numbers))
+    caps, of_caps = _caps(rim, crossings)
+    corners = np.concatenate([triangles[count == 3], np.array(cut + caps, np.int32).reshape(-1, 3)])
+    numbers = np.concatenate([parts[count == 3], np.array(own + of_caps, np.int32)])
+    everything = np.concatenate([v, np.array(crossings.new).reshape(-1, 3)])
+    return _compact(everything, corners, numbers)
 
 
-def _caps(
-    rim: dict[int, tuple[int, int]], v: FloatArray, new: list[FloatArray]
-) -> tuple[list[tuple[int, int, int]], list[int]]:
-    """Return triangles that close each loop of the rim from below, and their parts; adds their middles to `new`."""
+class _Crossings:
+    """New vertices where edges cross the surface, at height 0. Their numbers follow those of the given vertices."""
+
+    def __init__(self, vertices: FloatArray) -> None:
+        self.new: list[FloatArray] = []
+        self._vertices = vertices
+        # Vertices are doubled at sharp edges: the same position is one corner of the rim.
+        _, same = np.unique(vertices, axis=0, return_inverse=True)
+        self._same = same.reshape(-1)
+        self._of_edge: dict[tuple[int, int], int] = {}
+
+    def between(self, a: int, b: int) -> int:
+        """Return the vertex on the surface between two vertices, the same for both triangles of an edge."""
+        upper, lower = (a, b) if self._vertices[a, 2] > 0 else (b, a)
+        edge = int(self._same[upper]), int(self._same[lower])
+        if edge not in self._of_edge:
+            p, q = self._vertices[upper], self._vertices[lower]
+            point = p + p[2] / (p[2] - q[2]) * (q - p)
+            point[2] = 0.0
+            self._of_edge[edge] = self._add(point)
+        return self._of_edge[edge]
+
+    def add_middle(self, loop: Sequence[int]) -> int:
+        """Add the middle of new vertices, and return its number."""
+        return self._add(np.mean([self.new[k - len(self._vertices)] for k in loop], axis=0))
+
+    def _add(self, point: FloatArray) -> int:
+        self.new.append(point)
+        return len(self._vertices) + len(self.new) - 1
+
+
+def _caps(rim: Mapping[int, tuple[int, int]], crossings: _Crossings) -> tuple[list[tuple[int, int, int]], list[int]]:
+    """Return triangles that close each loop of the rim from below, and their parts; adds the middles of the loops."""
     caps: list[tuple[int, int, int]] = []
     parts: list[int] = []
     left = dict(rim)
@@ -86,8 +99,7 @@ def _caps(
             end, part = left.pop(at)
             loop.append((at, end, part))
             at = end
-        middle = len(v) + len(new)
-        new.append(np.mean([new[a - len(v)] for a, _, _ in loop], axis=0))
+        middle = crossings.add_middle([a for a, _, _ in loop])
         caps += [(a, b, middle) for a, b, _ in loop]
         parts += [part for _, _, part in loop]
     return caps, parts

@@ -94,9 +94,13 @@ _GROUPS: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
 
 # Parameters that may be addresses of object storage, by command; all other paths are on this machine.
 _ADDRESSES = {
-    "generate": {"data", "out"}, "merge": {"sources", "data"}, "status": {"out"}, "rerender": {"data"},
-    "exclude": {"data"}, "include": {"data"},
-}  # fmt: skip
+    "generate": {"data", "out"},
+    "merge": {"sources", "data"},
+    "status": {"out"},
+    "rerender": {"data"},
+    "exclude": {"data"},
+    "include": {"data"},
+}
 
 
 class _Command(TyperCommand):

@@ -229,9 +229,17 @@ def convert(
 ) -> None:
     """Write a dataset in another format; pictures are linked, and every loss is counted and reported."""
     report = api.convert(
-        source, out, to, reading=reading, classes=classes, selection=selection,
-        loosen=loosen, loosen_px=loosen_px, writing=writing, overwrite=overwrite,
-    )  # fmt: skip
+        source,
+        out,
+        to,
+        reading=reading,
+        classes=classes,
+        selection=selection,
+        loosen=loosen,
+        loosen_px=loosen_px,
+        writing=writing,
+        overwrite=overwrite,
+    )
     record = report.out / "convert.json"
     show_report(session, report, record, report.to_json(), lambda: "\n".join(_conversion_lines(report)))
 

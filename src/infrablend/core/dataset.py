@@ -17,8 +17,8 @@ from infrablend.errors import Problem
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 
-# Keys of `Instance.extra` with the exact box (x, y, width, height) and the exact corners of the oriented box (x, y of
-# each) of an object whose box was enlarged or fitted, see `annotation.looseness`.
+# Keys of `Instance.extra` of an object whose box was enlarged or fitted, see `annotation.looseness`: the exact box
+# (x, y, width, height), and the exact corners of the oriented box (x, y of each).
 TIGHT_BOX = "tight_bbox"
 TIGHT_OBB = "tight_obb"
 # The same fields for what is visible of an inserted object with `labels.fit: visible`, see `annotation.visible_fit`.
@@ -95,7 +95,7 @@ class Instance:
         """Whether this is COCO's `iscrowd`: a region of objects of a class that are not labelled singly."""
         return bool(self.extra.get("iscrowd") == 1)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values, from which `from_json` restores an equal instance."""
         return {
             "category": self.category,

@@ -353,7 +353,7 @@ def depth(value: Any) -> int:
             inside = v.values() if type(v) is dict else v
             inner += [w for w in inside if type(w) in (dict, list)]
         level = inner
-        found = found + 1
+        found += 1
     return found
 
 

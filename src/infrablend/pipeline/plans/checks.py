@@ -32,8 +32,9 @@ PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a pitch of the recipe that replaces others in the files."""
 HEIGHT_REPLACED = "height-replaced"
 """Code of the warning about a height of the recipe that replaces others in the files."""
-# Lenses of thermal cameras for drones are narrower, and their sensors smaller than film.
+# Lenses of thermal cameras for drones are narrower than this.
 _WIDE_DEG = 75.0
+# Their sensors are smaller than film, which is so wide.
 _FILM_MM = 36.0
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
@@ -323,7 +324,9 @@ def require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
     settings = WriteSettings(ids=recipe.output.ids)
     problems = []
     if settings.ids == "source" and (recipe.configurations > 1 or recipe.output.originals):
-        found = f"source with {recipe.configurations} configuration(s){' and originals' * recipe.output.originals}"
+        found = f"source with {recipe.configurations} configuration(s)"
+        if recipe.output.originals:
+            found += " and originals"
         todo = "set output.ids to new, or configurations to 1 and output.originals to false"
         problems.append(Problem("output.ids", "recipe-value", found, "one frame per background", todo))
     for name in recipe.output.formats:

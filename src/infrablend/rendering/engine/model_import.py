@@ -8,6 +8,7 @@ from pathlib import Path
 from infrablend.assets.model_files import NO_FILE, too_large
 from infrablend.assets.user_model import GroupFacts, ImportJob, write_geometry
 from infrablend.core.tasks import Task
+from infrablend.core.wire import ModelFileMessage
 from infrablend.errors import ModelError, Problem
 from infrablend.rendering.engine.process import blender_process
 
@@ -25,7 +26,7 @@ def _import(job: ImportJob) -> None:
         MissingDependencyError: There is no Blender.
         WorkerDiedError: Blender crashed on the file, or exceeded a limit.
     """
-    asked = {
+    asked: ModelFileMessage = {
         "file": str(job.files.main.absolute()),
         "shown": job.shown,
         "known": [str(path.resolve()) for path in job.files.paths],
