@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,7 @@ class LabelReport:
     heading_end_on: tuple[int, ...] = ()
     boxes_from_samples: tuple[int, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {name: list(found) for name, found in asdict(self).items()}
 
@@ -260,7 +260,8 @@ def _require_matching(scene: PlacedScene, result: RenderResult | None) -> None:
         raise ValueError(f"{frame_id}: {n} objects need {n} coverages, got {len(result.coverage)}")
     if result.frame_wh != size_wh:
         raise ValueError(f"{frame_id}: rendered {result.frame_wh}, not {size_wh}")
-    (x, y), (h, w) = result.offset_xy, result.alpha.shape
+    x, y = result.offset_xy
+    h, w = result.alpha.shape
     if x < 0 or y < 0 or x + w > result.frame_wh[0] or y + h > result.frame_wh[1]:
         raise ValueError(f"{frame_id}: crop {w}x{h} at {result.offset_xy} leaves {result.frame_wh}")
 

@@ -93,7 +93,7 @@ def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
         fitted = by.fit == "visible" and SEEN_BOX in one.extra
         if one.inserted and (factor > 1 or px > 0 or fitted) and image.size_wh is not None:
             one = _loosened(one, factor, px, image.size_wh, fitted)
-            count = count + 1
+            count += 1
         instances.append(one)
     return replace(image, instances=tuple(instances)), count
 

@@ -53,7 +53,8 @@ class BoxExtent:
     @property
     def log_factor(self) -> float:
         """Logarithm of the factor from extent to box, the same for width and height: their geometric mean."""
-        (w, h), (a, b) = self.box_wh, self.extent_wh
+        w, h = self.box_wh
+        a, b = self.extent_wh
         return 0.5 * math.log(w * h / (a * b))
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ class Removal:
     corners_xy: NDArray[np.float64] | None = None
     mask: Mask | None = None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values, with `corners_xy` and `mask` where they are known."""
         corners = {} if self.corners_xy is None else {"corners_xy": self.corners_xy.tolist()}
         mask = {} if self.mask is None else {"mask": self.mask.to_coco()}

@@ -89,10 +89,18 @@ def check(
 
 
 def convert(
-    source: str | Path, out: str | Path, to: str, *, reading: Reading = READ_ALL, classes: ClassChanges = KEEP_CLASSES,
-    selection: Selection = SELECT_ALL, loosen: float = 1.0, loosen_px: float = 0.0,
-    writing: WriteSettings | None = None, overwrite: bool = False,
-) -> ConvertReport:  # fmt: skip
+    source: str | Path,
+    out: str | Path,
+    to: str,
+    *,
+    reading: Reading = READ_ALL,
+    classes: ClassChanges = KEEP_CLASSES,
+    selection: Selection = SELECT_ALL,
+    loosen: float = 1.0,
+    loosen_px: float = 0.0,
+    writing: WriteSettings | None = None,
+    overwrite: bool = False,
+) -> ConvertReport:
     """Write a dataset in another format. Pictures are hard links, or copies where links are impossible.
 
     `to` is a format such as yolo, yolo-obb, yolo-seg or coco, or `native` for the format of the source. `loosen`
@@ -105,15 +113,27 @@ def convert(
     """
     dataset = read_dataset(source, reading)
     return convert_dataset(
-        dataset, to, Path(out), classes=classes, selection=selection, looseness=Looseness(loosen, loosen_px),
-        settings=writing, overwrite=overwrite,
-    )  # fmt: skip
+        dataset,
+        to,
+        Path(out),
+        classes=classes,
+        selection=selection,
+        looseness=Looseness(loosen, loosen_px),
+        settings=writing,
+        overwrite=overwrite,
+    )
 
 
 def split(
-    data: str | Path, out: str | Path, rule: SplitRule, *, to: str = "native", lists: bool = False,
-    reading: Reading = READ_ALL, overwrite: bool = False,
-) -> SplitReport:  # fmt: skip
+    data: str | Path,
+    out: str | Path,
+    rule: SplitRule,
+    *,
+    to: str = "native",
+    lists: bool = False,
+    reading: Reading = READ_ALL,
+    overwrite: bool = False,
+) -> SplitReport:
     """Write a dataset with new splits that do not share neighbouring frames, e.g. with `SplitRule("sequence")`.
 
     `to` is the format to write, as in `convert`. `lists` writes only three lists of pictures and `split.json`.
@@ -122,9 +142,14 @@ def split(
 
 
 def extract_frames(
-    videos: Sequence[str | Path], out: str | Path, choice: FrameChoice, flight: FlightFacts | None = None, *,
-    overwrite: bool = False, on_progress: OnProgress | None = None,
-) -> FramesReport:  # fmt: skip
+    videos: Sequence[str | Path],
+    out: str | Path,
+    choice: FrameChoice,
+    flight: FlightFacts | None = None,
+    *,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> FramesReport:
     """Write frames of videos as PNG files and `metadata.csv`: a background dataset with a sequence per video.
 
     `choice` is, for example, `FrameChoice("2s")`. Pitch, height and time come from the DJI subtitles beside each video,
@@ -137,9 +162,14 @@ def extract_frames(
 
 
 def extract_temperatures(
-    data: str | Path, out: str | Path, scale: CountScale | None = None, *, reading: Reading = READ_ALL,
-    overwrite: bool = False, on_progress: OnProgress | None = None,
-) -> TemperaturesReport:  # fmt: skip
+    data: str | Path,
+    out: str | Path,
+    scale: CountScale | None = None,
+    *,
+    reading: Reading = READ_ALL,
+    overwrite: bool = False,
+    on_progress: OnProgress | None = None,
+) -> TemperaturesReport:
     """Write the radiometric layers of DJI and FLIR pictures as 16-bit PNG, in a COCO dataset that states their scale.
 
     FLIR's become apparent temperatures in centikelvin. DJI's stay counts; `scale` says what these mean, if known.
@@ -153,10 +183,17 @@ def extract_temperatures(
 
 
 def profile(
-    data: str | Path, out: str | Path, *, count: int = 64, time: str | None = None, name: str | None = None,
-    against: str | None = None, rendered: str | Path | None = None, reading: Reading = READ_ALL,
+    data: str | Path,
+    out: str | Path,
+    *,
+    count: int = 64,
+    time: str | None = None,
+    name: str | None = None,
+    against: str | None = None,
+    rendered: str | Path | None = None,
+    reading: Reading = READ_ALL,
     on_progress: OnProgress | None = None,
-) -> ProfileReport:  # fmt: skip
+) -> ProfileReport:
     """Fit a sensor profile to pictures; write `profile.json`, which recipes take as `sensor.profile`, and a plot.
 
     `count` pictures, evenly spread, of the time `day` or `night` if one is given, are fitted. Annotated objects only
@@ -174,9 +211,13 @@ def profile(
 
 
 def map_places(
-    data: str | Path, out: str | Path, *, reading: Reading = READ_ALL, overwrite: bool = False,
+    data: str | Path,
+    out: str | Path,
+    *,
+    reading: Reading = READ_ALL,
+    overwrite: bool = False,
     on_progress: OnProgress | None = None,
-) -> PlacesReport:  # fmt: skip
+) -> PlacesReport:
     """Write where objects can stand and drive in each picture (`<split>/<id>.stand.png`, `.drive.png`), and a sheet.
 
     The shipped model has learnt surfaces from the virtual world alone; annotated objects are taken from the labels.
@@ -187,9 +228,13 @@ def map_places(
 
 
 def find_motion(
-    data: str | Path, out: str | Path, *, reading: Reading = READ_ALL, overwrite: bool = False,
+    data: str | Path,
+    out: str | Path,
+    *,
+    reading: Reading = READ_ALL,
+    overwrite: bool = False,
     on_progress: OnProgress | None = None,
-) -> MotionReport:  # fmt: skip
+) -> MotionReport:
     """Write how the camera moves through each sequence (`NAME.json`, and `NAME.html` with plots).
 
     Every frame is related to the first of its span by the background; labelled objects, text and reticle are left out.

@@ -15,10 +15,16 @@ from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 
 
 def frames(
-    recipe: str | Path, data: str | Path | BackgroundSource, *, selection: FrameSelection = ALL_FRAMES, seed: int = 0,
-    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
+    recipe: str | Path,
+    data: str | Path | BackgroundSource,
+    *,
+    selection: FrameSelection = ALL_FRAMES,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION,
     extensions: Extensions = NO_EXTENSIONS,
-) -> Frames:  # fmt: skip
+) -> Frames:
     """Return the frames of a run as arrays with labels, composed on warm workers when they are asked for.
 
     >>> flat = Execution(renderer="flat", in_process=True)
@@ -37,9 +43,15 @@ def frames(
 
 
 def try_recipe(
-    recipe: str | Path, data: str | Path, frame: str | None = None, *, seed: int = 0, settings: Settings = (),
-    reading: Reading = READ_ALL, execution: Execution = ONE_WORKER,
-) -> Trial:  # fmt: skip
+    recipe: str | Path,
+    data: str | Path,
+    frame: str | None = None,
+    *,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = ONE_WORKER,
+) -> Trial:
     """Return one frame of a recipe without a run folder; `write` of the result saves it with its boxes, enlarged.
 
     >>> flat = Execution(renderer="flat", in_process=True)
@@ -54,9 +66,15 @@ def try_recipe(
 
 
 def watch_recipe(
-    recipe: str | Path, data: str | Path, frame: str | None = None, *, seed: int = 0, settings: Settings = (),
-    reading: Reading = READ_ALL, execution: Execution = ONE_WORKER,
-) -> Iterator[Trial | InfraBlendError]:  # fmt: skip
+    recipe: str | Path,
+    data: str | Path,
+    frame: str | None = None,
+    *,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = ONE_WORKER,
+) -> Iterator[Trial | InfraBlendError]:
     """Yield one frame as in `try_recipe`, and again whenever recipe, models or data change, without end.
 
     An error, such as an invalid recipe, is yielded instead of a frame.

@@ -39,11 +39,19 @@ class PlanReport:
 
 
 def generate(  # noqa: PLR0913 - callers name these; a value object for some of them would break their calls
-    recipe: str | Path, data: str | Path, out: str | Path, *, limit: int | None = None,
-    selection: FrameSelection = ALL_FRAMES, seed: int = 0,
-    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
-    existing: Existing = "refuse", on_progress: OnProgress | None = None,
-) -> RunReport:  # fmt: skip
+    recipe: str | Path,
+    data: str | Path,
+    out: str | Path,
+    *,
+    limit: int | None = None,
+    selection: FrameSelection = ALL_FRAMES,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION,
+    existing: Existing = "refuse",
+    on_progress: OnProgress | None = None,
+) -> RunReport:
     """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
 
     >>> flat = Execution(renderer="flat", in_process=True)
@@ -66,9 +74,15 @@ def generate_shard(request: RunRequest, on_progress: OnProgress | None = None) -
 
 
 def merge(
-    sources: Sequence[str | Path], out: str | Path, *, data: str | Path | None = None, partial: bool = False,
-    layout: Layout = "files", existing: Existing = "refuse", on_progress: OnProgress | None = None,
-) -> RunReport:  # fmt: skip
+    sources: Sequence[str | Path],
+    out: str | Path,
+    *,
+    data: str | Path | None = None,
+    partial: bool = False,
+    layout: Layout = "files",
+    existing: Existing = "refuse",
+    on_progress: OnProgress | None = None,
+) -> RunReport:
     """Write one run from finished shards, with the bytes of an undivided run.
 
     `partial` merges the finished shards only. The layout is `files`, or `shards` for one packed shard (needs
@@ -96,11 +110,20 @@ def status(out: str | Path, *, wait: bool = False) -> list[ShardState]:
 
 
 def plan(  # noqa: PLR0913 - as in `generate`
-    recipe: str | Path, data: str | Path, out: str | Path | None = None, *, limit: int | None = None,
-    selection: FrameSelection = ALL_FRAMES, seed: int = 0,
-    settings: Settings = (), reading: Reading = READ_ALL, execution: Execution = DEFAULT_EXECUTION,
-    existing: Existing = "refuse", shard: ShardRequest | None = None, price_per_core_hour: float | None = None,
-) -> PlanReport:  # fmt: skip
+    recipe: str | Path,
+    data: str | Path,
+    out: str | Path | None = None,
+    *,
+    limit: int | None = None,
+    selection: FrameSelection = ALL_FRAMES,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION,
+    existing: Existing = "refuse",
+    shard: ShardRequest | None = None,
+    price_per_core_hour: float | None = None,
+) -> PlanReport:
     """Return what `generate` with the same arguments would write, without writing it.
 
     With `shard`, times are those of one shard and of merging. `price_per_core_hour`, in any currency, adds the cost.
@@ -115,9 +138,13 @@ def plan(  # noqa: PLR0913 - as in `generate`
 
 
 def rerender(
-    run: str | Path, frame_id: str, out: str | Path | None = None, *, data: str | Path | None = None,
+    run: str | Path,
+    frame_id: str,
+    out: str | Path | None = None,
+    *,
+    data: str | Path | None = None,
     overwrite: bool = False,
-) -> Path:  # fmt: skip
+) -> Path:
     """Render the frame `<split>/<background>_c<k>` of a run again, with the same bytes; return the picture's path.
 
     By default the picture goes to the current folder. `data` is the folder of the backgrounds, if it has moved.
@@ -132,9 +159,15 @@ def show(run: str | Path, frame_id: str) -> dict[str, Any]:
 
 
 def exclude(
-    run: str | Path, frames: Sequence[str] = (), *, review: str | Path | None = None, reason: str = BY_HAND,
-    purge: bool = False, data: str | Path | None = None, on_progress: OnProgress | None = None,
-) -> ChoiceReport:  # fmt: skip
+    run: str | Path,
+    frames: Sequence[str] = (),
+    *,
+    review: str | Path | None = None,
+    reason: str = BY_HAND,
+    purge: bool = False,
+    data: str | Path | None = None,
+    on_progress: OnProgress | None = None,
+) -> ChoiceReport:
     """Leave frames of a finished run out of its labels, splits, card and counts; their pictures move to `run/excluded`.
 
     `frames` are ids of frames (`test/a_c0`), or of backgrounds for all of their frames; `data` is the folder of the
@@ -147,9 +180,13 @@ def exclude(
 
 
 def include(
-    run: str | Path, frames: Sequence[str] = (), *, every: bool = False, data: str | Path | None = None,
+    run: str | Path,
+    frames: Sequence[str] = (),
+    *,
+    every: bool = False,
+    data: str | Path | None = None,
     on_progress: OnProgress | None = None,
-) -> ChoiceReport:  # fmt: skip
+) -> ChoiceReport:
     """Take excluded frames back, `every` one of them or those with these ids; purged ones are rendered again."""
     choice = ExclusionRequest(include=tuple(frames), include_all=every)
     return choose_frames(Path(run), choice, None if data is None else Path(data), on_progress)

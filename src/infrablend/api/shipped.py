@@ -12,7 +12,7 @@ from infrablend.config import loading
 from infrablend.pipeline.plans import add_model as adding
 from infrablend.pipeline.plans.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.plans.models import ready_model, run_once
-from infrablend.rendering.engine import shader
+from infrablend.rendering.engine import blender_files
 
 
 def list_models() -> dict[str, str]:
@@ -61,4 +61,4 @@ def show_recipe(name: str) -> str:
 
 def write_infrared_effect(path: str | Path) -> Path:
     """Write the InfraredEffect node group as a .blend file to append from; return its path."""
-    return shader.write_infrared_effect(Path(path))
+    return blender_files.write_infrared_effect(Path(path))

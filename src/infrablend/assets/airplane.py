@@ -207,9 +207,15 @@ def _add_engine(out: Pieces, at: tuple[float, float, float], radius: float, leng
     """Add a jet engine to either side: nacelle with the middle of its length at a place, intake and nozzle."""
     r = radius
     shell = shapes.lathe(
-        [(0.62 * r, -0.5 * length), (0.85 * r, -0.2 * length), (r, 0.15 * length), (0.98 * r, 0.42 * length),
-         (0.85 * r, 0.5 * length)], 20,
-    )  # fmt: skip
+        [
+            (0.62 * r, -0.5 * length),
+            (0.85 * r, -0.2 * length),
+            (r, 0.15 * length),
+            (0.98 * r, 0.42 * length),
+            (0.85 * r, 0.5 * length),
+        ],
+        20,
+    )
     nozzle = shapes.lathe([(0.3 * r, -0.68 * length), (0.55 * r, -0.58 * length), (0.58 * r, -0.45 * length)], 16)
     fan = shapes.cylinder(0.78 * r, 0.45 * length, 0.505 * length, 16)
     for part, solid in (("nacelle", shell), ("exhaust", nozzle), ("intake", fan)):
@@ -219,5 +225,9 @@ def _add_engine(out: Pieces, at: tuple[float, float, float], radius: float, leng
 MODEL = aircraft(
     "airplane",
     "An airplane in flight: light aircraft with a propeller, business jet, or airliner with two engines.",
-    PARTS, DIALS, build_airplane, parts_for, "airplane",
-)  # fmt: skip
+    PARTS,
+    DIALS,
+    build_airplane,
+    parts_for,
+    "airplane",
+)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -100,7 +99,7 @@ def build_bird(params: Params) -> Mesh:
     return replace(mesh, vertices_m=mesh.vertices_m - middle)
 
 
-def animate(params: Params, phase: float) -> dict[str, Any]:
+def animate(params: Params, phase: float) -> Params:
     """Return the parameters of a bird at a phase of its beat: 0 is the top. Its body stays where it is."""
     beat = {"phase_deg": 360.0 * (phase % 1.0)} if params["flight"] == "flapping" else {}
     return {**params, **beat, _IN_BODY: True}
@@ -204,6 +203,10 @@ def parts_for(params: Params) -> Mapping[str, PartRange]:
 MODEL = aircraft(
     "bird",
     "A bird in flight, flapping or soaring: songbird, pigeon, crow, gull, raptor or goose.",
-    PARTS, DIALS, build_bird, parts_for, "bird",
-)  # fmt: skip
+    PARTS,
+    DIALS,
+    build_bird,
+    parts_for,
+    "bird",
+)
 MODEL = replace(MODEL, animate=animate, cycle_hz=cycle_hz)

@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -262,8 +261,9 @@ def _neck(poll: FloatArray, f: FloatArray, pose: _Pose, lying: bool, girth: floa
     start = np.array([0.30, 0.0, 0.715 - fall])
     middle = 0.5 * (start + poll) + [0.02, 0.0, 0.0]
     path = [start, middle, poll - 0.02 * f, poll + 0.08 * f]
-    return tube("neck", path, np.array([0.180, 0.162, 0.132, 0.108]) * girth, [0.250, 0.220, 0.165, 0.130],
-                blend=0.09, steps=3)  # fmt: skip
+    return tube(
+        "neck", path, np.array([0.180, 0.162, 0.132, 0.108]) * girth, [0.250, 0.220, 0.165, 0.130], blend=0.09, steps=3
+    )
 
 
 def _head(poll: FloatArray, axes: tuple[FloatArray, ...], big: float, sturdy: float, long: float) -> list[Primitive]:
@@ -292,8 +292,13 @@ def _head(poll: FloatArray, axes: tuple[FloatArray, ...], big: float, sturdy: fl
         caps=(0.03, 0.012),
         steps=2,
     )
-    jaw = tube("head", [at(0.06, -0.090), at(0.18, -0.098), at(0.36, -0.090)], np.array([0.075, 0.055, 0.03]) * big,
-               side=s, blend=0.04)  # fmt: skip
+    jaw = tube(
+        "head",
+        [at(0.06, -0.090), at(0.18, -0.098), at(0.36, -0.090)],
+        np.array([0.075, 0.055, 0.03]) * big,
+        side=s,
+        blend=0.04,
+    )
     cheeks = [
         ellipsoid("head", at(0.07, -0.060, 0.075 * e), np.array([0.08, 0.05, 0.075]) * big, axes=[f, s, u], blend=0.04)
         for e in (1, -1)
@@ -319,10 +324,15 @@ def _foot(fetlock: FloatArray, hang: float, lying: bool) -> list[Primitive]:
     toe = coronet + 0.055 * np.array([np.cos(sole), 0.0, np.sin(sole)])
     heel = coronet + 0.2 * (toe - coronet)
     toes: list[Primitive] = [
-        tube("hoof", [heel + np.array([0, 0.012 * e, 0]), toe + np.array([0, 0.016 * e, 0])], [0.021, 0.013],
-             [0.028, 0.014], blend=0.006 if e < 0 else 0.010)
+        tube(
+            "hoof",
+            [heel + np.array([0, 0.012 * e, 0]), toe + np.array([0, 0.016 * e, 0])],
+            [0.021, 0.013],
+            [0.028, 0.014],
+            blend=0.006 if e < 0 else 0.010,
+        )
         for e in (1, -1)
-    ]  # fmt: skip
+    ]
     pastern = tube("lower_leg", [fetlock, coronet], [0.027, 0.028], [0.030, 0.030], blend=0.01)
     return [pastern, *toes]
 
@@ -528,7 +538,7 @@ def _bent(vertices: FloatArray, bend_rad: float, head_rad: float) -> FloatArray:
     )
 
 
-def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+def sample(rng: np.random.Generator, options: Params) -> Params:
     """Draw the parameters of one boar, JSON values only.
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn,
@@ -553,7 +563,7 @@ def _require(params: Params) -> None:
             raise checks.bad("parameter phase", params["phase"], f"none for a {params['pose']} boar", "Leave it out.")
 
 
-def animate(params: Params, phase: float) -> dict[str, Any]:
+def animate(params: Params, phase: float) -> Params:
     """Return the parameters of a walking or running boar at a phase; of others, as they are."""
     return {**params, "phase": moment(phase)} if params["pose"] in _GAITS else dict(params)
 

@@ -148,7 +148,8 @@ def _add_legs(out: Pieces, p: Params, height: float) -> None:
 def _add_camera(out: Pieces, p: Params, height: float) -> None:
     """Add a gimbal below the nose: plate, yaw arm, camera with its lens."""
     (length, _, tall), _, _ = _FORMS[p["form"]]
-    s, at = 0.045, np.array([0.45 * length, 0.0, -height * tall - 0.062])
+    s = 0.045
+    at = np.array([0.45 * length, 0.0, -height * tall - 0.062])
     roof = float(-height * tall * 0.85 - at[2])
     out.add(
         "gimbal", shapes.box((1.9 * s, 1.9 * s, 0.35 * s), 0.08 * s), at=(float(at[0] - 0.5 * s), 0.0, -height * tall)
@@ -166,5 +167,8 @@ def _add_camera(out: Pieces, p: Params, height: float) -> None:
 MODEL = multirotor(
     "camera-quad",
     "A quadrotor moulded in one piece, with fixed arms, landing bows and a camera.",
-    PARTS, DIALS, _rotors, build_pieces,
-)  # fmt: skip
+    PARTS,
+    DIALS,
+    _rotors,
+    build_pieces,
+)

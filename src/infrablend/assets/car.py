@@ -212,7 +212,7 @@ def _deltas(state: str, colour: str) -> dict[str, Range]:
         # The sun and the engine, whichever heats a part more.
         sun = _deltas("day_sun", colour)
         return {part: (max(a, sun[part][0]), max(b, sun[part][1])) for part, (a, b) in _DRIVEN.items()}
-    return dict({"parked_cold": _PARKED_COLD, "driven": _DRIVEN}[state])
+    return dict(_DRIVEN if state == "driven" else _PARKED_COLD)
 
 
 PARTS: Mapping[str, PartRange] = parts_for({"state": "parked_cold", "colour": "grey"})
@@ -280,30 +280,37 @@ _BODIES: Mapping[str, _Body] = {
 # Shares of cars that are parked and that have been driven within the last hour: by night fitted to the share of cars
 # with bright parts in HIT-UAV's train, by day estimated.
 _STATE_ODDS: Mapping[str, tuple[float, ...]] = {
-    "night": (0.8, 0.2, 0.0, 0.0), "day": (0.0, 0.0, 0.75, 0.25),
-    "dusk": (0.75, 0.25, 0.0, 0.0), "dawn": (0.8, 0.2, 0.0, 0.0),
-}  # fmt: skip
+    "night": (0.8, 0.2, 0.0, 0.0),
+    "day": (0.0, 0.0, 0.75, 0.25),
+    "dusk": (0.75, 0.25, 0.0, 0.0),
+    "dawn": (0.8, 0.2, 0.0, 0.0),
+}
 _STATE = Choice(("parked_cold", "driven", "day_sun", "day_driven"), (0.5, 0.25, 0.19, 0.06))
-DIALS = Dials("car", {
-    "body": Choice(tuple(_BODIES), (0.36, 0.22, 0.24, 0.06, 0.12)),
-    "state": _STATE,
-    "colour": Choice(("black", "grey", "silver", "white"), (0.25, 0.17, 0.2, 0.38)),
-    "sunroof": Choice((False, True), (0.7, 0.3)),
-    "rails": Choice((False, True), (0.35, 0.65), "by default only on an suv or estate"),
-    "panelled": Choice((False, True), (0.65, 0.35), "by default only a van"),
-    "exhausts": Choice((0, 1, 2), (0.2, 0.55, 0.25)),
-    "spokes": Choice((5, 7, 10), (0.5, 0.2, 0.3)),
-    "length_m": Number((3.6, 5.4), (3.0, 6.5), by="body", ranges={name: b.lengths_m for name, b in _BODIES.items()}),
-    "width": Number((0.97, 1.04), (0.97, 1.04)),
-    "height": Number((0.96, 1.04), (0.96, 1.04)),
-    "wheelbase": Number((0.98, 1.02), (0.98, 1.02)),
-    "wheel_radius": Number((0.95, 1.06), (0.95, 1.06)),
-    "screen_rake": Number((-0.02, 0.02), (-0.02, 0.02)),
-    "nose_taper": Number((0.7, 1.2), (0.7, 1.2)),
-    "tail_taper": Number((0.7, 1.2), (0.7, 1.2)),
-})  # fmt: skip
+DIALS = Dials(
+    "car",
+    {
+        "body": Choice(tuple(_BODIES), (0.36, 0.22, 0.24, 0.06, 0.12)),
+        "state": _STATE,
+        "colour": Choice(("black", "grey", "silver", "white"), (0.25, 0.17, 0.2, 0.38)),
+        "sunroof": Choice((False, True), (0.7, 0.3)),
+        "rails": Choice((False, True), (0.35, 0.65), "by default only on an suv or estate"),
+        "panelled": Choice((False, True), (0.65, 0.35), "by default only a van"),
+        "exhausts": Choice((0, 1, 2), (0.2, 0.55, 0.25)),
+        "spokes": Choice((5, 7, 10), (0.5, 0.2, 0.3)),
+        "length_m": Number(
+            (3.6, 5.4), (3.0, 6.5), by="body", ranges={name: b.lengths_m for name, b in _BODIES.items()}
+        ),
+        "width": Number((0.97, 1.04), (0.97, 1.04)),
+        "height": Number((0.96, 1.04), (0.96, 1.04)),
+        "wheelbase": Number((0.98, 1.02), (0.98, 1.02)),
+        "wheel_radius": Number((0.95, 1.06), (0.95, 1.06)),
+        "screen_rake": Number((-0.02, 0.02), (-0.02, 0.02)),
+        "nose_taper": Number((0.7, 1.2), (0.7, 1.2)),
+        "tail_taper": Number((0.7, 1.2), (0.7, 1.2)),
+    },
+)
 
-NOMINAL: Mapping[str, Any] = {
+NOMINAL: Params = {
     "sheltered": False,
     "body": "saloon",
     "state": "parked_cold",
@@ -325,7 +332,7 @@ NOMINAL: Mapping[str, Any] = {
 """Parameters of a saloon; `{**NOMINAL, ...}` is handy for tests and pictures."""
 
 
-def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+def sample_params(rng: np.random.Generator, options: Params) -> Params:
     """Draw the parameters of one car, JSON values only.
 
     Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the others
@@ -389,7 +396,8 @@ def _curve(points: ArrayLike, x: ArrayLike) -> FloatArray:
 
 # Half width against height from sill (0) to waist (1), as a fraction of the largest half width.
 _FLANK = ((0.0, 0.945), (0.16, 0.975), (0.40, 1.0), (0.72, 0.985), (1.0, 0.945), (1.3, 0.90))
-_NOSE_M, _TAIL_M = 0.55, 0.42
+_NOSE_M = 0.55
+_TAIL_M = 0.42
 _CROWN_M = 0.065
 
 
@@ -711,13 +719,24 @@ def _add_wheels(out: _Pieces, plan: _Plan) -> None:
     wide = 0.215
     rim = 0.66 * r
     tyre = shapes.lathe(
-        [(rim, -0.42 * wide), (0.82 * r, -0.5 * wide), (0.95 * r, -0.45 * wide), (r, -0.34 * wide), (r, 0.34 * wide),
-         (0.95 * r, 0.45 * wide), (0.82 * r, 0.5 * wide), (rim, 0.42 * wide)], 28, wrap=True,
-    )  # fmt: skip
+        [
+            (rim, -0.42 * wide),
+            (0.82 * r, -0.5 * wide),
+            (0.95 * r, -0.45 * wide),
+            (r, -0.34 * wide),
+            (r, 0.34 * wide),
+            (0.95 * r, 0.45 * wide),
+            (0.82 * r, 0.5 * wide),
+            (rim, 0.42 * wide),
+        ],
+        28,
+        wrap=True,
+    )
     lip = shapes.lathe(
         [(0.90 * rim, -0.3 * wide), (1.03 * rim, -0.3 * wide), (1.03 * rim, 0.40 * wide), (0.90 * rim, 0.36 * wide)],
-        28, wrap=True,
-    )  # fmt: skip
+        28,
+        wrap=True,
+    )
     pieces = [("tyre", tyre), ("rim", lip), ("brake", shapes.cylinder(0.96 * rim, -0.3 * wide, 0.0, 24))]
     pieces.append(("rim", shapes.lathe([(0.24 * rim, 0.0), (0.24 * rim, 0.30 * wide), (0.0, 0.34 * wide)], 16)))
     count = int(plan.p["spokes"])

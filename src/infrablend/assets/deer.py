@@ -21,7 +21,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -598,22 +597,7 @@ def _body(pose: _Pose, build_name: str) -> _Shape:
     neck_path = np.array(pose.neck)
     if lying:
         neck_path = neck_path + lift
-    thick = build.neck
-    wide = np.array([0.080, 0.064, 0.052, 0.036]) * thick
-    high = np.array([0.150, 0.110, 0.078, 0.048]) * (1 + 0.7 * (thick - 1))
-    if pose.asleep:
-        # Bent to the side, a neck is measured across the vertical; on the ground it is lower, too.
-        wide, high = 0.85 * high, 1.1 * wide
-    neck = tube(
-        "neck_base",
-        neck_path,
-        wide,
-        high,
-        side=(0.0, 0.0, 1.0) if pose.asleep else (0.0, 1.0, 0.0),
-        blend=0.07,
-        steps=4,
-        beyond=[(1.25, "neck")],
-    )
+    neck = _neck(neck_path, build.neck, pose.asleep)
     trunk = _trunk(pose, lying, build.trunk)
     poll = neck_path[-1]
     frame = _head_frame(pose)
@@ -648,9 +632,9 @@ def _body(pose: _Pose, build_name: str) -> _Shape:
         origin = np.array([feet_centre(soles), 0.0, 0.0])
     # Scale the withers back to height 1: blending, the lowered trunk and the build change it.
     size = 1.0 if lying else 1.0 / withers_height(vertices, triangles[np.isin(label, _BACK)], _WITHERS_X)
-    along = neck.coordinates(vertices)[0] / (len(neck.path) - 1)
     first_head = len(pieces[0][0])
     first_leg = len(pieces[0][0]) + len(pieces[1][0])
+    along = neck.coordinates(vertices)[0] / (len(neck.path) - 1)
     neck_weight = smoothstep((along - 0.25) / 0.65)
     neck_weight[:first_head] *= 1.0 - smoothstep(neck.distance(vertices[:first_head]) / 0.05)
     neck_weight[first_leg:] = 0.0
@@ -669,6 +653,16 @@ def _body(pose: _Pose, build_name: str) -> _Shape:
         frame[1],
         size,
     )
+
+
+def _neck(path: FloatArray, thick: float, asleep: bool) -> Tube:
+    wide = np.array([0.080, 0.064, 0.052, 0.036]) * thick
+    high = np.array([0.150, 0.110, 0.078, 0.048]) * (1 + 0.7 * (thick - 1))
+    if asleep:
+        # Bent to the side, a neck is measured across the vertical; on the ground it is lower, too.
+        wide, high = 0.85 * high, 1.1 * wide
+    side = (0.0, 0.0, 1.0) if asleep else (0.0, 1.0, 0.0)
+    return tube("neck_base", path, wide, high, side=side, blend=0.07, steps=4, beyond=[(1.25, "neck")])
 
 
 # Parts of the trunk, by height.
@@ -724,7 +718,7 @@ def _bent(points: FloatArray, angle_rad: float) -> FloatArray:
     return np.column_stack([middle + x + beyond * c - aside * s, y + beyond * s + aside * c, points[:, 2]])
 
 
-DEFAULTS: Mapping[str, Any] = {
+DEFAULTS: Params = {
     "pose": "standing",
     "variant": "alert",
     "build": "slender",
@@ -744,7 +738,7 @@ DEFAULTS: Mapping[str, Any] = {
 }
 
 
-def _checked(params: Params) -> dict[str, Any]:
+def _checked(params: Params) -> Params:
     """Return all parameters, checked, with defaults for missing ones."""
     _CHECKS.known("parameter", params, tuple(DEFAULTS))
     p = {**DEFAULTS, **params}
@@ -817,7 +811,7 @@ def build(params: Params) -> Mesh:
     return warm_ground.with_warm_ground(finished((v * scale, triangles, shape.parts), PART_NAMES), p)
 
 
-def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+def sample(rng: np.random.Generator, options: Params) -> Params:
     """Draw the parameters of one deer, JSON values only.
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn. The
@@ -899,7 +893,7 @@ def _antler_option(value: object, share: float) -> str:
     return value
 
 
-def animate(params: Params, phase: float) -> dict[str, Any]:
+def animate(params: Params, phase: float) -> Params:
     """Return the parameters of a walking or running deer at a phase; of others, as they are."""
     return {**params, "phase": moment(phase)} if params["pose"] in _GAITS else dict(params)
 

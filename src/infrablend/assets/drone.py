@@ -92,7 +92,7 @@ ALLOWED: Mapping[str, tuple[float, float]] = {
 }
 """Ranges that `build_drone` accepts, in part wider than the ranges that are drawn."""
 
-NOMINAL: Mapping[str, Any] = {
+NOMINAL: Params = {
     "size_m": 0.38,
     "layout": "x",
     "body": "shell",
@@ -140,7 +140,7 @@ _BODY_ODDS_LARGE = (0.15, 0.35, 0.50)
 # --- drawing -------------------------------------------------------------------------------------------------
 
 
-def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+def sample_params(rng: np.random.Generator, options: Params) -> Params:
     """Draw the parameters of one drone, JSON values only.
 
     Every call takes the same number of values from `rng` in the same order, so fixing one option leaves the
@@ -222,7 +222,7 @@ def _require_params(params: Params) -> None:
 class _Plan:
     """Dimensions that the pieces share, for a motor diagonal of 1; z = 0 is the middle of the body."""
 
-    p: Mapping[str, Any]
+    p: Params
     motors_xy: FloatArray  # (4, 2) counter-clockwise from the front left (plus: from the front)
     roots_xy: FloatArray  # (4, 2) where the arms leave the body
     half_length: float
@@ -269,9 +269,9 @@ _MOTOR_RADIUS = {"shell": 0.040, "plate": 0.046, "industrial": 0.037}
 def _plan(p: Params) -> _Plan:
     motors = _motor_plan(p)
     length, width, height = _BODY_SIZE[p["body"]]
-    length = length * p["body_length"]
-    width = width * p["body_width"]
-    height = height * p["body_height"]
+    length *= p["body_length"]
+    width *= p["body_width"]
+    height *= p["body_height"]
     if p["layout"] == "h":
         # The arms leave the body at right angles, so it must reach them.
         length = max(length, 1.12 * abs(float(motors[0, 0])))
@@ -303,9 +303,20 @@ def _plan(p: Params) -> _Plan:
     if p["camera"] and p["body"] != "shell":
         below = max(below, 0.175)
     return _Plan(
-        p, motors, roots, length, width, height, root_z, tip_z, half_w, half_h,
-        _MOTOR_RADIUS[p["body"]] * float(p["motor_radius"]), propeller, -height - below * float(p["leg_height"]) + 0.04,
-    )  # fmt: skip
+        p,
+        motors,
+        roots,
+        length,
+        width,
+        height,
+        root_z,
+        tip_z,
+        half_w,
+        half_h,
+        _MOTOR_RADIUS[p["body"]] * float(p["motor_radius"]),
+        propeller,
+        -height - below * float(p["leg_height"]) + 0.04,
+    )
 
 
 # --- motors and propellers -----------------------------------------------------------------------------------
@@ -338,7 +349,8 @@ def parts_for(params: Params) -> dict[str, PartRange]:
 
 
 def _add_arms(out: Pieces, plan: _Plan) -> None:
-    p, w, h = plan.p, plan.arm_half_width, plan.arm_half_height
+    p = plan.p
+    w, h = plan.arm_half_width, plan.arm_half_height
     r = plan.motor_radius
     for (mx, my), (rx, ry) in zip(plan.motors_xy.tolist(), plan.roots_xy.tolist(), strict=True):
         root = np.array([rx, ry, plan.root_z])
@@ -405,10 +417,31 @@ def _box_on_arm(root: FloatArray, tip: FloatArray, t: float, size: Vector, lift:
 
 def _add_shell_body(out: Pieces, plan: _Plan) -> None:
     """Add a smooth moulded body with its battery set into the back, sensors at the nose and outlets at the sides."""
-    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    _add_shell_skin(out, plan)
+    _add_shell_battery(out, plan)
+    _add_shell_outlets(out, plan)
+    _add_shell_sensors(out, plan)
+    if plan.p["arm"] == "moulded":
+        for x, y in plan.roots_xy.tolist():
+            # Hinges of the folding arms.
+            hinge = shapes.cylinder(
+                1.5 * plan.arm_half_width, -1.5 * plan.arm_half_height, 1.6 * plan.arm_half_height, 18, 0.004
+            )
+            out.add("shell", hinge, at=(1.12 * x, 1.45 * y, plan.root_z))
+
+
+def _shell_sections(plan: _Plan) -> tuple[FloatArray, FloatArray]:
+    """Return where the cross sections of a moulded body are along it, from -1 to 1, and their half widths."""
     t = np.sin(np.linspace(-1, 1, 21) * math.pi / 2 * 0.955)
     closing = (1 - np.abs(t) ** 6) ** 0.4
-    wide = W * np.interp(t, [-1, -0.4, 0.25, 1], [0.80, 0.97, 1.0, 0.70]) * closing
+    return t, plan.half_width * np.interp(t, [-1, -0.4, 0.25, 1], [0.80, 0.97, 1.0, 0.70]) * closing
+
+
+def _add_shell_skin(out: Pieces, plan: _Plan) -> None:
+    """Add the moulded body itself, and its canopy."""
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    t, wide = _shell_sections(plan)
+    closing = (1 - np.abs(t) ** 6) ** 0.4
     tall = H * np.interp(t, [-1, -0.5, 0.2, 1], [0.82, 1.0, 0.95, 0.62]) * closing
     middle = H * np.interp(t, [-1, -0.3, 0.4, 1], [0.10, 0.0, -0.02, -0.18])
     unit = shapes.circle(28, 2.9)
@@ -417,9 +450,6 @@ def _add_shell_body(out: Pieces, plan: _Plan) -> None:
     rings[:, :, 1] = wide[:, None] * unit[:, 0]
     rings[:, :, 2] = middle[:, None] + tall[:, None] * unit[:, 1]
     out.add("shell", shapes.loft(rings, start=(-L, 0, middle[0]), end=(L, 0, middle[-1])))
-
-    def flank(x: float) -> float:
-        return float(np.interp(x / L, t, wide))
 
     # Canopy: a raised spine from the nose to the battery.
     s = np.sin(np.linspace(-1, 1, 11) * math.pi / 2 * 0.96)
@@ -433,6 +463,9 @@ def _add_shell_body(out: Pieces, plan: _Plan) -> None:
     ]
     out.add("shell", shapes.loft(rings, start=(-0.02 * L, 0, 0.66 * H), end=(0.82 * L, 0, 0.2 * H)))
 
+
+def _add_shell_battery(out: Pieces, plan: _Plan) -> None:
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
     pack_l, pack_w, pack_h = 0.88 * L, 1.30 * W, 1.05 * H
     x, z = -0.50 * L, 0.68 * H
     if plan.p["batteries"] == 1:
@@ -447,28 +480,28 @@ def _add_shell_body(out: Pieces, plan: _Plan) -> None:
         one = shapes.box((pack_l, 0.47 * pack_w, pack_h), 0.16 * H, corner=0.2 * W, steps=3)
         out.add_both_sides("battery", shapes.moved(one, (x, 0.26 * pack_w, z)))
 
-    # Outlets: slats along both sides and across the tail.
+
+def _add_shell_outlets(out: Pieces, plan: _Plan) -> None:
+    """Add slats along both sides and across the tail."""
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
+    t, wide = _shell_sections(plan)
     for k in range(5):
         x = L * (-0.30 + 0.095 * k)
+        flank = float(np.interp(x / L, t, wide))
         slat = shapes.box((0.035 * L, 0.05 * W, 0.55 * H), 0.01 * H)
-        out.add_both_sides("vent", shapes.moved(slat, (x, flank(x), -0.10 * H)), smooth=False)
+        out.add_both_sides("vent", shapes.moved(slat, (x, flank, -0.10 * H)), smooth=False)
     for k in (-1, 0, 1):
         slat = shapes.box((0.05 * L, 0.9 * W, 0.09 * H), 0.02 * H)
         out.add("vent", slat, at=(-0.985 * L, 0, (0.1 + 0.22 * k) * H), smooth=False)
 
-    # Obstacle sensors at the nose and the tail, facing along X.
+
+def _add_shell_sensors(out: Pieces, plan: _Plan) -> None:
+    """Add obstacle sensors at the nose and the tail, facing along X, and a cooling plate below the belly."""
+    L, W, H = plan.half_length, plan.half_width, plan.half_height
     eye = shapes.placed(shapes.cylinder(0.11 * W, -0.10 * L, 0.0, 14, 0.02 * W), shapes.turn_y(math.pi / 2))
     out.add_both_sides("lens", shapes.moved(eye, (0.945 * L, 0.40 * W, 0.05 * H)))
     out.add_both_sides("lens", shapes.moved(shapes.mirrored(eye, 0), (-0.93 * L, 0.55 * W, 0.28 * H)))
-    # Belly: cooling plate and downward sensors.
     out.add("vent", shapes.box((0.7 * L, 1.0 * W, 0.12 * H), 0.03 * H), at=(-0.2 * L, 0, -0.96 * H), smooth=False)
-    if plan.p["arm"] == "moulded":
-        for x, y in plan.roots_xy.tolist():
-            # Hinges of the folding arms.
-            hinge = shapes.cylinder(
-                1.5 * plan.arm_half_width, -1.5 * plan.arm_half_height, 1.6 * plan.arm_half_height, 18, 0.004
-            )
-            out.add("shell", hinge, at=(1.12 * x, 1.45 * y, plan.root_z))
 
 
 def _plate_outline(L: float, W: float, waist: float) -> FloatArray:
@@ -611,11 +644,14 @@ def _add_gimbal(out: Pieces, plan: _Plan) -> None:
     """Add a three-axis gimbal at the nose: yaw motor, arm, roll motor, arm, camera with its lens."""
     body = plan.p["body"]
     if body == "shell":
-        s, at = 0.042, np.array([0.90 * plan.half_length, 0.0, -1.05 * plan.half_height])
+        s = 0.042
+        at = np.array([0.90 * plan.half_length, 0.0, -1.05 * plan.half_height])
     elif body == "plate":
-        s, at = 0.046, np.array([0.62 * plan.half_length, 0.0, -plan.half_height - 0.085])
+        s = 0.046
+        at = np.array([0.62 * plan.half_length, 0.0, -plan.half_height - 0.085])
     else:
-        s, at = 0.058, np.array([0.80 * plan.half_length, 0.0, -plan.half_height - 0.095])
+        s = 0.058
+        at = np.array([0.80 * plan.half_length, 0.0, -plan.half_height - 0.095])
     roof = -plan.half_height - at[2]
     yaw = shapes.cylinder(0.52 * s, max(0.75 * s, 0.4 * roof), max(roof, 0.8 * s) + 0.4 * s, 14, 0.06 * s)
     out.add("gimbal", yaw, at=(float(at[0] - 0.9 * s), 0.0, float(at[2])))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -64,7 +63,7 @@ OPTIONS: Mapping[str, str] = {
 }
 
 
-def sample_params(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+def sample_params(rng: np.random.Generator, options: Params) -> Params:
     """Draw the parameters of one drone of any shape, JSON values only."""
     _CHECKS.known("option", options, tuple(OPTIONS))
     odds = [shape.odds for shape in SHAPES.values()]
@@ -107,7 +106,7 @@ def _is_level(shape: Shape) -> bool:
     return shape.model is drone.MODEL
 
 
-def _own(params: Params) -> dict[str, Any]:
+def _own(params: Params) -> Params:
     other = {"shape", *(TILT_DEG if _is_level(_shape(params)) else ())}
     return {k: v for k, v in params.items() if k not in other}
 

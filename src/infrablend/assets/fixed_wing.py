@@ -291,5 +291,8 @@ def _add_camera(out: Pieces, at: tuple[float, float, float]) -> None:
 MODEL = aircraft(
     "fixed-wing",
     "A fixed-wing drone of foam with a tail or twin booms, or a flying wing, and one electric motor.",
-    PARTS, DIALS, build_fixed_wing, parts_for,
-)  # fmt: skip
+    PARTS,
+    DIALS,
+    build_fixed_wing,
+    parts_for,
+)

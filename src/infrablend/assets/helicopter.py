@@ -191,5 +191,9 @@ def _add_gear(out: Pieces, wheels: bool, ends: tuple[float, float], wide: float,
 MODEL = aircraft(
     "helicopter",
     "A helicopter in flight: light, medium or heavy, with main rotor, tail boom, tail rotor and hot exhausts.",
-    PARTS, DIALS, build_helicopter, parts_for, "helicopter",
-)  # fmt: skip
+    PARTS,
+    DIALS,
+    build_helicopter,
+    parts_for,
+    "helicopter",
+)

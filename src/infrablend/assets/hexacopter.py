@@ -182,7 +182,8 @@ def _add_legs(out: Pieces, p: Params, radius: float) -> None:
 
 def _add_camera(out: Pieces, pitch_deg: float) -> None:
     """Add a payload in a yoke below the hub: yaw motor, two arms, camera with its lens."""
-    s, z = 0.042, -0.15
+    s = 0.042
+    z = -0.15
     out.add("gimbal", shapes.cylinder(0.9 * s, -0.075, -0.035, 16, 0.004))
     bridge = [(0.0, -1.35 * s, z + 1.2 * s), (0.0, 1.35 * s, z + 1.2 * s)]
     out.add("gimbal", shapes.sweep(bridge, 0.35 * s, 0.25 * s, n=10, round_ends=True))
@@ -216,5 +217,8 @@ def _add_masts(out: Pieces, p: Params, radius: float, top: float) -> None:
 MODEL = multirotor(
     "hexacopter",
     "A hexacopter: six arms around a round hub, propellers still or spinning, legs down or raised.",
-    PARTS, DIALS, _rotors, build_pieces,
-)  # fmt: skip
+    PARTS,
+    DIALS,
+    _rotors,
+    build_pieces,
+)

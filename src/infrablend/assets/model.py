@@ -94,7 +94,8 @@ class PartRange:
     sheltered: bool = False
 
     def __post_init__(self) -> None:
-        (cold, warm), (low, high) = self.delta_t_k, self.emissivity
+        cold, warm = self.delta_t_k
+        low, high = self.emissivity
         if not cold <= warm:
             raise ValueError(f"delta_t_k {self.delta_t_k}: the low end must not be above the high end")
         if not 0 <= low <= high <= 1:
@@ -121,9 +122,16 @@ def part_role(
     """
     m = MATERIALS[kind]
     return PartRange(
-        delta_t_k, emissivity or m.emissivity, label, what, m.ior if ior is None else ior, kind, m.roughness, m.metal,
+        delta_t_k,
+        emissivity or m.emissivity,
+        label,
+        what,
+        m.ior if ior is None else ior,
+        kind,
+        m.roughness,
+        m.metal,
         opacity,
-    )  # fmt: skip
+    )
 
 
 def warm_ground_role(
@@ -177,14 +185,14 @@ class ObjectModel:
     origin: str
     stands: bool
     parts: Mapping[str, PartRange]
-    sample: Callable[[np.random.Generator, Params], dict[str, Any]]
+    sample: Callable[[np.random.Generator, Params], Params]
     build: Callable[[Params], Mesh]
     options: Mapping[str, str] = field(default_factory=dict)
     parts_for: Callable[[Params], Mapping[str, PartRange]] | None = None
     casts_shadow: Callable[[Params], bool] | None = None
     surfaces: Affinity = field(default_factory=lambda: GROUND)
     needs: Callable[[Params], Affinity | None] | None = None
-    animate: Callable[[Params, float], dict[str, Any]] | None = None
+    animate: Callable[[Params, float], Params] | None = None
     stride_m: Callable[[Params], float] | None = None
     cycle_hz: Callable[[Params], float] | None = None
 

@@ -34,13 +34,13 @@ class Checks:
         """Return the error for an invalid value; `where` is, for example, `option pose`."""
         return ModelError(f"{self.model} model, {where}: found {found!r}; expected {expected}. {todo}")
 
-    def known(self, kind: str, given: Mapping[str, Any], allowed: Sequence[str]) -> None:
+    def known(self, kind: str, given: Params, allowed: Sequence[str]) -> None:
         """Raise ModelError if a given name is not among the allowed ones; `kind` is `option` or `parameter`."""
         unknown = sorted(set(given) - set(allowed))
         if unknown:
             raise self.bad(f"{kind} {unknown[0]}", given[unknown[0]], f"{kind}s " + ", ".join(allowed), "Remove it.")
 
-    def complete(self, params: Mapping[str, Any], needed: Sequence[str]) -> None:
+    def complete(self, params: Params, needed: Sequence[str]) -> None:
         """Raise ModelError if a needed parameter is missing."""
         for name in needed:
             if name not in params:
@@ -114,9 +114,7 @@ class Checks:
             raise self.bad(where, value, "true or false")
         return value
 
-    def choose(
-        self, name: str, options: Mapping[str, Any], allowed: Sequence[T], odds: Sequence[float], share: float
-    ) -> T:
+    def choose(self, name: str, options: Params, allowed: Sequence[T], odds: Sequence[float], share: float) -> T:
         """Return one of the allowed values, or of those that the option lists.
 
         Values that an option lists have equal odds unless it gives weights; `share` in [0, 1) selects the value.

@@ -23,12 +23,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from infrablend.assets import warm_ground
-from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
+from infrablend.assets.anatomy import Piece, above_water, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import (
     LOW_SUN,
@@ -69,7 +68,6 @@ from infrablend.assets.person_poses import (
 )
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_x, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
-from infrablend.assets.wading import above_water
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.surface_kinds import Affinity
 
@@ -593,7 +591,7 @@ def _seat(height: float) -> Piece:
     return _one_part("seat", moved(box((0.24, 0.34, height), 0.008), (0.02, 0.0, height / 2)))
 
 
-DEFAULTS: Mapping[str, Any] = {
+DEFAULTS: Params = {
     "pose": "standing",
     "variant": "upright",
     "arms": "natural",
@@ -637,7 +635,7 @@ _LIMITS: Mapping[str, tuple[float, float]] = {
 }
 
 
-def _checked(params: Params) -> dict[str, Any]:
+def _checked(params: Params) -> Params:
     """Return all parameters, checked, with defaults for missing ones."""
     _CHECKS.known("parameter", params, tuple(DEFAULTS))
     p = {**DEFAULTS, **params}
@@ -696,27 +694,13 @@ def build(params: Params) -> Mesh:
     """
     p = _checked(params)
     pose = skeleton(p["pose"], p["variant"], p["phase"])
-    girth = p["build"]
-    top = p["top"]
-    arms = pose.arms if p["arms"] == "natural" else ARM_PAIRS[p["arms"]]
     legs_factor, head_factor = _proportions(p)
-    bundled = p["clothing"] == "bundled"
-    pad = _PADDING[top] + (_LAYERS if bundled else 0.0)
-    sleeves = p["sleeves"] if top == "jacket" else "long"
-    # A hood under the back of someone who lies on it is flat.
-    hood_down = p["headwear"] != "hood" and top != "coat" and sleeves == "long" and pose.rests_on != "back"
-    trunk = [_upper(top, pad, arms, girth, pose.folded, hood_down, sleeves)]
-    hands = _hands(pad, arms, girth)
-    if hands is not None:
-        trunk.append(hands)
-    if p["backpack"]:
-        trunk.append(_backpack(top, pad, girth, not _lays_backpack(p)))
     lean = turn_y(pose.lean_rad + pose.loose * p["lean_rad"])
     if pose.tilt_rad[0]:
         lean = turn_x(-pose.tilt_rad[0]) @ lean
     hip = np.array([pose.hip[0], 0.0, pose.hip[1]]) * legs_factor
     at_hip = np.array([0.0, 0.0, HIP_Z])
-    pieces: list[Piece] = [((v - at_hip) @ lean.T + hip, t, parts) for v, t, parts in trunk]
+    pieces: list[Piece] = [((v - at_hip) @ lean.T + hip, t, parts) for v, t, parts in _trunk(p, pose)]
 
     v, t, parts = _head(p["headwear"], p["hair"])
     nod = pose.nod_rad + pose.loose * p["head_nod_rad"] + (0.30 if p["arms"] == "phone" else 0.0)
@@ -726,14 +710,7 @@ def build(params: Params) -> Mesh:
     neck = (NECK - at_hip) @ lean.T + hip
     pieces.append((v + neck, t, parts))
 
-    below = [_legs(pose, p["bottom"], girth, p["legs"], 0.5 * _LAYERS if bundled else 0.0), _shoes(pose)]
-    # A coat reaches lower than a skirt and hides it.
-    hanging = "coat" if top == "coat" else p["bottom"]
-    if hanging != "trousers":
-        below.append(_skirt(pose, hanging, girth))
-    if (p["pose"], p["variant"]) == ("sitting", "seat") and p["seat"]:
-        below.append(_seat(round(pose.hip[1] - 0.055, 4)))
-    pieces += [(legs_factor * v, t, parts) for v, t, parts in below]
+    pieces += [(legs_factor * v, t, parts) for v, t, parts in _below_hips(p, pose)]
 
     vertices, triangles, label = joined(pieces)
     middle = pose.middle_x
@@ -753,6 +730,39 @@ def build(params: Params) -> Mesh:
         vertices, triangles, label = above_water((vertices, triangles, label), level)
     mesh = finished((vertices, triangles, label), PART_NAMES, smooth=np.asarray(label != _NUMBER["seat"]))
     return warm_ground.with_warm_ground(mesh, p)
+
+
+def _trunk(p: Params, pose: Pose) -> list[Piece]:
+    """Return trunk and arms, hands and backpack of an upright person."""
+    girth = p["build"]
+    top = p["top"]
+    arms = pose.arms if p["arms"] == "natural" else ARM_PAIRS[p["arms"]]
+    pad = _PADDING[top]
+    if p["clothing"] == "bundled":
+        pad += _LAYERS
+    sleeves = p["sleeves"] if top == "jacket" else "long"
+    # A hood under the back of someone who lies on it is flat.
+    hood_down = p["headwear"] != "hood" and top != "coat" and sleeves == "long" and pose.rests_on != "back"
+    trunk = [_upper(top, pad, arms, girth, pose.folded, hood_down, sleeves)]
+    hands = _hands(pad, arms, girth)
+    if hands is not None:
+        trunk.append(hands)
+    if p["backpack"]:
+        trunk.append(_backpack(top, pad, girth, not _lays_backpack(p)))
+    return trunk
+
+
+def _below_hips(p: Params, pose: Pose) -> list[Piece]:
+    """Return legs and shoes with what hangs over them, and the seat of someone sitting on one."""
+    layers = 0.5 * _LAYERS if p["clothing"] == "bundled" else 0.0
+    pieces = [_legs(pose, p["bottom"], p["build"], p["legs"], layers), _shoes(pose)]
+    # A coat reaches lower than a skirt and hides it.
+    hanging = "coat" if p["top"] == "coat" else p["bottom"]
+    if hanging != "trousers":
+        pieces.append(_skirt(pose, hanging, p["build"]))
+    if (p["pose"], p["variant"]) == ("sitting", "seat") and p["seat"]:
+        pieces.append(_seat(round(pose.hip[1] - 0.055, 4)))
+    return pieces
 
 
 def needs(params: Params) -> Affinity | None:
@@ -776,7 +786,7 @@ def _scale(p: Params) -> float:
     return float(p["height_m"] / (float(NECK[2]) - (1.0 - legs) * HIP_Z + head * top))
 
 
-def animate(params: Params, phase: float) -> dict[str, Any]:
+def animate(params: Params, phase: float) -> Params:
     """Return the parameters of a walking, running, crawling or waving person at a phase; of others, as they are."""
     return {**params, "phase": moment(phase)} if moves(params["pose"]) else dict(params)
 
@@ -800,7 +810,7 @@ _RESTS = {
     "front": turn_y(math.pi / 2),
     "right side": turn_z(math.pi / 2) @ turn_x(math.pi / 2),
 }
-# A body and the ground give way: the lowest layer of a lying one, in units of its height, is this much thinner.
+# A body and the ground give way: the lowest layer of a lying one is this much thinner, both in units of its height.
 _LAYER = 0.060
 _SINKS = 0.024
 
@@ -835,7 +845,7 @@ def _head_turned(vertices: FloatArray, nod_rad: float, turn_rad: float) -> Float
     return out
 
 
-def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+def sample(rng: np.random.Generator, options: Params) -> Params:
     """Draw the parameters of one person, JSON values only.
 
     Every call takes the same numbers from `rng`, so fixing an option leaves the rest as it would have been drawn
@@ -922,8 +932,14 @@ def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
 
 _ODDS: Mapping[str, Mapping[str, float]] = {
     "pose": {
-        "standing": 0.38, "walking": 0.54, "sitting": 0.08, "lying": 0.08, "crouching": 0.06, "crawling": 0.03,
-        "waving": 0.04, "running": 0.06,
+        "standing": 0.38,
+        "walking": 0.54,
+        "sitting": 0.08,
+        "lying": 0.08,
+        "crouching": 0.06,
+        "crawling": 0.03,
+        "waving": 0.04,
+        "running": 0.06,
     },
     "variant": {v: 1.0 for p in POSES for v in VARIANTS[p]},
     "arms": {"natural": 0.56, "phone": 0.14, "call": 0.05, "bent": 0.09, "pockets": 0.16},
@@ -934,7 +950,7 @@ _ODDS: Mapping[str, Mapping[str, float]] = {
     "clothing": {"winter": 1.0, "light": 1.0, "bundled": 1.0},
     "lengths": dict.fromkeys(LENGTHS, 1.0),
     "water": dict.fromkeys(WATERS, 1.0),
-}  # fmt: skip
+}
 # What is drawn where no option says so; of other options, everything.
 _DRAWN: Mapping[str, tuple[str, ...]] = {
     "headwear": HEADWEAR[:-1],

@@ -452,7 +452,8 @@ def _step(gait: _Gait, phase: float) -> FloatArray:
 
 def _on_ground(gait: _Gait, phase: float) -> FloatArray:
     """Return x and z of the ankle and the pitch of a foot that rolls over the ground without sliding."""
-    share, (first, last) = phase / gait.stance, gait.flat
+    share = phase / gait.stance
+    first, last = gait.flat
     ramp = smoothstep(np.array([1.0 - share / first, (share - last) / (1.0 - last)]))
     toe_up = float(gait.toe_up_rad[0] * ramp[0] + gait.toe_up_rad[1] * ramp[1])
     x, z, radius = _HEEL if toe_up > 0 else _BALL

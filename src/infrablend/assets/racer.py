@@ -55,12 +55,14 @@ DIALS = Dials(
     },
 )
 
-# Half length and half width of the body; heights of the lower and the upper plate; half thickness of an arm.
+# Half length and half width of the body.
 _LENGTH = 0.215
 _WIDTH = 0.068
+# Heights of the lower and the upper plate, and their thickness.
 _LOW = 0.016
 _HIGH = 0.118
 _PLATE = 0.010
+# Half thickness of an arm.
 _ARM_HALF = 0.012
 
 
@@ -167,5 +169,8 @@ def _add_antennas(out: Pieces, p: Params, length: float) -> None:
 MODEL = multirotor(
     "racer",
     "A small FPV quadrotor with an open carbon frame that leans forward; propellers still or spinning.",
-    PARTS, DIALS, _rotors, build_pieces,
-)  # fmt: skip
+    PARTS,
+    DIALS,
+    _rotors,
+    build_pieces,
+)

@@ -12,13 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from infrablend.assets import shapes
-from infrablend.assets.model import ObjectModel, Params, PartRange, part_role
+from infrablend.assets.model import ObjectModel, Params, PartRange, Range, part_role
 from infrablend.assets.params import Dials
 from infrablend.assets.shapes import Solid
 from infrablend.core.mesh import FloatArray, IntArray, Mesh, make_mesh
@@ -30,14 +29,16 @@ PROPELLERS = ("still", "spinning")
 # Thin parts that stick out, and propellers, whose extent changes with their angle.
 OUTSIDE_ORIGIN_BOX = frozenset({"antenna", "propeller"})
 
-_DISC: Mapping[str, Any] = {"emissivity": (0.85, 0.94), "label": False, "opacity": 0.1}
+
+def _disc_role(delta_t_k: Range, why: str = "spinning blades") -> PartRange:
+    return part_role("plastic", delta_t_k, why, emissivity=(0.85, 0.94), label=False, opacity=0.1)
+
+
 DISC_PARTS: Mapping[str, PartRange] = {
-    "prop_disc_root": part_role("plastic", (0.0, 1.0), "spinning blades", **_DISC),
-    "prop_disc_inner": part_role("plastic", (0.0, 2.0), "spinning blades", **_DISC),
-    "prop_disc_outer": part_role("plastic", (0.5, 3.0), "spinning blades", **_DISC),
-    "prop_disc_tip": part_role(
-        "plastic", (1.0, 5.0), "spinning blades: recovery heating at 100 m/s is +4..+5 K", **_DISC
-    ),
+    "prop_disc_root": _disc_role((0.0, 1.0)),
+    "prop_disc_inner": _disc_role((0.0, 2.0)),
+    "prop_disc_outer": _disc_role((0.5, 3.0)),
+    "prop_disc_tip": _disc_role((1.0, 5.0), "spinning blades: recovery heating at 100 m/s is +4..+5 K"),
 }
 # Ring -> inner and outer radius as fractions of the propeller's radius.
 DISC_RINGS: Mapping[str, tuple[float, float]] = {

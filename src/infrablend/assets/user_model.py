@@ -51,10 +51,13 @@ Axis = Literal["X", "Y", "Z", "-X", "-Y", "-Z"]
 """Axis of a file."""
 # Axis that points up -> columns and signs of the vertices once Z points up: turns, not mirror images.
 _TURNS: Mapping[Axis, tuple[list[int], tuple[float, float, float]]] = {
-    "X": ([2, 1, 0], (-1.0, 1.0, 1.0)), "-X": ([2, 1, 0], (1.0, 1.0, -1.0)),
-    "Y": ([0, 2, 1], (1.0, -1.0, 1.0)), "-Y": ([0, 2, 1], (1.0, 1.0, -1.0)),
-    "Z": ([0, 1, 2], (1.0, 1.0, 1.0)), "-Z": ([0, 1, 2], (1.0, -1.0, -1.0)),
-}  # fmt: skip
+    "X": ([2, 1, 0], (-1.0, 1.0, 1.0)),
+    "-X": ([2, 1, 0], (1.0, 1.0, -1.0)),
+    "Y": ([0, 2, 1], (1.0, -1.0, 1.0)),
+    "-Y": ([0, 2, 1], (1.0, 1.0, -1.0)),
+    "Z": ([0, 1, 2], (1.0, 1.0, 1.0)),
+    "-Z": ([0, 1, 2], (1.0, -1.0, -1.0)),
+}
 SUFFIXES = (".glb", ".gltf", ".obj", ".fbx", ".usd", ".usda", ".usdc", ".usdz", ".blend")
 
 
@@ -99,9 +102,14 @@ class UserPart(Strict):
         """Return the ranges from which each frame draws."""
         if self.kind is not None:
             return part_role(
-                self.kind, self.delta_t_k, what, emissivity=self.emissivity, ior=self.ior, label=self.label,
+                self.kind,
+                self.delta_t_k,
+                what,
+                emissivity=self.emissivity,
+                ior=self.ior,
+                label=self.label,
                 opacity=self.opacity,
-            )  # fmt: skip
+            )
         assert self.emissivity is not None
         ior = 1.5 if self.ior is None else self.ior
         return PartRange(self.delta_t_k, self.emissivity, self.label, what, ior, opacity=self.opacity)
@@ -252,7 +260,7 @@ def load_user_model(path: Path) -> ObjectModel:
     mesh = _mesh(described, mesh_data, part_of_group, str(path))
     digest = cached.stem
 
-    def sample(rng: np.random.Generator, options: Params) -> dict[str, Any]:
+    def sample(rng: np.random.Generator, options: Params) -> Params:
         if options:
             raise ModelError(
                 f"model {path}: found option {sorted(options)[0]!r}; expected none: user models have none. Remove "

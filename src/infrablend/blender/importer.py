@@ -7,7 +7,7 @@ execution off. Lights and cameras are not read.
 from __future__ import annotations
 
 import resource
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from bpy_extras import image_utils
 
 from infrablend.blender.materials import GROUP_NAME
 from infrablend.blender.physical import GROUP_NAME as PHYSICAL_NAME
+from infrablend.core.wire import ModelFileMessage
 from infrablend.errors import ModelError
 
 # With more triangles, labels take seconds per frame.
@@ -63,12 +64,10 @@ _IMPORTERS: dict[str, Callable[[str], Any]] = {
 }
 
 
-def read_file(job: Mapping[str, Any]) -> dict[str, Any]:
+def read_file(job: ModelFileMessage) -> dict[str, object]:
     """Read a 3D file: triangles in world coordinates, Z up, metres, and named pieces.
 
-    Args:
-        job: `file`; `shown`, its name in messages; `known`, the files that its digest covers; `memory_bytes` and
-            `cpu_seconds`, limits of this process from now on.
+    The limits of memory and time hold for this process from now on.
 
     Returns:
         `arrays`: `vertices_m`, `triangles`, `group_of_triangle`, `smooth`. `groups`: a dict per piece, with the name of
@@ -110,13 +109,13 @@ def read_file(job: Mapping[str, Any]) -> dict[str, Any]:
     return _joined(pieces)
 
 
-def _joined(pieces: Sequence[_Piece]) -> dict[str, Any]:
+def _joined(pieces: Sequence[_Piece]) -> dict[str, object]:
     """Return the arrays and the named groups of all pieces."""
     vertices = []
     triangles = []
     groups = []
     smooth = []
-    facts: list[dict[str, Any]] = []
+    facts: list[dict[str, object]] = []
     index: dict[tuple[str, str], int] = {}
     offset = 0
     for v, t, t_smooth, t_material, object_name, materials in pieces:
@@ -245,7 +244,7 @@ def _is_copied_by_parent(thing: Any) -> bool:
     return False
 
 
-def _infrared(material: Any) -> dict[str, Any]:
+def _infrared(material: Any) -> dict[str, float | None]:
     """Return the values of a material's InfraredEffect node (of either look), None without one."""
     wanted = {"temperature_c": "Temperature", "emissivity": "Emissivity", "ior": "IOR"}
     wanted |= {"roughness": "Roughness", "metal": "Metal"}

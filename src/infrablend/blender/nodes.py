@@ -12,7 +12,8 @@ class Nodes:
 
     def __init__(self, tree: bpy.types.NodeTree) -> None:
         """Add to a tree; `new` and `link` are Blender's own functions."""
-        self.new, self.link = tree.nodes.new, tree.links.new
+        self.new = tree.nodes.new
+        self.link = tree.links.new
 
     def add(self, kind: str, **settings: Any) -> Any:
         """Add a node with settings and return it."""

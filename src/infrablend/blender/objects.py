@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 import bpy
 import numpy as np
@@ -16,8 +15,7 @@ import numpy as np
 from infrablend.blender import session
 from infrablend.blender.materials import aov_name, object_material
 from infrablend.blender.physical import set_world
-
-Message = Mapping[str, Any]
+from infrablend.core.wire import ObjectMessage, SceneMessage
 
 
 class ObjectScenes:
@@ -28,13 +26,8 @@ class ObjectScenes:
         self._stage = stage
         self._scene = stage.scene
 
-    def render(self, job: Message) -> dict[str, float]:
+    def render(self, job: SceneMessage) -> dict[str, float]:
         """Render the crops of a scene to `0.exr`, `1.exr`, ..., and return the seconds that the steps took.
-
-        Args:
-            job: `what`, for errors; `camera`, see `Stage.set_camera`; `crops`, each x0, y0, x1, y1 in pixels; `cycles`,
-                settings by name; `sky`, which surfaces mirror, see `physical.set_world`, or None in the artistic look;
-                `objects`, see `_object`.
 
         Raises:
             RenderError: Cycles failed.
@@ -78,16 +71,8 @@ class ObjectScenes:
             aov.type = "VALUE"
 
     @contextlib.contextmanager
-    def _object(self, number: int, given: Message, *, physical: bool) -> Iterator[None]:
-        """Put one object into the scene, and remove it and all its data at the end.
-
-        Args:
-            number: Number of the object in the scene.
-            given: `slot`, the number of the pass for its coverage; `vertices_m` (V, 3), `triangles` (T, 3), `smooth`
-                (T,); `values` (3T,) at the face corners by the name of the attribute, and `properties` of the object,
-                which `materials.object_material` lists; whether it is `translucent` and `two_sided`.
-            physical: Whether the look is physical.
-        """
+    def _object(self, number: int, given: ObjectMessage, *, physical: bool) -> Iterator[None]:
+        """Put the object with this number into the scene, and remove it and all its data at the end."""
         data = bpy.data.meshes.new(f"mesh_{number}")
         thing = None
         try:

@@ -122,7 +122,9 @@ def _pattern(nodes: Nodes, size_m: Any) -> Any:
     return nodes.math("MULTIPLY_ADD", noise.outputs["Fac"], 2.0, -1.0)
 
 
-def emission_alone(nodes: Nodes, celsius: Any, emissivity: Any, ior: Any, sky: Mapping[str, Any]) -> Any:
+def emission_alone(
+    nodes: Nodes, celsius: Any, emissivity: Any, ior: Any, sky: Mapping[str, bpy.types.NodeSocket]
+) -> Any:
     """Return the shader of a translucent surface, which emits its own radiance and the reflection of sky and ground.
 
     A scattering shader mixed with a Transparent node is sampled at random, which makes alpha and coverage noisy; an
@@ -180,7 +182,7 @@ def _build_world() -> bpy.types.World:
     return world
 
 
-def _sky(nodes: Nodes, up: Any, values: Mapping[str, Any]) -> Any:
+def _sky(nodes: Nodes, up: Any, values: Mapping[str, bpy.types.NodeSocket]) -> Any:
     """Return the radiance from a direction with this upward component; `values` holds a socket for each of `SKY`."""
     clear, air, cloud, cover, ground = (values[name] for name in SKY)
     cos = nodes.math("MAXIMUM", up, float(np.cos(np.radians(89.0))))

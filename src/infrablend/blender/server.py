@@ -14,14 +14,11 @@ import signal
 import socket
 import sys
 import traceback
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.wire import PROTOCOL, Wire
+from infrablend.core.wire import PROTOCOL, Message, Wire
 from infrablend.errors import InfraBlendError
-
-Job = Mapping[str, Any]
 
 
 def serve(descriptor: int) -> None:
@@ -53,11 +50,11 @@ class Jobs:
 
     _scenes: Any = None
 
-    def devices(self, _job: Job) -> dict[str, list[str]]:
+    def devices(self, _job: Message) -> dict[str, list[str]]:
         """Return the names of the GPUs that Cycles finds, by backend."""
         return _module("session").gpu_devices()  # type: ignore[no-any-return]
 
-    def open(self, job: Job) -> str:
+    def open(self, job: Message) -> str:
         """Prepare for scenes of a `kind` (`objects`, `world`) in `folder`; return the kind of device that was taken.
 
         They are rendered on `device`, and on the processor cores in `cores`; all if it is empty.
@@ -71,15 +68,15 @@ class Jobs:
         self._scenes = getattr(_module(module), name)(stage)
         return stage.device  # type: ignore[no-any-return]
 
-    def render(self, job: Job) -> dict[str, float]:
+    def render(self, job: Message) -> dict[str, float]:
         """Render a scene to the folder; return the seconds per step."""
         return self._scenes.render(job)  # type: ignore[no-any-return]
 
-    def read_file(self, job: Job) -> dict[str, Any]:
+    def read_file(self, job: Message) -> dict[str, object]:
         """Read a 3D file, see `importer.read_file`."""
         return _module("importer").read_file(job)  # type: ignore[no-any-return]
 
-    def write_infrared_effect(self, job: Job) -> None:
+    def write_infrared_effect(self, job: Message) -> None:
         """Write the node groups, see `materials.write_infrared_effect`."""
         _module("materials").write_infrared_effect(job)
 
@@ -89,7 +86,7 @@ def _module(name: str) -> Any:
     return importlib.import_module(f"infrablend.blender.{name}")
 
 
-def _outcome(jobs: Jobs, job: Job) -> dict[str, Any]:
+def _outcome(jobs: Jobs, job: Message) -> dict[str, object]:
     try:
         return {"answer": getattr(jobs, job["do"])(job)}
     except InfraBlendError as error:

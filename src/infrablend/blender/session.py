@@ -7,7 +7,6 @@ dither, denoising, sample clamping, soft pixel filter) would falsify thermal dat
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +14,15 @@ import bpy
 import mathutils
 import numpy as np
 
+from infrablend.core.wire import CameraMessage
 from infrablend.errors import MissingDependencyError, RenderError
 
 # `auto` tries them in this order.
 GPU_BACKENDS = ("OPTIX", "CUDA", "HIP", "ONEAPI", "METAL")
-# Parameter numbers from glibc's malloc.h. An eighth of this block size took 5 % more time and saved 4 MB.
+# Parameter numbers from glibc's malloc.h.
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_THRESHOLD = -3
+# An eighth of this block size took 5 % more time and saved 4 MB.
 _LARGE_BLOCK_BYTES = 2**20
 # Free memory at the end of the heap that stays with the process. With 1 MiB, a frame spent 13 of 74 ms on 10,000 pages
 # that it gave back and took again.
@@ -56,15 +57,14 @@ class Stage:
         settings.exr_codec = "NONE"
         s.render.use_file_extension = False
 
-    def set_camera(self, camera: Mapping[str, Any], oversample: int = 1) -> None:
+    def set_camera(self, camera: CameraMessage, oversample: int = 1) -> None:
         """Set the camera and the size of renders, in samples per pixel and direction.
 
         Blender raises a focal length or sensor width below 1 mm to 1 mm. Only their ratio counts, so both are scaled
         up.
 
         Args:
-            camera: `position_m` (3,); `world_to_camera` (3, 3), whose third row looks ahead and second row down;
-                `sensor_width_mm`, `focal_length_mm`; `size_wh`, pixels; `clip_m`, near and far limit.
+            camera: Its place, direction, lens, size in pixels, and near and far limit.
             oversample: Samples per pixel and direction.
         """
         data = self._camera.data
@@ -78,7 +78,8 @@ class Stage:
         matrix[:3, :3] = camera["world_to_camera"].T @ np.diag([1.0, -1.0, -1.0])
         matrix[:3, 3] = camera["position_m"]
         self._camera.matrix_world = mathutils.Matrix(matrix.tolist())
-        r, (w, h) = self.scene.render, camera["size_wh"]
+        r = self.scene.render
+        w, h = camera["size_wh"]
         r.resolution_x, r.resolution_y = w * oversample, h * oversample
 
     def render(self, what: str, number: int = 0) -> None:
@@ -125,8 +126,9 @@ def return_large_blocks() -> None:
 
 def pin_settings(scene: bpy.types.Scene) -> None:
     """Pin all settings that affect pixels: linear float output, no tone mapping, no filter wider than a pixel."""
-    scene.render.engine = "CYCLES"
-    r, c = scene.render, scene.cycles
+    r = scene.render
+    c = scene.cycles
+    r.engine = "CYCLES"
     r.film_transparent = True
     r.dither_intensity = 0.0
     r.use_compositing = False

@@ -6,7 +6,6 @@ light bounces, so a few samples per pixel are exact up to antialiasing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import bpy
@@ -15,10 +14,9 @@ import numpy as np
 
 from infrablend.blender import session
 from infrablend.blender.nodes import new_material
+from infrablend.core.wire import Message
 
 ATTRIBUTES = ("kelvin", "mirror", "solar_k", "grain_k")
-
-Message = Mapping[str, Any]
 
 
 class WorldScenes:

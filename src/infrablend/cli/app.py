@@ -16,7 +16,6 @@ from infrablend.cli import (
     camera_commands,
     dataset_commands,
     exits,
-    fetch_command,
     finished_run_commands,
     run_commands,
     shipped_commands,
@@ -66,7 +65,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "frames": camera_commands.frames,
     "temperatures": camera_commands.temperatures,
     "world": resolve(LAB_COMMANDS["world"]),
-    "fetch": fetch_command.fetch,
+    "fetch": dataset_commands.fetch,
     "studio": tuning_commands.studio,
     "doctor": shipped_commands.doctor,
 }
@@ -94,9 +93,13 @@ _GROUPS: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
 
 # Parameters that may be addresses of object storage, by command; all other paths are on this machine.
 _ADDRESSES = {
-    "generate": {"data", "out"}, "merge": {"sources", "data"}, "status": {"out"}, "rerender": {"data"},
-    "exclude": {"data"}, "include": {"data"},
-}  # fmt: skip
+    "generate": {"data", "out"},
+    "merge": {"sources", "data"},
+    "status": {"out"},
+    "rerender": {"data"},
+    "exclude": {"data"},
+    "include": {"data"},
+}
 
 
 class _Command(TyperCommand):

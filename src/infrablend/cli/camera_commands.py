@@ -168,9 +168,16 @@ def profile(
     """
     with shown_progress(session, "reading") as on_progress:
         report = api.profile(
-            data, out, count=count, time=time, name=name, against=against, rendered=rendered, reading=reading,
+            data,
+            out,
+            count=count,
+            time=time,
+            name=name,
+            against=against,
+            rendered=rendered,
+            reading=reading,
             on_progress=on_progress,
-        )  # fmt: skip
+        )
     show_result(session, report.to_json(), lambda: "\n".join(_profile_lines(report)))
     if report.problems:
         typer.echo("\n".join(problem_lines(report.problems, session.log_path)), err=True)

@@ -36,7 +36,6 @@ from infrablend.errors import (
     format_problems,
 )
 
-OK = 0
 PARTIAL = 1
 USAGE = 2
 ENVIRONMENT = 3

@@ -102,9 +102,14 @@ def exclude(
 
     with shown_progress(session, "excluding") as on_progress:
         changed = api.exclude(
-            run, frames or (), review=run / REVIEW_FILE if review else None, reason=reason or BY_HAND,
-            purge=purge, data=data, on_progress=on_progress,
-        )  # fmt: skip
+            run,
+            frames or (),
+            review=run / REVIEW_FILE if review else None,
+            reason=reason or BY_HAND,
+            purge=purge,
+            data=data,
+            on_progress=on_progress,
+        )
     _show_choice(changed, session)
 
 

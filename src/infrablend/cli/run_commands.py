@@ -106,19 +106,22 @@ def generate(
     part = shard_request(shard, shard_size)
     if price is not None and not plan:
         raise typer.BadParameter("used by --plan only; give both, or leave it out", param_hint="--price")
+    given = list(settings or [])
+    if to is not None:
+        given.append(f"output.formats=[{', '.join(to)}]")
     options: dict[str, Any] = {
         "selection": selection,
         "seed": seed,
-        "settings": [*(settings or []), *([] if to is None else [f"output.formats=[{', '.join(to)}]"])],
+        "settings": given,
         "reading": reading,
         "execution": execution,
         "existing": earlier_output(resume, overwrite),
     }
     if plan:
         planned = api.plan(recipe, data, out, **options, shard=part, price_per_core_hour=price).to_json()
-        dropped = planned.get("dropped_fields")  # by name in --json
         brief = {k: v for k, v in planned.items() if k != "warnings"}
-        brief["dropped_fields"] = len(dropped) if dropped else None
+        dropped = planned.get("dropped_fields")
+        brief["dropped_fields"] = len(dropped) if dropped else None  # --json has their names
         show_result(session, planned, lambda: table(facts(brief)))
         if not session.json:
             print_warnings(planned.get("warnings", []), "all with --json")
@@ -136,7 +139,7 @@ def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None
     if text is None:
         return None if size is None else api.ShardRequest(size=size)
     number, slash, count = text.partition("/")
-    numbers = [number, *([count] if slash else [])]
+    numbers = [number, count] if slash else [number]
     if not all(n.isascii() and n.isdigit() and len(n) < 10 for n in numbers):
         raise typer.BadParameter(f"{text!r}: write I/N, such as 2/7, or I with --shard-size", param_hint="--shard")
     try:
@@ -148,7 +151,9 @@ def shard_request(text: str | None, size: int | None) -> api.ShardRequest | None
 def _show_run(report: api.RunReport, session: Session) -> None:
     record = report.record_file or report.out / "run.json"
     page = report.out / "report.html"
-    rows = _run_rows(report.counts) | ({"report": str(page)} if page.is_file() else {})
+    rows = _run_rows(report.counts)
+    if page.is_file():
+        rows["report"] = str(page)
     lines = [table(rows), *loss_lines(report.losses), shown(report.out)]
     show_report(session, report, record, report.to_json(), lambda: "\n".join(lines).lstrip("\n"))
 
@@ -215,8 +220,11 @@ def _state_lines(states: Sequence[api.ShardState], counts: Counter[str]) -> list
     rest = [s for s in states if s.state != "done"]
     for s in rest[:_SHOWN]:
         lines.append(f"shard {s.shard}: {s.state}, {s.damage or f'{s.finished} of {s.frames} frames'}")
-        lines += [f"  {s.command}"] * bool(s.command)
-    return lines + [f"... and {len(rest) - _SHOWN} more (--json lists all)"] * (len(rest) > _SHOWN)
+        if s.command:
+            lines.append(f"  {s.command}")
+    if len(rest) > _SHOWN:
+        lines.append(f"... and {len(rest) - _SHOWN} more (--json lists all)")
+    return lines
 
 
 def submit(
@@ -286,7 +294,8 @@ def parse_generate(ctx: typer.Context, words: Sequence[str]) -> dict[str, Any]:
     command = root.commands["generate"]
     given: dict[str, Any] = command.make_context("infrablend submit ... --", list(words)).params
     normal = {p.name: p.default for p in command.params}
-    if wrong := [option for key, option in _OURS.items() if (given[key] or None) != (normal[key] or None)]:
+    wrong = [option for key, option in _OURS.items() if (given[key] or None) != (normal[key] or None)]
+    if wrong:
         raise typer.BadParameter(f"{', '.join(wrong)}: the jobs set it themselves; leave it out")
     api.FrameSelection(given["limit"], given["sample"], given["frames"], given["pictures"])
     api.Reading(val_share=given["val_share"])

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
 from infrablend.core.capture import TimeOfDay
-from infrablend.core.class_names import known_class
+from infrablend.core.dataset import known_class
+from infrablend.core.outline import ring_levels
 from infrablend.core.quantiles import percentile
-from infrablend.core.rings import ring_levels
 
 # Boxes nearer to the frame's edge are not measured.
 EDGE_PX = 3

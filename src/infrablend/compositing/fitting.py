@@ -136,7 +136,7 @@ class SurveySummary:
     blockiness: float | None
     steps: NDArray[np.float64] | None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the rounded figures as plain JSON values."""
         plain: dict[str, Any] = {
             "edges": len(self.sigmas_px),

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from infrablend.compositing.mapping import GreyImage, grey_unit
 from infrablend.core.boxes import boxes_mask, pixel_box
 from infrablend.core.capture import TimeOfDay
-from infrablend.core.class_names import known_class
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Instance, known_class
 from infrablend.core.quantiles import percentile
 from infrablend.thermal.radiometry import band_radiance_slope, radiance_at
 

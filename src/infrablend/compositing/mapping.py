@@ -81,7 +81,7 @@ class GreyMapping:
             grey = np.clip(grey, low * alpha, high * alpha)
         return np.asarray(grey, np.float32)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         plain: dict[str, Any] = {"dark": self.dark, "bright": self.bright}
         if self.limits is not None:

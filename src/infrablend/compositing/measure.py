@@ -239,10 +239,11 @@ def block_steps(picture: GreyImage) -> NDArray[np.float64] | None:
     signed = picture.astype(np.int32)
     across = np.abs(np.diff(signed, axis=1)).mean(axis=0)
     down = np.abs(np.diff(signed, axis=0)).mean(axis=1)
-    return np.array(
-        [0.5 * (across[(n - 1) % CODEC_BLOCK :: CODEC_BLOCK].mean() + down[(n - 1) % CODEC_BLOCK :: CODEC_BLOCK].mean())
-         for n in range(CODEC_BLOCK)]
-    )  # fmt: skip
+    steps = []
+    for n in range(CODEC_BLOCK):
+        at = slice((n - 1) % CODEC_BLOCK, None, CODEC_BLOCK)
+        steps.append(0.5 * (across[at].mean() + down[at].mean()))
+    return np.array(steps)
 
 
 def blockiness(steps: NDArray[np.float64]) -> float:

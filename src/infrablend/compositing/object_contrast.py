@@ -111,7 +111,7 @@ class Slope:
         low, high = np.percentile(self.draws, [2.5, 97.5])
         return float(low), float(high)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         low, high = self.interval
         return {

@@ -78,7 +78,7 @@ class Occluder:
     soft_grey: float
     visible: float
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {**asdict(self), "window": list(self.window)}
 
@@ -161,7 +161,8 @@ class Scenery:
         h, w = self.pixels.shape
         left, top, right, bottom = window
         room = width_px + 3
-        x0, y0, x1, y1 = max(left - room, 0), max(top - room, 0), min(right + room, w), min(bottom + room, h)
+        x0, y0 = max(left - room, 0), max(top - room, 0)
+        x1, y1 = min(right + room, w), min(bottom + room, h)
         grey = cv2.GaussianBlur(self.pixels[y0:y1, x0:x1].astype(np.float32), (0, 0), _SMOOTHING_PX)
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width_px, width_px))
         found = cv2.morphologyEx(grey, cv2.MORPH_TOPHAT if bright else cv2.MORPH_BLACKHAT, disc)
@@ -241,7 +242,8 @@ class Scenery:
         rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
         if not rows.size:
             return None
-        (x, y), (h, w) = offset_xy, self.pixels.shape
+        x, y = offset_xy
+        h, w = self.pixels.shape
         left = max(x + int(columns[0]) - _MARGIN_PX, 0)
         top = max(y + int(rows[0]) - _MARGIN_PX, 0)
         right = min(x + int(columns[-1]) + 1 + _MARGIN_PX, w)
@@ -262,7 +264,8 @@ class Scenery:
         whole = float(share.sum(dtype=np.float64))
 
         def at(limit: float) -> Occluder:
-            limit, soft = round(limit, 3), round(limit / 2, 3)
+            limit = round(limit, 3)
+            soft = round(limit / 2, 3)
             hidden = float((_matte_of(strength, limit, soft) * share).sum(dtype=np.float64)) / whole
             return Occluder((0, 0, 0, 0), True, 0, limit, soft, round(1 - hidden, 4))
 
@@ -333,11 +336,13 @@ def front_matte(
     not in front.
     """
     front = np.zeros(scenery.pixels.shape, np.float32)
-    (x, y), (h, w) = offset_xy, coverage.shape[1:]
+    x, y = offset_xy
+    h, w = coverage.shape[1:]
     for k, occluder in sorted(occluders.items()):
         left, top, right, bottom = occluder.window
         free = np.ones((bottom - top, right - left), np.bool_)
-        x0, y0, x1, y1 = max(left, x), max(top, y), min(right, x + w), min(bottom, y + h)
+        x0, y0 = max(left, x), max(top, y)
+        x1, y1 = min(right, x + w), min(bottom, y + h)
         if len(coverage) > 1 and x0 < x1 and y0 < y1:
             shared = coverage[:, y0 - y : y1 - y, x0 - x : x1 - x]
             most = np.delete(shared, k, axis=0).max(axis=0)
@@ -349,7 +354,8 @@ def front_matte(
 
 def put_behind(layer: Layer, front: Share) -> Layer:
     """Return the layer as far as it is visible behind what is in front, a share (h, w) per pixel of the picture."""
-    (x, y), (h, w) = layer.offset_xy, layer.alpha.shape
+    x, y = layer.offset_xy
+    h, w = layer.alpha.shape
     seen = 1 - front[y : y + h, x : x + w]
     return replace(layer, grey=layer.grey * seen, alpha=layer.alpha * seen)
 

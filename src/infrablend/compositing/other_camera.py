@@ -17,7 +17,7 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.compositing.sensor import blurred, enhance, grain
 from infrablend.config.recipe import Randomise
 
-# Sigma of scattered light, of the detail enhancement and of the noise's grain, px.
+# Sigmas, px: of scattered light, of the detail enhancement, and of the noise's grain.
 _BLOOM_PX = 3.0
 _HALO_PX = 1.6
 _GRAIN_PX = 0.6
@@ -58,7 +58,7 @@ class OtherCamera:
         bits = int(rng.integers(round(rules.bits[0]), round(rules.bits[1]), endpoint=True))
         return cls(blur, bloom, gain, noise, int(rng.integers(1 << 31)), halo, inverted, bits, grey_unit)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return asdict(self)
 

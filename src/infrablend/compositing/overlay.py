@@ -72,7 +72,8 @@ def make_layer(
     crop grows by the blur's reach and is clipped to the frame. Light that the blur carries across the frame's edge is
     lost, as in a camera. Pixels at the edge do not get darker, because grey and alpha lose the same share.
     """
-    (x0, y0), (w, h) = result.offset_xy, result.frame_wh
+    x0, y0 = result.offset_xy
+    w, h = result.frame_wh
     if not result.alpha.size:
         return Layer((0, 0), np.zeros((0, 0), np.float32), np.zeros((0, 0), np.float32))
     grey = mapping.apply(result.radiance, result.alpha, (x0, y0))
@@ -215,5 +216,6 @@ def blend(background: GreyImage, layer: Layer) -> NDArray[np.float64]:
 
 def _covered(layer: Layer) -> tuple[slice, slice]:
     """Return the rows and columns of the frame that the layer covers."""
-    (x0, y0), (rows, columns) = layer.offset_xy, layer.alpha.shape
+    x0, y0 = layer.offset_xy
+    rows, columns = layer.alpha.shape
     return slice(y0, y0 + rows), slice(x0, x0 + columns)

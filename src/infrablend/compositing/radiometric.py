@@ -156,7 +156,8 @@ def compose_radiance(
     The layer is radiance at the sensor after the optics' blur. Only the noise of the sensor's chain is applied, in
     counts.
     """
-    (x0, y0), (rows, columns) = layer.offset_xy, layer.alpha.shape
+    x0, y0 = layer.offset_xy
+    rows, columns = layer.alpha.shape
     picture = background.copy()
     part = picture[y0 : y0 + rows, x0 : x0 + columns]
     touched = (layer.alpha > 0) | (layer.grey != 0)

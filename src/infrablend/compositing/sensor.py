@@ -111,7 +111,7 @@ class Sensor:
         """Return the sigma to blur the render with; `softness_px` is the recipe's, for chains without optics."""
         return math.hypot(softness_px if self.blur_sigma_px is None else self.blur_sigma_px, self.defocus_sigma_px)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         plain = asdict(self)
         return {**plain, "limits": None if self.limits is None else list(self.limits)}

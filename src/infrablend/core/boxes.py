@@ -350,7 +350,8 @@ def rectangle_along(points_xy: FloatArray, direction_xy: FloatArray) -> FloatArr
     u = np.asarray(direction_xy, np.float64) / length
     v = np.array([-u[1], u[0]])
     a, b = points_xy @ u, points_xy @ v
-    a0, a1, b0, b1 = a.min(), a.max(), b.min(), b.max()
+    a0, a1 = a.min(), a.max()
+    b0, b1 = b.min(), b.max()
     return np.stack([a0 * u + b0 * v, a1 * u + b0 * v, a1 * u + b1 * v, a0 * u + b1 * v])
 
 
@@ -425,23 +426,7 @@ def smallest_rectangle_inside(points_xy: FloatArray, size_wh: tuple[int, int]) -
     a0, a1 = hull[along.argmin(axis=0)], hull[along.argmax(axis=0)]
     b0, b1 = hull[across.argmin(axis=0)], hull[across.argmax(axis=0)]
 
-    # The corner between the sides held by A (normal u) and B (normal v) is at (A.u) u + (B.v) v, which is
-    # x = (Ax + Bx)/2 + (Ax - Bx)/2 cos 2t + (Ay - By)/2 sin 2t and
-    # y = (Ay + By)/2 - (Ay - By)/2 cos 2t + (Ax - Bx)/2 sin 2t. For t in [0, pi/2] the leftmost corner is
-    # (a0, b1), the rightmost (a1, b0), the topmost (a0, b0) and the lowest (a1, b1).
-    def x_terms(a: FloatArray, b: FloatArray) -> FloatArray:
-        return np.stack([a[:, 0] + b[:, 0], a[:, 0] - b[:, 0], a[:, 1] - b[:, 1]]) / 2
-
-    def y_terms(a: FloatArray, b: FloatArray) -> FloatArray:
-        return np.stack([a[:, 1] + b[:, 1], b[:, 1] - a[:, 1], a[:, 0] - b[:, 0]]) / 2
-
-    # Distance of each of the four corners to the frame's side, as p + q cos 2t + r sin 2t; negative is outside.
-    w, h = size
-    shift_w, shift_h = np.array([[w], [0.0], [0.0]]), np.array([[h], [0.0], [0.0]])
-    room = np.stack(
-        [x_terms(a0, b1), y_terms(a0, b0), shift_w - x_terms(a1, b0), shift_h - y_terms(a1, b1)], axis=1
-    )  # (3, 4, intervals)
-    p, q, r = room
+    p, q, r = _room_of_corners(a0, a1, b0, b1, size)
     radius = np.hypot(q, r)
     with np.errstate(divide="ignore", invalid="ignore"):
         spread = np.arccos(-p / radius)  # NaN where the corner never touches the side
@@ -462,6 +447,36 @@ def smallest_rectangle_inside(points_xy: FloatArray, size_wh: tuple[int, int]) -
     scale = float(np.ptp(hull, axis=0).max()) ** 2
     best = candidates[area <= area.min() * (1 + _TIE) + _TIE * scale].min()
     return np.clip(_rectangle_at(hull, float(best)), 0.0, size)
+
+
+def _room_of_corners(a0: FloatArray, a1: FloatArray, b0: FloatArray, b1: FloatArray, size_wh: FloatArray) -> FloatArray:
+    """Return the distances of a rectangle's corners to the frame's sides while it turns by t; negative is outside.
+
+    The corner between the sides held by A (normal u) and B (normal v) is at (A.u) u + (B.v) v, which is
+    x = (Ax + Bx)/2 + (Ax - Bx)/2 cos 2t + (Ay - By)/2 sin 2t and
+    y = (Ay + By)/2 - (Ay - By)/2 cos 2t + (Ax - Bx)/2 sin 2t. For t in [0, pi/2] the leftmost corner is
+    (a0, b1), the rightmost (a1, b0), the topmost (a0, b0) and the lowest (a1, b1).
+
+    Args:
+        a0: (intervals, 2) points that hold the first side.
+        a1: Those of the side opposite to it.
+        b0: Those of the second side.
+        b1: Those of the side opposite to it.
+        size_wh: (2,) size of the frame.
+
+    Returns:
+        (3, 4, intervals): terms p, q and r of p + q cos 2t + r sin 2t for each of the four corners.
+    """
+
+    def x_terms(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.stack([a[:, 0] + b[:, 0], a[:, 0] - b[:, 0], a[:, 1] - b[:, 1]]) / 2
+
+    def y_terms(a: FloatArray, b: FloatArray) -> FloatArray:
+        return np.stack([a[:, 1] + b[:, 1], b[:, 1] - a[:, 1], a[:, 0] - b[:, 0]]) / 2
+
+    w, h = size_wh
+    shift_w, shift_h = np.array([[w], [0.0], [0.0]]), np.array([[h], [0.0], [0.0]])
+    return np.stack([x_terms(a0, b1), y_terms(a0, b0), shift_w - x_terms(a1, b0), shift_h - y_terms(a1, b1)], axis=1)
 
 
 def start_nearest(corners_xy: FloatArray, direction_xy: FloatArray) -> FloatArray:

@@ -64,7 +64,8 @@ class CameraSpec:
     @cached_property
     def world_to_camera(self) -> FloatArray:
         """(3, 3) rotation; rows are the camera's x, y, z axes in world coordinates."""
-        p, r = self.pitch_rad, self.roll_rad
+        p = self.pitch_rad
+        r = self.roll_rad
         right = np.array([1.0, 0.0, 0.0])
         forward = np.array([0.0, np.cos(p), -np.sin(p)])
         down = np.cross(forward, right)

@@ -115,9 +115,7 @@ class Capture:
     frame: int | None = field(
         default=None, metadata={"fact": Fact(_frame_number, "a whole number from 0", "sequence", type=int)}
     )
-    time_s: float | None = field(
-        default=None, metadata={"fact": replace(_number(0, 1e7, "seconds"), field="sequence")}
-    )  # fmt: skip
+    time_s: float | None = field(default=None, metadata={"fact": replace(_number(0, 1e7, "seconds"), field="sequence")})
     camera: str | None = field(default=None, metadata={"fact": Fact(_text, "a name")})
     radiometry: Radiometry | None = None
     time_from: Literal["recipe", "sun"] | None = field(default=None, repr=False)

@@ -137,10 +137,18 @@ def _yolo(name: str, title: str, holds: str, task: str, trains: LabelTask) -> Wr
     # YOLO's readers, Ultralytics' among them, put `labels` in place of the last `images` of a picture's path, and ours
     # takes no pictures from `labels`.
     return Writer(
-        name, title, frozenset(FIELDS) - {holds, "fractions", "telemetry", "sequence"}, {"task": task},
-        _set("dont_care without_mask"), "stems", _YOLO_TABLE, trains, "yolo", f"{name}.md",
+        name,
+        title,
+        frozenset(FIELDS) - {holds, "fractions", "telemetry", "sequence"},
+        {"task": task},
+        _set("dont_care without_mask"),
+        "stems",
+        _YOLO_TABLE,
+        trains,
+        "yolo",
+        f"{name}.md",
         misread=("images", "labels"),
-    )  # fmt: skip
+    )
 
 
 FORMATS: tuple[Format, ...] = (

@@ -34,7 +34,8 @@ class Mesh:
     closed_parts: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        v, t = self.vertices_m, self.triangles
+        v = self.vertices_m
+        t = self.triangles
         if v.ndim != 2 or v.shape[1] != 3 or v.dtype != np.float64:
             raise ValueError(f"vertices_m must be (V, 3) float64, got {v.shape} {v.dtype}")
         if t.ndim != 2 or t.shape[1] != 3 or t.dtype != np.int32:

@@ -121,7 +121,8 @@ def _spans(corners: FloatArray, shape_hw: tuple[int, int]) -> _Spans:
         & (np.maximum(np.maximum(xa, xb), xc) > 0.5)
         & (np.minimum(np.minimum(xa, xb), xc) <= columns - 0.5)
     )
-    first, count = first[used], (last - first)[used]
+    count = (last - first)[used]
+    first = first[used]
     xa = xa[used]
     xb = xb[used]
     xc = xc[used]
@@ -143,7 +144,8 @@ def _spans(corners: FloatArray, shape_hw: tuple[int, int]) -> _Spans:
     triangle = np.repeat(np.arange(len(used)), count)
     row = np.arange(len(triangle)) - np.repeat(np.cumsum(count) - count, count) + first[triangle]
     at = row + 0.5
-    x0, y0, x1, y1 = xa[triangle], ya[triangle], xb[triangle], yb[triangle]
+    x0, y0 = xa[triangle], ya[triangle]
+    x1, y1 = xb[triangle], yb[triangle]
     on_long = x0 + (at - y0) * long_slope[triangle]
     below = at >= y1
     on_short = np.where(below, x1, x0) + (at - np.where(below, y1, y0)) * np.where(

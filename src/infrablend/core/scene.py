@@ -239,7 +239,7 @@ class SceneSpec:
         kept = tuple(o for k, o in enumerate(self.objects) if k not in gone)
         return replace(self, objects=kept, draws=draws, left_out=left_out)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         data: dict[str, Any] = _plain(self)
         del data["left_out"]

@@ -52,7 +52,7 @@ class Failure:
     problems: tuple[Problem, ...] = ()
     traceback: str = ""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values, without the traceback."""
         problems = [p.to_json() for p in self.problems]
         return {"kind": self.kind, "error": self.error, "message": self.message, "problems": problems}

@@ -55,7 +55,8 @@ def implausible_counts(counts: NDArray[Any], scale: TemperatureScale, ground: bo
 def describe_plausible(ground: bool) -> str:
     """Return the range of plausible medians in words."""
     low, high = (k - 273.15 for k in (GROUND_K if ground else PLAUSIBLE_K))
-    return f"a median between {low:.0f} and {high:.0f} degrees Celsius{' in pictures of the ground' * ground}"
+    text = f"a median between {low:.0f} and {high:.0f} degrees Celsius"
+    return f"{text} in pictures of the ground" if ground else text
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ class TemperatureScale:
             return self.unit
         return f"{self.slope_k:g} K per count, 0 = {self.offset_k:g} K"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values, from which `from_json` restores an equal scale."""
         return {"unit": self.unit, "slope_k": self.slope_k, "offset_k": self.offset_k}
 

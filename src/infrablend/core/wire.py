@@ -12,13 +12,71 @@ import contextlib
 import json
 import socket
 import struct
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 PROTOCOL = 1
 """Version of the messages; both sides must have the same."""
+
+Message = Mapping[str, Any]
+"""A message that arrived: what the other end sent, unchecked, as both ends are of one version."""
+
+
+class CameraMessage(TypedDict):
+    """A camera: `position_m` (3,), and `world_to_camera` (3, 3), whose third row looks ahead and second row down."""
+
+    position_m: NDArray[np.float64]
+    world_to_camera: NDArray[np.float64]
+    sensor_width_mm: float
+    focal_length_mm: float
+    size_wh: tuple[int, int]
+    clip_m: tuple[float, float]
+
+
+class ObjectMessage(TypedDict):
+    """An inserted object: its surface (V, 3), (T, 3), (T,), and what renders it.
+
+    `slot` is the number of the pass for its coverage; `values` (3T,) are at the face corners, by the name of the
+    attribute, and `properties` are of the object; `blender.materials.object_material` lists both.
+    """
+
+    slot: int
+    vertices_m: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    smooth: NDArray[np.bool_]
+    values: Mapping[str, NDArray[np.float32]]
+    properties: Mapping[str, float]
+    translucent: bool
+    two_sided: bool
+
+
+class SceneMessage(TypedDict):
+    """A scene of inserted objects.
+
+    `what` is for errors; each of `crops` is x0, y0, x1, y1 in pixels; `cycles` are settings by name; `sky` is what
+    surfaces mirror, see `blender.physical.set_world`, or None in the artistic look.
+    """
+
+    what: str
+    camera: CameraMessage
+    crops: Sequence[tuple[int, int, int, int]]
+    cycles: Mapping[str, object]
+    sky: Mapping[str, float] | None
+    objects: Sequence[ObjectMessage]
+
+
+class ModelFileMessage(TypedDict):
+    """A 3D file to read: `shown`, its name in messages; `known`, the files that its digest covers; limits."""
+
+    file: str
+    shown: str
+    known: Sequence[str]
+    memory_bytes: int
+    cpu_seconds: int
+
 
 _LENGTH = struct.Struct("!Q")
 _MOST_TEXT = 1 << 28
@@ -31,7 +89,7 @@ class Wire:
         """Send and receive on a connected stream socket, which belongs to this object from now on."""
         self._socket = end
 
-    def send(self, message: Mapping[str, Any]) -> None:
+    def send(self, message: Mapping[str, object]) -> None:
         """Send a message: JSON values and arrays of numbers.
 
         Raises:
@@ -51,7 +109,7 @@ class Wire:
             if array.size:
                 self._socket.sendall(array.data.cast("B"))
 
-    def receive(self, limit_s: float | None = None) -> dict[str, Any]:
+    def receive(self, limit_s: float | None = None) -> Message:
         """Return the next message.
 
         Raises:
@@ -61,7 +119,7 @@ class Wire:
         self._socket.settimeout(limit_s)
         arrays: list[np.ndarray[Any, Any]] = []
 
-        def made(value: dict[str, Any]) -> Any:
+        def made(value: dict[str, Any]) -> object:
             if value.keys() != {"array", "shape"}:
                 return value
             arrays.append(np.empty(value["shape"], np.dtype(value["array"])))
@@ -70,7 +128,7 @@ class Wire:
         (length,) = _LENGTH.unpack(self._fill(bytearray(_LENGTH.size)))
         if length > _MOST_TEXT:
             raise EOFError(f"a message of {length} bytes")
-        message: dict[str, Any] = json.loads(bytes(self._fill(bytearray(length))), object_hook=made)
+        message: Message = json.loads(bytes(self._fill(bytearray(length))), object_hook=made)
         for array in arrays:
             if array.size:
                 self._fill(array.data.cast("B"))

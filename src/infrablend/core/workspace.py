@@ -125,7 +125,10 @@ class Workspace:
         with _reported(self.folder):
             for name in sorted(names):
                 path = self.folder / name
-                shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+                if path.is_dir() and not path.is_symlink():
+                    shutil.rmtree(path)
+                else:
+                    path.unlink()
 
     def discard(self) -> None:
         """Delete the workspace: nothing of this call is worth keeping."""

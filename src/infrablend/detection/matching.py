@@ -22,9 +22,14 @@ from infrablend.detection.truth import Case, Truth, long_sides
 
 IOUS: FloatArray = np.linspace(0.5, 0.95, 10)
 SIZE_BINS = {
-    "all": (0.0, float("inf")), "<8": (0.0, 8.0), "8-16": (8.0, 16.0), "16-32": (16.0, 32.0), "32-64": (32.0, 64.0),
-    "64-128": (64.0, 128.0), ">=128": (128.0, float("inf")),
-}  # fmt: skip
+    "all": (0.0, float("inf")),
+    "<8": (0.0, 8.0),
+    "8-16": (8.0, 16.0),
+    "16-32": (16.0, 32.0),
+    "32-64": (32.0, 64.0),
+    "64-128": (64.0, 128.0),
+    ">=128": (128.0, float("inf")),
+}
 """Half-open ranges of the longer side, px. HIT-UAV's people are 10 to 30 px, its cars 20 to 80 px."""
 
 BoolArray = NDArray[np.bool_]
@@ -113,7 +118,8 @@ def match_image(
         The (a, t, n) `right` and (a, t, n) `neutral` of `ClassMatches`.
     """
     n, g = overlap.shape
-    a, t = len(away), len(ious)
+    a = len(away)
+    t = len(ious)
     right = np.zeros((a, t, n), np.bool_)
     neutral = np.zeros((a, t, n), np.bool_)
     if not n or not g:
@@ -131,7 +137,8 @@ def match_image(
         hit = rank[at_a, at_t, best] > 0
         label = near[best]
         counts = hit & ~away[at_a, label]
-        right[:, :, d], neutral[:, :, d] = counts, hit & ~counts
+        right[:, :, d] = counts
+        neutral[:, :, d] = hit & ~counts
         taken[at_a, at_t, label] |= hit
     return right, neutral
 
@@ -153,7 +160,8 @@ def overlaps(found: Detections, truth: Truth, task: Task) -> FloatArray:
         return np.zeros((len(found), len(truth.boxes_xyxy)))
     if task == "segment":
         assert found.masks is not None and truth.masks is not None
-        d, g = [m.to_coco() for m in found.masks], [m.to_coco() for m in truth.masks]
+        d = [m.to_coco() for m in found.masks]
+        g = [m.to_coco() for m in truth.masks]
         return np.asarray(_coco.iou(d, g, truth.ignore.astype(np.uint8).tolist()), np.float64)
     if task == "obb":
         assert found.corners_xy is not None and truth.corners_xy is not None

@@ -227,7 +227,8 @@ def predict(
         for group in _batches(images, detector, scale.image_size, at_once, problems):
             ours = _run(detector, group)
             for (image, picture), its in zip(group, ours, strict=True):
-                found[image_key(image)], sizes[image_key(image)] = its, picture.size_wh
+                found[image_key(image)] = its
+                sizes[image_key(image)] = picture.size_wh
             if on_image is not None:
                 on_image(len(found) + len(problems), len(images))
     if problems:
@@ -428,7 +429,8 @@ def _masks(rows: Any, picture: _Picture, prototypes: Any) -> tuple[Any, list[Mas
     from ultralytics.utils import ops
 
     height, width = picture.pixels.shape[:2]
-    (left, top), (w, h) = picture.pad_xy, picture.size_wh
+    left, top = picture.pad_xy
+    w, h = picture.size_wh
     made = []
     kept = []
     inner_w, inner_h = round(w * picture.scale_xy[0]), round(h * picture.scale_xy[1])

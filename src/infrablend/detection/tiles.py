@@ -187,9 +187,10 @@ def write_tiles(tiles: Iterable[Tile], folder: Path) -> tuple[list[ImageRecord],
             if label is not None:
                 labels.append(label)
                 counts["labels_cut"] += bool(label.truncated and not instance.truncated)
-            elif _area(np.concatenate([np.maximum(instance.box_xyxy[:2], window[:2]),
-                                       np.minimum(instance.box_xyxy[2:], window[2:])])) > 0:  # fmt: skip
-                counts["labels_left_out"] += 1
+            else:
+                low = np.maximum(instance.box_xyxy[:2], window[:2])
+                high = np.minimum(instance.box_xyxy[2:], window[2:])
+                counts["labels_left_out"] += bool(_area(np.concatenate([low, high])) > 0)
         counts["labels"] += len(labels)
         counts["tiles_reduced"] += tile.span_px != tile.side_px
         record = replace(image, id=Path(name).stem, path=path, size_wh=(tile.side_px, tile.side_px), file_name=name)

@@ -242,7 +242,8 @@ def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | None]:
     """Return the facts of a row, or what is wrong with it."""
-    known = {name: text for name in FACTS if (text := str("" if (v := row.get(name)) is None else v).strip())}
+    known = {name: str(row[name]).strip() for name in FACTS if row.get(name) is not None}
+    known = {name: text for name, text in known.items() if text}
     values: dict[str, Any] = {}
     for name, text in known.items():
         try:

@@ -42,11 +42,12 @@ _LEAST_MARK_PX = 4
 _MOST_MARKED = 0.25
 _MOST_MARKS = 200
 _MARGIN_PX = 2
-# A line of a reticle is along the picture's rows or columns, at most so wide, at least so long, has gaps of at most so
-# many px, and differs from both sides by this much, 8-bit levels.
+# A line of a reticle is along the picture's rows or columns: at most so wide and at least so long, px ...
 _LINE_PX = 3
 _LINE_LONG_PX = 32
+# ... with gaps of at most so many px ...
 _LINE_GAP_PX = 5
+# ... and it differs from both sides by this much, 8-bit levels.
 _LINE_ABOVE = 30.0
 
 

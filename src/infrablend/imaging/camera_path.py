@@ -25,13 +25,15 @@ the frame before again; `bridged` between the frames around it; `lost`: its back
 
 # Largest share of what a key says that a frame takes over.
 _MOST_TAKEN = 0.15
-# Where they differ by more than this, px, and by more than so many errors, the key is right if it fits at least this
-# share of the corners that the frame before fits: a flock moves alike in neighbouring frames only.
+# Where they differ by more than this, px, and by more than so many errors ...
 _APART_PX = 2.0
 _APART_ERRORS = 5.0
+# ... the key is right if it fits at least this share of the corners that the frame before fits: a flock moves alike in
+# neighbouring frames only.
 _AS_MANY = 0.6
-# Share of a key's corners that have to be in view for frames to be compared with it, and with a key of before.
+# Share of a key's corners that have to be in view for frames to be compared with it ...
 _IN_VIEW = 0.5
+# ... and with a key of before.
 _IN_VIEW_AGAIN = 0.6
 # A frame is the one before again, but for its coding, if their levels differ by less than this in the mean.
 _SAME_LEVELS = 0.15
@@ -189,9 +191,16 @@ def _relative(key: _Key, view: View, guess: Matrix) -> Moment | None:
     known = key.moment
     to_first = known.to_first @ np.linalg.inv(shift.matrix)
     return Moment(
-        known.span, "followed", to_first / to_first[2, 2], float(np.hypot(known.error_px, shift.error_px)),
-        shift.residual_px, shift.corners, shift.fitting, gain * known.gain, gain * known.offset + offset,
-    )  # fmt: skip
+        known.span,
+        "followed",
+        to_first / to_first[2, 2],
+        float(np.hypot(known.error_px, shift.error_px)),
+        shift.residual_px,
+        shift.corners,
+        shift.fitting,
+        gain * known.gain,
+        gain * known.offset + offset,
+    )
 
 
 def _same(one: View, other: View) -> bool:
@@ -237,10 +246,14 @@ def _bridged(moments: list[Moment]) -> list[Moment]:
                     continue
                 t = (i - k + 1) / (end - k + 1)
                 found[i] = replace(
-                    found[i], span=a.span, state="bridged", to_first=(1 - t) * a.to_first + t * b.to_first,
+                    found[i],
+                    span=a.span,
+                    state="bridged",
+                    to_first=(1 - t) * a.to_first + t * b.to_first,
                     error_px=max(a.error_px, b.error_px) + _step(a, b) / 2,
-                    gain=(1 - t) * a.gain + t * b.gain, offset=(1 - t) * a.offset + t * b.offset,
-                )  # fmt: skip
+                    gain=(1 - t) * a.gain + t * b.gain,
+                    offset=(1 - t) * a.offset + t * b.offset,
+                )
         k = end
     return found
 

@@ -19,21 +19,23 @@ Points = NDArray[np.float32]
 """(n, 2) px, columns first."""
 
 # Corners of the background that are followed, their least quality relative to the best, and how far apart they are.
-# The picture has so many cells in a row and a column, each with at most so many: a flock must not outvote the rest.
 _CORNERS = 400
 _QUALITY = 0.01
 _APART_PX = 7
+# The picture has so many cells in a row and a column, each with at most so many: a flock must not outvote the rest.
 _CELLS = 8
 _IN_CELL = 12
-# Halvings of the picture from which following begins, and by how many px going there and back may miss.
+# Halvings of the picture from which following begins.
 _LEVELS = 4
+# By how many px going there and back may miss.
 _LOOP_PX = 0.7
 # Half the window in which a corner is followed: nearer to the picture's edge it is pulled inwards.
 _EDGE_PX = 11
 # From such a change of direction or size on (its largest element), one picture is turned before corners are followed.
 _TURNED = 0.03
-# A model: how well it fits corners, px, and which number and share of the followed ones it has to fit.
+# A model fits corners that it misses by at most this, px ...
 _FIT_PX = 1.0
+# ... and has to fit this number and this share of the followed ones.
 LEAST_CORNERS = 12
 _LEAST_SHARE = 0.5
 # Errors that all corners share, px.
@@ -43,11 +45,12 @@ _MOST_ZOOM = 0.25
 # A homography has to fit at least so many corners, and so many times as many as the similarity.
 _LEAST_FOR_HOMOGRAPHY = 40
 _BETTER = 1.15
-# Pixels compared for gain and offset: every so many px, smoothed over so many; levels that differ by less show no gain.
+# Pixels compared for gain and offset: every so many px, smoothed over so many.
 _STRIDE_PX = 4
 _SMOOTH_PX = 2.0
+# Levels that differ by less show no gain ...
 _FLAT_LEVELS = 4.0
-# Levels that correlate less show no gain either.
+# ... nor do levels that correlate less.
 _ALIKE = 0.8
 
 
@@ -233,9 +236,13 @@ def find_levels(first: View, second: View, matrix: Matrix) -> tuple[float, float
     back = cv2.WARP_INVERSE_MAP
     there = cv2.warpPerspective(second.smooth, matrix, first.size_wh, flags=cv2.INTER_CUBIC | back)
     taken = cv2.warpPerspective(
-        second.blocked.astype(np.uint8), matrix, first.size_wh, flags=cv2.INTER_NEAREST | back,
-        borderMode=cv2.BORDER_CONSTANT, borderValue=1,
-    )  # fmt: skip
+        second.blocked.astype(np.uint8),
+        matrix,
+        first.size_wh,
+        flags=cv2.INTER_NEAREST | back,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=1,
+    )
     every = np.s_[::_STRIDE_PX, ::_STRIDE_PX]
     free = ((taken == 0) & ~first.blocked)[every]
     # Clipped pixels say nothing of either.

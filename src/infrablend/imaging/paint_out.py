@@ -26,9 +26,12 @@ there, as no other frame can be aligned or shows any of them."""
 
 HOWS: tuple[How, ...] = ("other-frames", "in-part", "guessed")
 
-STEP, REACH, SAMPLES = 8, 96, 24
-"""Other frames are those whose numbers are multiples of the step, at most so far away, and about as many as `SAMPLES`
-over the whole video."""
+STEP = 8
+"""Other frames are those whose numbers are multiples of this ..."""
+REACH = 96
+"""... at most so many frames away ..."""
+SAMPLES = 24
+"""... and about as many over the whole video."""
 
 # Frames, of those that can be aligned, from which the pixels come, if they show all of them.
 _ENOUGH = 8
@@ -36,15 +39,18 @@ _ENOUGH = 8
 # Boxes grow by this many px and this share of their size: objects glow.
 _GROW_PX = 6
 _GROW = 0.2
-# Width of the surroundings by which frames are compared, px; other frames used besides the best, by their differences.
+# Width of the surroundings by which frames are compared, px.
 _AROUND_PX = 14
+# Frames are used besides the best if they differ from the surroundings by at most so many times as much.
 _WORSE = 4.0
-# Width over which painted and real pixels blend, px, and how far levels of the surroundings reach in.
+# Width over which painted and real pixels blend, px.
 _BLEND_PX = 3.0
+# How far levels of the surroundings reach into the hole, px.
 _LEVEL_PX = 8.0
-# Strokes of text differ by this from their surroundings, 8-bit levels, within so many px; interpolation spreads them.
+# Strokes of text differ by this from their surroundings, 8-bit levels, within so many px.
 _STROKE = 25.0
 _STROKE_PX = 7
+# Interpolation of the video spreads strokes by so many px.
 _SPREAD_PX = 3
 # What is finer than this is grain, px.
 _GRAIN_PX = 1.5

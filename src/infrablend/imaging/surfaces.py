@@ -24,9 +24,9 @@ from infrablend.imaging.margin import find_margin
 Grey = NDArray[np.uint8] | NDArray[np.uint16]
 Share = NDArray[np.float32]
 
-# The longer side of pictures that the model sees, px; it has learnt from 320x256. Sides are multiples of what its
-# levels halve.
+# The longer side of pictures that the model sees, px; it has learnt from 320x256.
 _LONGER_PX = 320
+# Sides are multiples of this, as the model's levels halve them.
 _STEP_PX = 64
 # Contrast below which a picture is even: it is not spread further, levels as a share of the whole range.
 _LEAST_SPREAD = 4 / 255

@@ -118,7 +118,8 @@ class _Surfaces:
     def inside(self, crop: Crop) -> _Surfaces:
         """Return the triangles that reach into a crop."""
         x0, y0, x1, y1 = crop
-        (left, top), (right, bottom) = self.low.T, self.high.T
+        left, top = self.low.T
+        right, bottom = self.high.T
         return self.take((left < x1) & (top < y1) & (right > x0) & (bottom > y0))
 
     def area_px(self, crop: Crop) -> float:
@@ -300,7 +301,8 @@ def _points(surfaces: _Surfaces, at: _Places, grid: SampleGrid, camera: CameraSp
     """Return what shading needs to know of points."""
     celsius, emissivity, *normal = _values_at(surfaces, at, grid, slice(0, 5)).T
     # From the camera to the surface, in its axes; the third component is 1.
-    (x0, y0), pitch = grid.origin_xy, grid.pitch_px
+    x0, y0 = grid.origin_xy
+    pitch = grid.pitch_px
     x = (x0 + at.x * pitch - camera.size_wh[0] / 2) / camera.focal_px
     y = (y0 + at.y * pitch - camera.size_wh[1] / 2) / camera.focal_px
     distance = np.sqrt(x * x + y * y + 1)

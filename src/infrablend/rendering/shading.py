@@ -104,7 +104,8 @@ def _shares_of_rings() -> FloatArray:
     A ring at the height z has the cosines m z + sqrt(1 - m^2) sqrt(1 - z^2) cos(azimuth) with a normal whose upward
     component is m; they are integrated in closed form over the azimuths at which they are positive.
     """
-    m, z = _NORMALS[:, None], _RINGS
+    m = _NORMALS[:, None]
+    z = _RINGS
     level = m * z
     wave = np.sqrt(1 - m * m) * np.sqrt(1 - z * z)
     limit = np.arccos(np.clip(-level / np.maximum(wave, 1e-12), -1, 1))

@@ -22,8 +22,9 @@ from infrablend.imaging.surfaces import Grey, SurfaceMap, find_surfaces
 # Width of the ring around a box, as a share of its shorter side, and least width in cells of the map.
 _RING = 0.5
 _LEAST_RING = 1.5
-# Fewer objects than this say nothing; with so many in addition, all kinds would be alike.
+# Fewer objects than this say nothing.
 _FEWEST = 30
+# Weight of the assumption that all kinds of ground are alike, in objects.
 _PRIOR = 20
 # Kinds with a smaller share of the pictures are not compared.
 _LEAST_SHARE = 0.003

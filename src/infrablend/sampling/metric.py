@@ -69,9 +69,10 @@ _NEAR_PX = 10.0
 _IN_COMPANY = 0.5
 # Clarity of the lines on the ground below which they give no direction.
 _LEAST_CLARITY = 0.08
-# With `along: road`: how far edges count, and how far the road is followed to tell its direction from that across it,
-# metres. One of them is taken if the road reaches so many times farther there.
+# With `along: road`: how far edges count, metres.
 _EDGES_M = 9.0
+# How far the road is followed to tell its direction from that across it, metres; one of them is taken if the road
+# reaches so many times farther there.
 _FOLLOWED_M = 25.0
 _LONGER = 1.25
 # Number of edges, about, that are looked at around each place.
@@ -208,7 +209,8 @@ class _Search:
         self._annotated = boxes_of([i for i in site.labels if i.category not in site.ignored])
         boxes = (box_px(camera, item.in_world(pose), item) for item, pose in occupied)
         self._inserted = np.array([box for box in boxes if box is not None], np.float64).reshape(-1, 4)
-        self._placed, self._known = [*occupied], len(occupied)
+        self._placed = [*occupied]
+        self._known = len(occupied)
         even = recipe.placement.max_relief_grey > 0
         self._relief = relief_of(site.pixels) / site.grey_unit if even else None
         self._real = _real_ground(recipe, site)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from infrablend.config.recipe import MotionKind
 from infrablend.core.mesh import FloatArray
-from infrablend.core.motion_kinds import MotionKind
 
 STEP_S = 0.1
 _GRAVITY = 9.81
@@ -34,19 +34,21 @@ _GAITS: Mapping[MotionKind, _Gait] = {
     "run": _Gait(2.0, 1.0, 0.1),
     "drive": _Gait(2.5, 0.4, 0.0),
 }
-# Grazing animals take a few steps, and then stand and eat; seconds.
+# Grazing animals take a few steps, and then stand and eat: periods of both, seconds.
 _STEPS_S = (1.0, 4.0)
 _MEAL_S = (4.0, 15.0)
 # A heading wanders in curves: what turns it lasts so long, seconds.
 _CURVE_S = 1.0
 # What stops an object is looked for this long ahead, and at least so far.
-_AHEAD_S, _AHEAD_M = 1.0, 0.6
+_AHEAD_S = 1.0
+_AHEAD_M = 0.6
 # Largest acceleration of what flies, m/s²: 22 degrees of bank.
 _ACCELERATION = 4.0
 # Drag of multirotors, per metre: they lean 10 degrees forward at 8 m/s.
 _DRAG = 0.027
-# Periods of what a hovering drone does in the wind, and of the wander of a drone in the picture, seconds.
+# Periods of what a hovering drone does in the wind, seconds.
 _HOVER_S = (3.0, 12.0)
+# Periods of the wander of a drone in the picture, seconds.
 _WANDER_S = (5.0, 25.0)
 
 Fits = Callable[[float, float], bool]
@@ -178,9 +180,9 @@ def _march(
         v += min(max(want - v, -gait.acceleration * STEP_S), gait.acceleration * STEP_S)
         turn = turned or wander[k] * v / max(speed, 1e-9)  # who stands does not turn
         yaw += min(max(turn, -gait.turn * STEP_S), gait.turn * STEP_S)
-        x = x + v * STEP_S * math.cos(yaw)
-        y = y + v * STEP_S * math.sin(yaw)
-        way = way + v * STEP_S
+        x += v * STEP_S * math.cos(yaw)
+        y += v * STEP_S * math.sin(yaw)
+        way += v * STEP_S
         rows.append((x, y, yaw, way))
     found = np.array(rows)
     zero = np.zeros(len(rows))
@@ -225,10 +227,13 @@ def _joined(back: Path, there: Path) -> Path:
         return np.concatenate([past[:0:-1], future])
 
     return Path(
-        both(-back.times_s, there.times_s), both(back.place_m, there.place_m),
-        both(back.yaw_rad - math.pi, there.yaw_rad), both(back.lean_rad, there.lean_rad),
-        both(back.bank_rad, there.bank_rad), both(-back.way_m, there.way_m),
-    )  # fmt: skip
+        both(-back.times_s, there.times_s),
+        both(back.place_m, there.place_m),
+        both(back.yaw_rad - math.pi, there.yaw_rad),
+        both(back.lean_rad, there.lean_rad),
+        both(back.bank_rad, there.bank_rad),
+        both(-back.way_m, there.way_m),
+    )
 
 
 def _flight(

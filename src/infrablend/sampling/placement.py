@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.assets.model import ObjectModel
+from infrablend.assets.model import ObjectModel, Params
 from infrablend.config.recipe import Object, Placement
 from infrablend.core.boxes import box_of_points, clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
@@ -44,7 +42,7 @@ class PlacementRequest:
 
     kind: Object
     model: ObjectModel
-    params: Mapping[str, Any]
+    params: Params
     mesh: Mesh
     scale: float
     visible_aim: float | None = None
@@ -110,7 +108,7 @@ class DrawStatistics:
         """Number of objects without a place, by reason."""
         return Counter(self.left_out.values())
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "attempts": self.attempts,

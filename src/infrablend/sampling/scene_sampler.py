@@ -137,7 +137,8 @@ class RecipeSampler:
                 low, high = kind.scale
                 scale = math.exp(rng.uniform(math.log(low), math.log(high)))
                 drawn.append(PlacementRequest(kind, model, params, model.build(params), scale))
-        rng, (low, high) = streams("occlusion"), recipe.occlusion.visible
+        rng = streams("occlusion")
+        low, high = recipe.occlusion.visible
         wanted = []
         for number, item in enumerate(drawn):
             chosen, share = (float(v) for v in rng.random(2))
@@ -299,8 +300,9 @@ class _Light:
             emissivity = override.emissivity if override and override.emissivity else role.emissivity
             share = 0.7 * heat + 0.3 * own
             if name in mesh.part_names:
+                own_shift_k = 0.0 if role.ground else shift_k
                 parts[name] = PartState(
-                    temperature_k=self._air_k + delta[0] + (delta[1] - delta[0]) * share + shift_k * (not role.ground),
+                    temperature_k=self._air_k + delta[0] + (delta[1] - delta[0]) * share + own_shift_k,
                     emissivity=emissivity[0] + (emissivity[1] - emissivity[0]) * surface,
                     label=role.label,
                     ior=role.ior,

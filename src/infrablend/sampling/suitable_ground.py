@@ -22,12 +22,14 @@ from infrablend.sampling.labelled_ground import with_labels
 from infrablend.sampling.placement import PlacementRequest, Pose
 from infrablend.sampling.site import Site
 
-# Points of a footprint, along and across, and how far it reaches beyond the object, metres.
+# Points of a footprint, along and across.
 _ALONG = 7
 _ACROSS = 4
+# How far a footprint reaches beyond the object, metres.
 _BEYOND_M = 0.25
-# The worst share of the footprint does not count, and how well the rest suits at least, of the place drawn.
+# The worst share of the footprint, which does not count.
 _WORST = 0.08
+# How well the rest suits at least, relative to the place drawn.
 _NEARLY = 0.5
 # What hides standing objects.
 _PLANTS: Affinity = {"tree": 1.0, "shrub": 1.0}

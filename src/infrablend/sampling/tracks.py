@@ -18,11 +18,10 @@ from functools import cached_property
 import numpy as np
 
 from infrablend.assets.model import ObjectModel, Params
-from infrablend.config.recipe import Motion, PathPoint
+from infrablend.config.recipe import SPEED_M_S, Motion, PathPoint
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
-from infrablend.core.motion_kinds import SPEED_M_S
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import ObjectSpec, SceneSpec, View
 from infrablend.errors import Problem, RecipeError
@@ -32,18 +31,19 @@ from infrablend.sampling.paths import Fits, Path, find_path, sway
 
 # Length of the step that shows an object's heading on the ground, metres.
 _HEADING_M = 0.5
-# A followed drone is within this share of the picture's half about its middle; how fast the operator's corrections of
-# the camera are smoothed out of its path, and how much its distance varies, over periods of so many seconds.
+# A followed drone is within this share of the picture's half about its middle, and wanders there over such periods, s.
 _WANDER = 0.45
+_WANDER_S = (6.0, 25.0)
+# How fast the operator's corrections of the camera are smoothed out of its path.
 _STEADY_S = 1.0
+# How much its distance varies, and over which periods, seconds.
 _NEARER = 0.12
 _NEARER_S = (20.0, 60.0)
-# Periods of its wander in the picture, of its heading and of its attitude, seconds; their sizes, radians.
-_WANDER_S = (6.0, 25.0)
-_TURN_S = (8.0, 30.0)
-_LEAN_S = (3.0, 12.0)
+# How far its heading turns and its attitude leans, radians, and over which periods, seconds.
 _TURN = 0.7
+_TURN_S = (8.0, 30.0)
 _LEAN = math.radians(5)
+_LEAN_S = (3.0, 12.0)
 # What of an object at the edge of the picture is less wide or high is not drawn, px; of small ones, less than a half.
 _SLIVER_PX = 2.0
 # Azimuth has no meaning for a camera that looks straight down.
@@ -151,9 +151,16 @@ class Track:
 
 
 def find_track(
-    number: int, placed: PlacedObject, model: ObjectModel, motion: Motion, view: View, anchor: int, footage: Footage,
-    rng: np.random.Generator, fits: Fits,
-) -> Track:  # fmt: skip
+    number: int,
+    placed: PlacedObject,
+    model: ObjectModel,
+    motion: Motion,
+    view: View,
+    anchor: int,
+    footage: Footage,
+    rng: np.random.Generator,
+    fits: Fits,
+) -> Track:
     """Return the track of an object that was placed in a frame, its anchor; see `Track`.
 
     An individual whose pose does not walk stays where it is, whatever the motion.
@@ -251,7 +258,8 @@ def _smoothed(values: FloatArray, times_s: FloatArray) -> FloatArray:
         w = weight.sum()
         wx = weight @ off
         wxx = weight @ off**2
-        y, xy = weight @ values[low:high], (weight * off) @ values[low:high]
+        y = weight @ values[low:high]
+        xy = (weight * off) @ values[low:high]
         spread = w * wxx - wx**2
         found[k] = (wxx * y - wx * xy) / spread if spread > 1e-9 else y / w
     return found
@@ -356,7 +364,8 @@ def _moving(model: ObjectModel, params: Params, track: Track, n: int) -> Params:
     walks = stride > 0 and bool(track.path.way_m.any())
     if model.animate is not None and (walks or cycle_hz > 0):
         steps = float(track.path.way_m[n]) / stride if walks else 0.0
-        found = model.animate(params, (track.phase + steps + cycle_hz * float(track.path.times_s[n])) % 1.0)
+        phase = (track.phase + steps + cycle_hz * float(track.path.times_s[n])) % 1.0
+        found = dict(model.animate(params, phase))
     if "lean_deg" in found:
         found["lean_deg"] = round(lean, 3)
     if "bank_deg" in found:
@@ -395,9 +404,15 @@ def velocity_px_s(tracks: Sequence[Track], footage: Footage, n: int) -> tuple[fl
 
 
 def scene_in(
-    first: PlacedScene, frame: tuple[str, str, int], objects: Sequence[PlacedObject], camera: CameraSpec, view: View,
-    render_seed: int, motion_px: tuple[float, float], out_of_view: int = 0,
-) -> PlacedScene:  # fmt: skip
+    first: PlacedScene,
+    frame: tuple[str, str, int],
+    objects: Sequence[PlacedObject],
+    camera: CameraSpec,
+    view: View,
+    render_seed: int,
+    motion_px: tuple[float, float],
+    out_of_view: int = 0,
+) -> PlacedScene:
     """Return the scene of a frame with the weather and the look of the sequence's first anchor.
 
     `frame` is its id, the background's id and the configuration; `out_of_view` tracks of its span are not in it.

@@ -60,7 +60,7 @@ def draw_weather(frame: FrameKey, e: SkyEnvironment, air_k: float, seed: int) ->
     """
     rng = stream(seed, frame.frame_id, "weather")
     below = float(rng.uniform(*e.dew_point_below_air_k))
-    rng.random()  # unused; keeps the later draws the same as before a quantity was removed
+    rng.random()  # of a quantity that was removed: the draws after it stay those of earlier versions
     clear, cover, base = (float(v) for v in rng.random(3))
     time = frame.capture.time_of_day
     above = e.ground_above_air_k(time)

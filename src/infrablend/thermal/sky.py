@@ -84,7 +84,8 @@ def transmittance(distance_m: ArrayLike, air_k: float, humidity: float) -> Array
         raise ValueError(f"humidity {humidity:g} must lie in [0, 1] (it is not a percentage)")
     t = air_k - ZERO_C_K
     water = humidity * np.exp(1.5587 + 0.06939 * t - 0.00027816 * t**2 + 6.8455e-7 * t**3)
-    s, q = np.sqrt(np.asarray(distance_m, np.float64)), np.sqrt(water)
+    s = np.sqrt(np.asarray(distance_m, np.float64))
+    q = np.sqrt(water)
     tau = 1.9 * np.exp(-s * (0.006569 - 0.002276 * q)) - 0.9 * np.exp(-s * (0.01262 - 0.00667 * q))
     return np.asarray(np.maximum(tau, _LEAST_TRANSMITTANCE))
 

@@ -104,7 +104,7 @@ def test_lengths_do_not_change_what_else_is_drawn() -> None:
     found = []
     for k in range(200):
         plain, both = (
-            person.sample(stream(k, "a"), options)
+            dict(person.sample(stream(k, "a"), options))
             for options in ({}, {n: ["long", "short"] for n in ("sleeves", "legs")})
         )
         assert (plain["sleeves"], plain["legs"]) == ("long", "long")

@@ -82,6 +82,8 @@ def read_exif(header: JpegHeader) -> Exif:
         "EXIF CreateDate": _text(detail.get(_CREATE_DATE)),
         "EXIF ModifyDate": _text(main.get(_MODIFY_DATE)),
     }
+    width = _positive(detail.get(_WIDTH))
+    height = _positive(detail.get(_HEIGHT))
     return Exif(
         _text(main.get(_MAKE)),
         _text(main.get(_MODEL)),
@@ -91,9 +93,7 @@ def read_exif(header: JpegHeader) -> Exif:
         _positive(detail.get(_ZOOM)),
         _degrees(gps.get(2), gps.get(1), "S", 90.0),
         _degrees(gps.get(4), gps.get(3), "W", 180.0),
-        None
-        if (width := _positive(detail.get(_WIDTH))) is None or (height := _positive(detail.get(_HEIGHT))) is None
-        else (width, height),
+        None if width is None or height is None else (width, height),
         turned=main.get(_ORIENTATION, 1) != 1,
     )
 

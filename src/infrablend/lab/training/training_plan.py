@@ -123,7 +123,7 @@ def choose_device(wanted: str, *, planning: bool = False) -> str:
     index = 0 if wanted == "cuda" else int(number)
     if index < there:
         return str(index)
-    found = f"finds {there} GPU{'s' * (there > 1)}, numbered from 0" if there else "finds no GPU"
+    found = f"finds {there} GPU{'s' if there > 1 else ''}, numbered from 0" if there else "finds no GPU"
     raise OutputError(
         f"--device {wanted}: torch {torch.__version__} {found}; expected one of them, or --device cpu. "
         "infrablend doctor lists the devices"

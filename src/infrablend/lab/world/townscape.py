@@ -53,7 +53,8 @@ def street(site: Site) -> str:
             kerb_parking(site, road, side, u(0.45, 0.9))
     traffic(site, road, (u(14, 22), u(30, 60)))
     for side in sides:
-        lamps(site, road, side) if draws.chance(0.5) else None
+        if draws.chance(0.5):
+            lamps(site, road, side)
         if draws.chance(0.35):
             edge = road.half_width_m + road.pavement_m
             planting_bed(site, road, side * (edge + 1.0), 1.6, "bed")

@@ -54,7 +54,7 @@ class ConvertReport:
         """True if every part of the source could be used."""
         return not any(p.severity == "error" for p in self.problems)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "out": str(self.out),

@@ -36,7 +36,7 @@ def eight_bit_copies(images: Sequence[ImageRecord], folder: Path, agc: Agc) -> t
             levels = agc.apply(np.asarray(pixels, np.uint16), scale)
         else:
             levels = np.asarray(pixels, np.uint8)
-            as_they_are = as_they_are + 1
+            as_they_are += 1
         name = str(PurePosixPath(image.name).with_suffix(".png"))
         path = write_bytes(join_inside(folder / image.split, name), png_bytes(levels))
         known = replace(image.capture, radiometry=None)

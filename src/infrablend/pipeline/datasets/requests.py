@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from infrablend.core.arguments import require_names
 
@@ -69,7 +69,7 @@ class Selection:
     def __bool__(self) -> bool:
         return self != Selection(seed=self.seed)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return asdict(self) | {"without": sorted(self.without)}
 

@@ -78,7 +78,8 @@ def _select_alike(
     copies = copies_to_match([conditions(i) for i in pool], [conditions(i) for i in like], size, wanted.seed)
     kept = []
     for image, n in zip(pool, copies, strict=True):
-        kept += [image] * (n > 0)
+        if n > 0:
+            kept.append(image)
         for k in range(1, n):
             name = PurePosixPath(image.name)
             again = name.with_name(f"{name.stem}_again{k}{name.suffix}").as_posix()
@@ -94,9 +95,10 @@ def _select_alike(
     return replace(dataset, images=sort_images(kept)), facts
 
 
-# Width of a step of grey level, and the levels that weigh as much as 10 degrees of pitch or 20 m of height. An object
-# looks less different on ground of another level than at another size.
+# Width of a step of grey level.
 _LEVEL_STEP = 25.0
+# Levels that weigh as much as 10 degrees of pitch or 20 m of height: an object looks less different on ground of
+# another level than at another size.
 _LEVEL_WEIGHT = 25.0
 
 
@@ -167,7 +169,7 @@ def copies_to_match(pool: Sequence[Conditions], like: Sequence[Conditions], size
     for f, n in wanted.items():
         own = min(n, room.get(f, 0))
         given[f] += own
-        lacking += [f] * (n - own)
+        lacking.extend([f] * (n - own))
     for f in lacking:
         free = [g for g in members if given[g] < room[g]]
         given[min(free, key=lambda g: (g.distance(f), g))] += 1

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_text
@@ -69,7 +68,7 @@ class SplitReport:
         total = sum(counts.values())
         return {s: round(n / total, 4) if total else 0.0 for s, n in counts.items()}
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values, without the output folder."""
         return {
             "by": self.by,

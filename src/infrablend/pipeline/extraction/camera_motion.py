@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -37,7 +36,7 @@ VERSION = 3
 _SAMPLES = 12
 # Change of the mid level between two frames that is a jump of the gain, 8-bit levels.
 _JUMP_LEVELS = 15.0
-# A frame is blurred if its second derivative varies less than this share of that of the frames around it, so many.
+# A frame is blurred if its second derivative varies less than this share of that of so many frames around it.
 _BLURRED = 0.5
 _AROUND = 12
 
@@ -90,12 +89,16 @@ class SequenceMotion:
         around = [np.median(sharp[max(0, k - _AROUND) : k + _AROUND + 1]) for k in range(len(sharp))]
         return [n for n, s, a in zip(self.frames, sharp, around, strict=True) if s < _BLURRED * a]
 
-    def to_json(self) -> dict[str, Any]:
+    def states(self) -> dict[str, int]:
+        """Return the number of frames in each state."""
+        return dict(sorted(Counter(m.state for m in self.moments).items()))
+
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "sequence": self.name,
             "size_wh": list(self.size_wh),
-            "states": dict(sorted(Counter(m.state for m in self.moments).items())),
+            "states": self.states(),
             "spans": self.spans(),
             "level_jumps": self.level_jumps(),
             "blurred": self.blurred(),
@@ -122,7 +125,7 @@ class MotionReport:
         """True if some frame of every sequence is known and all pictures could be read."""
         return bool(self.sequences) and not any(p.severity == "error" for p in self.problems)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {**asdict(self), "out": str(self.out), "problems": [p.to_json() for p in self.problems]}
 
@@ -157,7 +160,7 @@ def write_motion(
             facts = motion.to_json()
             write_json(space.folder / f"{name}.json", facts)
             write_text(space.folder / f"{name}.html", motion_page(facts))
-            states[sequence] = facts["states"]
+            states[sequence] = motion.states()
             problems += motion_problems(motion)
         report = MotionReport(out, states, tuple(problems))
         space.finish({"sequences": states, "version": VERSION})

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -73,7 +73,7 @@ class SpotCount:
         """Return the counts in words."""
         return f"count {self.count:g}, median of 3 x 3 px with {self.lowest} to {self.highest}"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         counts = {k: getattr(self, k) for k in ("count", "lowest", "highest")}
         return {"file": self.spot.file, "xy": list(self.spot.xy), "celsius": self.spot.celsius, **counts}
@@ -145,7 +145,8 @@ def count_at(dataset: Dataset, spot: Spot) -> SpotCount:
     if len(found) != 1:
         raise ArgumentError(f"--spot {spot.file}: found {len(found)} pictures of this name, expected one")
     counts = read_temperatures(found[0].path).counts
-    (x, y), (h, w) = spot.xy, counts.shape
+    x, y = spot.xy
+    h, w = counts.shape
     if x >= w or y >= h:
         raise ArgumentError(f"--spot {spot.file}:{x},{y}: outside the radiometric layer of {w}x{h} px")
     near = counts[max(0, y - _SPOT_REACH) : y + _SPOT_REACH + 1, max(0, x - _SPOT_REACH) : x + _SPOT_REACH + 1]
@@ -160,7 +161,8 @@ def spot_warnings(spots: Sequence[SpotCount], scale: TemperatureScale | None) ->
     for s in spots:
         span_k = (s.highest - s.lowest) * scale.slope_k
         if span_k > _SPOT_SPAN_K:
-            (x, y), found = s.spot.xy, f"{s.describe()}, {span_k:.1f} K apart"
+            x, y = s.spot.xy
+            found = f"{s.describe()}, {span_k:.1f} K apart"
             expected = f"a uniform surface, within {_SPOT_SPAN_K:g} K"
             todo = "give a spot inside a larger surface"
             problems.append(Problem(f"--spot {s.spot.file}:{x},{y}", "spot-uneven", found, expected, todo, "warning"))

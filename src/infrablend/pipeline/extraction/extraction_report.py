@@ -18,10 +18,21 @@ from infrablend.pipeline.extraction.clips import ClipPlan, FlightFacts
 
 TABLE = "metadata.csv"
 COLUMNS = (
-    "file", "sequence", "captured", "pitch_deg", "altitude_m", "altitude_from", "hfov_deg",
-    "time_of_day", "frame", "time_s",
-    "roll_deg", "yaw_deg", "latitude_deg", "longitude_deg",
-)  # fmt: skip
+    "file",
+    "sequence",
+    "captured",
+    "pitch_deg",
+    "altitude_m",
+    "altitude_from",
+    "hfov_deg",
+    "time_of_day",
+    "frame",
+    "time_s",
+    "roll_deg",
+    "yaw_deg",
+    "latitude_deg",
+    "longitude_deg",
+)
 _NEEDED = {
     "pitch_deg": ("gimbal pitch", "camera.pitch='{fixed_deg: 90}'"),
     "altitude_m": ("height", "camera.altitude='{fixed_m: 60}'"),
@@ -53,10 +64,13 @@ def telemetry_rows(
     rows = []
     for k, frame in enumerate(written):
         row = {
-            "file": frame.path, "sequence": plan.sequence, "time_of_day": flight.time_of_day or "",
-            "frame": str(frame.number), "time_s": number_text(round(frame.time_s, 6)),
+            "file": frame.path,
+            "sequence": plan.sequence,
+            "time_of_day": flight.time_of_day or "",
+            "frame": str(frame.number),
+            "time_s": number_text(round(frame.time_s, 6)),
             "hfov_deg": "" if flight.hfov_deg is None else f"{flight.hfov_deg:g}",
-        }  # fmt: skip
+        }
         if sampled is not None:
             stated = telemetry_of(sampled, k)
             row |= stated | {"time_of_day": flight.time_of_day or stated["time_of_day"]}
@@ -97,13 +111,18 @@ class Clip:
     coverage: Coverage | None
     known: Mapping[str, int]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
-            "video": self.video.name, "sequence": self.sequence, **self.facts, "extracted": self.frames,
-            "colour": self.colour, "log": dict(self.log),
-            "coverage": None if self.coverage is None else self.coverage.to_json(), "known": dict(self.known),
-        }  # fmt: skip
+            "video": self.video.name,
+            "sequence": self.sequence,
+            **self.facts,
+            "extracted": self.frames,
+            "colour": self.colour,
+            "log": dict(self.log),
+            "coverage": None if self.coverage is None else self.coverage.to_json(),
+            "known": dict(self.known),
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +144,7 @@ class FramesReport:
         """True if every frame could be decoded."""
         return not any(p.severity == "error" for p in self.problems)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "ok": self.ok,
@@ -143,17 +162,23 @@ def clip_result(
     timeline = plan.video.timeline
     shortest, longest = timeline.steps_s
     facts = {
-        "size_wh": list(video.size_wh), "codec": video.codec, "frames": len(timeline.times_s),
-        "duration_s": round(timeline.duration_s, 3), "variable_rate": timeline.varies,
-        "shortest_step_s": round(shortest, 4), "longest_step_s": round(longest, 4),
-    }  # fmt: skip
+        "size_wh": list(video.size_wh),
+        "codec": video.codec,
+        "frames": len(timeline.times_s),
+        "duration_s": round(timeline.duration_s, 3),
+        "variable_rate": timeline.varies,
+        "shortest_step_s": round(shortest, 4),
+        "longest_step_s": round(longest, 4),
+    }
     log: dict[str, str] = {}
     known: dict[str, int] = {} if hfov_deg is None else {"hfov_deg": len(written)}
     if plan.aligned is not None and sampled is not None:
         log = {
-            "name": plan.aligned.log.name, "kind": plan.aligned.log.dialect, "matched_by": plan.aligned.by,
+            "name": plan.aligned.log.name,
+            "kind": plan.aligned.log.dialect,
+            "matched_by": plan.aligned.by,
             "height": plan.aligned.log.height,
-        }  # fmt: skip
+        }
         for name in FIELDS:
             column = sampled.values.get(name)
             known[name] = 0 if column is None else sum(bool(value_text(name, float(v))) for v in column)
@@ -196,11 +221,14 @@ def missing_values(clips: Sequence[Clip]) -> list[Problem]:
             continue
         names = _joined([_NEEDED[name][0] for name in lacking])
         source = f"no {names} in {clip.log['name']}" if clip.log else f"no log beside or in the video: no {names}"
-        options = ["--hfov DEGREES"] * ("hfov_deg" in lacking) + ["a log that has it (--log)"] * (
-            lacking != ["hfov_deg"]
-        )
+        options = []
+        if "hfov_deg" in lacking:
+            options.append("--hfov DEGREES")
+        if lacking != ["hfov_deg"]:
+            options.append("a log that has it (--log)")
         settings = " ".join(f"--set {_NEEDED[name][1]}" for name in lacking)
         todo = f"give {' and '.join(options)}, or set it in the recipe: {settings}"
-        todo += FOR_ALL if any(other.known.get(name) for other in clips for name in lacking) else ""
+        if any(other.known.get(name) for other in clips for name in lacking):
+            todo += FOR_ALL
         problems.append(Problem(clip.video.name, "telemetry-missing", source, names, todo, "warning"))
     return problems

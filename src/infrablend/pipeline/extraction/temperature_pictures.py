@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,14 +122,16 @@ class TemperaturesReport:
         """True if every radiometric layer could be read."""
         return not any(p.severity == "error" for p in self.problems)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
-            "ok": self.ok, "pictures": self.pictures, "scales": dict(self.scales),
+            "ok": self.ok,
+            "pictures": self.pictures,
+            "scales": dict(self.scales),
             "range_k": None if self.range_k is None else list(self.range_k),
             "spots": [s.to_json() for s in self.spots],
             "problems": [p.to_json() for p in self.problems],
-        }  # fmt: skip
+        }
 
 
 def extract_temperatures(
@@ -205,9 +206,13 @@ def _write(raw: RawTemperatures, layer: _Layer, image: ImageRecord, name: str, o
         hfov = zoomed(hfov, 1 / facts.zoom)
     fits = facts.size_wh == (w, h) and facts.zoom == 1 and not facts.turned
     record = replace(
-        image, path=path, file_name=name, size_wh=(w, h), instances=image.instances if fits else (),
+        image,
+        path=path,
+        file_name=name,
+        size_wh=(w, h),
+        instances=image.instances if fits else (),
         capture=replace(image.capture, hfov_deg=hfov, radiometry=raw.facts(layer.scale, layer.source)),
-    )  # fmt: skip
+    )
     lost = 0 if fits else len(image.instances)
     kelvin = np.zeros(0) if layer.scale is None else layer.kelvin
     if not kelvin.size:

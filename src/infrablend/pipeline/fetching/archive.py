@@ -34,9 +34,18 @@ _SPARE_BYTES = 50_000_000
 _LITTER = re.compile(r"\.DS_Store|__MACOSX|\._.*|Thumbs\.db")
 # Exceptions of the libraries on bytes that are not an archive, or a damaged one.
 _DAMAGE = (
-    zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, ValueError, ArithmeticError, LookupError, RuntimeError,
-    FileExistsError, NotADirectoryError, IsADirectoryError,
-)  # fmt: skip
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    EOFError,
+    ValueError,
+    ArithmeticError,
+    LookupError,
+    RuntimeError,
+    FileExistsError,
+    NotADirectoryError,
+    IsADirectoryError,
+)
 _REMEDIES = {
     401: "the server requires a login: download the file in a browser and give --archive FILE",
     403: "the server refuses access: download the file in a browser and give --archive FILE",

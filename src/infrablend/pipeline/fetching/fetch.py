@@ -63,7 +63,7 @@ class FetchReport:
     size_bytes: int = 0
     problems: tuple[Problem, ...] = ()
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             **{k: getattr(self, k) for k in ("name", "files", "size_bytes")},
@@ -271,10 +271,15 @@ class _Part:
 def _fetch_part(
     source: Source, a: Archive, request: FetchRequest, root: Path, work: Path, on_progress: OnFetch | None
 ) -> _Part:
-    def show(step: Literal["download", "unpack"]) -> Callable[[int, int | None], None]:
-        return lambda done, total: on_progress and on_progress(FetchProgress(step, file.name, done, total))
-
     file = request.archive or work / a.file
+
+    def show(step: Literal["download", "unpack"]) -> Callable[[int, int | None], None]:
+        def report(done: int, total: int | None) -> None:
+            if on_progress is not None:
+                on_progress(FetchProgress(step, file.name, done, total))
+
+        return report
+
     url = None
     if request.archive is None:
         url = download(request.url or a.url, file, a.unpacked_bytes, show("download"))
@@ -400,8 +405,13 @@ def list_sources() -> list[SourceEntry]:
     """Return all known public datasets."""
     return [
         SourceEntry(
-            s.name, s.title, s.page, s.licence.name, s.licence_note, tuple(a.part for a in s.archives),
+            s.name,
+            s.title,
+            s.page,
+            s.licence.name,
+            s.licence_note,
+            tuple(a.part for a in s.archives),
             all(a.url for a in s.archives),
         )
         for s in SOURCES
-    ]  # fmt: skip
+    ]

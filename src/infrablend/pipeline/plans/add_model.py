@@ -117,12 +117,12 @@ class ModelSurvey:
             found.append(Problem(where, "model-category", "no class for its labels", "--category NAME, such as drone"))
         if self.answers.size_m is None:
             size = " x ".join(f"{s:.3g}" for s in self.file_size)
-            found.append(Problem(where, "model-size", f"no size (the file has {size} units)",
-                                 "--size-m METRES, the length of the longest side"))  # fmt: skip
+            lacking = f"no size (the file has {size} units)"
+            found.append(Problem(where, "model-size", lacking, "--size-m METRES, the length of the longest side"))
         roles = ", ".join(ROLES)
         for name in self.unknown_parts:
-            found.append(Problem(where, "model-part", f"piece {name!r} has a name that says nothing known",
-                                 f"--part {name}=ROLE with a role of {roles}"))  # fmt: skip
+            lacking = f"piece {name!r} has a name that says nothing known"
+            found.append(Problem(where, "model-part", lacking, f"--part {name}=ROLE with a role of {roles}"))
         return found
 
 
@@ -138,15 +138,19 @@ def survey_model(file: Path, answers: ModelAnswers) -> ModelSurvey:
     groups, data = read_geometry(geometry_file(file), str(file))
     names = {name for g in groups for name in (g.object, g.material) if name}
     wrong = [
-        Problem(str(file), "model-part", f"--part {name}={role}: no object or material has this name",
-                f"one of {', '.join(sorted(names))}")
+        Problem(
+            str(file),
+            "model-part",
+            f"--part {name}={role}: no object or material has this name",
+            f"one of {', '.join(sorted(names))}",
+        )
         for name, role in answers.parts.items()
         if name not in names
     ] + [
         Problem(str(file), "model-role", f"--part {name}={role}: unknown role", f"one of {', '.join(ROLES)}")
         for name, role in answers.parts.items()
         if role not in ROLES
-    ]  # fmt: skip
+    ]
     if answers.size_m is not None and not 0 < answers.size_m <= 1e5:
         wrong.append(Problem(str(file), "model-size", f"--size-m {answers.size_m:g}", "a number above 0 and up to 1e5"))
     if wrong:

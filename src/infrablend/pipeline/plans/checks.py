@@ -8,12 +8,10 @@ from pathlib import Path
 
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import Object, Recipe
+from infrablend.config.recipe import IN_AIR, ON_GROUND, Object, Recipe
 from infrablend.core.camera import fov_of_width
-from infrablend.core.class_names import differ_in_form
-from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.dataset import Dataset, ImageRecord, differ_in_form
 from infrablend.core.format_table import NATIVE
-from infrablend.core.motion_kinds import IN_AIR, ON_GROUND
 from infrablend.core.rng import stream
 from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
@@ -32,8 +30,9 @@ PITCH_REPLACED = "pitch-replaced"
 """Code of the warning about a pitch of the recipe that replaces others in the files."""
 HEIGHT_REPLACED = "height-replaced"
 """Code of the warning about a height of the recipe that replaces others in the files."""
-# Lenses of thermal cameras for drones are narrower, and their sensors smaller than film.
+# Lenses of thermal cameras for drones are narrower than this.
 _WIDE_DEG = 75.0
+# Their sensors are smaller than film, which is so wide.
 _FILM_MM = 36.0
 # A stated field of view that differs by a larger share from the files' is reported.
 _LENS_TOLERANCE = 0.15
@@ -323,7 +322,9 @@ def require_ids(recipe: Recipe, images: Sequence[ImageRecord]) -> None:
     settings = WriteSettings(ids=recipe.output.ids)
     problems = []
     if settings.ids == "source" and (recipe.configurations > 1 or recipe.output.originals):
-        found = f"source with {recipe.configurations} configuration(s){' and originals' * recipe.output.originals}"
+        found = f"source with {recipe.configurations} configuration(s)"
+        if recipe.output.originals:
+            found += " and originals"
         todo = "set output.ids to new, or configurations to 1 and output.originals to false"
         problems.append(Problem("output.ids", "recipe-value", found, "one frame per background", todo))
     for name in recipe.output.formats:

@@ -9,15 +9,15 @@ from typing import Any
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.sampling.scene_sampler import mean_objects
 
-# Measured by `bench/recipes.py`, with one worker. Start and end of a run, and what Blender adds; workers start in
-# parallel, so their number does not change it.
+# Measured by `bench/recipes.py`, with one worker.
+# Start and end of a run, and what Blender adds; workers start in parallel, so their number does not change it.
 START_S = 1.8
 BLENDER_START_S = 2.0
 # Processor time of a frame without its objects and label files: in the artistic look, and in the others, which fit the
 # grey levels and the sensor.
 ARTISTIC_FRAME_CPU_S = 0.02
 FRAME_CPU_S = 0.06
-# Of each object, by model, and of drones.
+# Processor time of each object, by model, and of drones and others.
 OBJECT_CPU_S = {"person": 0.06, "car": 0.065, "deer": 0.085, "boar": 0.085}
 OTHER_OBJECT_CPU_S = 0.035
 # What Cycles adds for each object: building its scene, and each sample of its pixels.

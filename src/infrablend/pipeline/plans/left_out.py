@@ -95,23 +95,38 @@ def telemetry_missing(recipe: Recipe, image: ImageRecord, others: Telemetry) -> 
     # camera's: it would give a wrong scale.
     own = others.extracted or image.capture.camera is not None or image.capture.altitude_from is not None
     lens = recipe.camera.needs_lens and own and image.capture.hfov_deg is None
-    if not pitch and not height and not lens:
+    lacking: list[_Lacking] = []
+    if pitch:
+        settings = "camera.pitch to {fixed_deg: ...}"
+        lacking.append(_Lacking("no-pitch", "camera pitch", "a pitch", settings, others.pitch))
+    if height:
+        found = "camera height, which metric placement needs"
+        settings = "camera.altitude to {fixed_m: ...}"
+        lacking.append(_Lacking("no-altitude", found, "an altitude", settings, others.height))
+    if lens:
+        found = "field of view of " + (image.capture.camera or "the video's camera")
+        settings = "camera.field_of_view to recipe, with the camera's own camera.focal_length_mm"
+        lacking.append(_Lacking("no-field-of-view", found, "a field of view (hfov_deg)", settings, others.lens))
+    if not lacking:
         return None
-    found = ["unknown camera pitch"] * pitch + ["unknown camera height, which metric placement needs"] * height
-    found += ["unknown field of view of " + (image.capture.camera or "the video's camera")] * lens
-    wanted = ["a pitch"] * pitch + ["an altitude"] * height + ["a field of view (hfov_deg)"] * lens
-    fields = ["camera.pitch to {fixed_deg: ...}"] * pitch + ["camera.altitude to {fixed_m: ...}"] * height
-    fields += ["camera.field_of_view to recipe, with the camera's own camera.focal_length_mm"] * lens
-    some = any(
-        known for missing, known in ((pitch, others.pitch), (height, others.height), (lens, others.lens)) if missing
-    )
-    return Problem(
-        _place(image),
-        "no-pitch" if pitch else "no-altitude" if height else "no-field-of-view",
-        " and ".join(found),
-        f"{' and '.join(wanted)} in the file name, the annotation or a metadata table",
-        f"give a table (metadata.csv, docs/how_to/own_images.md), or set {' and '.join(fields)}{FOR_ALL * some}",
-    )
+    expected = f"{' and '.join(o.expected for o in lacking)} in the file name, the annotation or a metadata table"
+    todo = "give a table (metadata.csv, docs/how_to/own_images.md), or set "
+    todo += " and ".join(o.settings for o in lacking)
+    if any(o.others_have_it for o in lacking):
+        todo += FOR_ALL
+    found = " and ".join(f"unknown {o.found}" for o in lacking)
+    return Problem(_place(image), lacking[0].code, found, expected, todo)
+
+
+@dataclass(frozen=True)
+class _Lacking:
+    """What a recipe needs to know about a picture's camera, and is not known, in the words of a problem."""
+
+    code: str
+    found: str
+    expected: str
+    settings: str
+    others_have_it: bool
 
 
 @dataclass(frozen=True)

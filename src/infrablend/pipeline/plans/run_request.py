@@ -84,8 +84,11 @@ class Execution:
         if self.workers > most:
             log.warning(
                 "--workers %d: free memory is enough for about %d on %d cores; using %d",
-                self.workers, most, cores, most,
-            )  # fmt: skip
+                self.workers,
+                most,
+                cores,
+                most,
+            )
         return min(self.workers, most)
 
 

@@ -64,7 +64,7 @@ class ProfileReport:
     problems: tuple[Problem, ...]
     objects: Mapping[str, Any]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "profile": self.profile.model_dump(mode="json"),

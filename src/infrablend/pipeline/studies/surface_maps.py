@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +57,7 @@ class PlacesReport:
         """True if every picture has a map."""
         return bool(self.maps) and not any(p.severity == "error" for p in self.problems)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {**asdict(self), "out": str(self.out), "problems": [p.to_json() for p in self.problems]}
 
@@ -133,7 +132,7 @@ class LearnedReport:
         """True if something was learned from pictures that can all be read."""
         return bool(self.ground) and not any(p.severity == "error" for p in self.problems)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {**asdict(self), "root": str(self.root), "problems": [p.to_json() for p in self.problems]}
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.child_process import CHILD_BYTES, describe_exit
 from infrablend.core.tasks import Failure
-from infrablend.core.wire import PROTOCOL, Wire
+from infrablend.core.wire import PROTOCOL, Message, Wire
 from infrablend.errors import MissingDependencyError, WorkerDiedError
 from infrablend.rendering.engine.programs import TODO, Program, find_blender, version_of
 
@@ -28,7 +28,9 @@ OLDEST, NEWEST = (4, 2), (4, 5)
 _LAST_BYTES = 4000
 _LAST_LINES = 20
 _MOST_OUTPUT_BYTES = 2**20
-_START_S, _END_S = 120.0, 5.0
+# Limits of the time that Blender may take to start and to end.
+_START_S = 120.0
+_END_S = 5.0
 
 
 class BlenderProcess:
@@ -45,7 +47,7 @@ class BlenderProcess:
             MissingDependencyError: It cannot be started.
         """
         self._program = program
-        self.greeting: dict[str, Any] = {}
+        self.greeting: Message = {}
         ours, theirs = socket.socketpair()
         self._wire = Wire(ours)
         memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
@@ -97,7 +99,7 @@ class BlenderProcess:
                 f"Blender {version}, {self._program}, cannot be used: {oldest} to {newest} can. Run: {TODO}"
             )
 
-    def ask(self, do: str, job: Mapping[str, Any] | None = None) -> Any:
+    def ask(self, do: str, job: Mapping[str, object] | None = None) -> Any:
         """Have a job performed, see `blender.server.Jobs`, and return its answer.
 
         Raises:

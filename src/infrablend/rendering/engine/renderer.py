@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from infrablend.core.machine import Device
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.render import RenderResult, empty_result
 from infrablend.core.scene import SceneSpec, Weather
+from infrablend.core.wire import CameraMessage, ObjectMessage, SceneMessage
 from infrablend.errors import MissingDependencyError, RenderError, WorkerDiedError
 from infrablend.rendering.engine.process import BlenderProcess
 from infrablend.rendering.engine.programs import find_blender
@@ -112,13 +112,13 @@ class BlenderRenderer:
         parts = [(crop, [*range(len(objects))])] if self._whole_frame else crops_of(scene)
         bounces = METAL_BOUNCES if mirrors_surfaces(scene) else PHYSICAL_BOUNCES if spec.weather is not None else 0
         slots = {k: slot for _, group in parts for slot, k in enumerate(group)}
-        job = {
+        job: SceneMessage = {
             "what": spec.frame_id,
             "camera": camera_message(spec.camera, _CLIP_M),
             "crops": [part for part, _ in parts],
             "cycles": self._cycles(spec, bounces),
             "sky": None if spec.weather is None else _sky(spec.weather),
-            "objects": [{**_object(placed, spec), "slot": slots.get(k, 0)} for k, placed in enumerate(objects)],
+            "objects": [_object(placed, spec, slots.get(k, 0)) for k, placed in enumerate(objects)],
         }
         made = time.perf_counter()
         seconds, pictures = self._rendered(job)
@@ -141,10 +141,10 @@ class BlenderRenderer:
             self._process.close()
             self._process = None
 
-    def _cycles(self, spec: SceneSpec, bounces: int) -> dict[str, Any]:
+    def _cycles(self, spec: SceneSpec, bounces: int) -> dict[str, object]:
         """Return the settings of Cycles that depend on the scene, by their names in Blender."""
         how = sampling_for(spec.samples)
-        settings: dict[str, Any] = {
+        settings: dict[str, object] = {
             "seed": spec.render_seed,
             "samples": how.samples,
             "sampling_pattern": how.pattern,
@@ -155,7 +155,7 @@ class BlenderRenderer:
             settings["adaptive_min_samples"] = how.adaptive_min_samples
         return settings | dict.fromkeys(("max_bounces", "diffuse_bounces", "glossy_bounces"), bounces)
 
-    def _rendered(self, job: dict[str, Any]) -> tuple[dict[str, float], list[dict[str, NDArray[np.float32]]]]:
+    def _rendered(self, job: SceneMessage) -> tuple[dict[str, float], list[dict[str, NDArray[np.float32]]]]:
         """Have a scene rendered; return the seconds per step, and the channels of the picture of each crop."""
         for attempt in range(1, ATTEMPTS + 1):
             self.start()
@@ -177,7 +177,7 @@ class BlenderRenderer:
         raise AssertionError("unreachable")
 
 
-def camera_message(camera: CameraSpec, clip_m: tuple[float, float]) -> dict[str, Any]:
+def camera_message(camera: CameraSpec, clip_m: tuple[float, float]) -> CameraMessage:
     """Return the camera as `blender.session.Stage.set_camera` takes it, with the near and far limit."""
     return {
         "position_m": np.asarray(camera.position_m, np.float64),
@@ -226,8 +226,7 @@ def _sky(weather: Weather) -> dict[str, float]:
     return {"clear_at_zenith": through, "air": air, "cloud": cloud, "cover": weather.cloud, "ground": ground}
 
 
-def _object(placed: PlacedObject, scene: SceneSpec) -> dict[str, Any]:
-    """Return an object as `blender.objects.ObjectScenes` takes it."""
+def _object(placed: PlacedObject, scene: SceneSpec, slot: int) -> ObjectMessage:
     look = scene.appearance
     mesh = placed.mesh
     properties = {
@@ -236,6 +235,7 @@ def _object(placed: PlacedObject, scene: SceneSpec) -> dict[str, Any]:
         "surroundings_c": look.surroundings_k - ZERO_C_K,
     }
     return {
+        "slot": slot,
         "vertices_m": np.asarray(placed.world_m, np.float32),
         "triangles": mesh.triangles,
         "smooth": mesh.smooth,

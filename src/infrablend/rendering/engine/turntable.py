@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.assets.catalogue import load_model
-from infrablend.assets.model import ObjectModel
+from infrablend.assets.model import ObjectModel, Params
 from infrablend.compositing.mapping import GreyMapping
 from infrablend.compositing.overlay import compose, make_layer
 from infrablend.compositing.sensor import Sensor, apply_sensor, grain
@@ -116,11 +116,11 @@ class _Individual:
 
     model: ObjectModel
     name: str
-    params: dict[str, Any]
+    params: Params
     mesh: Mesh
 
 
-def _individuals(model: ObjectModel, name: str, seed: int, options: Mapping[str, Any]) -> list[_Individual]:
+def _individuals(model: ObjectModel, name: str, seed: int, options: Params) -> list[_Individual]:
     """Draw the five individuals of a sheet."""
     drawn = [model.sample(stream(seed, name, "turntable", k), options) for k in range(5)]
     return [_Individual(model, name, params, model.build(params)) for params in drawn]
@@ -257,7 +257,7 @@ def _scene(one: _Individual, pitch_deg: float, yaw_deg: float, fill: float, side
     return place(scene, [mesh])
 
 
-def _example_appearance(model: ObjectModel, params: dict[str, Any]) -> Appearance:
+def _example_appearance(model: ObjectModel, params: Params) -> Appearance:
     """Return a look whose white end suits the individual: a deer is a few kelvin above air, motors are tens."""
     means = [sum(r.delta_t_k) / 2 for r in model.roles(params).values()]
     # A single hot part, such as a tail pipe, must not darken all others.

@@ -137,7 +137,10 @@ def show_table(head: Sequence[str], rows: Iterable[Sequence[str | tuple[str, str
                     for k, cell in enumerate(row):
                         names_row = not k and not head[0]
                         with ui.element("th" if names_row else "td").props("scope=row" if names_row else ""):
-                            ui.label(cell) if isinstance(cell, str) else ui.link(*cell)
+                            if isinstance(cell, str):
+                                ui.label(cell)
+                            else:
+                                ui.link(*cell)
 
 
 def show_choice(

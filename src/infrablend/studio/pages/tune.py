@@ -536,7 +536,8 @@ class TunePage:
             if key is not None and key not in self._unread:
                 below = problem.where.removeprefix(key).lstrip(".")
                 expected = f"; expected {problem.expected}" if problem.expected else ""
-                words.setdefault(key, []).append(f"{below}: " * bool(below) + problem.found + expected)
+                where = f"{below}: " if below else ""
+                words.setdefault(key, []).append(where + problem.found + expected)
         for key, made in self._inputs.items():
             text = "; ".join(words.get(key, ()))
             if text == made.marked:
