@@ -37,7 +37,10 @@ def generate(
     *,
     recipe: RecipeArgument,
     data: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of the background dataset, a video, or an address such as s3://bucket/data.")
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder of the background dataset, a video, or an address such as s3://bucket/data."
+        ),
     ],
     out: Annotated[
         Path, typer.Option(metavar="DIR", help="Folder to write the run to; packed shards also to s3://bucket/run.")
