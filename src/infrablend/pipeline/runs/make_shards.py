@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
@@ -32,6 +32,9 @@ from infrablend.pipeline.runs.sharded import ShardedRun
 from infrablend.pipeline.storage.store import Store
 
 log = logging.getLogger(__name__)
+
+Counts: TypeAlias = "Mapping[str, int | Counts]"
+"""Counts of a record by name, some of them in groups."""
 
 
 def require_packed(recipe: Recipe, out: Path) -> None:
@@ -61,20 +64,18 @@ def make_shards(
     Args:
         plan: Plan of the whole run.
         shards: Shards to make.
-        out: Folder of the run, or its address in object storage.
+        out: Folder of the run, or its address in object storage, which takes packed shards only.
         execution: Workers, device and renderer.
         existing: What to do with shards that are there; `resume` leaves whole ones as they are.
         on_progress: Called after each frame.
         source: Where to take finished frames from; None renders them.
 
     Raises:
-        ArgumentError: A run in object storage has a file per frame.
         MissingDependencyError: pyarrow, or the library for the storage, is not installed.
         StorageError: The storage cannot be used.
         OtherSettingsError: `out` has shards of another run.
         OutputError, Interrupted, RenderError: See `run_plan`.
     """
-    require_packed(plan.recipe, out)
     reports: list[RunReport] = []
     before = 0
     total = sum(len(s.part_of(plan.frames)) for s in shards)
@@ -88,7 +89,7 @@ def make_shards(
             progress = None if on_progress is None else _progress_of_all(on_progress, before, total)
             reports.append(_make(run, part, shard, execution, existing, progress, source))
             before += len(frames)
-    counts = reduce(added_counts, (r.counts for r in reports))
+    counts = reduce(_added, (r.counts for r in reports))
     whole = len(shards) == shards[0].count  # a part alone may have no object of a kind
     nothing = tuple(nothing_inserted(plan.recipe, counts)) if whole else ()
     problems = nothing + tuple(p for r in reports for p in r.problems)
@@ -97,11 +98,16 @@ def make_shards(
     return RunReport(out, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
 
 
-def added_counts(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+def _added(a: Counts, b: Counts) -> Counts:
     """Return the sums of two sets of counts, nested ones as well."""
     found = dict(a)
     for name, value in b.items():
-        found[name] = added_counts(a.get(name, {}), value) if isinstance(value, Mapping) else a.get(name, 0) + value
+        known = found.get(name, 0)
+        if isinstance(value, int):
+            assert isinstance(known, int)  # the same field of the same kind of record
+            found[name] = known + value
+        else:
+            found[name] = _added({} if isinstance(known, int) else known, value)
     return found
 
 

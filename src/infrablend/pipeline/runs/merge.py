@@ -116,21 +116,20 @@ def _finished_shards(runs: Sequence[ShardedRun], partial: bool) -> tuple[SharedP
             if known is None or _PROGRESS[state.state] > _PROGRESS[known.state]:
                 furthest[state.shard.number] = run, state
     finished = [(run, state.shard) for run, state in furthest.values() if state.is_finished]
-    lacking = [(run, state) for run, state in furthest.values() if not state.is_finished]
+    lacking = [
+        Problem(f"shard {s.shard}", "shard-unfinished", s.describe(), "a finished shard", run.command(s.shard))
+        for run, s in furthest.values()
+        if not s.is_finished
+    ]
     if lacking and not partial:
         raise OutputError(
             f"{len(lacking)} of {shared.shards} shards are not finished. Finish them (infrablend status lists them), "
             "or merge the others with --partial.",
-            [_unfinished(run, state) for run, state in lacking],
+            lacking,
         )
     if not finished:
         raise ArgumentError(f"none of the {shared.shards} shards is finished; expected at least one")
     return shared, [finished_shard(run, shard, shared) for run, shard in finished]
-
-
-def _unfinished(run: ShardedRun, state: ShardState) -> Problem:
-    found = "missing" if state.state == "missing" else state.describe()
-    return Problem(f"shard {state.shard}", "shard-unfinished", found, "a finished shard", run.command(state.shard))
 
 
 def _require_intact(plan: RunPlan, shards: Sequence[FinishedShard]) -> None:

@@ -30,7 +30,7 @@ UNFINISHED = "unfinished"
 
 def pack(
     plan: RunPlan, folder: RunFolder, ledger: Ledger, files: ShardFiles, record: Mapping[str, Any]
-) -> Mapping[str, Any]:
+) -> Mapping[str, object]:
     """Write tar, table and record of a shard, one frame in memory at a time; return the counts.
 
     Args:

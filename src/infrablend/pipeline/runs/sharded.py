@@ -143,6 +143,8 @@ class ShardState:
 
     def describe(self) -> str:
         """Return the state in words."""
+        if self.state == "missing":
+            return self.state
         return f"{self.state}: {self.damage or f'{self.finished} of {self.frames} frames'}"
 
     def to_json(self) -> dict[str, object]:
@@ -307,7 +309,7 @@ class ShardedRun:
         return f"infrablend generate ... --out {shlex.quote(self.place)} --shard {shard} --resume"
 
     @cached_property
-    def _any_record(self) -> dict[str, Any] | None:
+    def _any_record(self) -> Mapping[str, object] | None:
         """Record of a shard, to learn the command of the others."""
         names = sorted({p.name.lstrip(".").partition(".")[0] for p in self.root.glob("*shard-*-of-*")})
         files = (file for name in names for file in self._record_files(name))
