@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Runs `infrablend submit --to slurm` on a cluster of one controller and two nodes, all on this machine.
+# Runs the SLURM template of docs/how_to/cluster.md, as it stands there, on a cluster of one controller and two nodes, all on
+# this machine.
 #
-#     scripts/slurm_check.sh [DATA]      a dataset; without one, a virtual world of 8 pictures is made
+#     scripts/slurm_check.sh [DATA]      a dataset; without one, a virtual world of 8 pictures is made, which needs Blender
 #
 # Installs nothing: it needs Debian's packages `slurm-wlm` and `munge`. Everything is in a folder in /tmp, which remains if
 # something fails. 8 shards are rendered. One node is killed while it renders, and its shard is queued again; another shard
@@ -17,6 +18,7 @@ done
 
 infrablend="$PWD/.venv/bin/infrablend"
 python="$PWD/.venv/bin/python"
+page="$PWD/docs/how_to/cluster.md"
 folder=$(mktemp -d /tmp/slurm-check-XXXXXX)
 cluster="check$$"
 shards=8
@@ -122,11 +124,11 @@ head -n 3 "$folder/said"
 
 step "$shards shards, and a job that merges them"
 cd "$folder"
-"$infrablend" submit --to slurm --shards "$shards" --into "$folder/merged" --cores 1 --memory 2 --minutes 30 \
-  --print -- "${words[@]}" --out "$folder/shards" > job.sh
-bash job.sh | tee submitted
-array=$(sed 's/^shards: job \([0-9]*\),.*/\1/' submitted)
-merge=$(sed 's/.*merge: job //' submitted)
+sed -n '/^#!\/bin\/bash$/,/^```$/p' "$page" | sed '$d' > shards.sh
+export PATH="$(dirname "$infrablend"):$PATH"
+array=$(sbatch --parsable --array="1-$shards" --cpus-per-task=1 --mem=2G --time=30 shards.sh "${words[@]}" --out "$folder/shards")
+merge=$(sbatch --parsable --dependency="afterany:$array" --mem=4G --wrap "infrablend --quiet merge --resume shards merged")
+echo "shards: job $array, merge: job $merge"
 
 step "node n2 dies"
 killed=$(rendering -w n2)
@@ -150,7 +152,7 @@ for _ in $(seq 900); do
 done
 for job in "$array" "$merge"; do
   scontrol -o show job "$job"
-done | sed -E 's/.*ArrayTaskId=([0-9]+) .*JobState=([A-Z_]+) .*Restarts=([0-9]+) .* NodeList=(n[12]).*/task \1: \2, \3 restarts, at last on \4/' | sort -V
+done | sed -E 's/.*ArrayTaskId=([0-9]+) .*JobState=([A-Z_]+) .*Restarts=([0-9]+) .* NodeList=(n[12]).*/task \1: \2, \3 restarts, at last on \4/; s/.*JobName=wrap .*JobState=([A-Z_]+) .*/merge: \1/' | sort -V
 "$infrablend" status "$folder/shards"
 
 step "the merged run against the undivided one"

@@ -28,7 +28,7 @@ ALLOWED = {
     "pipeline/execution/scratch.py": "folders, to lock them",
     "lab/realism/measure_objects.py": "bytes in memory",
     "pipeline/compose/frame.py": "backgrounds, which may be links",
-    "pipeline/runs/packed_shard.py": "the ledger, by SQLite",
+    "pipeline/runs/make_shards.py": "the ledger, by SQLite",
     "pipeline/studies/profile.py": "pictures of a dataset, checked by its reader",
     "pipeline/runs/rerender.py": "a file that the user names",
     "pipeline/runs/run.py": "the ledger, by SQLite",

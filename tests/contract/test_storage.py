@@ -21,6 +21,7 @@ pytest.importorskip("pyarrow", reason="NEEDS PYARROW")
 
 __all__ = ["dataset", "server"]
 
+ROOT = Path(__file__).parents[2]
 PACKED = ("--set", "output.layout=shards", "--limit", 2)
 FIRST = [f"shard-00001-of-00002.{end}" for end in ("json", "parquet", "tar")]
 SECOND = [f"shard-00002-of-00002.{end}" for end in ("json", "parquet", "tar")]
@@ -178,9 +179,8 @@ def test_a_killed_job_leaves_nothing_that_is_taken_for_a_shard(dataset, server, 
     """Killed at each of its writes, before or after it arrived."""
     words = [str(w) for w in shard(dataset, server, "1/2")]
     program = (
-        "import sys; from infrablend.pipeline.plans import run_request; from infrablend.cli import main; "
-        "run_request.Execution.__init__.__defaults__ = (None, 'auto', 'flat', True, 'local', None); "
-        "sys.argv[1:] = sys.argv[1:]; main()"
+        "from infrablend.cli import main; from infrablend.pipeline.plans.run_request import Execution; "
+        "from tests.flat_renderer import flat_defaults; Execution.__init__.__defaults__ = flat_defaults(); main()"
     )
     left = [number]
     job = None
@@ -196,9 +196,10 @@ def test_a_killed_job_leaves_nothing_that_is_taken_for_a_shard(dataset, server, 
         return None
 
     server.rule = killing
-    job = subprocess.Popen([sys.executable, "-c", program, "-q", *words], stdout=subprocess.DEVNULL)
+    job = subprocess.Popen([sys.executable, "-c", program, "-q", *words], stdout=subprocess.DEVNULL, cwd=ROOT)
     code = job.wait()
     server.rule = None
+    assert code in (0, -signal.SIGKILL), "the job failed before it was killed"
     if code == 0:
         assert left[0] > 0, "the job makes fewer writes"
     names = server.names()

@@ -92,8 +92,6 @@ from infrablend.pipeline.runs.run import RunReport as RunReport
 from infrablend.pipeline.plans.shard import ShardRequest as ShardRequest
 from infrablend.pipeline.runs.sharded import ShardState as ShardState
 from infrablend.pipeline.datasets.split import SplitReport as SplitReport
-from infrablend.pipeline.submission.request import Submission as Submission, Volume as Volume
-from infrablend.pipeline.submission.submit import submission_text as submission_text, submit as submit
 from infrablend.lab.training.train import TrainReport as TrainReport
 from infrablend.lab.training.training_plan import TrainPlan as TrainPlan
 from infrablend.pipeline.compose.trial import Trial as Trial

@@ -20,8 +20,7 @@ from infrablend.pipeline.runs.generate import describe_run, generate_run
 from infrablend.pipeline.runs.merge import merge_shards
 from infrablend.pipeline.runs.rerender import rerender_frame, show_frame
 from infrablend.pipeline.runs.run import RunReport
-from infrablend.pipeline.runs.sharded import Layout, ShardState
-from infrablend.pipeline.runs.stored import opened_run
+from infrablend.pipeline.runs.sharded import Layout, ShardState, opened_run
 
 if TYPE_CHECKING:
     from infrablend.report.preview import Draw

@@ -47,7 +47,6 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "generate": run_commands.generate,
     "merge": run_commands.merge,
     "status": run_commands.status,
-    "submit": run_commands.submit,
     "try": tuning_commands.try_recipe,
     "convert": dataset_commands.convert,
     "preview": finished_run_commands.preview,

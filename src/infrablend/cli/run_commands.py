@@ -1,10 +1,8 @@
-"""Commands that make runs: `generate`, and `submit`, `status` and `merge` for runs in shards."""
+"""Commands that make runs: `generate`, and `status` and `merge` for runs in shards."""
 
 from __future__ import annotations
 
 import json
-import os
-import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -26,7 +24,6 @@ from infrablend.cli.options import (
     SettingsOption,
     comma_list,
     earlier_output,
-    reported,
 )
 from infrablend.cli.output import facts, loss_lines, print_warnings, show_report, show_result, shown_progress, table
 from infrablend.core.addresses import shown
@@ -34,26 +31,19 @@ from infrablend.errors import ArgumentError
 
 _SHOWN = 20
 
-_OURS = {
-    "shard": "--shard",
-    "shard_size": "--shard-size",
-    "plan": "--plan",
-    "resume": "--resume",
-    "overwrite": "--overwrite",
-    "as_json": "--json",
-}
-"""Options of `generate` that the jobs of `submit` set themselves."""
-
 
 def generate(
     session: JsonSession,
     *,
     recipe: RecipeArgument,
     data: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder of the background dataset, a video, or s3://, gs://, hf://.")
+        Path,
+        typer.Option(
+            metavar="DIR", help="Folder of the background dataset, a video, or an address such as s3://bucket/data."
+        ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder to write the run to; packed shards also to s3://, gs://, hf://.")
+        Path, typer.Option(metavar="DIR", help="Folder to write the run to; packed shards also to s3://bucket/run.")
     ],
     selection: Annotated[
         api.FrameSelection,
@@ -176,7 +166,7 @@ def merge(
     session: JsonSession,
     *,
     sources: Annotated[
-        list[Path], typer.Argument(metavar="OUT...", help="Folders with shards of one run, or s3://, gs://, hf://.")
+        list[Path], typer.Argument(metavar="OUT...", help="Folders with shards of one run, or s3://bucket/run.")
     ],
     dst: Annotated[Path, typer.Argument(metavar="DST", help="Folder to write the run to.")],
     partial: Annotated[
@@ -202,7 +192,7 @@ def merge(
 def status(
     session: JsonSession,
     *,
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder with shards of a run, or s3://, gs://, hf://.")],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder with shards of a run, or s3://bucket/run.")],
     wait: Annotated[bool, typer.Option("--wait", help="Wait until every shard is done or failed.")] = False,
 ) -> None:
     """Show which shards of a run are done, running, failed, stopped or missing; exit with 1 unless all are done."""
@@ -225,95 +215,3 @@ def _state_lines(states: Sequence[api.ShardState], counts: Counter[str]) -> list
     if len(rest) > _SHOWN:
         lines.append(f"... and {len(rest) - _SHOWN} more (--json lists all)")
     return lines
-
-
-def submit(
-    ctx: typer.Context,
-    session: JsonSession,
-    *,
-    words: Annotated[
-        list[str], typer.Argument(metavar="-- RECIPE --data DIR --out DIR...", help="Arguments of `generate`.")
-    ],
-    to: Annotated[Literal["slurm", "kubernetes"], typer.Option(help="Scheduler of the cluster.")],
-    show: Annotated[
-        bool, typer.Option("--print", help="Print the script or manifest instead of submitting it.")
-    ] = False,
-    program: Annotated[
-        str | None,
-        typer.Option(help="Path of infrablend on the cluster [default: SLURM this one, Kubernetes infrablend]."),
-    ] = None,
-    job: Annotated[
-        dict[str, Any],
-        Fields(
-            "shards into name cores memory_gib minutes parallel partition account image volumes",
-            request=api.Submission,
-            shards=typer.Option(metavar="N"),
-            into=typer.Option(metavar="DIR"),
-            cores=typer.Option(min=1),
-            memory_gib=typer.Option("--memory", metavar="GIB", min=1),
-            minutes=typer.Option(min=3),
-            parallel=typer.Option(min=1),
-            volumes=Annotated[
-                list[Any] | None,
-                typer.Option("--volume", metavar="CLAIM:/PATH", parser=reported(api.Volume.parse)),
-                tuple,
-            ],
-        ),
-    ],
-) -> None:
-    """Submit a run in shards to SLURM or Kubernetes: a job for each shard, and one that merges them."""
-    given = parse_generate(ctx, words)
-    submission = api.Submission(
-        words=tuple(words) if given["workers"] else (*words, "--workers", str(job["cores"])),
-        out=given["out"],
-        program=_program(program, to),
-        paths=_paths(given),
-        **job,
-    )
-    if not show:
-        said = api.submit(submission, to)
-        show_result(session, {"to": to, "said": said}, lambda: said)
-        return
-    text = api.submission_text(submission, to)
-    if session.json:
-        show_result(session, {"to": to, "text": text}, str)
-    else:
-        sys.stdout.buffer.write(os.fsencode(text))
-        sys.stdout.flush()
-
-
-def parse_generate(ctx: typer.Context, words: Sequence[str]) -> dict[str, Any]:
-    """Return the values of the arguments of `generate`, without running it.
-
-    Raises:
-        click.UsageError: They are wrong, or contain what the jobs set themselves.
-    """
-    if "--" in words:
-        raise typer.BadParameter("-- a second time; write a name that begins with - as ./-NAME")
-    root: Any = ctx.find_root().command
-    command = root.commands["generate"]
-    given: dict[str, Any] = command.make_context("infrablend submit ... --", list(words)).params
-    normal = {p.name: p.default for p in command.params}
-    wrong = [option for key, option in _OURS.items() if (given[key] or None) != (normal[key] or None)]
-    if wrong:
-        raise typer.BadParameter(f"{', '.join(wrong)}: the jobs set it themselves; leave it out")
-    api.FrameSelection(given["limit"], given["sample"], given["frames"], given["pictures"])
-    api.Reading(val_share=given["val_share"])
-    if given["price"] is not None:
-        raise typer.BadParameter("used by --plan only, which no job gives; leave it out", param_hint="--price")
-    return given
-
-
-def _paths(given: dict[str, Any]) -> tuple[Path, ...]:
-    recipe = Path(str(given["recipe"]))
-    named = [recipe] if len(recipe.parts) > 1 or recipe.suffix else []
-    return (*named, *(v for v in given.values() if isinstance(v, Path)))
-
-
-def _program(given: str | None, to: str) -> tuple[str, ...]:
-    if given is not None:
-        return (given,)
-    if to == "kubernetes":
-        return ("infrablend",)
-    here = Path(sys.executable).with_name("infrablend")
-    return (str(here),) if here.is_file() else (sys.executable, "-m", "infrablend")

@@ -16,8 +16,8 @@ _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(.*)", re.DOTALL)
 _USER = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2})[^/\s]*@")
 _QUERY = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+:/{1,2}[^\s?'\"]*\?)[^\s'\"]+")
 
-EXTRAS = {"s3": "s3", "gs": "gcs", "hf": "hf"}
-"""Schemes of object storage, with the extra that installs what reads and writes them."""
+_NO_STORAGE = frozenset({"data", "file", "ftp", "http", "https", "local", "memory"})
+"""Schemes of fsspec that are no storage which several jobs can write to."""
 
 
 def without_user(text: str) -> str:
@@ -29,10 +29,10 @@ def address_of(path: str | Path) -> str | None:
     """Return the address that a path was made of, with single slashes and none at its end; None for a folder.
 
     A folder in the working directory with the name of a scheme, such as `ftp:`, hides the addresses of that scheme. It
-    hides none of object storage: a run would silently stay on this machine.
+    hides none of `s3`: a run would silently stay on this machine.
     """
     found = _ADDRESS.fullmatch(str(path))
-    if found is None or (found[1].lower() not in EXTRAS and Path(f"{found[1]}:").is_dir()):
+    if found is None or (found[1].lower() != "s3" and Path(f"{found[1]}:").is_dir()):
         return None
     return f"{found[1].lower()}://{'/'.join(part for part in found[2].split('/') if part not in ('', '.'))}"
 
@@ -61,7 +61,7 @@ def require_folder(name: str, path: str | Path) -> None:
 
 
 def require_known(name: str, path: str | Path) -> None:
-    """Check that an argument is a folder, or an address in object storage without a password.
+    """Check that an argument is a folder, or an address without a password that may be one of object storage.
 
     Raises:
         ArgumentError: It is another address; the message shows its scheme only.
@@ -69,9 +69,10 @@ def require_known(name: str, path: str | Path) -> None:
     if (address := address_of(path)) is None:
         return
     scheme, _, rest = address.partition("://")
-    known = ", ".join(f"{s}://" for s in EXTRAS)
-    if scheme not in EXTRAS:
-        raise ArgumentError(f"{name}: found an address, {scheme}://..., expected a folder or one of {known}")
+    if scheme in _NO_STORAGE:
+        raise ArgumentError(
+            f"{name}: found an address, {scheme}://..., expected a folder or one of object storage, such as s3://"
+        )
     if "@" in rest.partition("/")[0] or "?" in rest or "#" in rest:
         raise ArgumentError(
             f"{name}: found {scheme}://... with a name, a password or options; expected {scheme}://BUCKET/FOLDER. "

@@ -78,5 +78,5 @@ def test_every_command_reads_with_format_and_writes_with_to() -> None:
     assert {of["--format"] for of in options.values() if "--format" in of} == {
         "Format of the dataset to read [default: detected]."
     }
-    assert {name for name, of in options.items() if "--to" in of} == {"generate", "convert", "split", "submit"}
+    assert {name for name, of in options.items() if "--to" in of} == {"generate", "convert", "split"}
     assert not any("format" in o for of in options.values() for o in set(of) - {"--format"})

@@ -15,6 +15,7 @@ from infrablend.core.workspace import workspace
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import Shard, ShardRequest
+from infrablend.pipeline.runs import sharded as sharded_run
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.unit.pipeline.test_run import dataset, hashes
@@ -238,3 +239,17 @@ def test_shards_are_no_dataset(dataset, tmp_path):
     (tmp_path / "foreign/notes.txt").write_text("mine")
     assert "nothing was touched" in run(*command(dataset, tmp_path / "foreign", "--shard", "1/2")).output
     assert "shards.json" in run("status", tmp_path / "foreign").output
+
+
+def test_status_waits_for_the_shards(dataset, tmp_path, monkeypatch):
+    out = tmp_path / "shards"
+    todo = ["1/2", "2/2"]
+
+    def work(_: float) -> None:
+        shard = todo.pop(0)
+        done("generate", "hit-uav-drone", "--data", dataset, "--out", out, "--to", "yolo", "--shard", shard)
+
+    monkeypatch.setattr(sharded_run.time, "sleep", work)
+    assert [s.state for s in api.status(out, wait=True)] == ["done", "done"]
+    assert todo == []
+    assert done("status", "--wait", out).exit_code == 0

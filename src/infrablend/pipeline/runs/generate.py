@@ -26,9 +26,8 @@ from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import forecast_objects
+from infrablend.pipeline.runs.make_shards import make_shards, require_packed
 from infrablend.pipeline.runs.run import RunReport, run_plan
-from infrablend.pipeline.runs.sharded import run_shards
-from infrablend.pipeline.runs.stored import require_packed, run_stored_shards
 from infrablend.pipeline.storage.mirror import local_folder
 
 
@@ -42,12 +41,9 @@ def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> 
         raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
     plan = prepare_run(request)
     wanted = _wanted(request, plan)
-    if address_of(request.out) is not None:
-        shards = (wanted or ShardRequest(count=1)).of(len(plan.frames))
-        return run_stored_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
     if wanted is not None:
         shards = wanted.of(len(plan.frames))
-        return run_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
+        return make_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
     return run_plan(plan, request.out, request.execution, request.existing, on_progress)
 
 

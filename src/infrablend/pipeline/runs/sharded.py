@@ -1,4 +1,4 @@
-"""Folder of a run in shards: the plan that all shards share, a folder per shard, and the state of each.
+"""Folder of a run in shards: the plan that all shards share, and the state of each, here or in object storage.
 
     OUT/shards.json                  the plan: recipe, seed, digest of the data, and what is measured over all of it
     OUT/shard-00002-of-00007/        one shard, a run folder without label files: images/ run.sqlite run.json
@@ -9,39 +9,44 @@ or, with `output.layout: shards`,
     OUT/shard-00002-of-00007.parquet a row per frame
     OUT/shard-00002-of-00007.json    the record of the shard
 
-A shard has a workspace of its own, so several jobs may share OUT.
+A shard is `missing` until a job opens its workspace, then `running` while that job holds the lock, and `stopped` if the
+job ended too early. Its record appears last and makes it `done`, or `failed` if some frames have no picture. Each shard
+has a workspace of its own, so several jobs may share OUT.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 import os
 import shlex
 import socket
+import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import cached_property, reduce
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from fnmatch import fnmatch
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from infrablend import __version__
-from infrablend.core.files import DAMAGED, read_object, replace_atomically
+from infrablend.core.addresses import address_of
+from infrablend.core.files import DAMAGED, flush, read_object, replace_atomically, write_bytes
 from infrablend.core.ledger import LEDGER, Ledger
 from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
-from infrablend.core.tasks import OnProgress, Progress
 from infrablend.core.typed_command import recorded_command
-from infrablend.core.workspace import NOTE, Existing, is_being_written, partial_of
-from infrablend.errors import OtherSettingsError, OutputError
+from infrablend.core.workspace import NOTE, is_being_written, partial_of
+from infrablend.errors import OtherSettingsError, OutputError, StorageError
 from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import MAX_SHARDS, Shard
-from infrablend.pipeline.runs.inserted import nothing_inserted
 from infrablend.pipeline.runs.key import differences
-from infrablend.pipeline.runs.packed_shard import damage_of, run_packed
-from infrablend.pipeline.runs.run import RunReport, run_plan
-from infrablend.pipeline.runs.shard_source import ShardArchive, ShardFolder, ShardSource
+from infrablend.pipeline.runs.packed_shard import damage_of
+from infrablend.pipeline.storage.store import Store
+
+log = logging.getLogger(__name__)
 
 Layout = Literal["files", "shards"]
 State = Literal["done", "running", "failed", "stopped", "missing"]
@@ -53,7 +58,7 @@ class SharedPlan:
     """What all shards of a run share.
 
     Attributes:
-        count: Number of shards.
+        shards: Number of shards.
         frames: Number of frames of the run.
         key: Key of the run, see `RunPlan.key`.
         formats: Label formats of the merged dataset.
@@ -62,30 +67,21 @@ class SharedPlan:
         layout: Layout of finished shards.
     """
 
-    count: int
+    shards: int
     frames: int
-    key: Mapping[str, Any]
+    key: Mapping[str, object]
     formats: tuple[str, ...]
     renderer: str
     levels: tuple[float, float] | None
     layout: Layout = "files"
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            "infrablend": __version__,
-            "shards": self.count,
-            "frames": self.frames,
-            "key": dict(self.key),
-            "formats": list(self.formats),
-            "renderer": self.renderer,
-            "levels": None if self.levels is None else list(self.levels),
-            "layout": self.layout,
-        }
+    def to_text(self) -> str:
+        """Return the content of `shards.json`."""
+        return json.dumps({"infrablend": __version__, **asdict(self)}, sort_keys=True, indent=2) + "\n"
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> SharedPlan:
-        """Return the plan from JSON values written by `to_json`.
+        """Return the plan from the values of `shards.json`.
 
         Raises:
             LookupError, TypeError, ValueError, ArithmeticError: The values are damaged.
@@ -97,26 +93,20 @@ class SharedPlan:
         layout: Layout = data.get("layout", "files")
         if layout not in get_args(Layout):
             raise ValueError(f"layout {layout!r}, expected one of {', '.join(get_args(Layout))}")
-        return cls(
-            count,
-            frames,
-            dict(data["key"]),
-            tuple(data["formats"]),
-            str(data["renderer"]),
-            recorded_levels(data["levels"]),
-            layout,
-        )
+        levels = recorded_levels(data["levels"])
+        return cls(count, frames, dict(data["key"]), tuple(data["formats"]), str(data["renderer"]), levels, layout)
 
-    def require_same(self, other: SharedPlan, where: Path | str) -> None:
+    def require_same(self, other: SharedPlan, where: str) -> None:
         """Check that another plan gives the same shards, in whatever layout.
 
         Raises:
             OtherSettingsError: It does not; the message lists the differences.
         """
         found = differences(self.key, other.key)
-        for name in ("count", "frames", "formats", "renderer"):
+        for name in ("shards", "frames", "formats", "renderer"):
             was, now = getattr(self, name), getattr(other, name)
-            found += [f"{'shards' if name == 'count' else name} was {was!r}, is {now!r}"] if was != now else []
+            if was != now:
+                found.append(f"{name} was {was!r}, is {now!r}")
         if found:
             raise OtherSettingsError(
                 f"{where}: its shards belong to a different run: {'; '.join(found)}. Shards of one run need the same "
@@ -146,11 +136,18 @@ class ShardState:
     command: str = ""
     damage: str = ""
 
+    @property
+    def is_finished(self) -> bool:
+        """Whether the shard is there, with all frames or without some."""
+        return self.state in ("done", "failed")
+
     def describe(self) -> str:
         """Return the state in words."""
+        if self.state == "missing":
+            return self.state
         return f"{self.state}: {self.damage or f'{self.finished} of {self.frames} frames'}"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values, without an empty command and an empty damage."""
         found = asdict(self) | {"shard": str(self.shard)}
         return {name: value for name, value in found.items() if value != ""}
@@ -160,11 +157,18 @@ class ShardState:
 class ShardedRun:
     """Folder of a run in shards.
 
+    In object storage only packed shards are kept. They are made in a folder of this machine and then copied: the
+    record last, without which no reader takes them for a shard.
+
     Attributes:
-        root: The folder.
+        root: The folder; for a run in object storage, a folder of this machine that has copies of its small files.
+        store: The storage; None for a folder of this machine.
+        sizes: Bytes of the files in the storage, by name.
     """
 
     root: Path
+    store: Store | None = None
+    sizes: dict[str, int] = field(default_factory=dict)
 
     @property
     def file(self) -> Path:
@@ -174,21 +178,42 @@ class ShardedRun:
     @property
     def place(self) -> str:
         """Where the run is, for messages and commands."""
-        return str(self.root)
+        return str(self.root) if self.store is None else self.store.address
 
-    def shard_folder(self, shard: Shard) -> RunFolder:
+    def place_of(self, path: Path) -> str:
+        """Return where readers find a file of the run, for messages."""
+        return str(path) if self.store is None else self.store.place(path.name)
+
+    def folder_of(self, shard: Shard) -> RunFolder:
         """Return the folder of a shard: where it is, or while it is made, depending on the layout."""
         return RunFolder(self.root / shard.folder_name)
 
-    def shard_files(self, shard: Shard) -> ShardFiles:
-        """Return the files of a shard with the layout `shards`."""
+    def files_of(self, shard: Shard) -> ShardFiles:
+        """Return the files of a packed shard."""
         return ShardFiles(self.root, shard.folder_name)
 
-    def shard_source(self, shard: Shard) -> ShardSource:
-        """Return a finished shard as a source of frames, in its layout."""
-        if self.read_plan().layout == "shards":
-            return ShardArchive(self.shard_files(shard))
-        return ShardFolder(self.shard_folder(shard))
+    def refresh(self, pattern: str = "*.json") -> None:
+        """Look again at what the storage has, and copy its small files of such names that are new."""
+        if self.store is None:
+            return
+        self.sizes.clear()
+        self.sizes.update(self.store.files())
+        for path in sorted(self.root.glob(pattern)):
+            if path.name not in self.sizes:
+                path.unlink()
+        for name, size in self.sizes.items():
+            copy = self.root / name
+            if not fnmatch(name, pattern) or (copy.is_file() and copy.stat().st_size == size):
+                continue
+            try:
+                text = self.store.read(name)
+            except StorageError as error:
+                if "Checksum" not in error.message:
+                    raise
+                log.warning("%s", error)  # a damaged record is none: its shard is made again
+                continue
+            if text is not None:
+                write_bytes(copy, text)
 
     def read_plan(self) -> SharedPlan:
         """Return the shared plan.
@@ -218,8 +243,9 @@ class ShardedRun:
             OtherSettingsError: The folder has shards of another plan.
             OutputError: The folder has something else, or cannot be written.
         """
-        formats = tuple(plan.recipe.output.formats)
-        wanted = SharedPlan(count, len(plan.frames), plan.key, formats, renderer, None, plan.recipe.output.layout)
+        output = plan.recipe.output
+        formats = tuple(output.formats)
+        wanted = SharedPlan(count, len(plan.frames), dict(plan.key), formats, renderer, None, output.layout)
         if os.path.lexists(self.file):
             known = self.read_plan()
             known.require_same(wanted, self.place)
@@ -236,11 +262,14 @@ class ShardedRun:
                 f"{self.root}: not empty and not a run in shards of InfraBlend (no {SHARDS_FILE}; found {foreign[0]}); "
                 "nothing was touched. Give another folder."
             )
-        shared = replace(wanted, levels=plan.levels or dataset_levels(plan) if plan.needs_levels else None)
+        if plan.needs_levels:
+            wanted = replace(wanted, levels=plan.levels or dataset_levels(plan))
         temporary = self.root / f".shards.{socket.gethostname()}.{os.getpid()}.part.json"
         with replace_atomically(self.file, beside=temporary, durable=True) as part:
-            part.write_text(json.dumps(shared.to_json(), sort_keys=True, indent=2) + "\n", encoding="utf-8")
-        return shared
+            part.write_text(wanted.to_text(), encoding="utf-8")
+        if self.store is not None:
+            self.store.upload(self.file, SHARDS_FILE)
+        return wanted
 
     def states(self) -> list[ShardState]:
         """Return the state of every shard, in the order of their numbers.
@@ -249,8 +278,28 @@ class ShardedRun:
             OutputError: The folder has no readable plan.
         """
         shared = self.read_plan()
-        states = [self._state(Shard(n, shared.count), shared) for n in range(1, shared.count + 1)]
+        states = [self._state(Shard(n, shared.shards), shared) for n in range(1, shared.shards + 1)]
         return [s if s.state in ("done", "running") else replace(s, command=self.command(s.shard)) for s in states]
+
+    def wait(self, interval_s: float = 30) -> list[ShardState]:
+        """Return the states once every shard is done or failed; the plan may be missing until the first one starts.
+
+        Raises:
+            OutputError: The plan is damaged.
+        """
+        while True:
+            self.refresh()
+            if os.path.lexists(self.file):
+                states = self.states()
+                if all(s.is_finished for s in states):
+                    return states
+            time.sleep(interval_s)
+
+    def damage(self, shard: Shard, record: Mapping[str, object], *, digests: bool = False) -> str | None:
+        """Return what is wrong with the files of a packed shard; only the sizes of those in storage are compared."""
+        if self.store is None:
+            return damage_of(self.files_of(shard), record, digests=digests)
+        return damage_of(self.files_of(shard), record, digests=False, sizes=self.sizes)
 
     def command(self, shard: Shard) -> str:
         """Return the command that makes or finishes a shard: its own, or that of another shard of the folder."""
@@ -260,7 +309,7 @@ class ShardedRun:
         return f"infrablend generate ... --out {shlex.quote(self.place)} --shard {shard} --resume"
 
     @cached_property
-    def _any_record(self) -> dict[str, Any] | None:
+    def _any_record(self) -> Mapping[str, object] | None:
         """Record of a shard, to learn the command of the others."""
         names = sorted({p.name.lstrip(".").partition(".")[0] for p in self.root.glob("*shard-*-of-*")})
         files = (file for name in names for file in self._record_files(name))
@@ -271,109 +320,62 @@ class ShardedRun:
         folder = self.root / name
         return ShardFiles(self.root, name).marker, folder / RUN_FILE, partial_of(folder) / NOTE
 
-    def wait(self, interval_s: float = 30) -> list[ShardState]:
-        """Return the states once every shard is done or failed; the plan may be missing until the first one starts.
-
-        Raises:
-            OutputError: The plan is damaged.
-        """
-        while True:
-            if os.path.lexists(self.file):
-                states = self.states()
-                if all(s.state in ("done", "failed") for s in states):
-                    return states
-            time.sleep(interval_s)
-
-    def damage(self, shard: Shard, record: Mapping[str, Any]) -> str | None:
-        """Return what is wrong with the sizes of a packed shard's files; None if nothing is."""
-        return damage_of(self.shard_files(shard), record, digests=False)
-
     def _state(self, shard: Shard, shared: SharedPlan) -> ShardState:
-        folder = self.shard_folder(shard).root
+        folder = self.folder_of(shard)
         packed = shared.layout == "shards"
         planned = len(shard.part_of(range(shared.frames)))
-        record = read_object(self.shard_files(shard).marker if packed else folder / RUN_FILE)
-        claimed = is_being_written(folder)
-        partial = partial_of(folder)
+        record = read_object(self.files_of(shard).marker if packed else folder.run_file)
+        claimed = is_being_written(folder.root)
+        partial = partial_of(folder.root)
         if record is None and not partial.is_dir():
             return ShardState(shard, "missing", planned)
-        counts = (record or {}).get("counts")
-        finished = counts.get("frames") if isinstance(counts, Mapping) else None
-        damage = self.damage(shard, record) if packed and record is not None else None
-        if isinstance(finished, int) and not claimed and damage is None:
-            state: State = "done" if finished == planned else "failed"
-            return ShardState(shard, state, planned, finished, planned - finished)
+        damage = None
+        if record is not None:
+            damage = self.damage(shard, record) if packed else None
+            finished = _finished(record)
+            if finished is not None and not claimed and damage is None:
+                state: State = "done" if finished == planned else "failed"
+                return ShardState(shard, state, planned, finished, planned - finished)
         made = 0
         if (partial / LEDGER).is_file():
             with Ledger.open(partial) as ledger:
                 made = len(ledger.done())
         return ShardState(shard, "running" if claimed else "stopped", planned, made, damage=damage or "")
 
+    def publish(self, packed: ShardFiles) -> None:
+        """Move or copy a packed shard to its readers: the record last, and that of an earlier one goes first."""
+        if self.store is not None:
+            self.store.remove(packed.marker.name)
+            for path in (packed.tar, packed.table, packed.marker):
+                self.store.upload(path, path.name)
+            return
+        target = ShardFiles(self.root, packed.name)
+        target.marker.unlink(missing_ok=True)
+        packed.tar.replace(target.tar)
+        packed.table.replace(target.table)
+        flush(self.root)
+        packed.marker.replace(target.marker)
+        flush(self.root)
 
-def run_shard(
-    plan: RunPlan,
-    shard: Shard,
-    out: Path,
-    execution: Execution,
-    existing: Existing = "refuse",
-    on_progress: OnProgress | None = None,
-) -> RunReport:
-    """Render the frames of one shard into its folder or files in `out`; merging shards writes the label files.
 
-    `plan` is that of the whole run.
+def _finished(record: Mapping[str, object]) -> int | None:
+    """Return the number of finished frames in the record of a shard; None if it is damaged."""
+    counts = record.get("counts")
+    found = counts.get("frames") if isinstance(counts, Mapping) else None
+    return found if isinstance(found, int) else None
+
+
+@contextlib.contextmanager
+def opened_run(out: str | Path) -> Iterator[ShardedRun]:
+    """Yield the run in shards in a folder, or at an address.
 
     Raises:
-        OtherSettingsError: `out` has shards of another run.
-        OutputError, Interrupted, RenderError: See `run_plan`.
+        StorageError, MissingDependencyError: The storage cannot be used.
     """
-    sharded = ShardedRun(out)
-    shared = sharded.share_plan(plan, shard.count, execution.renderer)
-    part = replace(plan, frames=tuple(shard.part_of(plan.frames)), shard=shard, levels=shared.levels)
-    if shared.layout == "shards":
-        return run_packed(part, sharded.shard_files(shard), execution, existing, on_progress)
-    return run_plan(part, sharded.shard_folder(shard).root, execution, existing, on_progress)
-
-
-def run_shards(
-    plan: RunPlan,
-    shards: Sequence[Shard],
-    out: Path,
-    execution: Execution,
-    existing: Existing = "refuse",
-    on_progress: OnProgress | None = None,
-    make: Callable[..., RunReport] = run_shard,
-) -> RunReport:
-    """Produce shards one after the other; the report counts the frames of all.
-
-    The arguments and errors are those of `run_shard`, or of another function `make` that makes one shard.
-    """
-    reports: list[RunReport] = []
-    before = 0
-    total = sum(len(s.part_of(plan.frames)) for s in shards)
-    for shard in shards:
-        if reports or len(shards) < shard.count:
-            plan = replace(plan, problems=())  # those of the data are reported once: by merging, or with the first
-
-        def report(progress: Progress, before: int = before) -> None:
-            assert on_progress is not None
-            done = before + progress.done
-            rate = progress.frames_per_s
-            on_progress(replace(progress, done=done, total=total, eta_s=(total - done) / rate if rate else None))
-
-        reports.append(make(plan, shard, out, execution, existing, None if on_progress is None else report))
-        before += len(shard.part_of(plan.frames))
-    counts = reduce(added_counts, (r.counts for r in reports))
-    whole = len(shards) == shards[0].count  # a part alone may have no object of a kind
-    nothing = tuple(nothing_inserted(plan.recipe, counts)) if whole else ()
-    problems = nothing + tuple(p for r in reports for p in r.problems)
-    if len(reports) == 1:
-        return replace(reports[0], problems=problems)
-    return RunReport(out, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
-
-
-def added_counts(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the sums of two sets of counts, nested ones as well."""
-    found = dict(a)
-    for name, value in b.items():
-        found[name] = added_counts(a.get(name, {}), value) if isinstance(value, Mapping) else a.get(name, 0) + value
-    return found
+    if (address := address_of(out)) is None:
+        yield ShardedRun(Path(out))
+        return
+    with tempfile.TemporaryDirectory(prefix="infrablend-") as folder:
+        run = ShardedRun(Path(folder), Store(address))
+        run.refresh()
+        yield run

@@ -1,1 +1,1 @@
-"""Object storage as output and input: `s3://`, `gs://` and `hf://` by way of fsspec."""
+"""Object storage as output and input: addresses such as `s3://bucket/run`, by way of fsspec."""

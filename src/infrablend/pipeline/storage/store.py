@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.addresses import EXTRAS, without_user
+from infrablend.core.addresses import without_user
 from infrablend.core.files import replace_atomically, sha256_of
 from infrablend.errors import InfraBlendError, MissingDependencyError, StorageError
 
@@ -117,7 +117,7 @@ def _file_system(scheme: str) -> Any:
     except ImportError as error:
         raise MissingDependencyError(
             f"{scheme}:// needs a library that is not installed ({error.name or error}). "
-            f"Install it with: pip install 'infrablend[{EXTRAS[scheme]}]'"
+            "Install it, for s3:// with: pip install 'infrablend[s3]'"
         ) from error
     except Exception as error:
         raise StorageError(
