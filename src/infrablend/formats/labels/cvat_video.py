@@ -13,7 +13,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -21,7 +21,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord, Instance, Split
 from infrablend.formats.pictures.listing import list_pictures
 from infrablend.formats.records import Findings
-from infrablend.formats.sequence_writing import Frames, Tracks, plain_id
+from infrablend.formats.sequence_writing import Frames, Place, Tracks, plain_id
 from infrablend.formats.values import to_int
 
 FILE = "annotations.xml"
@@ -157,6 +157,11 @@ def _shapes(
 
 
 # -- writing ---------------------------------------------------------------------------------------------------
+
+
+def path_of(image: ImageRecord, place: Place) -> str:
+    """Return the path of a picture below the dataset's folder."""
+    return f"{place.folder}/{PICTURES}/frame_{place.number:06d}{PurePosixPath(image.name).suffix}"
 
 
 def tracks_of(images: Frames, write_shape: WriteShape, losses: Counter[str]) -> Iterator[str]:

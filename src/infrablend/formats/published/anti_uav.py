@@ -28,7 +28,7 @@ import numpy as np
 from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import distinct_names, file_name, leaves_folder
-from infrablend.core.files import link_or_copy, write_text
+from infrablend.core.files import link_or_copy
 from infrablend.core.json_records import is_list
 from infrablend.core.mesh import FloatArray
 from infrablend.errors import DatasetError, Problem
@@ -36,9 +36,7 @@ from infrablend.formats.base import (
     Match,
     check_splits,
     count_crowds,
-    in_order,
     option_error,
-    require_known,
     require_options,
 )
 from infrablend.formats.box_checks import check_box, edges_of_xywh
@@ -47,17 +45,8 @@ from infrablend.formats.picture_facts import csv_rows, table_of_rows
 from infrablend.formats.pictures.listing import is_hidden, is_picture_name
 from infrablend.formats.pictures.video import SUFFIXES, is_video
 from infrablend.formats.records import Findings
-from infrablend.formats.sequence_writing import (
-    Frames,
-    Place,
-    by_sequence,
-    is_labelled,
-    places_of,
-    plain_id,
-    with_names,
-    write_pictures,
-)
-from infrablend.formats.values import csv_text, to_bool, to_floats, to_int, to_number, to_share
+from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, is_labelled, plain_id, with_names
+from infrablend.formats.values import to_bool, to_floats, to_int, to_number, to_share
 from infrablend.imaging.paint_out import How
 
 NAME = "anti-uav"
@@ -88,6 +77,7 @@ _COLUMNS = {"field_of_view_deg": "hfov_deg", "elevation_at_start_deg": "pitch_de
 _PAINTED: Mapping[How, str] = {"other-frames": "painted", "in-part": "painted_in_part", "guessed": "painted_by_guess"}
 
 
+_DRONE = (CATEGORIES[0].name, 0)
 _TARGETS_FILE = "targets.csv"
 _TARGETS_COLUMNS = ("folder", "of", "first", "category", "track_id", "ignore")
 
@@ -530,55 +520,65 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A category is not in the list.
     """
-    ordered = in_order(images)
-    losses = Losses()
+    writer = SequenceWriter(out, images, categories)
     ignored = {c.name for c in categories if c.ignore}
-    known = {c.name for c in categories}
-    places = places_of(ordered)
-    used: dict[Split, set[str]] = defaultdict(set)
-    for place in places:
+    used: dict[str, set[str]] = defaultdict(set)
+    for place in writer.places:
         used[place.split].add(place.sequence)
-    files: list[Path] = []
-    problems: list[Problem] = []
     rows: list[tuple[str, str, int, str, int | str, int]] = []
-    digits = max(6, len(str(len(places))))  # frames are in the order of their names
+    digits = max(6, len(str(len(writer.places))))  # frames are in the order of their names
 
     def path_of(image: ImageRecord, place: Place) -> str:
         return f"{place.folder}/{place.number + 1:0{digits}d}{PurePosixPath(image.name).suffix}"
 
-    for folder, group in by_sequence(places).items():
-        sequence = Frames(ordered, group)
-        missing = places[group[-1]].number + 1 - len(group)
-        if missing:
-            text = f"{len(group)} picture(s), without {missing} of the numbers up to the last; counted without gaps"
-            problems.append(Problem(folder, "frames-missing", text, "all frames of a sequence", "", "warning"))
-        for position, n in enumerate(group):
-            numbered = ordered[n].capture.sequence is not None and ordered[n].capture.frame == places[n].number
-            losses["frame_renumbered"] += numbered and places[n].number != position
-            places[n] = replace(places[n], number=position)
-            require_known(ordered[n], known)
-            losses["unlabelled_unsaid"] += not is_labelled(ordered[n])
-            losses["ignore_as_class"] += dont_care == "keep" and count_crowds(ordered[n].instances, ignored)
-        targets = _targets(sequence, ignored if dont_care == "drop" else None, losses) or {(CATEGORIES[0].name, 0): {}}
-        split = places[group[0]].split
-        whole = folder.partition("/")[2]
-        wanted = [file_name(f"{whole}_{track}") for _, track in list(targets)[1:]]
-        named = distinct_names(wanted, used[split])
-        used[split] |= {*named}
-        for (key, shown), name in zip(targets.items(), [whole, *named], strict=True):
-            own = f"{split}/{name}"
-            first, last = (0, len(group) - 1) if name == whole else (min(shown), max(shown))
-            files.append(write_text(out / own / _LABELS["ir"][1], _label_text(shown, range(first, last + 1))))
-            if own != folder or key != (CATEGORIES[0].name, 0):
-                rows.append((own, folder, first, *key, int(key[0] in ignored)))
-            for k in range(first, last + 1) if pictures and own != folder else ():
-                path = path_of(sequence[k], Place(split, name, k - first))
-                files.append(link_or_copy(sequence[k].path, out / path))
-    if rows:
-        files.append(write_text(out / _TARGETS_FILE, csv_text(_TARGETS_COLUMNS, rows)))
-    files += write_pictures(out, ordered, places, path_of, losses, pictures, find_out=_found_out, within="ir/")
-    losses["sequence_made"] -= losses["frame_renumbered"]  # these had a number of their own
-    return Written.of(files, losses, problems)
+    for folder, frames, numbers in writer.sequences():
+        _number_without_gaps(writer, folder, frames, numbers)
+        for image in frames:
+            writer.losses["unlabelled_unsaid"] += not is_labelled(image)
+            writer.losses["ignore_as_class"] += dont_care == "keep" and count_crowds(image.instances, ignored)
+        targets = _targets(frames, ignored if dont_care == "drop" else None, writer.losses) or {_DRONE: {}}
+        split = writer.places[frames.chosen[0]].split
+        names = _target_folders(folder, targets, used[split])
+        for (key, shown), name in zip(targets.items(), names, strict=True):
+            whole = Place(split, name, 0)
+            first, last = (0, len(frames) - 1) if whole.folder == folder else (min(shown), max(shown))
+            writer.text(f"{whole.folder}/{_LABELS['ir'][1]}", [_label_text(shown, range(first, last + 1))])
+            if whole.folder != folder or key != _DRONE:
+                rows.append((whole.folder, folder, first, *key, int(key[0] in ignored)))
+            for k in range(first, last + 1) if pictures and whole.folder != folder else ():
+                path = path_of(frames[k], replace(whole, number=k - first))
+                writer.files.append(link_or_copy(frames[k].path, out / path))
+    writer.table(_TARGETS_FILE, _TARGETS_COLUMNS, rows)
+    writer.pictures(path_of, pictures, find_out=_found_out, within="ir/")
+    return writer.written()
+
+
+def _number_without_gaps(writer: SequenceWriter, folder: str, frames: Frames, numbers: Sequence[int]) -> None:
+    """Give the pictures of a sequence their positions as numbers, and warn if some had others."""
+    missing = numbers[-1] + 1 - len(frames)
+    if missing:
+        text = f"{len(frames)} picture(s), without {missing} of the numbers up to the last; counted without gaps"
+        writer.problems.append(Problem(folder, "frames-missing", text, "all frames of a sequence", "", "warning"))
+    for position, (n, number) in enumerate(zip(frames.chosen, numbers, strict=True)):
+        capture = writer.images[n].capture
+        own = capture.sequence is not None and capture.frame == number
+        writer.losses["frame_renumbered"] += own and number != position
+        writer.places[n] = replace(writer.places[n], number=position)
+
+
+def _target_folders(folder: str, targets: Iterable[_Key], used: set[str]) -> list[str]:
+    """Return the names of the folders of a sequence's targets, the first of which has the sequence's own.
+
+    Args:
+        folder: Folder of the sequence.
+        targets: Class and track of each target.
+        used: Names of the split's folders, to which the new ones are added.
+    """
+    whole = folder.partition("/")[2]
+    _, *further = targets
+    named = distinct_names([file_name(f"{whole}_{track}") for _, track in further], used)
+    used.update(named)
+    return [whole, *named]
 
 
 def _found_out(place: Place) -> Capture:
