@@ -17,7 +17,7 @@ from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.file_names import distinct_names, file_name, fold_name
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits
+from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits, step_of
 from infrablend.formats.cameras.flight_log import sample
 from infrablend.formats.cameras.log_alignment import NO_CLOCK, align
 from infrablend.formats.cameras.video_log import (
@@ -30,7 +30,6 @@ from infrablend.formats.cameras.video_log import (
 from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR
 from infrablend.formats.pictures.listing import check_link, is_hidden, open_picture, walk
 from infrablend.formats.pictures.video import SUFFIXES, Video
-from infrablend.formats.published.anti_uav import step_of
 from infrablend.formats.records import Findings
 
 NAME = "videos"

@@ -36,8 +36,8 @@ from infrablend.formats.base import (
     Match,
     check_splits,
     count_crowds,
-    option_error,
     require_options,
+    step_of,
 )
 from infrablend.formats.box_checks import check_box, edges_of_xywh
 from infrablend.formats.losses import Losses, Written, count_dropped
@@ -291,18 +291,6 @@ def _name_unlabelled(found: Findings, sequences: Sequence[_Sequence]) -> None:
             text = f"{len(left)} video(s) without a text of boxes, left out, such as {left[0]}"
             todo = "give such a video alone to read it without labels"
             found.warn(found.place(folder / left[0]), "label-missing", text, "a text per clip", todo)
-
-
-def step_of(root: Path, every: str) -> int | None:
-    """Return the step in frames that an option states; None for an empty one.
-
-    Raises:
-        DatasetError: It is not a positive whole number.
-    """
-    text = str(every).strip()
-    if text and not (text.isascii() and text.isdigit() and 0 < int(text) < 10**9):
-        raise option_error(root, "every", every, "a positive number of frames")
-    return int(text) if text else None
 
 
 def _views(found: Findings, sequences: Sequence[_Sequence]) -> dict[Path, Capture]:
