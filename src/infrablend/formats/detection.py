@@ -21,9 +21,8 @@ from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.cameras.flight_headers import add_flight_data
-from infrablend.formats.divide import with_val
+from infrablend.formats.image_groups import with_val
 from infrablend.formats.labels import folder
-from infrablend.formats.numbered import with_numbered_frames
 from infrablend.formats.pictures import temperature_scale
 from infrablend.formats.pictures.listing import check_link, is_picture_name
 from infrablend.formats.pictures.video import is_video
@@ -181,7 +180,7 @@ class _Reader:
             dataset = temperature_scale.with_scale(dataset, self.scale)
         dataset = add_flight_data(dataset)
         if dataset.format == folder.NAME and dataset.notes.get("labels") != "coco":  # which can state it
-            dataset = replace(dataset, images=with_numbered_frames(dataset.images))
+            dataset = replace(dataset, images=folder.with_numbered_frames(dataset.images))
         remarks = (*hidden_pictures(dataset.root), *temperature_scale.scale_warnings(dataset))
         return replace(dataset, problems=(*dataset.problems, *remarks))
 
