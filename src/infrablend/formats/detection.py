@@ -7,7 +7,6 @@ import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.addresses import address_of, shown
 from infrablend.core.dataset import Dataset
@@ -130,7 +129,7 @@ class _Reader:
 
     root: Path
     module: FormatModule
-    options: Mapping[str, Any]
+    options: Mapping[str, object]
     stated: bool
     scale: TemperatureScale | None
 
@@ -146,7 +145,7 @@ class _Reader:
             if format is None:
                 raise UnknownFormatError(f"{root}: no format fits", [_nothing_to_read(root)])
         chosen = find_format(format)
-        given: dict[str, Any] = dict(reading.options)
+        given: dict[str, object] = dict(reading.options)
         stated = {name: str(given.pop(name)) for name in temperature_scale.OPTIONS if name in given}
         scale = temperature_scale.scale_of_options(stated) if stated else None
         if reading.form is not None:

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.errors import Problem
@@ -117,7 +116,7 @@ BOXES = ("amodal_box", "visible_box")
 """Boxes of partly hidden objects in `Instance.extra`: whole and visible part; left, top, right, bottom in pixels."""
 
 
-def occlusion_fields(instance: Instance) -> dict[str, Any]:
+def occlusion_fields(instance: Instance) -> dict[str, object]:
     """Return the flag `occluded` and the boxes that a label has."""
     return {k: instance.extra[k] for k in ("occluded", *BOXES) if k in instance.extra}
 

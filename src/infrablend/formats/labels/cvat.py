@@ -113,7 +113,7 @@ def _write_videos(writer: SequenceWriter, known: Mapping[str, int], pictures: bo
     return writer.written()
 
 
-def _labels(categories: Sequence[Category]) -> list[dict[str, Any]]:
+def _labels(categories: Sequence[Category]) -> list[dict[str, object]]:
     """Return the labels of a task, as CVAT's constructor takes them in its tab Raw."""
     attributes = [
         {

@@ -340,7 +340,7 @@ def _object(
         flags[flag] = None if value is None else to_bool(value)
         if value and flags[flag] is None:
             found.warn(where, "flag-value", f"{flag} {value[:40]!r}, which is ignored", "0 or 1")
-    extra: dict[str, Any] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
+    extra: dict[str, object] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
     pose = child_text(element, "pose")
     if pose and pose != "Unspecified":
         extra["pose"] = pose

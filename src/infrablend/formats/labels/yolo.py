@@ -522,7 +522,7 @@ def find_yaml(root: Path) -> Path | None:
     return others[0] if len(others) == 1 else None
 
 
-def read_yaml(path: Path, root: Path) -> dict[str, Any]:
+def read_yaml(path: Path, root: Path) -> dict[str, object]:
     """Return the mapping in a `data.yaml`, or what Darknet's `obj.data` says, by the same keys.
 
     Args:
@@ -553,7 +553,7 @@ def read_yaml(path: Path, root: Path) -> dict[str, Any]:
     return value
 
 
-def _read_darknet(path: Path, root: Path) -> dict[str, Any]:
+def _read_darknet(path: Path, root: Path) -> dict[str, object]:
     """Return the lists of pictures and the names of the classes that a Darknet `.data` file gives as `key = path`."""
     text, problem = read_text(path, path.name, "Darknet's description of a dataset")
     said = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
@@ -583,7 +583,7 @@ def _is_file(path: Path) -> bool:
     return os.path.isfile(path)  # noqa: PTH113 - `Path.is_file` raises for names that are too long
 
 
-def line_form(top: Mapping[str, Any], task: Task | None) -> tuple[Task | None, int]:
+def line_form(top: Mapping[str, object], task: Task | None) -> tuple[Task | None, int]:
     """Return the meaning of lines of nine numbers and the number of values of keypoints per line.
 
     Args:
@@ -683,7 +683,7 @@ def detect(root: Path) -> Match:
 
 
 def _split_places(
-    found: Findings, top: Mapping[str, Any], splits: Sequence[Split], where: str
+    found: Findings, top: Mapping[str, object], splits: Sequence[Split], where: str
 ) -> tuple[list[tuple[Split, Path]], list[tuple[Split, Path]]]:
     """Return (split, folder) and (split, text file that lists pictures) according to data.yaml.
 

@@ -318,7 +318,7 @@ def _views(found: Findings, sequences: Sequence[_Sequence]) -> dict[Path, Captur
     return views
 
 
-def _named(row: Mapping[str, Any]) -> dict[str, Any]:
+def _named(row: Mapping[str, object]) -> dict[str, object]:
     """Return a row with our names of columns; pitch is below the horizon, elevation above it."""
     named = {_COLUMNS.get(k, k): v for k, v in row.items()}
     elevation = to_number(named.get("pitch_deg"))
@@ -629,7 +629,7 @@ def _targets(sequence: Frames, dropped: Collection[str] | None, losses: Losses) 
 def _label_text(shown: _Shown, positions: range) -> str:
     """Return the text of a label file."""
     rects = [shown[k][0] if k in shown else () for k in positions]
-    top: dict[str, Any] = {"exist": [int(k in shown) for k in positions], "gt_rect": rects}
+    top: dict[str, object] = {"exist": [int(k in shown) for k in positions], "gt_rect": rects}
     if any(share is not None for _, share in shown.values()):
         top["visibility"] = [shown[k][1] if k in shown else None for k in positions]
     return json.dumps(top, allow_nan=False) + "\n"
