@@ -115,9 +115,11 @@ def _frame_and_clip(names: Sequence[Sequence[str]]) -> tuple[int | None, set[int
     numbers = [k for k in range(1, len(values), 2) if all(v.isdecimal() for v in values[k])]
     frame = max((k for k in numbers if len(values[k]) > 1), default=max(numbers, default=None))
     clip = {
-        k for k in range(len(values)) if k != frame
+        k
+        for k in range(len(values))
+        if k != frame
         and (len(values[k]) == 1 or frame is None or len({(n[k], n[frame]) for n in names}) >= 2 * len(values[k]))
-    }  # fmt: skip
+    }
     return frame, clip
 
 

@@ -212,9 +212,7 @@ class Findings:
             self.problems += table.problems
             self.problems += table.remarks(root, [*names, *others], {r.capture.sequence for r in inside.values()})
         more |= {"pitch": captures.note()}
-        return Dataset(
-            root, format, tuple(categories), sort_images(complete), tuple(self.problems), {**notes, **more}
-        )  # fmt: skip
+        return Dataset(root, format, tuple(categories), sort_images(complete), tuple(self.problems), {**notes, **more})
 
 
 def table_of(root: Path, metadata: Path | None) -> tuple[CaptureTable | None, dict[str, str | None]]:

@@ -543,9 +543,7 @@ def _gravity_of_repeats(file: Path) -> Severity:
     return "warning" if beside != file and beside.is_file() else "error"
 
 
-def _leave_out_objects(
-    found: Findings, record: Mapping[str, object], read: Set[str], prefix: str, where: str
-) -> None:  # fmt: skip
+def _leave_out_objects(found: Findings, record: Mapping[str, object], read: Set[str], prefix: str, where: str) -> None:
     """Count the objects in fields of a record that are not read; only the first item of a list is looked at."""
     for name in record.keys() - read:
         value = record[name]
@@ -558,7 +556,7 @@ def _leave_out_objects(
 
 def _category_names(
     found: Findings, rows: Iterable[Any], where: str, categories: list[Category]
-) -> dict[int | str, str]:  # fmt: skip
+) -> dict[int | str, str]:
     """Return the name of each category of a file by its id; new categories are appended to those of all files."""
     names: dict[int | str, str] = {}
     for i, c in enumerate(rows):

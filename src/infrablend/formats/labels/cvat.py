@@ -285,9 +285,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     found.problems += annotated_twice(twice)
     listed = with_names(found, records.values())
     names |= dict.fromkeys(i.category for r in listed for i in r.instances)
-    return found.dataset(
-        NAME, listed, named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted
-    )  # fmt: skip
+    return found.dataset(NAME, listed, named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted)
 
 
 def _read_video(found: Findings, top: Any, path: Path, wanted: Sequence[Split]) -> list[ImageRecord]:
@@ -322,9 +320,7 @@ def _read_image(found: Findings, element: Any, where: str, split: Split, folder:
     return ImageRecord("", picture, split, size_wh, instances, file_name=name)
 
 
-def _read_objects(
-    found: Findings, element: Any, where: str, size_wh: tuple[int, int] | None
-) -> Iterable[Instance]:  # fmt: skip
+def _read_objects(found: Findings, element: Any, where: str, size_wh: tuple[int, int] | None) -> Iterable[Instance]:
     """Return the objects of a picture; a box and a mask of one label and group are one object."""
     objects: dict[object, Instance] = {}
     for other in (s for s in element if s.tag not in _SHAPES):
@@ -382,10 +378,18 @@ def _read_shape(found: Findings, shape: Any, where: str, size_wh: tuple[int, int
     said = {a.get("name"): (a.text or "").strip() for a in shape.findall("attribute")}
     occluded = {"occluded": True} if shape.get("occluded") == "1" else {}
     return Instance(
-        label, box, corners, mask, to_share(said.get("visibility")),
-        to_bool(said.get("truncated")), to_bool(said.get("difficult")), to_bool(said.get("inserted")) is True,
-        None, occluded, plain_id(said["track_id"]) if said.get("track_id") else None,
-    )  # fmt: skip
+        label,
+        box,
+        corners,
+        mask,
+        to_share(said.get("visibility")),
+        to_bool(said.get("truncated")),
+        to_bool(said.get("difficult")),
+        to_bool(said.get("inserted")) is True,
+        None,
+        occluded,
+        plain_id(said["track_id"]) if said.get("track_id") else None,
+    )
 
 
 def _read_ellipse(

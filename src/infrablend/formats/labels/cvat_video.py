@@ -113,7 +113,7 @@ def _frames(top: Any, pictures: Sequence[Path]) -> dict[int, Path]:
 
 def _shapes(
     found: Findings, top: Any, where: str, frames: Mapping[int, Path], shapes: Sequence[str]
-) -> dict[int, list[tuple[str, Any, str]]]:  # fmt: skip
+) -> dict[int, list[tuple[str, Any, str]]]:
     """Return place, element and track of the shapes of each frame, without those of objects that are outside."""
     of_frame: dict[int, list[tuple[str, Any, str]]] = defaultdict(list)
     lost = gaps = 0
@@ -182,9 +182,7 @@ def tracks_of(images: Frames, write_shape: WriteShape, losses: Counter[str]) -> 
         yield from _track(number, ((n, images[n].instances[k]) for n, k in listed), len(images), write_shape)
 
 
-def _track(
-    number: int, shapes: Iterable[tuple[int, Instance]], length: int, write_shape: WriteShape
-) -> Iterator[str]:  # fmt: skip
+def _track(number: int, shapes: Iterable[tuple[int, Instance]], length: int, write_shape: WriteShape) -> Iterator[str]:
     """Yield the element of one track from its frames, in order."""
     last: tuple[int, Instance] | None = None
     for frame, o in shapes:

@@ -226,9 +226,7 @@ def _read_split(found: Findings, split: Split, labels: Path | None, pictures: Pa
     return records
 
 
-def _read_file(
-    found: Findings, path: Path, size_wh: tuple[int, int]
-) -> tuple[tuple[Instance, ...], dict[str, object]]:  # fmt: skip
+def _read_file(found: Findings, path: Path, size_wh: tuple[int, int]) -> tuple[tuple[Instance, ...], dict[str, object]]:
     extra: dict[str, object] = {}
     instances: list[Instance] = []
     seen: set[str] = set()

@@ -111,9 +111,12 @@ def read(
     whole = _belongs_to(root)
     if whole is not None and labels == "auto":
         problem = Problem(
-            str(root), "split-folder", f"a split's pictures; their labels are in {whole}", "the folder of the dataset",
+            str(root),
+            "split-folder",
+            f"a split's pictures; their labels are in {whole}",
+            "the folder of the dataset",
             f"give {whole.parent.parent}",
-        )  # fmt: skip
+        )
         raise DatasetError(f"{root}: one split of a dataset, read alone it would lose every label", [problem])
     if labels in ("auto", "coco"):
         files = coco.find_files(root)
@@ -139,9 +142,14 @@ def read(
     if labels != "none":
         report_orphans(found, pictures, keypoints)
     return found.dataset(
-        NAME, records, categories_of(known), {"labels": "yolo" if labelled else "none"}, metadata=metadata,
-        splits=wanted, others=[found.place(p.path) for p in pictures],
-    )  # fmt: skip
+        NAME,
+        records,
+        categories_of(known),
+        {"labels": "yolo" if labelled else "none"},
+        metadata=metadata,
+        splits=wanted,
+        others=[found.place(p.path) for p in pictures],
+    )
 
 
 def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] | None:

@@ -433,13 +433,18 @@ def _read_object(
     said = to_floats(row.get("obb"), 8) if row.get("oriented", True) is True else None
     corners = None if said is None or not is_near(said) else np.array(said, np.float64).reshape(4, 2)
     return Instance(
-        category, box,
+        category,
+        box,
         None if corners is None else clockwise_corners(corners),
         _read_mask(row.get("segmentation"), size_wh, where, state),
         to_share(row.get("visibility")),
-        to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
-        None, _read_occlusion(row, size_wh), _text(row.get("track_id")),
-    )  # fmt: skip
+        to_bool(row.get("truncated")),
+        to_bool(row.get("difficult")),
+        row.get("inserted") is True,
+        None,
+        _read_occlusion(row, size_wh),
+        _text(row.get("track_id")),
+    )
 
 
 def _read_occlusion(row: Mapping[str, object], size_wh: tuple[int, int] | None) -> dict[str, object]:

@@ -415,11 +415,18 @@ def _read_result(found: Findings, row: Mapping[str, object], where: str) -> Inst
         return None
     flags = {k: to_bool(meta[k]) if k in meta else None for k in _FLAGS}
     return Instance(
-        str(labels[0]), box, corners, mask, to_share(meta.get("visibility")),
-        flags["truncated"], flags["difficult"], flags["inserted"] is True, None,
+        str(labels[0]),
+        box,
+        corners,
+        mask,
+        to_share(meta.get("visibility")),
+        flags["truncated"],
+        flags["difficult"],
+        flags["inserted"] is True,
+        None,
         {} if flags["occluded"] is None else {"occluded": flags["occluded"]},
         to_id(meta.get("track_id")),
-    )  # fmt: skip
+    )
 
 
 def _read_mask(row: Mapping[str, object], value: Mapping[str, object], size_wh: tuple[int, int]) -> Mask:

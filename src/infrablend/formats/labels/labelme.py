@@ -150,9 +150,7 @@ def read(
     left = {n: split for n, split in left.items() if n not in records}
     found.problems += unlabelled_problems(root.name, len(left), unlabelled, "no JSON file")
     for n, split in left.items() if unlabelled == "keep" else ():
-        records[n] = ImageRecord(
-            "", pictures[n], split, None, (), extra={"labelled": False}, file_name=plain_name(n)
-        )  # fmt: skip
+        records[n] = ImageRecord("", pictures[n], split, None, (), extra={"labelled": False}, file_name=plain_name(n))
     categories = [
         Category(k, n, "", n == IGNORED or is_ignored_name(n)) for k, n in enumerate(names_of(records.values()))
     ]
@@ -232,9 +230,14 @@ def _instance(found: Findings, shape: object, size_wh: tuple[int, int], where: s
     flag = {k: to_bool(said.get(k)) for k in _FLAGS}
     extra = {} if flag["occluded"] is None else {"occluded": flag["occluded"]}
     return Instance(
-        label.strip(), box, corners, mask if mask is not None and mask.area_px else None,
-        truncated=flag["truncated"], difficult=flag["difficult"], extra=extra,
-    )  # fmt: skip
+        label.strip(),
+        box,
+        corners,
+        mask if mask is not None and mask.area_px else None,
+        truncated=flag["truncated"],
+        difficult=flag["difficult"],
+        extra=extra,
+    )
 
 
 def _points(shape: Mapping[str, object], kind: str) -> NDArray[np.float64]:

@@ -274,10 +274,18 @@ def _read_object(
         mask = Mask.from_array(pixels == number)
     visibility = to_floats([row.get("visibility")], 1)
     return Instance(
-        str(row["category"]), inside, _corners(row.get("corners_xy")), mask, visibility[0] if visibility else None,
-        to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
-        to_id(row.get("source_id")), read_occlusion(row), to_id(row.get("track_id")),
-    )  # fmt: skip
+        str(row["category"]),
+        inside,
+        _corners(row.get("corners_xy")),
+        mask,
+        visibility[0] if visibility else None,
+        to_bool(row.get("truncated")),
+        to_bool(row.get("difficult")),
+        row.get("inserted") is True,
+        to_id(row.get("source_id")),
+        read_occlusion(row),
+        to_id(row.get("track_id")),
+    )
 
 
 def _corners(value: object) -> NDArray[np.float64] | None:

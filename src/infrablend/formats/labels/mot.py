@@ -369,7 +369,7 @@ def _compare_info(
 
 def _instances(
     reading: _Reading, rows: Sequence[_Row], size_wh: tuple[int, int], sequence: str
-) -> tuple[Instance, ...]:  # fmt: skip
+) -> tuple[Instance, ...]:
     instances: list[Instance] = []
     for row in rows:
         x, y, w, h = row.xywh

@@ -169,9 +169,7 @@ def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabe
         found.counts["files"] += 1
         size_wh = _size(found, top, name, paths[picture], picture)
         instances = _objects(found, top, name, size_wh, from_one)
-        records[picture] = ImageRecord(
-            "", paths[picture], split, size_wh, instances, file_name=plain_name(picture)
-        )  # fmt: skip
+        records[picture] = ImageRecord("", paths[picture], split, size_wh, instances, file_name=plain_name(picture))
     left = {
         name: split_of.get(picture_key(name)[-1], "train") if split_of else folder_split(name)
         for name in paths
@@ -347,7 +345,7 @@ def _object(
     inserted = to_bool(child_text(element, "inserted")) is True
     return Instance(
         name, box, corners, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=extra
-    )  # fmt: skip
+    )
 
 
 def _rotation_rad(element: Any) -> float:

@@ -807,6 +807,11 @@ def read(
     records, known = build_records(found, [p for p in pictures if p.split in wanted], names, task, keypoints)
     report_orphans(found, pictures, keypoints)
     return found.dataset(
-        NAME, records, categories_of(known), {"labels": "yolo"}, metadata=metadata, splits=wanted,
+        NAME,
+        records,
+        categories_of(known),
+        {"labels": "yolo"},
+        metadata=metadata,
+        splits=wanted,
         others=[found.place(p.path) for p in pictures],
-    )  # fmt: skip
+    )

@@ -434,7 +434,7 @@ def _where(rect: Any, flag: Any, size_wh: tuple[int, int]) -> FloatArray | None:
 
 def _frames(
     found: Findings, sequence: _Sequence, labelled: int, step: int | None
-) -> tuple[Mapping[int, Path], int, Sequence[float]]:  # fmt: skip
+) -> tuple[Mapping[int, Path], int, Sequence[float]]:
     """Return the frames to read by number, the number of frames that the sequence has, and their seconds if known."""
     names = sorted(p for p in sequence.pictures.iterdir() if is_picture_name(p.name) and p.is_file())
     if names or sequence.video is None:
@@ -458,7 +458,7 @@ def _frames(
 
 def _instance(
     found: Findings, target: _Target, rect: Any, exist: Any, size_wh: tuple[int, int], where: str
-) -> tuple[Instance, ...]:  # fmt: skip
+) -> tuple[Instance, ...]:
     """Return the object in a frame; nothing where the flag or an empty box says that there is none."""
     numbers = to_floats(rect, 4)
     empty = rect in ([], None) or (numbers is not None and not any(numbers))
