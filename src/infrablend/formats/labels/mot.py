@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import configparser
 import itertools
-import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -33,7 +32,7 @@ from infrablend.formats.base import (
 )
 from infrablend.formats.box_checks import edges_of_xywh, snap_edges
 from infrablend.formats.losses import Written
-from infrablend.formats.pictures.listing import is_hidden, list_pictures
+from infrablend.formats.pictures.listing import SEQUENCE_DEPTH, folders_of_sequences, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.sequence_writing import (
     Frames,
@@ -64,7 +63,6 @@ _GT = "gt/gt.txt"
 _LABELS = "labels.txt"
 _INFO = "seqinfo.ini"
 _PICTURES = "img1"
-_DEPTH = 3
 _ROW = "frame,id,x,y,width,height,conf,class,visibility, counted from 1"
 _CHALLENGE = re.compile(r"(?:2D)?MOT-?(?:20)?(?:15|16|17|20)(?!\d)", re.IGNORECASE)
 _NUMBER = re.compile(r"\d{1,12}", re.ASCII)
@@ -81,20 +79,7 @@ _LACKS = ("obb", "mask", "occlusion", "truncated", "difficult")
 
 
 def _sequences(root: Path) -> list[Path]:
-    """Return the folders of sequences, at most three below the dataset's own, sorted."""
-    found: list[Path] = []
-    level = [root]
-    for _ in range(_DEPTH + 1):
-        here = [f for f in level if (f / _GT).is_file() or (f / _INFO).is_file()]
-        found += here
-        level = [p for f in level if f not in here for p in _subfolders(f)]
-    return sorted(found)
-
-
-def _subfolders(folder: Path) -> list[Path]:
-    # Unlike `Path.iterdir`, this asks the disk about no file of a large folder of pictures.
-    entries = sorted(os.scandir(folder), key=lambda e: e.name)
-    return [Path(e.path) for e in entries if e.is_dir(follow_symlinks=False) and not is_hidden(e.name)]
+    return folders_of_sequences(root, lambda folder: (folder / _GT).is_file() or (folder / _INFO).is_file())
 
 
 def _split_of(root: Path, folder: Path) -> Split:
@@ -326,7 +311,7 @@ def _class_names(reading: _Reading, folder: Path) -> Mapping[int, str]:
             for n, name in names.items():
                 _enter(reading.numbers, name, n)
             return names
-    if any(_CHALLENGE.match(p.name) for p in (real_path(reading.root), folder, *folder.parents[:_DEPTH])):
+    if any(_CHALLENGE.match(p.name) for p in (real_path(reading.root), folder, *folder.parents[:SEQUENCE_DEPTH])):
         names = dict(enumerate(CLASSES, 1))
         for n, name in names.items():
             _enter(reading.numbers, name, n)

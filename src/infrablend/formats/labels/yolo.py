@@ -41,7 +41,7 @@ from infrablend.formats.base import (
     stated_split,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_shares, overhang_px, snap_edges
-from infrablend.formats.losses import Losses, Written, count_dropped
+from infrablend.formats.losses import Losses, Written, count_dropped, without_regions
 from infrablend.formats.pictures.listing import check_link, check_name, is_hidden, list_pictures, walk
 from infrablend.formats.polygons import outline, rasterise
 from infrablend.formats.records import Findings
@@ -191,8 +191,7 @@ def label_text(
     lines = []
     for instance in image.instances:
         if instance.category not in classes:
-            losses["ignore_dropped"] += 1
-            losses.left_out[image.split, instance.category] += 1
+            losses.leave_out("ignore_dropped", image, instance)
             continue
         if task == "seg":
             values = _polygon_values(image, instance, losses, without_mask)
@@ -281,13 +280,9 @@ def write(
     losses = Losses()
     files: list[Path] = []
     for image in ordered:
-        if crowds := [i for i in image.instances if i.is_crowd]:
-            kept = tuple(i for i in image.instances if dont_care == "keep" or not i.is_crowd)
-            if dont_care == "drop":
-                losses["ignore_dropped"] += len(crowds)
-                losses.left_out.update((image.split, i.category) for i in crowds)
-            losses["ignore_as_class"] += count_crowds(kept, regions)
-            image = replace(image, instances=kept)
+        if dont_care == "drop":
+            image = without_regions(image, (), losses)
+        losses["ignore_as_class"] += count_crowds(image.instances, regions)
         name = PurePosixPath(image.name)
         label = out / "labels" / image.split / name.with_suffix(".txt")
         files.append(write_text(label, label_text(image, classes, task, losses, without_mask)))

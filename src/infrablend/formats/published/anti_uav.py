@@ -42,7 +42,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import check_box, edges_of_xywh
 from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.picture_facts import csv_rows, table_of_rows
-from infrablend.formats.pictures.listing import is_hidden, is_picture_name
+from infrablend.formats.pictures.listing import folders_of_sequences, is_hidden, is_picture_name
 from infrablend.formats.pictures.video import SUFFIXES, is_video
 from infrablend.formats.records import Findings
 from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, is_labelled, plain_id, with_names
@@ -64,7 +64,6 @@ _FOLDERS = {"ir": ("infrared", "IR"), "rgb": ("visible", "RGB")}
 _SPLITS: Mapping[str, Split] = {
     "train": "train", "val": "val", "validation": "val", "test": "test", "test-dev": "test", "test_dev": "test",
 }  # fmt: skip
-_DEPTH = 3
 _DATE = re.compile(r"(20\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])_", re.ASCII)
 _PICTURE_STEP = 1
 _VIDEO_STEP = 25
@@ -127,20 +126,8 @@ def _sequences(root: Path) -> list[_Sequence]:
     """Return the sequences at most three folders below the dataset's, sorted by path; that of a video given alone."""
     if root.is_file():
         return [s for s in _in_folder(root.parent) if s.video == root]
-    found: list[_Sequence] = []
-    level = [root]
-    for _ in range(_DEPTH + 1):
-        deeper: list[Path] = []
-        for folder in level:
-            here = _in_folder(folder)
-            found += here
-            deeper += [] if here else _subfolders(folder)
-        level = deeper
+    found = (s for folder in folders_of_sequences(root, _in_folder) for s in _in_folder(folder))
     return sorted(found, key=lambda s: (s.folder, s.kind, s.label))
-
-
-def _subfolders(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if not is_hidden(p.name) and p.is_dir() and not p.is_symlink())
 
 
 def _in_folder(folder: Path) -> list[_Sequence]:
@@ -607,8 +594,7 @@ def _targets(sequence: Frames, dropped: Collection[str] | None, losses: Losses) 
     for position, image in enumerate(sequence):
         for o in image.instances:
             if not _is_kept(o, dropped):
-                losses["hidden_absent" if o.visibility == 0 else "ignore_dropped"] += 1
-                losses.left_out[image.split, o.category] += 1
+                losses.leave_out("hidden_absent" if o.visibility == 0 else "ignore_dropped", image, o)
                 continue
             count_dropped(o, losses, "obb", "mask", "occlusion", "truncated", "difficult")
             losses["class_unfit"] += o.category != CATEGORIES[0].name

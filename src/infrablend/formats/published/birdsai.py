@@ -14,8 +14,8 @@ import itertools
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Literal
@@ -31,7 +31,7 @@ from infrablend.formats.base import (
     require_options,
 )
 from infrablend.formats.box_checks import edges_of_xywh, snap_edges
-from infrablend.formats.losses import Losses, Written
+from infrablend.formats.losses import Written, without_regions
 from infrablend.formats.pictures.listing import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, by_sequence, plain_id, with_names
@@ -399,7 +399,7 @@ def write(
         tracks[place.sequence].reserve(o.track_id for o in image.instances)
 
     def kept_of(image: ImageRecord) -> ImageRecord:
-        kept = image if dont_care == "keep" else _without_regions(image, regions, losses)
+        kept = image if dont_care == "keep" else without_regions(image, regions, losses)
         losses["ignore_as_class"] += count_crowds(kept.instances, regions)
         losses["empty_unsaid"] += not kept.instances and image.extra.get("labelled", True) is True
         require_known(kept, species)
@@ -428,18 +428,6 @@ def write(
 def _path_of(image: ImageRecord, place: Place) -> str:
     name = f"{place.sequence}_{place.number:010d}{PurePosixPath(image.name).suffix}"
     return f"{_FOLDER_OF[place.split]}/images/{place.sequence}/{name}"
-
-
-def _without_regions(image: ImageRecord, regions: Collection[str], losses: Losses) -> ImageRecord:
-    """Return a picture without regions to ignore and crowds, which are counted."""
-    kept = []
-    for o in image.instances:
-        if o.category in regions or o.is_crowd:
-            losses["ignore_dropped"] += 1
-            losses.left_out[image.split, o.category] += 1
-        else:
-            kept.append(o)
-    return replace(image, instances=tuple(kept))
 
 
 def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int]]:
