@@ -76,6 +76,18 @@ def option_error(root: Path, name: str, value: object, expected: str) -> Dataset
     return DatasetError(f"{root}: an option has a value that is not allowed", [problem])
 
 
+def step_of(root: Path, every: str) -> int | None:
+    """Return the step in frames that an option states; None for an empty one.
+
+    Raises:
+        DatasetError: It is not a positive whole number.
+    """
+    text = str(every).strip()
+    if text and not (text.isascii() and text.isdigit() and 0 < int(text) < 10**9):
+        raise option_error(root, "every", every, "a positive number of frames")
+    return int(text) if text else None
+
+
 def require_options(root: Path, **given: tuple[object, Sequence[str]]) -> None:
     """Check that options of a reader have allowed values, given as name=(value, choices).
 

@@ -76,7 +76,7 @@ def edges_of_shares(cxcywh: Sequence[float], size_wh: tuple[int, int]) -> tuple[
 
 def turned_box(
     cxcywha: Sequence[float], size_wh: tuple[int, int] | None
-) -> tuple[NDArray[np.float64], tuple[float, ...]]:  # fmt: skip
+) -> tuple[NDArray[np.float64], tuple[float, ...]]:
     """Return the clockwise corners of an oriented box, and its edges, cut to the frame if they overhang a little.
 
     A negative width or height mirrors the box.

@@ -7,7 +7,6 @@ import stat
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.addresses import address_of, shown
 from infrablend.core.dataset import Dataset
@@ -21,9 +20,8 @@ from infrablend.errors import DatasetError, Problem, UnknownFormatError
 from infrablend.formats.annotation_files import noting_files_read
 from infrablend.formats.base import FormatModule, Match, shorten
 from infrablend.formats.cameras.flight_headers import add_flight_data
-from infrablend.formats.divide import with_val
+from infrablend.formats.image_groups import with_val
 from infrablend.formats.labels import folder
-from infrablend.formats.numbered import with_numbered_frames
 from infrablend.formats.pictures import temperature_scale
 from infrablend.formats.pictures.listing import check_link, is_picture_name
 from infrablend.formats.pictures.video import is_video
@@ -131,7 +129,7 @@ class _Reader:
 
     root: Path
     module: FormatModule
-    options: Mapping[str, Any]
+    options: Mapping[str, object]
     stated: bool
     scale: TemperatureScale | None
 
@@ -147,7 +145,7 @@ class _Reader:
             if format is None:
                 raise UnknownFormatError(f"{root}: no format fits", [_nothing_to_read(root)])
         chosen = find_format(format)
-        given: dict[str, Any] = dict(reading.options)
+        given: dict[str, object] = dict(reading.options)
         stated = {name: str(given.pop(name)) for name in temperature_scale.OPTIONS if name in given}
         scale = temperature_scale.scale_of_options(stated) if stated else None
         if reading.form is not None:
@@ -181,7 +179,7 @@ class _Reader:
             dataset = temperature_scale.with_scale(dataset, self.scale)
         dataset = add_flight_data(dataset)
         if dataset.format == folder.NAME and dataset.notes.get("labels") != "coco":  # which can state it
-            dataset = replace(dataset, images=with_numbered_frames(dataset.images))
+            dataset = replace(dataset, images=folder.with_numbered_frames(dataset.images))
         remarks = (*hidden_pictures(dataset.root), *temperature_scale.scale_warnings(dataset))
         return replace(dataset, problems=(*dataset.problems, *remarks))
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.errors import Problem
@@ -60,6 +59,22 @@ class Losses(Counter[str]):
     def __init__(self) -> None:
         super().__init__()
         self.left_out: Counter[tuple[str, str]] = Counter()
+
+    def leave_out(self, kind: str, image: ImageRecord, instance: Instance) -> None:
+        """Count an object that is in no file, by the kind of loss that is the reason."""
+        self[kind] += 1
+        self.left_out[image.split, instance.category] += 1
+
+
+def without_regions(image: ImageRecord, regions: Collection[str], losses: Losses) -> ImageRecord:
+    """Return a picture without crowds and objects of classes to ignore, which are counted."""
+    kept = [o for o in image.instances if o.category not in regions and not o.is_crowd]
+    if len(kept) == len(image.instances):
+        return image
+    for o in image.instances:
+        if o.category in regions or o.is_crowd:
+            losses.leave_out("ignore_dropped", image, o)
+    return replace(image, instances=tuple(kept))
 
 
 @dataclass(frozen=True)
@@ -117,7 +132,7 @@ BOXES = ("amodal_box", "visible_box")
 """Boxes of partly hidden objects in `Instance.extra`: whole and visible part; left, top, right, bottom in pixels."""
 
 
-def occlusion_fields(instance: Instance) -> dict[str, Any]:
+def occlusion_fields(instance: Instance) -> dict[str, object]:
     """Return the flag `occluded` and the boxes that a label has."""
     return {k: instance.extra[k] for k in ("occluded", *BOXES) if k in instance.extra}
 

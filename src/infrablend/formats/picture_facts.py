@@ -163,7 +163,7 @@ def read_table(path: Path) -> CaptureTable:
     return table_of_rows(path, _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path))
 
 
-def table_of_rows(path: Path, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> CaptureTable:
+def table_of_rows(path: Path, rows: Sequence[tuple[str, Mapping[str, object]]]) -> CaptureTable:
     """Return the table in rows, each with its place; see `read_table`, also for what is raised."""
     columns = {k for _, row in rows for k in row}
     keys = columns & set(_KEYS)
@@ -182,8 +182,9 @@ def table_of_rows(path: Path, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> 
     for where, row in rows:
         key = next((v for k in _KEYS if (v := str(row.get(k) or "").strip())), "")
         capture, fault = _capture(row)
-        if SURPLUS in row:
-            fault = ("table-value", f"{len(row[SURPLUS])} cell(s) more than columns", "a cell for each column")
+        surplus = row.get(SURPLUS)
+        if isinstance(surplus, list):
+            fault = ("table-value", f"{len(surplus)} cell(s) more than columns", "a cell for each column")
         elif not key:
             fault = ("table-value", "no file, stem or sequence", "the name of a picture or sequence")
         elif fault is None and key in captures:
@@ -197,7 +198,7 @@ def table_of_rows(path: Path, rows: Sequence[tuple[str, Mapping[str, Any]]]) -> 
     return CaptureTable(captures, tuple(problems), path.name)
 
 
-def csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+def csv_rows(path: Path) -> list[tuple[str, dict[str, object]]]:
     """Return the rows of a table with commas, semicolons or tabs; numbers may have decimal commas."""
     text, problem = read_text(path, path.name, "a CSV table")
     if problem is None:
@@ -219,19 +220,20 @@ def csv_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 def _records(
     titles: Sequence[str], lines: Sequence[tuple[str, Sequence[str]]], comma: str
-) -> list[tuple[str, dict[str, Any]]]:
+) -> list[tuple[str, dict[str, object]]]:
     numbers = {name for name, fact in FACTS.items() if fact.type is not str}
     records = []
     for where, cells in lines:
-        row: dict[str, Any] = dict(zip(titles, cells, strict=False))
-        row |= {k: v.replace(",", comma) for k, v in row.items() if k in numbers}
+        row: dict[str, object] = {
+            k: v.replace(",", comma) if k in numbers else v for k, v in zip(titles, cells, strict=False)
+        }
         if any(c.strip() for c in cells[len(titles) :]):
             row[SURPLUS] = cells[len(titles) :]
         records.append((where, row))
     return records
 
 
-def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
+def _json_rows(path: Path) -> list[tuple[str, dict[str, object]]]:
     value = read_json(path, rows=True)
     if is_table(value):
         value = [{"file": k, **v} for k, v in sorted(value.items()) if isinstance(v, dict)]
@@ -240,7 +242,7 @@ def _json_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     return [(f"record {i}", r) for i, r in enumerate(value) if isinstance(r, dict)]
 
 
-def _capture(row: Mapping[str, Any]) -> tuple[Capture, tuple[str, str, str] | None]:
+def _capture(row: Mapping[str, object]) -> tuple[Capture, tuple[str, str, str] | None]:
     """Return the facts of a row, or what is wrong with it."""
     known = {name: str(row[name]).strip() for name in FACTS if row.get(name) is not None}
     known = {name: text for name, text in known.items() if text}

@@ -168,7 +168,7 @@ class Findings:
         format: str,
         records: Iterable[ImageRecord],
         categories: Sequence[Category],
-        notes: Mapping[str, Any],
+        notes: Mapping[str, object],
         *,
         metadata: Path | None = None,
         splits: Sequence[Split] = (),
@@ -212,12 +212,10 @@ class Findings:
             self.problems += table.problems
             self.problems += table.remarks(root, [*names, *others], {r.capture.sequence for r in inside.values()})
         more |= {"pitch": captures.note()}
-        return Dataset(
-            root, format, tuple(categories), sort_images(complete), tuple(self.problems), {**notes, **more}
-        )  # fmt: skip
+        return Dataset(root, format, tuple(categories), sort_images(complete), tuple(self.problems), {**notes, **more})
 
 
-def table_of(root: Path, metadata: Path | None) -> tuple[CaptureTable | None, dict[str, Any]]:
+def table_of(root: Path, metadata: Path | None) -> tuple[CaptureTable | None, dict[str, str | None]]:
     """Return the table of pitch and altitude, given or found in the folder, and its name as a note."""
     path = metadata or find_table(root)
     return (read_table(path), {"table": path.name}) if path else (None, {"table": None})

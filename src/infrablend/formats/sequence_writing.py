@@ -1,20 +1,23 @@
-"""What writers of formats with a folder per sequence share: folders, numbers of frames and tracks, what they change."""
+"""Write formats with a folder per sequence: folders, numbers of frames and tracks, and what they change."""
 
 from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
 from statistics import median_low
-from typing import Any
+from typing import Any, Protocol
 
 from infrablend.core.capture import FACTS, Capture
-from infrablend.core.dataset import ImageRecord, Instance, Split
+from infrablend.core.dataset import Category, ImageRecord, Instance, Split
 from infrablend.core.file_names import distinct_names, file_name
 from infrablend.core.files import link_or_copy, write_chunks
+from infrablend.errors import Problem
+from infrablend.formats.base import in_order, require_known
+from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.picture_facts import fits_table
 from infrablend.formats.records import Findings
 from infrablend.formats.values import csv_text, to_int
@@ -24,6 +27,10 @@ NAMES_COLUMNS = ("file", "name", "sequence", "frame", "captured", "time_s")
 _NAMES_FACTS = NAMES_COLUMNS[2:]
 _TABLE_FACTS = tuple(name for name, fact in FACTS.items() if fact.field == "telemetry")
 _UNNAMED = "pictures"
+PathOf = Callable[[ImageRecord, "Place"], str]
+"""Returns the path of a picture below the dataset's folder."""
+Row = Callable[[int, int, Instance], str]
+"""Returns the row of an object from the number of its picture, that of its track, and the object."""
 # Time stamps are kept to this.
 _MICROSECOND = 1e-6
 # Steps between pictures are equal if they differ by at most this: some containers count milliseconds.
@@ -107,58 +114,118 @@ def is_labelled(image: ImageRecord) -> bool:
     return bool(image.instances) or image.extra.get("labelled", True) is True
 
 
-def write_pictures(
-    out: Path,
-    images: Sequence[ImageRecord],
-    places: Sequence[Place],
-    path_of: Callable[[ImageRecord, Place], str],
-    losses: Counter[str],
-    link: bool,
-    *,
-    find_out: Callable[[Place], Capture] = lambda place: place.capture,
-    within: str = "",
-) -> Iterator[Path]:
-    """Link the pictures; write `names.csv` with what `with_names` restores, and `metadata.csv` with pitch and the like.
+class SequenceWriter:
+    """Writes a dataset with a folder per sequence: a format adds the files of each sequence, and the rows in them.
 
-    Args:
+    Attributes:
         out: Folder of the dataset.
-        images: The pictures.
+        images: The pictures, in the order of all writers.
         places: The place of each.
-        path_of: Returns the path of a picture below the folder.
-        losses: Counts what changed, and what a table cannot hold.
-        link: Whether to link the pictures.
-        find_out: Returns what a reader finds out of a picture without the tables.
-        within: Folder that a reader puts into the names of pictures.
+        known: Names of the categories.
+        lacks: Fields of an object that the format does not hold, see `losses.count_dropped`.
+        losses: Counts what changed, and what is lost.
+        problems: Warnings.
+        files: The files that were written.
     """
 
-    def unsaid(image: ImageRecord, place: Place, path: str) -> bool:
-        return is_unsaid(image, _base(place, within, path), find_out(place))
+    def __init__(
+        self,
+        out: Path,
+        images: Iterable[ImageRecord],
+        categories: Sequence[Category],
+        lacks: Sequence[str] = (),
+        find_places: Callable[[Sequence[ImageRecord]], list[Place]] = places_of,
+    ) -> None:
+        self.out = out
+        self.images = in_order(images)
+        self.places = find_places(self.images)
+        self.known = {c.name for c in categories}
+        self.lacks = lacks
+        self.losses = Losses()
+        self.problems: list[Problem] = []
+        self.files: list[Path] = []
 
-    renamed = known = 0
-    for image, place in zip(images, places, strict=True):
-        path = path_of(image, place)
-        facts = _telemetry(image)
-        if link:
-            yield link_or_copy(image.path, out / path)
-        losses["name_changed"] += _base(place, within, path) != image.name
-        losses["sequence_made"] += image.capture.sequence is None or image.capture.frame != place.number
-        losses["telemetry_dropped"] += not all(fits_table(*fact) for fact in facts.items())
-        renamed += unsaid(image, place, path)
-        known += bool(facts)
+    def sequences(self) -> Iterator[tuple[str, Frames, list[int]]]:
+        """Yield the folder, the pictures and their numbers of each sequence.
 
-    def name_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
-        return name_cells(image, path) if unsaid(image, place, path) else None
+        Raises:
+            ValueError: A picture shows an object whose category is not in the list.
+        """
+        for folder, chosen in by_sequence(self.places).items():
+            numbers = [self.places[n].number for n in chosen]
+            frames = Frames(self.images, chosen)
+            for image, number in zip(frames, numbers, strict=True):
+                require_known(image, self.known)
+                capture = image.capture
+                self.losses["sequence_made"] += capture.sequence is None or capture.frame != number
+            yield folder, frames, numbers
 
-    def rows(row: Callable[[ImageRecord, Place, str], Sequence[object] | None]) -> Iterator[str]:
-        for image, place in zip(images, places, strict=True):
-            cells = row(image, place, path_of(image, place))
-            if cells is not None:
-                yield csv_text(cells, ())
+    def rows(self, frames: Iterable[ImageRecord], numbers: Iterable[int], tracks: Numbering, row: Row) -> Iterator[str]:
+        """Yield the rows of a sequence's objects, picture by picture."""
+        for image, number in zip(frames, numbers, strict=True):
+            for o, (track, key) in zip(image.instances, tracks.of(image, self.losses), strict=True):
+                count_dropped(o, self.losses, *self.lacks)
+                self.losses["track_renumbered"] += key in tracks.changed
+                yield row(number, track, o)
 
-    if renamed:
-        yield write_chunks(out / NAMES_FILE, chain([csv_text(NAMES_COLUMNS, ())], rows(name_row)))
-    if known:
-        yield write_chunks(out / "metadata.csv", chain([csv_text(("file", *_TABLE_FACTS), ())], rows(_fact_row)))
+    def text(self, name: str, chunks: Iterable[str]) -> None:
+        """Write a text that comes in pieces, by its path below the folder."""
+        self.files.append(write_chunks(self.out / name, chunks))
+
+    def table(self, name: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+        """Write a table in CSV, unless it has no rows."""
+        lines = (csv_text(row, ()) for row in rows)
+        first = next(lines, None)
+        if first is not None:
+            self.text(name, chain([csv_text(columns, ()), first], lines))
+
+    def pictures(
+        self,
+        path_of: PathOf,
+        link: bool,
+        *,
+        find_out: Callable[[Place], Capture] = lambda place: place.capture,
+        within: str = "",
+        facts: Sequence[str] = _TABLE_FACTS,
+    ) -> None:
+        """Link the pictures; write `names.csv` with what `with_names` restores, and `metadata.csv` with the facts.
+
+        Args:
+            path_of: Returns the path of a picture below the folder.
+            link: Whether to link the pictures.
+            find_out: Returns what a reader finds out of a picture without the tables.
+            within: Folder that a reader puts into the names of pictures.
+            facts: Columns of `metadata.csv`.
+        """
+
+        def pictures() -> Iterator[tuple[ImageRecord, Place, str]]:
+            for image, place in zip(self.images, self.places, strict=True):
+                yield image, place, path_of(image, place)
+
+        def name_rows() -> Iterator[Sequence[object]]:
+            for image, place, path in pictures():
+                if _is_unsaid(image, _base(place, within, path), find_out(place)):
+                    said = (getattr(image.capture, k) for k in _NAMES_FACTS)
+                    yield path, image.name, *("" if v is None else v for v in said)
+
+        def fact_rows() -> Iterator[Sequence[object]]:
+            for image, _, path in pictures():
+                known = image.capture.to_json()
+                if not known.keys().isdisjoint(facts):
+                    fitting = {k: known[k] for k in facts if k in known and fits_table(k, known[k])}
+                    self.losses["telemetry_dropped"] += len(fitting) < sum(k in known for k in facts)
+                    yield path, *(fitting.get(k, "") for k in facts)
+
+        for image, place, path in pictures():
+            if link:
+                self.files.append(link_or_copy(image.path, self.out / path))
+            self.losses["name_changed"] += _base(place, within, path) != image.name
+        self.table(NAMES_FILE, NAMES_COLUMNS, name_rows())
+        self.table("metadata.csv", ("file", *facts), fact_rows())
+
+    def written(self) -> Written:
+        """Return the result."""
+        return Written.of(self.files, self.losses, self.problems)
 
 
 def _base(place: Place, within: str, path: str) -> str:
@@ -166,25 +233,10 @@ def _base(place: Place, within: str, path: str) -> str:
     return f"{place.sequence}/{within}{path.rpartition('/')[2]}"
 
 
-def _telemetry(image: ImageRecord) -> dict[str, object]:
-    return {k: v for k, v in image.capture.to_json().items() if k in _TABLE_FACTS}
-
-
-def is_unsaid(image: ImageRecord, name: str, found_out: Capture) -> bool:
+def _is_unsaid(image: ImageRecord, name: str, found_out: Capture) -> bool:
     """Return whether `names.csv` has to list a picture: a reader would find out another name, or other facts."""
     known = replace(found_out, time_s=None) if image.capture.time_s is None else found_out
     return name != image.name or any(getattr(image.capture, k) != getattr(known, k) for k in _NAMES_FACTS)
-
-
-def name_cells(image: ImageRecord, path: str) -> Sequence[object]:
-    """Return the row of a picture in `names.csv`."""
-    facts = (getattr(image.capture, k) for k in _NAMES_FACTS)
-    return (path, image.name, *("" if v is None else v for v in facts))
-
-
-def _fact_row(image: ImageRecord, place: Place, path: str) -> Sequence[object] | None:
-    facts = {k: v for k, v in _telemetry(image).items() if fits_table(k, v)}
-    return (path, *(facts.get(k, "") for k in _TABLE_FACTS)) if _telemetry(image) else None
 
 
 def with_names(found: Findings, records: Iterable[ImageRecord]) -> list[ImageRecord]:
@@ -212,9 +264,7 @@ def second_of(number: int, rate: float | None) -> float | None:
     return Capture.from_json({"time_s": round(number / rate, 6)}, strict=False).time_s
 
 
-def rate_of(
-    times_s: Iterable[float | None], numbers: Iterable[int], stated: float | None
-) -> tuple[float | None, str]:  # fmt: skip
+def rate_of(times_s: Iterable[float | None], numbers: Iterable[int], stated: float | None) -> tuple[float | None, str]:
     """Return the pictures per second of a sequence, and how its steps vary, in words.
 
     The rate is that of the median step between pictures whose times are known, in as few digits as these need. Without
@@ -250,6 +300,17 @@ def plain_id(track: int | str) -> int | str:
 
 def _key(instance: Instance) -> TrackKey | None:
     return None if instance.track_id is None else (instance.category, plain_id(instance.track_id))
+
+
+class Numbering(Protocol):
+    """Numbers of the tracks of one sequence."""
+
+    @property
+    def changed(self) -> Container[object]:
+        """Return the keys of the tracks that could not keep their ids."""
+
+    def of(self, image: ImageRecord, losses: Counter[str]) -> Sequence[tuple[int, object]]:
+        """Return number and key of the track of each object of an image."""
 
 
 class Tracks:

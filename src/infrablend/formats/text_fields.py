@@ -25,14 +25,13 @@ def with_fitting_fields(dataset: Dataset) -> Dataset:
     images = []
     for image in dataset.images:
         instances = tuple(_instance(i, names, counts) for i in image.instances)
-        changed: dict[str, Any] = {
-            "capture": _capture(image.capture, counts),
-            "source_id": _fitting(image.source_id, counts),
-            "extra": _fitting(image.extra, counts) if image.extra else image.extra,
-        }
-        changed = {k: v for k, v in changed.items() if v is not getattr(image, k)}
+        capture = _capture(image.capture, counts)
+        source_id = _fitting(image.source_id, counts)
+        extra = _fitting(image.extra, counts)
         same = all(a is b for a, b in zip(instances, image.instances, strict=True))
-        images.append(image if same and not changed else replace(image, instances=instances, **changed))
+        if not same or (capture, source_id, extra) != (image.capture, image.source_id, image.extra):
+            image = replace(image, instances=instances, capture=capture, source_id=source_id, extra=extra)
+        images.append(image)
     extra = _fitting(dataset.extra, counts) if dataset.extra else dataset.extra
     problems = [_renamed(old, new) for old, new in names.items()]
     if total := counts.total():
@@ -79,12 +78,17 @@ def _renamed(old: str, new: str) -> Problem:
 
 def _instance(instance: Instance, names: Mapping[str, str], counts: Counter[str]) -> Instance:
     category = names.get(instance.category, instance.category)
-    changed: dict[str, Any] = {} if category is instance.category else {"category": category}
-    for key in ("extra", "source_id", "track_id"):
-        value = getattr(instance, key)
-        if value and (fitting := _fitting(value, counts)) is not value:
-            changed[key] = fitting
-    return replace(instance, **changed) if changed else instance
+    extra = _fitting(instance.extra, counts)
+    source_id = _fitting(instance.source_id, counts)
+    track_id = _fitting(instance.track_id, counts)
+    if (category, extra, source_id, track_id) == (
+        instance.category,
+        instance.extra,
+        instance.source_id,
+        instance.track_id,
+    ):
+        return instance
+    return replace(instance, category=category, extra=extra, source_id=source_id, track_id=track_id)
 
 
 def _capture(capture: Capture, counts: Counter[str]) -> Capture:

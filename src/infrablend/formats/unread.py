@@ -7,7 +7,7 @@ import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BufferedReader
 from pathlib import Path, PurePosixPath
 
@@ -94,6 +94,7 @@ _CLOSED = "a file that may hold labels, and is not read"
 _PACKED = "an archive, which is not read"
 _UNPACK = "if it holds labels or pictures, unpack it; else move it out of the folder"
 _IF_LABELS = "if it holds labels, convert it, for example with CVAT or Datumaro, to a format of docs/formats"
+_RENAME = "rename it to .txt"
 _TODO = "convert it, for example with CVAT or Datumaro, to a format of docs/formats; or move it out of the folder"
 
 
@@ -139,85 +140,113 @@ def _unread_labels(
     """Return the problems of label files below the dataset's folder that its reader did not take.
 
     These are damaged XML and JSON files, text files with a suffix such as `.TXT`, files that name pictures of the
-    dataset or hold a table of boxes, files named after a picture with its suffix, files named like a picture, and
-    masks. Lists of pictures and texts for people are none. A file of one picture, or its mask, is only worth a warning
-    if the picture has labels from elsewhere; so is a file that names pictures, but shows neither boxes nor classes.
+    dataset or hold a table of boxes, files named after a picture with its suffix, files named like a picture, archives
+    and other files that are no text, and masks. Lists of pictures and texts for people are none.
     """
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
-    left = [name for name in files if _is_candidate(name, splits) and dataset.root / name not in read]
     bare = reported.difference(files)  # readers state some places without their folders
-    left = [name for name in left if name not in reported and PurePosixPath(name).name not in bare]
+    left = [name for name in files if name not in reported and dataset.root / name not in read]
+    texts = [name for name in left if _is_candidate(name, splits) and PurePosixPath(name).name not in bare]
     ours = any((dataset.root / name).is_file() for name in (RUN_FILE, SHARDS_FILE))  # with the labels of all formats
-    packed = [
-        n for n in files if _suffix(n) in _ARCHIVES | _BINARY and n not in reported and dataset.root / n not in read
-    ]
-    if not left and not masks and (ours or not packed):
+    closed = [] if ours else [name for name in left if _suffix(name) in _ARCHIVES | _BINARY]
+    if not texts and not masks and not closed:
         return []
-    names = _Pictures.of(dataset)
-    plain = dataset.format == folder.NAME
-    labelled: dict[str, bool] = {}
-    for image in dataset.images:
-        stem = fold_name(image.path.stem)
-        labelled[stem] = bool(image.instances) or labelled.get(stem, False)
-    # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
-    places = set() if plain else {_place(os.fspath(i.path)) for i in dataset.images}
+    judge = _Judge(dataset, ours)
     problems = []
-    alike = defaultdict[tuple[str, str, str, str, Severity], list[str]](list)
-    for name in left:
-        path = dataset.root / name
-        stem = fold_name(path.stem)
-        fault = _fault(path, name)
-        if ours and fault == _EMPTY and name.endswith(_NO_TRACKS):
-            continue
-        if fault:
-            todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
-            level: Severity = "warning" if fault == _EMPTY and any(labelled.values()) else "error"
-            problems.append(Problem(name, "label-unread", fault, _EXPECTED, todo, level))
-        elif path.suffix != path.suffix.lower() == ".txt" and stem in labelled:
-            found = f"labels with the suffix {path.suffix}, which are not read"
-            problems.append(Problem(name, "label-unread", found, _EXPECTED, "rename it to .txt"))
-        elif ours or name in _RECORDS or (path.suffix.lower() == ".txt" and _FOR_PEOPLE.match(path.name)):
-            continue
-        elif labelled.get(stem) and (plain or _place(os.fspath(path)) in places):
-            found = "labels of a picture that has other labels, which are not read"
-            alike[path.parent.as_posix(), path.suffix, found, _TODO, "warning"].append(name)
-        elif plain and (stem in labelled or _is_annotation(path, name)):
-            alike[path.parent.as_posix(), path.suffix, _UNKNOWN, _TODO, "error"].append(name)
-        elif says := _tells_of(path, names, alone=labelled.get(stem) is False):
-            found, todo = (_UNKNOWN, _TODO) if says == "error" else (_NAMING, _IF_LABELS)
-            alike[path.parent.as_posix(), path.suffix, found, todo, says].append(name)
-    for name in () if ours else packed:
-        lost = _OF_LABELS.search(PurePosixPath(name).stem) and not any(labelled.values())
-        found, todo = (_PACKED, _UNPACK) if _suffix(name) in _ARCHIVES else (_CLOSED, _IF_LABELS)
-        alike[name.rpartition("/")[0], _suffix(name), found, todo, "error" if lost else "warning"].append(name)
-    for name, of in masks.items():
-        if fold_name(of) in labelled:
-            severity: Severity = "warning" if labelled[fold_name(of)] else "error"
-            alike[name.rpartition("/")[0], "", "masks of pictures, which are not read", _TODO, severity].append(name)
-    for (_, _, found, todo, severity), same in alike.items():
-        if len(same) > _MOST_NAMED:
-            found = f"{len(same)} files: {found}"
-            same = same[:1]
-        problems += [Problem(name, "label-unread", found, _EXPECTED, todo, severity) for name in same]
+    alike = defaultdict[tuple[str, str, Problem], list[str]](list)
+    for name in texts:
+        fault = _fault(dataset.root / name, name)
+        problem = judge.of_text(name, fault)
+        if problem is not None and (fault or problem.todo == _RENAME):
+            problems.append(replace(problem, where=name))
+        elif problem is not None:
+            alike[name.rpartition("/")[0], _suffix(name), problem].append(name)
+    for name in closed:
+        alike[name.rpartition("/")[0], _suffix(name), judge.of_closed(name)].append(name)
+    for name, picture in masks.items():
+        if fold_name(picture) in judge.labelled:
+            alike[name.rpartition("/")[0], "", judge.of_mask(picture)].append(name)
+    for (_, _, problem), names in alike.items():
+        if len(names) > _MOST_NAMED:
+            problems.append(replace(problem, where=names[0], found=f"{len(names)} files: {problem.found}"))
+        else:
+            problems += [replace(problem, where=name) for name in names]
     return problems
+
+
+def _unread(found: str, todo: str, severity: Severity = "error") -> Problem:
+    """Return what is said of a file; its place is added where it is known whether others are alike."""
+    return Problem("", "label-unread", found, _EXPECTED, todo, severity)
+
+
+class _Judge:
+    """Judges how grave it is that a file is not read, by what is known of the pictures of a dataset.
+
+    A file of one picture, or its mask, is only worth a warning if the picture has labels from elsewhere; so is a file
+    that names pictures, but shows neither boxes nor classes.
+
+    Attributes:
+        labelled: Whether a picture has objects, by its folded stem.
+    """
+
+    def __init__(self, dataset: Dataset, ours: bool) -> None:
+        self._root = dataset.root
+        self._ours = ours
+        self._plain = dataset.format == folder.NAME
+        self._pictures = _Pictures.of(dataset)
+        self.labelled: dict[str, bool] = {}
+        for image in dataset.images:
+            stem = fold_name(image.path.stem)
+            self.labelled[stem] = bool(image.instances) or self.labelled.get(stem, False)
+        self._any = any(self.labelled.values())
+        # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
+        self._places = {_place(os.fspath(i.path)) for i in dataset.images}
+
+    def of_text(self, name: str, fault: str) -> Problem | None:
+        """Return the remark on a file of text, and why it cannot be read; None if it is harmless."""
+        path = self._root / name
+        stem = fold_name(path.stem)
+        if fault:
+            if self._ours and fault == _EMPTY and name.endswith(_NO_TRACKS):
+                return None
+            todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
+            return _unread(fault, todo, "warning" if fault == _EMPTY and self._any else "error")
+        if path.suffix != path.suffix.lower() == ".txt" and stem in self.labelled:
+            return _unread(f"labels with the suffix {path.suffix}, which are not read", _RENAME)
+        if self._ours or name in _RECORDS or (path.suffix.lower() == ".txt" and _FOR_PEOPLE.match(path.name)):
+            return None
+        if self.labelled.get(stem) and (self._plain or _place(os.fspath(path)) in self._places):
+            return _unread("labels of a picture that has other labels, which are not read", _TODO, "warning")
+        if self._plain and (stem in self.labelled or _is_annotation(path, name)):
+            return _unread(_UNKNOWN, _TODO)
+        says = _tells_of(path, self._pictures, alone=self.labelled.get(stem) is False)
+        if says is None:
+            return None
+        return _unread(_UNKNOWN, _TODO) if says == "error" else _unread(_NAMING, _IF_LABELS, says)
+
+    def of_closed(self, name: str) -> Problem:
+        """Return the remark on a file that cannot be searched as text."""
+        lost = _OF_LABELS.search(PurePosixPath(name).stem) and not self._any
+        found, todo = (_PACKED, _UNPACK) if _suffix(name) in _ARCHIVES else (_CLOSED, _IF_LABELS)
+        return _unread(found, todo, "error" if lost else "warning")
+
+    def of_mask(self, picture: str) -> Problem:
+        """Return the remark on the mask of a picture."""
+        severity: Severity = "warning" if self.labelled[fold_name(picture)] else "error"
+        return _unread("masks of pictures, which are not read", _TODO, severity)
 
 
 def hidden_pictures(root: Path) -> list[Problem]:
     """Return a warning if there are hidden pictures with label files of their stems: no reader takes them."""
-    pictures: list[str] = []
-    labelled: set[str] = set()
-    for base, names in walk(root):
-        for path in (Path(base, n) for n in names if is_hidden(n)):
-            if path.name.startswith("._") or _PART.search(path.stem):  # notes of macOS; parts of files
-                continue
-            if path.suffix.lower() in PICTURE_SUFFIXES:
-                pictures.append(path.relative_to(root).as_posix())
-            elif path.suffix.lower() in _SUFFIXES:
-                labelled.add(path.stem)
-    left_out = sorted(p for p in pictures if PurePosixPath(p).stem in labelled)
-    if not left_out:
+    hidden = [Path(base, name) for base, names in walk(root) for name in names if is_hidden(name)]
+    # Neither notes of macOS nor parts of files.
+    hidden = [path for path in hidden if not path.name.startswith("._") and not _PART.search(path.stem)]
+    labelled = {path.stem for path in hidden if path.suffix.lower() in _SUFFIXES}
+    pictures = [path for path in hidden if path.suffix.lower() in PICTURE_SUFFIXES and path.stem in labelled]
+    if not pictures:
         return []
-    found = f"{len(left_out)} hidden picture(s) with labels, left out, such as {left_out[0]}"
+    first = min(path.relative_to(root).as_posix() for path in pictures)
+    found = f"{len(pictures)} hidden picture(s) with labels, left out, such as {first}"
     expected = "names that do not begin with a dot"
     todo = "rename pictures and label files"
     return [Problem(root.name, "picture-hidden", found, expected, todo, "warning")]

@@ -73,9 +73,9 @@ def to_share(value: object) -> float | None:
     return number if number is not None and 0 <= number <= 1 else None
 
 
-def read_occlusion(fields: Mapping[str, Any]) -> dict[str, Any]:
+def read_occlusion(fields: Mapping[str, object]) -> dict[str, object]:
     """Return the fields of a partly hidden object; boxes other than four finite numbers are left out."""
-    found: dict[str, Any] = {"occluded": fields["occluded"]} if isinstance(fields.get("occluded"), bool) else {}
+    found: dict[str, object] = {"occluded": fields["occluded"]} if isinstance(fields.get("occluded"), bool) else {}
     for name in BOXES:
         box = to_floats(fields.get(name), 4)
         if box is not None and all(map(math.isfinite, box)):
@@ -83,7 +83,7 @@ def read_occlusion(fields: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def known(**fields: Any) -> dict[str, Any]:
+def known(**fields: Any) -> dict[str, object]:
     """Return the fields that have a value."""
     return {k: v for k, v in fields.items() if v is not None}
 

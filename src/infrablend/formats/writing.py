@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 
@@ -153,7 +152,7 @@ def _file_key(name: str, by_stem: bool) -> str:
 _COLUMNS = ("pitch_deg", "altitude_m", "time_of_day")
 
 
-def _unsaid(image: ImageRecord) -> dict[str, Any]:
+def _unsaid(image: ImageRecord) -> dict[str, object]:
     """Return the facts of a picture that its name does not contain."""
     facts = facts_from_name(image.name)
     said = facts.capture.to_json() if facts else {}

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from infrablend import api
 from infrablend.core.dataset import Dataset
 from infrablend.errors import ArgumentError, DatasetError, OutputError
-from infrablend.formats.divide import assign_groups
+from infrablend.formats.image_groups import assign_groups
 from infrablend.pipeline.datasets.split import check_shares, split_warnings
 from tests.command_line import done, run
 from tests.samples import SAMPLES, picture

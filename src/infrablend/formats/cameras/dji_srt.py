@@ -92,9 +92,12 @@ def parse_srt(text: str, path: Path) -> FlightLog:
     if not found:
         what = "no subtitle block" if not blocks else f"{len(blocks)} subtitle block(s) without telemetry"
         problem = Problem(
-            path.name, "log-layout", what, "DJI's fields, such as rel_alt, gb_pitch or BAROMETER",
+            path.name,
+            "log-layout",
+            what,
+            "DJI's fields, such as rel_alt, gb_pitch or BAROMETER",
             "turn on the camera's caption in the drone's settings, or give a flight log with --log",
-        )  # fmt: skip
+        )
         raise DatasetError(f"{path}: no telemetry", [problem])
     problems = _remarks(path, names, silent, len(blocks))
     return _log(path, found, names, problems)
@@ -169,6 +172,12 @@ def _log(
     clock = np.array([when for _, _, when in found], np.float64)
     dated = clock if np.isfinite(clock).any() else None
     return FlightLog(
-        path.name, "DJI subtitles", np.array([s for s, _, _ in found], np.float64), with_places(values),
-        chosen["altitude_m"] or "", frames if counter else None, dated, problems=tuple(problems),
-    )  # fmt: skip
+        path.name,
+        "DJI subtitles",
+        np.array([s for s, _, _ in found], np.float64),
+        with_places(values),
+        chosen["altitude_m"] or "",
+        frames if counter else None,
+        dated,
+        problems=tuple(problems),
+    )

@@ -131,9 +131,17 @@ def read_flight_csv(path: Path) -> FlightLog:
     flags = _first(columns, dialect.recording)
     recordings = () if flags is None else _recordings([rows[k][flags.index] for k in np.flatnonzero(kept)], times)
     return FlightLog(
-        path.name, dialect.name, times, values, height, None, clock_s[kept] if clock_s is not None else None, in_utc,
-        recordings, (*problems, *more),
-    )  # fmt: skip
+        path.name,
+        dialect.name,
+        times,
+        values,
+        height,
+        None,
+        clock_s[kept] if clock_s is not None else None,
+        in_utc,
+        recordings,
+        (*problems, *more),
+    )
 
 
 def _table(path: Path) -> tuple[_Dialect, dict[str, _Column], list[list[str]]]:

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from infrablend.core.camera import fov_of_width, is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.cameras.dji_raw import raw_segments
 from infrablend.formats.cameras.exif import Exif, read_exif
 from infrablend.formats.cameras.flir_block import SIGNATURE, CameraRecord, FlirBlock
 from infrablend.formats.cameras.jpeg_segments import APP1, JpegHeader, read_header
+from infrablend.formats.cameras.raw_temperatures import dji_segments
 from infrablend.formats.cameras.xmp import Xmp, read_xmp
 from infrablend.formats.values import is_place, to_number
 
@@ -128,7 +128,7 @@ def read_facts(path: Path) -> CameraFacts:
     xmp = read_xmp(header)
     problems = [*exif.problems, *xmp.problems]
     record = _camera_record(header, problems)
-    raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if raw_segments(header) else ""
+    raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if dji_segments(header) else ""
     facts: dict[str, Fact] = {}
     for key in _NUMBERS:
         if (text := xmp.values.get(key)) and _as_number(text) is None:

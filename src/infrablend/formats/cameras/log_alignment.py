@@ -134,9 +134,7 @@ def _left_out(log: FlightLog, kept: Mask) -> list[Problem]:
 def _select(log: FlightLog, kept: Mask, times: Values) -> FlightLog:
     clock = None if log.clock_s is None else log.clock_s[kept]
     frames = None if log.frames is None else log.frames[kept]
-    return replace(
-        log, times_s=times, values={k: v[kept] for k, v in log.values.items()}, clock_s=clock, frames=frames
-    )  # fmt: skip
+    return replace(log, times_s=times, values={k: v[kept] for k, v in log.values.items()}, clock_s=clock, frames=frames)
 
 
 def _start(log: FlightLog, timeline: Timeline, created: datetime | None, clock: Clock) -> tuple[float, str]:
@@ -147,9 +145,7 @@ def _start(log: FlightLog, timeline: Timeline, created: datetime | None, clock: 
     by_clock = None
     if created is not None and log.start is not None and log.in_utc:
         by_clock = (created - log.start) / timedelta(seconds=1)
-    same = [
-        (a, b) for a, b in log.recordings if abs((b - a) - length) <= max(_SAME_S, _SAME_SHARE * length)
-    ]  # fmt: skip
+    same = [(a, b) for a, b in log.recordings if abs((b - a) - length) <= max(_SAME_S, _SAME_SHARE * length)]
     if len(same) == 1:
         return same[0][0], "the recording of this length in the log"
     if by_clock is not None and same:

@@ -1,7 +1,12 @@
-"""Temperatures of one radiometric JPEG: raw counts, and kelvin where the camera's own conversion is published."""
+"""Temperatures of one radiometric JPEG: raw counts, and kelvin where the camera's own conversion is published.
+
+DJI's raw layer has 16-bit counts in segments APP3, or APP4 in files of the XT S. Their conversion to temperatures is
+DJI's secret. They rise with temperature, and that is all that is known: a scale has to come from the user.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,9 +15,8 @@ from numpy.typing import NDArray
 
 from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import DatasetError
-from infrablend.formats.cameras import dji_raw
 from infrablend.formats.cameras.flir_block import MAX_LAYER_PIXELS, SIGNATURE, CameraRecord, FlirBlock
-from infrablend.formats.cameras.jpeg_segments import APP1, bad_file, read_header
+from infrablend.formats.cameras.jpeg_segments import APP1, APP3, APP4, JpegHeader, Segment, bad_file, read_header
 from infrablend.formats.pictures.listing import open_picture
 
 CONVERTED_UNITS: dict[str, tuple[float, float]] = {
@@ -21,6 +25,9 @@ CONVERTED_UNITS: dict[str, tuple[float, float]] = {
 """Units of other programs' files: kelvin per unit, and kelvin of 0."""
 
 
+# DJI's cameras store two bytes per pixel; other programs put at most a few hundred bytes into these segments.
+_LEAST_DJI_BYTES = 32_768
+_DJI_SIZES_WH = ((640, 512), (1280, 1024), (640, 480), (336, 256), (320, 256), (160, 120), (640, 360), (384, 288))
 _FACTS = ("air_k", "humidity", "reflected_k", "emissivity", "distance_m")
 
 
@@ -66,8 +73,8 @@ def read_temperatures(path: Path) -> RawTemperatures:
     if header.find(APP1, SIGNATURE):
         block = FlirBlock(header)
         return RawTemperatures("FLIR", block.counts(), block.camera())
-    if dji_raw.raw_segments(header):
-        return RawTemperatures("DJI", dji_raw.counts(header))
+    if dji_segments(header):
+        return RawTemperatures("DJI", _dji_counts(header))
     raise bad_file(header.path, "raw-missing", "no radiometric layer", "a radiometric JPEG of DJI or FLIR")
 
 
@@ -126,3 +133,40 @@ def read_converted(path: Path, unit: str, layer_wh: tuple[int, int]) -> NDArray[
             "scale-malformed", f"a median of {median:.1f} K in the unit {unit}", describe_plausible(ground=False)
         )
     return np.asarray(kelvin)
+
+
+# -- DJI's raw layer -----------------------------------------------------------------------------------------
+
+
+def dji_segments(header: JpegHeader) -> tuple[Segment, ...]:
+    """Return the segments of DJI's raw layer; none in files without one."""
+    if header.find(APP1, b"FLIR\0"):
+        return ()
+    found = [header.find(marker) for marker in (APP3, APP4)]
+    longest = max(found, key=lambda segments: sum(s.length for s in segments))
+    return longest if sum(s.length for s in longest) >= _LEAST_DJI_BYTES else ()
+
+
+def _dji_counts(header: JpegHeader) -> NDArray[np.uint16]:
+    """Return the (h, w) raw counts of DJI's layer.
+
+    Raises:
+        DatasetError: With one problem: `raw-missing`, or `raw-truncated` if the length is that of no known sensor.
+    """
+    segments = dji_segments(header)
+    if not segments:
+        raise bad_file(header.path, "raw-missing", "no raw layer", "16-bit counts in segments APP3 or APP4")
+    data = header.read(segments)
+    size_wh = _dji_size(len(data) // 2, header.size_wh)
+    if size_wh is None or len(data) % 2:
+        found = f"a raw layer of {len(data)} bytes, which is no picture of the shape of {header.size_wh}"
+        raise bad_file(header.path, "raw-truncated", found, "two bytes per pixel of the sensor")
+    width, height = size_wh
+    return np.frombuffer(data, "<u2").reshape(height, width).astype(np.uint16)
+
+
+def _dji_size(pixels: int, picture_wh: tuple[int, int]) -> tuple[int, int] | None:
+    """Return the size of a raw layer: a known sensor's, or that of the picture divided by a whole number."""
+    whole = math.isqrt(picture_wh[0] * picture_wh[1] // pixels) if pixels else 0
+    scaled = [(picture_wh[0] // whole, picture_wh[1] // whole)] if whole else []
+    return next((wh for wh in (*scaled, *_DJI_SIZES_WH) if wh[0] * wh[1] == pixels), None)

@@ -74,9 +74,11 @@ def telemetry_of(sampled: Sampled, k: int) -> dict[str, str]:
     latitude, longitude = (float(row[n]) if row.get(n) else None for n in ("latitude_deg", "longitude_deg"))
     captured = sampled.captured[k] or ""
     return {
-        "captured": captured, **row, "altitude_from": "take-off" if row.get("altitude_m") else "",
+        "captured": captured,
+        **row,
+        "altitude_from": "take-off" if row.get("altitude_m") else "",
         "time_of_day": time_of_day(captured, latitude, longitude) or "",
-    }  # fmt: skip
+    }
 
 
 def rate_problems(where: str, timeline: Timeline) -> list[Problem]:

@@ -73,7 +73,7 @@ NAME = "coco"
 
 WithoutMask = Literal["polygon", "omit"]
 
-_INFO: Mapping[str, Any] = {"description": "written by InfraBlend"}
+_INFO: Mapping[str, object] = {"description": "written by InfraBlend"}
 # Far finer than a pixel, but short: sums such as 0.1 + 0.2 would otherwise be written with 17 digits.
 _DIGITS = 9
 # Contrast of inserted objects in the finished picture, 8-bit levels; see `pipeline.compose.inserts`.
@@ -117,7 +117,7 @@ def write(
     *,
     ids: Literal["source", "new"] = "new",
     without_mask: WithoutMask = "polygon",
-    info: Mapping[str, Any] | None = None,
+    info: Mapping[str, object] | None = None,
     pictures: bool = False,
     from_one: bool = False,
 ) -> Written:
@@ -150,7 +150,7 @@ def coco_chunks(
     *,
     ids: Literal["source", "new"] = "new",
     without_mask: WithoutMask = "polygon",
-    info: Mapping[str, Any] | None = None,
+    info: Mapping[str, object] | None = None,
 ) -> dict[str, Iterator[str]]:
     """Return the texts of the files `<split>.json` in pieces, by name; equal records give equal bytes.
 
@@ -196,7 +196,7 @@ def _videos(images: Iterable[ImageRecord]) -> dict[str, int]:
 
 def _file_record(
     image: ImageRecord, number: int, new: bool, one_scale: bool, videos: Mapping[str, int]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the record of a picture, with its temperature scale unless all pictures of the file share one."""
     record = _image_record(image, number, new)
     if (video := videos.get(image.capture.sequence or "")) is not None:
@@ -206,13 +206,13 @@ def _file_record(
     return record | _camera_settings(image)
 
 
-def _camera_settings(image: ImageRecord) -> dict[str, Any]:
+def _camera_settings(image: ImageRecord) -> dict[str, object]:
     given = image.capture.radiometry
     found = {} if given is None else known(**{k: getattr(given, k) for k in SETTINGS})
     return {_SETTINGS: found} if found else {}
 
 
-def category_records(categories: Sequence[Category]) -> list[dict[str, Any]]:
+def category_records(categories: Sequence[Category]) -> list[dict[str, object]]:
     """Return the list `categories` of a COCO file."""
     return [
         {"id": c.id, "name": c.name, "supercategory": c.supercategory or c.name} | ({"ignore": 1} if c.ignore else {})
@@ -220,20 +220,20 @@ def category_records(categories: Sequence[Category]) -> list[dict[str, Any]]:
     ]
 
 
-def source_id_field(item: ImageRecord | Instance, new: bool) -> dict[str, Any]:
+def source_id_field(item: ImageRecord | Instance, new: bool) -> dict[str, object]:
     """Return the field `source_id`: the source's id if `new` ids are written, else the field that was read, if any."""
     if new and item.source_id is not None:
         return {"source_id": item.source_id}
     return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
 
 
-def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, Any]:
+def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, object]:
     w, h = require_size(image)
     record = {"id": number, "file_name": image.name, "width": w, "height": h} | source_id_field(image, new)
     return record | fact_fields(image)
 
 
-def fact_fields(image: ImageRecord) -> dict[str, Any]:
+def fact_fields(image: ImageRecord) -> dict[str, object]:
     """Return the known facts about a picture by the names of COCO's fields."""
     return {_KEYS.get(name, name): value for name, value in image.capture.to_json().items()}
 
@@ -244,7 +244,7 @@ def _tidy(values: NDArray[np.float64]) -> list[float]:
 
 def annotation_records(
     numbered: Numbered, categories: Sequence[Category], new: bool, without_mask: WithoutMask
-) -> Iterator[dict[str, Any]]:
+) -> Iterator[dict[str, object]]:
     """Yield the annotations of numbered images; `source_id` as in `source_id_field`."""
     of_category = category_ids(categories)
     ignored = {c.name for c in categories if c.ignore}
@@ -253,18 +253,20 @@ def annotation_records(
         for instance, number in zip(image.instances, numbers, strict=True):
             a = _annotation(instance, require_size(image), new, without_mask)
             a |= {"id": number, "image_id": image_id, "category_id": of_category[instance.category]}
-            a["iscrowd"] |= int(instance.category in ignored)
+            a["iscrowd"] = int(instance.is_crowd or instance.category in ignored)
             yield a
 
 
-def _annotation(instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask) -> dict[str, Any]:
+def _annotation(
+    instance: Instance, size_wh: tuple[int, int], new: bool, without_mask: WithoutMask
+) -> dict[str, object]:
     """Return an annotation without `id`, `image_id` and `category_id`."""
     x0, y0, x1, y1 = instance.box_xyxy
-    a: dict[str, Any] = {
+    a: dict[str, object] = {
         "bbox": _tidy(np.array([x0, y0, x1 - x0, y1 - y0])),
         "area": round(float((x1 - x0) * (y1 - y0)), _DIGITS),
         "inserted": instance.inserted,
-        "iscrowd": int(instance.extra.get("iscrowd") == 1),
+        "iscrowd": int(instance.is_crowd),
     }
     corners = instance.corners_xy
     if corners is not None:
@@ -287,17 +289,18 @@ def _annotation(instance: Instance, size_wh: tuple[int, int], new: bool, without
     return a | source_id_field(instance, new)
 
 
-def _occlusion(instance: Instance) -> dict[str, Any]:
+def _occlusion(instance: Instance) -> dict[str, object]:
     fields = occlusion_fields(instance)
     for key, name in _OCCLUSION_BOXES.items():
         if key in fields:
-            left, top, right, bottom = fields.pop(key)
+            del fields[key]
+            left, top, right, bottom = instance.extra[key]
             fields[name] = _tidy(np.array([left, top, right - left, bottom - top]))
     return fields
 
 
-def _read_occlusion(a: Mapping[str, Any]) -> dict[str, Any]:
-    fields: dict[str, Any] = {"occluded": a.get("occluded")}
+def _read_occlusion(a: Mapping[str, object]) -> dict[str, object]:
+    fields: dict[str, object] = {"occluded": a.get("occluded")}
     for key, name in _OCCLUSION_BOXES.items():
         if (box := to_floats(a.get(name), 4)) is not None:
             x, y, w, h = box
@@ -526,17 +529,20 @@ def read_records(
         capture = captures.of(name, here, stated)
         extra = {"source_id": r["source_id"]} if "source_id" in r else {}
         records.append(ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
-    # COCO itself has the pictures of a split in several files, of which the one of the objects is read.
-    own = found.root / where
-    beside = own.with_name(f"instances_{own.stem.rpartition('_')[2]}.json")
-    known = beside != own and beside.is_file()
-    found.problems += _remarks(where, left_out, measured, of_image, "warning" if known else "error")
+    found.problems += _remarks(where, left_out, measured, of_image, _gravity_of_repeats(found.root / where))
     return records
 
 
-def _leave_out_objects(
-    found: Findings, record: Mapping[str, Any], read: Set[str], prefix: str, where: str
-) -> None:  # fmt: skip
+def _gravity_of_repeats(file: Path) -> Severity:
+    """Return how grave it is that pictures of a file were in an earlier one.
+
+    COCO itself has the pictures of a split in several files, of which the one of the objects is read.
+    """
+    beside = file.with_name(f"instances_{file.stem.rpartition('_')[2]}.json")
+    return "warning" if beside != file and beside.is_file() else "error"
+
+
+def _leave_out_objects(found: Findings, record: Mapping[str, object], read: Set[str], prefix: str, where: str) -> None:
     """Count the objects in fields of a record that are not read; only the first item of a list is looked at."""
     for name in record.keys() - read:
         value = record[name]
@@ -549,7 +555,7 @@ def _leave_out_objects(
 
 def _category_names(
     found: Findings, rows: Iterable[Any], where: str, categories: list[Category]
-) -> dict[int | str, str]:  # fmt: skip
+) -> dict[int | str, str]:
     """Return the name of each category of a file by its id; new categories are appended to those of all files."""
     names: dict[int | str, str] = {}
     for i, c in enumerate(rows):
@@ -590,7 +596,7 @@ def _video_names(rows: object) -> dict[int, str]:
     return {number: name for number, name in numbered if number is not None and isinstance(name, str)}
 
 
-def _stated_facts(r: Mapping[str, Any], videos: Mapping[int, str]) -> Capture:
+def _stated_facts(r: Mapping[str, object], videos: Mapping[int, str]) -> Capture:
     """Return what the record of a picture states; values that cannot be are left out."""
     facts = {**r, **{fact: r.get(key) for fact, key in _KEYS.items()}}
     facts["frame"] = r.get("frame_index") if facts["frame"] is None else facts["frame"]  # TAO's name
@@ -632,7 +638,7 @@ def _remarks(
     return problems
 
 
-def _read_radiometry(found: Findings, r: Mapping[str, Any], scale: object, where: str) -> Radiometry | None:
+def _read_radiometry(found: Findings, r: Mapping[str, object], scale: object, where: str) -> Radiometry | None:
     """Return the scale of a picture, its own or that of all, with the camera's settings; None without one."""
     radiometry: Radiometry | None = found.checked(scale_of_record(r.get(_SCALE, scale), NAME, where))
     return None if radiometry is None else replace(radiometry, **_settings(r.get(_SETTINGS)))
@@ -647,7 +653,7 @@ def _settings(value: object) -> dict[str, Any]:
 
 def _read_annotations(
     found: Findings,
-    records: Sequence[Mapping[str, Any]],
+    records: Sequence[Mapping[str, object]],
     names: Mapping[int | str, str],
     size_wh: tuple[int, int] | None,
     where: str,
@@ -714,7 +720,7 @@ def _read_annotations(
     return tuple(instances)
 
 
-def _track_id(a: Mapping[str, Any]) -> int | str | None:
+def _track_id(a: Mapping[str, object]) -> int | str | None:
     """Return the track of an object: COCO's field, that of CocoVID, or CVAT's attribute; None without one."""
     attributes = a.get("attributes")
     of_cvat = attributes.get("track_id") if isinstance(attributes, dict) else None
@@ -722,14 +728,14 @@ def _track_id(a: Mapping[str, Any]) -> int | str | None:
     return next((track for track in stated if track is not None), None)
 
 
-def _rotation_rad(a: Mapping[str, Any]) -> float:
+def _rotation_rad(a: Mapping[str, object]) -> float:
     """Return the angle by which CVAT turns a box about its centre; 0 without one."""
     attributes = a.get("attributes")
     degrees = to_number(attributes.get("rotation")) if isinstance(attributes, dict) else None
     return math.radians((degrees or 0.0) % 360)
 
 
-def _read_mask(found: Findings, a: Mapping[str, Any], size_wh: tuple[int, int] | None, where: str) -> Mask | None:
+def _read_mask(found: Findings, a: Mapping[str, object], size_wh: tuple[int, int] | None, where: str) -> Mask | None:
     """Return the mask from run lengths or polygons; None if there is none or it was derived from the box."""
     value = a.get("segmentation")
     if not value or size_wh is None or a.get("segmentation_from") in ("obb", "box"):

@@ -16,7 +16,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
@@ -48,16 +48,7 @@ from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures.listing import PictureFolder, check_name
 from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
-from infrablend.formats.sequence_writing import (
-    Frames,
-    Place,
-    by_sequence,
-    is_labelled,
-    places_of,
-    plain_id,
-    with_names,
-    write_pictures,
-)
+from infrablend.formats.sequence_writing import SequenceWriter, is_labelled, plain_id, with_names
 from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "cvat"
@@ -84,7 +75,7 @@ def write(
     """Write `<split>.xml`, `cvat_labels.json` for the task's labels, and link the pictures to `images/<split>/`.
 
     With `video`, write `<split>/<sequence>/annotations.xml` with a track per object, and link the pictures to `images/`
-    beside it. `names.csv` and `metadata.csv` are those of `sequences.write_names`.
+    beside it. `names.csv` and `metadata.csv` are those of `SequenceWriter.pictures`.
 
     Raises:
         OutputError: A file cannot be written.
@@ -92,44 +83,37 @@ def write(
     """
     ordered = in_order(images)
     known = category_ids(categories)
-    losses: Counter[str] = Counter()
     unsaid = ignored_by_class(categories)
-    files = [write_json(out / LABELS_FILE, _labels(categories))]
-    losses["ignore_as_class"] = sum(unmarked_regions(image.instances, unsaid) for image in ordered)
+    regions = sum(unmarked_regions(image.instances, unsaid) for image in ordered)
+    task = Written.of([write_json(out / LABELS_FILE, _labels(categories))], {"ignore_as_class": regions})
     if video:
-        files += _write_videos(out, ordered, known, losses, pictures)
-        return Written.of(files, losses)
+        return Written.together([task, _write_videos(SequenceWriter(out, ordered, categories), known, pictures)])
+    losses: Counter[str] = Counter()
+    files = []
     for split, part in split_parts(ordered).items():
         files.append(write_chunks(out / f"{split}.xml", _document(split, part, known, losses)))
     for image in ordered if pictures else ():
         files.append(link_or_copy(image.path, out / "images" / image.split / image.name))
-    return Written.of(files, losses)
+    return Written.together([task, Written.of(files, losses)])
 
 
-def _write_videos(
-    out: Path, images: Sequence[ImageRecord], known: Mapping[str, int], losses: Counter[str], pictures: bool
-) -> Iterator[Path]:
+def _write_videos(writer: SequenceWriter, known: Mapping[str, int], pictures: bool) -> Written:
     """Write a file per sequence, and link its pictures beside it."""
-    places = places_of(images)
-    for folder, group in by_sequence(places).items():
-        sequence = Frames(images, group)
-        for image in sequence:
-            require_known(image, known)
+    losses = writer.losses
+    for folder, frames, _ in writer.sequences():
+        for image in frames:
             losses["unlabelled_unsaid"] += not is_labelled(image)
             for i in image.instances:
                 count_dropped(i, losses, "occlusion boxes", "mask")
                 losses["obb_not_rectangle"] += _is_skewed(i)
-        head = _head(folder, len(sequence), known, sequence[0])
-        tracks = cvat_video.tracks_of(sequence, _box, losses)
-        yield write_chunks(out / folder / cvat_video.FILE, chain([head], tracks, ["</annotations>\n"]))
-
-    def path_of(image: ImageRecord, place: Place) -> str:
-        return f"{place.folder}/{cvat_video.PICTURES}/frame_{place.number:06d}{PurePosixPath(image.name).suffix}"
-
-    yield from write_pictures(out, images, places, path_of, losses, pictures)
+        head = _head(folder, len(frames), known, frames[0])
+        tracks = cvat_video.tracks_of(frames, _box, losses)
+        writer.text(f"{folder}/{cvat_video.FILE}", chain([head], tracks, ["</annotations>\n"]))
+    writer.pictures(cvat_video.path_of, pictures)
+    return writer.written()
 
 
-def _labels(categories: Sequence[Category]) -> list[dict[str, Any]]:
+def _labels(categories: Sequence[Category]) -> list[dict[str, object]]:
     """Return the labels of a task, as CVAT's constructor takes them in its tab Raw."""
     attributes = [
         {
@@ -301,9 +285,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | No
     found.problems += annotated_twice(twice)
     listed = with_names(found, records.values())
     names |= dict.fromkeys(i.category for r in listed for i in r.instances)
-    return found.dataset(
-        NAME, listed, named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted
-    )  # fmt: skip
+    return found.dataset(NAME, listed, named_categories(names), {"labels": NAME}, metadata=metadata, splits=wanted)
 
 
 def _read_video(found: Findings, top: Any, path: Path, wanted: Sequence[Split]) -> list[ImageRecord]:
@@ -338,9 +320,7 @@ def _read_image(found: Findings, element: Any, where: str, split: Split, folder:
     return ImageRecord("", picture, split, size_wh, instances, file_name=name)
 
 
-def _read_objects(
-    found: Findings, element: Any, where: str, size_wh: tuple[int, int] | None
-) -> Iterable[Instance]:  # fmt: skip
+def _read_objects(found: Findings, element: Any, where: str, size_wh: tuple[int, int] | None) -> Iterable[Instance]:
     """Return the objects of a picture; a box and a mask of one label and group are one object."""
     objects: dict[object, Instance] = {}
     for other in (s for s in element if s.tag not in _SHAPES):
@@ -398,10 +378,18 @@ def _read_shape(found: Findings, shape: Any, where: str, size_wh: tuple[int, int
     said = {a.get("name"): (a.text or "").strip() for a in shape.findall("attribute")}
     occluded = {"occluded": True} if shape.get("occluded") == "1" else {}
     return Instance(
-        label, box, corners, mask, to_share(said.get("visibility")),
-        to_bool(said.get("truncated")), to_bool(said.get("difficult")), to_bool(said.get("inserted")) is True,
-        None, occluded, plain_id(said["track_id"]) if said.get("track_id") else None,
-    )  # fmt: skip
+        label,
+        box,
+        corners,
+        mask,
+        to_share(said.get("visibility")),
+        to_bool(said.get("truncated")),
+        to_bool(said.get("difficult")),
+        to_bool(said.get("inserted")) is True,
+        None,
+        occluded,
+        plain_id(said["track_id"]) if said.get("track_id") else None,
+    )
 
 
 def _read_ellipse(

@@ -13,7 +13,7 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
@@ -21,7 +21,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord, Instance, Split
 from infrablend.formats.pictures.listing import list_pictures
 from infrablend.formats.records import Findings
-from infrablend.formats.sequence_writing import Frames, Tracks, plain_id
+from infrablend.formats.sequence_writing import Frames, Place, Tracks, plain_id
 from infrablend.formats.values import to_int
 
 FILE = "annotations.xml"
@@ -113,7 +113,7 @@ def _frames(top: Any, pictures: Sequence[Path]) -> dict[int, Path]:
 
 def _shapes(
     found: Findings, top: Any, where: str, frames: Mapping[int, Path], shapes: Sequence[str]
-) -> dict[int, list[tuple[str, Any, str]]]:  # fmt: skip
+) -> dict[int, list[tuple[str, Any, str]]]:
     """Return place, element and track of the shapes of each frame, without those of objects that are outside."""
     of_frame: dict[int, list[tuple[str, Any, str]]] = defaultdict(list)
     lost = gaps = 0
@@ -159,6 +159,11 @@ def _shapes(
 # -- writing ---------------------------------------------------------------------------------------------------
 
 
+def path_of(image: ImageRecord, place: Place) -> str:
+    """Return the path of a picture below the dataset's folder."""
+    return f"{place.folder}/{PICTURES}/frame_{place.number:06d}{PurePosixPath(image.name).suffix}"
+
+
 def tracks_of(images: Frames, write_shape: WriteShape, losses: Counter[str]) -> Iterator[str]:
     """Yield the elements of the tracks of one sequence: first those that are made for single objects, then the others.
 
@@ -177,9 +182,7 @@ def tracks_of(images: Frames, write_shape: WriteShape, losses: Counter[str]) -> 
         yield from _track(number, ((n, images[n].instances[k]) for n, k in listed), len(images), write_shape)
 
 
-def _track(
-    number: int, shapes: Iterable[tuple[int, Instance]], length: int, write_shape: WriteShape
-) -> Iterator[str]:  # fmt: skip
+def _track(number: int, shapes: Iterable[tuple[int, Instance]], length: int, write_shape: WriteShape) -> Iterator[str]:
     """Yield the element of one track from its frames, in order."""
     last: tuple[int, Instance] | None = None
     for frame, o in shapes:

@@ -16,7 +16,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -227,10 +226,8 @@ def _read_split(found: Findings, split: Split, labels: Path | None, pictures: Pa
     return records
 
 
-def _read_file(
-    found: Findings, path: Path, size_wh: tuple[int, int]
-) -> tuple[tuple[Instance, ...], dict[str, Any]]:  # fmt: skip
-    extra: dict[str, Any] = {}
+def _read_file(found: Findings, path: Path, size_wh: tuple[int, int]) -> tuple[tuple[Instance, ...], dict[str, object]]:
+    extra: dict[str, object] = {}
     instances: list[Instance] = []
     seen: set[str] = set()
     for n, line in enumerate((found.text(path, "a DOTA label file") or "").splitlines(), 1):

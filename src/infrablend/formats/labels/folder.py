@@ -6,12 +6,15 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
+from itertools import pairwise
+from pathlib import Path, PurePosixPath
 from typing import Literal
 
-from infrablend.core.dataset import Dataset, Split
+from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.file_names import real_path
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_text
@@ -30,6 +33,7 @@ from infrablend.formats.labels.yolo import (
     report_orphans,
 )
 from infrablend.formats.labels.yolo import native_writer as yolo_writer
+from infrablend.formats.picture_facts import facts_from_name
 from infrablend.formats.pictures.listing import list_pictures
 from infrablend.formats.records import Findings
 
@@ -38,6 +42,13 @@ NAME = "folder"
 Labels = Literal["auto", "none", "yolo", "coco"]
 # Folders without backgrounds.
 _SKIP = ("labels", "annotations", "coco", "scenes")
+# Longer numbers are times.
+_END = re.compile(r"(|.*\D)(\d{1,9})", re.ASCII | re.DOTALL)
+# Fewer numbers than this do not show whether they run.
+_LEAST = 4
+# Share of the steps between numbers that are equal in frames of a clip, of which some may have been removed.
+_EQUAL = 0.5
+_UNNAMED_FRAMES = "frames"
 
 
 def detect(root: Path) -> Match:
@@ -100,9 +111,12 @@ def read(
     whole = _belongs_to(root)
     if whole is not None and labels == "auto":
         problem = Problem(
-            str(root), "split-folder", f"a split's pictures; their labels are in {whole}", "the folder of the dataset",
+            str(root),
+            "split-folder",
+            f"a split's pictures; their labels are in {whole}",
+            "the folder of the dataset",
             f"give {whole.parent.parent}",
-        )  # fmt: skip
+        )
         raise DatasetError(f"{root}: one split of a dataset, read alone it would lose every label", [problem])
     if labels in ("auto", "coco"):
         files = coco.find_files(root)
@@ -128,9 +142,14 @@ def read(
     if labels != "none":
         report_orphans(found, pictures, keypoints)
     return found.dataset(
-        NAME, records, categories_of(known), {"labels": "yolo" if labelled else "none"}, metadata=metadata,
-        splits=wanted, others=[found.place(p.path) for p in pictures],
-    )  # fmt: skip
+        NAME,
+        records,
+        categories_of(known),
+        {"labels": "yolo" if labelled else "none"},
+        metadata=metadata,
+        splits=wanted,
+        others=[found.place(p.path) for p in pictures],
+    )
 
 
 def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] | None:
@@ -150,3 +169,49 @@ def _find_names(root: Path, pictures: Sequence[FoundPicture]) -> dict[int, str] 
                 raise DatasetError(f"{candidate}: {problem.found}", [problem])
             return class_names([s.strip() for s in text.splitlines() if s.strip()], candidate.name)
     return None
+
+
+# -- sequences of pictures whose names end in a running number ---------------------------------------------------
+
+
+def with_numbered_frames(images: Sequence[ImageRecord]) -> tuple[ImageRecord, ...]:
+    """Return the pictures with the sequence and frame number that their names show.
+
+    The pictures of one folder, in all splits, are a sequence if their names differ in a number at their ends alone,
+    each has another one, and the numbers run: at least half of the steps between them are equal. Its name is the path
+    of the folder, or what the names have in common in the folder of the split itself. Pictures of which a sequence,
+    frame or time is known are left as they are, with all of their folder.
+    """
+    folders = defaultdict[PurePosixPath, list[int]](list)
+    for k, image in enumerate(images):
+        folders[PurePosixPath(image.name).parent].append(k)
+    taken = {i.capture.sequence for i in images}
+    found = list(images)
+    for folder, members in sorted(folders.items()):
+        numbers = _numbers([images[k] for k in members])
+        if numbers is None:
+            continue
+        prefix, frames = numbers
+        sequence = prefix.strip("_-. ") or _UNNAMED_FRAMES if folder == PurePosixPath() else folder.as_posix()
+        if sequence in taken:
+            continue
+        taken.add(sequence)
+        for k, frame in zip(members, frames, strict=True):
+            found[k] = replace(found[k], capture=replace(found[k].capture, sequence=sequence, frame=frame))
+    return tuple(found)
+
+
+def _numbers(images: Sequence[ImageRecord]) -> tuple[str, list[int]] | None:
+    """Return what the names of pictures begin with, and their numbers; None if these do not count frames."""
+    ends = [_END.fullmatch(PurePosixPath(i.name).stem) for i in images]
+    known = any(i.capture.sequence or i.capture.captured or i.capture.frame is not None for i in images)
+    if len(images) < _LEAST or known or any(facts_from_name(i.name) for i in images):
+        return None
+    names = [(m[1], int(m[2])) for m in ends if m is not None]
+    frames = [n for _, n in names]
+    if len(names) < len(images) or len({prefix for prefix, _ in names}) > 1 or len({*frames}) < len(frames):
+        return None
+    ordered = sorted(frames)
+    steps = Counter(b - a for a, b in pairwise(ordered))
+    most = steps.most_common(1)[0][1]
+    return (names[0][0], frames) if most >= _EQUAL * (len(frames) - 1) else None

@@ -138,7 +138,7 @@ class _Columns:
             row = {k: v for k, v in self.row(image).items() if k not in self.dropped}
             yield json.dumps(finite(row, losses), allow_nan=False, separators=(",", ":")) + "\n"
 
-    def row(self, image: ImageRecord) -> dict[str, Any]:
+    def row(self, image: ImageRecord) -> dict[str, object]:
         """Return the line of a picture; the columns in `_NULLABLE` may be null."""
         w, h = require_size(image)
         facts = image.capture.to_json()
@@ -347,7 +347,7 @@ def read(root: Path, *, splits: Iterable[str] | None = None) -> Dataset:
     return Dataset(root, NAME, ordered, with_ids(records), tuple(state.problems), {"labels": NAME})
 
 
-def _rows(path: Path, where: str, state: _Reading) -> Iterator[tuple[str, dict[str, Any]]]:
+def _rows(path: Path, where: str, state: _Reading) -> Iterator[tuple[str, dict[str, object]]]:
     """Yield the place and the columns of each line of a file."""
     if path.suffix == ".csv":
         try:
@@ -360,7 +360,7 @@ def _rows(path: Path, where: str, state: _Reading) -> Iterator[tuple[str, dict[s
                 state.add(f"{where}: {place}", "table-value", "more cells than columns", "a cell for each column")
                 continue
             row = {k: v for k, v in cells.items() if v}
-            yield f"{where}: {place}", {**row, _OBJECTS: _json(row.get(_OBJECTS, "null"))}
+            yield f"{where}: {place}", {**row, _OBJECTS: _json(str(row.get(_OBJECTS, "null")))}
         return
     for n, line in read_lines(path, where, "a line of JSON per picture", state.problems):
         row = _json(line)
@@ -378,7 +378,7 @@ def _json(text: str) -> Any:
 
 
 def _read_row(
-    row: Mapping[str, Any], where: str, split: Split, folder: PictureFolder, state: _Reading
+    row: Mapping[str, object], where: str, split: Split, folder: PictureFolder, state: _Reading
 ) -> ImageRecord | None:
     name, picture, fault = folder.find_named(row.get("file_name"), where, f"a file in {folder.folder.name}")
     if fault is not None or picture is None:
@@ -418,7 +418,7 @@ def _read_objects(value: object, where: str, size_wh: tuple[int, int] | None, st
 
 
 def _read_object(
-    row: Mapping[str, Any], where: str, size_wh: tuple[int, int] | None, state: _Reading
+    row: Mapping[str, object], where: str, size_wh: tuple[int, int] | None, state: _Reading
 ) -> Instance | None:
     # Hugging Face's own examples have numbers in `category` or `categories`.
     named = next((row[k] for k in ("category", "categories", "label") if k in row), None)
@@ -433,18 +433,23 @@ def _read_object(
     said = to_floats(row.get("obb"), 8) if row.get("oriented", True) is True else None
     corners = None if said is None or not is_near(said) else np.array(said, np.float64).reshape(4, 2)
     return Instance(
-        category, box,
+        category,
+        box,
         None if corners is None else clockwise_corners(corners),
         _read_mask(row.get("segmentation"), size_wh, where, state),
         to_share(row.get("visibility")),
-        to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
-        None, _read_occlusion(row, size_wh), _text(row.get("track_id")),
-    )  # fmt: skip
+        to_bool(row.get("truncated")),
+        to_bool(row.get("difficult")),
+        row.get("inserted") is True,
+        None,
+        _read_occlusion(row, size_wh),
+        _text(row.get("track_id")),
+    )
 
 
-def _read_occlusion(row: Mapping[str, Any], size_wh: tuple[int, int] | None) -> dict[str, Any]:
+def _read_occlusion(row: Mapping[str, object], size_wh: tuple[int, int] | None) -> dict[str, object]:
     """Return the flag, and the whole and the visible box where the object is hidden in part."""
-    found: dict[str, Any] = {"occluded": row["occluded"]} if isinstance(row.get("occluded"), bool) else {}
+    found: dict[str, object] = {"occluded": row["occluded"]} if isinstance(row.get("occluded"), bool) else {}
     boxes = {name: to_floats(row.get(name), 4) for name in BOXES}
     if found.get("occluded") is True and all(b is not None and is_near(b) for b in boxes.values()):
         found |= {name: list(edges_of_xywh(b, size_wh)) for name, b in boxes.items() if b is not None}

@@ -16,7 +16,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 from xml.sax.saxutils import quoteattr
 
@@ -102,7 +101,7 @@ def _config(names: Sequence[str], masks: bool) -> str:
     return "\n".join([*lines, "</View>", ""])
 
 
-def _task(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> dict[str, Any]:
+def _task(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> dict[str, object]:
     w, h = require_size(image)
     results = []
     require_known(image, known)
@@ -118,7 +117,7 @@ def _task(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) ->
     return {"data": data, "annotations": [{"result": results, "ground_truth": False}]}
 
 
-def _meta(i: Instance) -> dict[str, Any]:
+def _meta(i: Instance) -> dict[str, object]:
     """Return what Label Studio has no place for; it keeps and exports the field."""
     flags = {"inserted": i.inserted or None, "truncated": i.truncated, "difficult": i.difficult}
     flags |= {"oriented": None if i.corners_xy is None else True}
@@ -283,11 +282,11 @@ def _read_task(
     return ImageRecord("", picture, its_split, size_wh, instances, file_name=name)
 
 
-def _rows(found: Findings, task: Mapping[str, Any], where: str) -> list[Mapping[str, Any]]:
+def _rows(found: Findings, task: Mapping[str, object], where: str) -> list[Mapping[str, object]]:
     """Return the results of the last annotation of a task that has any and was not cancelled; count the others."""
     given = _objects_of(task.get("annotations"))
     used = [a for a in given if not a.get("was_cancelled")]
-    chosen: Mapping[str, Any] = next((a for a in reversed(used) if _objects_of(a.get("result"))), {})
+    chosen: Mapping[str, object] = next((a for a in reversed(used) if _objects_of(a.get("result"))), {})
     others = {
         "in a cancelled annotation": [a for a in given if a.get("was_cancelled")],
         "in an earlier annotation": [a for a in used if a is not chosen],
@@ -300,7 +299,7 @@ def _rows(found: Findings, task: Mapping[str, Any], where: str) -> list[Mapping[
     return _objects_of(chosen.get("result"))
 
 
-def _objects_of(value: object) -> list[Mapping[str, Any]]:
+def _objects_of(value: object) -> list[Mapping[str, object]]:
     """Return the JSON objects in a list; none of anything else."""
     return [v for v in value if isinstance(v, dict)] if isinstance(value, list) else []
 
@@ -326,7 +325,7 @@ def _names_of(address: str, split: Split) -> Iterator[tuple[str, Split]]:
             yield _PREFIX.sub("", folders[-1], count=1), split
 
 
-def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str) -> Iterable[Instance]:
+def _read_objects(found: Findings, rows: Sequence[Mapping[str, object]], where: str) -> Iterable[Instance]:
     """Return the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
     objects: dict[str, Instance] = {}
     for n, row in enumerate(_joined(rows)):
@@ -350,26 +349,30 @@ def _read_objects(found: Findings, rows: Sequence[Mapping[str, Any]], where: str
     return objects.values()
 
 
-def _joined(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+def _joined(rows: Sequence[Mapping[str, object]]) -> list[Mapping[str, object]]:
     """Return the results, with shapes and their labels from separate controls in one result.
 
     `<Rectangle>` beside `<Labels>` gives two results with the id of the region: `rectangle` and `labels`.
     """
-    named = [r for r in rows if r.get("type") == "labels" and "id" in r and isinstance(r.get("value"), dict)]
-    labels = {str(r["id"]): r["value"].get("labels") for r in named}
+    labels: dict[str, object] = {}
+    for r in rows:
+        value = r.get("value")
+        if r.get("type") == "labels" and "id" in r and isinstance(value, dict):
+            labels[str(r["id"])] = value.get("labels")
     shapes = {str(r.get("id")) for r in rows if f"{r.get('type')}labels" in _KINDS}
-    joined: list[Mapping[str, Any]] = []
+    joined: list[Mapping[str, object]] = []
     for r in rows:
         region = str(r.get("id"))
         kind = f"{r.get('type')}labels"
-        if kind in _KINDS and region in labels and isinstance(r.get("value"), dict):
-            joined.append({**r, "type": kind, "value": {**r["value"], kind: labels[region]}})
+        value = r.get("value")
+        if kind in _KINDS and region in labels and isinstance(value, dict):
+            joined.append({**r, "type": kind, "value": {**value, kind: labels[region]}})
         elif r.get("type") != "labels" or region not in shapes:
             joined.append(r)
     return joined
 
 
-def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instance | None:
+def _read_result(found: Findings, row: Mapping[str, object], where: str) -> Instance | None:
     """Return an object; None if its box is outside. ValueError if the row is malformed."""
     size_wh = to_size(row.get("original_width"), row.get("original_height"))
     value = row.get("value")
@@ -411,14 +414,21 @@ def _read_result(found: Findings, row: Mapping[str, Any], where: str) -> Instanc
         return None
     flags = {k: to_bool(meta[k]) if k in meta else None for k in _FLAGS}
     return Instance(
-        str(labels[0]), box, corners, mask, to_share(meta.get("visibility")),
-        flags["truncated"], flags["difficult"], flags["inserted"] is True, None,
+        str(labels[0]),
+        box,
+        corners,
+        mask,
+        to_share(meta.get("visibility")),
+        flags["truncated"],
+        flags["difficult"],
+        flags["inserted"] is True,
+        None,
         {} if flags["occluded"] is None else {"occluded": flags["occluded"]},
         to_id(meta.get("track_id")),
-    )  # fmt: skip
+    )
 
 
-def _read_mask(row: Mapping[str, Any], value: Mapping[str, Any], size_wh: tuple[int, int]) -> Mask:
+def _read_mask(row: Mapping[str, object], value: Mapping[str, object], size_wh: tuple[int, int]) -> Mask:
     if row["type"] == "brushlabels":
         return Mask.from_array(decode_brush(value.get("rle"), size_wh))
     points = value.get("points")

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,17 @@ def _files(root: Path) -> Iterator[Path]:
                 yield path
 
 
-def _is_ours(top: object) -> bool:
+class _File(TypedDict):
+    """What is read of a file."""
+
+    imagePath: str
+    shapes: list[Any]
+    imageData: NotRequired[object]
+    imageWidth: NotRequired[object]
+    imageHeight: NotRequired[object]
+
+
+def _is_ours(top: object) -> TypeGuard[_File]:
     return isinstance(top, dict) and is_list(top.get("shapes")) and isinstance(top.get("imagePath"), str)
 
 
@@ -140,9 +150,7 @@ def read(
     left = {n: split for n, split in left.items() if n not in records}
     found.problems += unlabelled_problems(root.name, len(left), unlabelled, "no JSON file")
     for n, split in left.items() if unlabelled == "keep" else ():
-        records[n] = ImageRecord(
-            "", pictures[n], split, None, (), extra={"labelled": False}, file_name=plain_name(n)
-        )  # fmt: skip
+        records[n] = ImageRecord("", pictures[n], split, None, (), extra={"labelled": False}, file_name=plain_name(n))
     categories = [
         Category(k, n, "", n == IGNORED or is_ignored_name(n)) for k, n in enumerate(names_of(records.values()))
     ]
@@ -150,9 +158,7 @@ def read(
     return found.dataset(NAME, records.values(), categories, notes, metadata=metadata, splits=wanted)
 
 
-def _picture(
-    found: Findings, top: Mapping[str, Any], where: str, own: str | None, pictures: Mapping[str, Path]
-) -> str | None:
+def _picture(found: Findings, top: _File, where: str, own: str | None, pictures: Mapping[str, Path]) -> str | None:
     """Return the picture that a file names, from its own folder on, else the one of its name; None, with a problem."""
     said = top["imagePath"].replace("\\", "/")
     named = os.path.normpath(os.path.join(os.path.dirname(where), said)) if "\0" not in said else ""  # noqa: PTH118, PTH120
@@ -165,9 +171,7 @@ def _picture(
     return own
 
 
-def _record(
-    found: Findings, top: Mapping[str, Any], where: str, name: str, path: Path, split: Split
-) -> ImageRecord | None:
+def _record(found: Findings, top: _File, where: str, name: str, path: Path, split: Split) -> ImageRecord | None:
     size_wh = to_size(top.get("imageWidth"), top.get("imageHeight")) or found.size(path, name)
     if size_wh is None:
         return None
@@ -226,12 +230,17 @@ def _instance(found: Findings, shape: object, size_wh: tuple[int, int], where: s
     flag = {k: to_bool(said.get(k)) for k in _FLAGS}
     extra = {} if flag["occluded"] is None else {"occluded": flag["occluded"]}
     return Instance(
-        label.strip(), box, corners, mask if mask is not None and mask.area_px else None,
-        truncated=flag["truncated"], difficult=flag["difficult"], extra=extra,
-    )  # fmt: skip
+        label.strip(),
+        box,
+        corners,
+        mask if mask is not None and mask.area_px else None,
+        truncated=flag["truncated"],
+        difficult=flag["difficult"],
+        extra=extra,
+    )
 
 
-def _points(shape: Mapping[str, Any], kind: str) -> NDArray[np.float64]:
+def _points(shape: Mapping[str, object], kind: str) -> NDArray[np.float64]:
     """Return the (n, 2) points of a shape; a ValueError if they are malformed, or not as many as the kind has."""
     given = shape.get("points")
     pairs = [to_floats(p, 2) for p in given] if isinstance(given, list) else []

@@ -111,13 +111,13 @@ def instance_pixels(image: ImageRecord, losses: Counter[str]) -> NDArray[np.uint
 
 def _table(
     image: ImageRecord, pixels: NDArray[np.uint16], of_category: Mapping[str, int], ignored: set[str]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     w, h = require_size(image)
     area = np.bincount(pixels.reshape(-1), minlength=len(image.instances) + 1)
     objects = []
     require_known(image, of_category)
     for number, i in enumerate(image.instances, 1):
-        row: dict[str, Any] = {
+        row: dict[str, object] = {
             "id": number,
             "category": i.category,
             "category_id": of_category[i.category],
@@ -132,7 +132,7 @@ def _table(
         row |= known(visibility=i.visibility, truncated=i.truncated, difficult=i.difficult)
         row |= occlusion_fields(i)
         objects.append(row | known(track_id=i.track_id, source_id=i.source_id))
-    top: dict[str, Any] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
+    top: dict[str, object] = {"file_name": image.name, "width": w, "height": h, "objects": objects}
     return top | image.capture.to_json() | known(source_id=image.source_id)
 
 
@@ -274,10 +274,18 @@ def _read_object(
         mask = Mask.from_array(pixels == number)
     visibility = to_floats([row.get("visibility")], 1)
     return Instance(
-        str(row["category"]), inside, _corners(row.get("corners_xy")), mask, visibility[0] if visibility else None,
-        to_bool(row.get("truncated")), to_bool(row.get("difficult")), row.get("inserted") is True,
-        to_id(row.get("source_id")), read_occlusion(row), to_id(row.get("track_id")),
-    )  # fmt: skip
+        str(row["category"]),
+        inside,
+        _corners(row.get("corners_xy")),
+        mask,
+        visibility[0] if visibility else None,
+        to_bool(row.get("truncated")),
+        to_bool(row.get("difficult")),
+        row.get("inserted") is True,
+        to_id(row.get("source_id")),
+        read_occlusion(row),
+        to_id(row.get("track_id")),
+    )
 
 
 def _corners(value: object) -> NDArray[np.float64] | None:

@@ -11,48 +11,41 @@ from __future__ import annotations
 
 import configparser
 import itertools
-import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves, leaves_folder, real_path
-from infrablend.core.files import write_chunks, write_text
 from infrablend.errors import Problem
 from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.base import (
     SPLIT_FOLDERS,
     Match,
     check_splits,
-    in_order,
     is_ignored_name,
-    require_known,
     require_options,
     require_size,
 )
 from infrablend.formats.box_checks import edges_of_xywh, snap_edges
-from infrablend.formats.losses import Written, count_dropped
-from infrablend.formats.pictures.listing import is_hidden, list_pictures
+from infrablend.formats.losses import Written
+from infrablend.formats.pictures.listing import SEQUENCE_DEPTH, folders_of_sequences, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.sequence_writing import (
     Frames,
     Place,
+    SequenceWriter,
     Tracks,
-    by_sequence,
     is_labelled,
-    places_of,
     plain_id,
     rate_of,
     second_of,
     with_names,
-    write_pictures,
 )
-from infrablend.formats.values import csv_text, number_text, to_floats, to_int, to_number, to_share
+from infrablend.formats.values import number_text, to_floats, to_int, to_number, to_share
 
 NAME = "mot"
 OPTIONS = {
@@ -70,7 +63,6 @@ _GT = "gt/gt.txt"
 _LABELS = "labels.txt"
 _INFO = "seqinfo.ini"
 _PICTURES = "img1"
-_DEPTH = 3
 _ROW = "frame,id,x,y,width,height,conf,class,visibility, counted from 1"
 _CHALLENGE = re.compile(r"(?:2D)?MOT-?(?:20)?(?:15|16|17|20)(?!\d)", re.IGNORECASE)
 _NUMBER = re.compile(r"\d{1,12}", re.ASCII)
@@ -80,26 +72,14 @@ ASSUMED_RATE = 30.0
 _ASSUMED = "assumedFrameRate"
 _TRACKS_FILE = "tracks.csv"
 _TRACKS_COLUMNS = ("sequence", "id", "category", "track_id")
+_LACKS = ("obb", "mask", "occlusion", "truncated", "difficult")
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
 
 
 def _sequences(root: Path) -> list[Path]:
-    """Return the folders of sequences, at most three below the dataset's own, sorted."""
-    found: list[Path] = []
-    level = [root]
-    for _ in range(_DEPTH + 1):
-        here = [f for f in level if (f / _GT).is_file() or (f / _INFO).is_file()]
-        found += here
-        level = [p for f in level if f not in here for p in _subfolders(f)]
-    return sorted(found)
-
-
-def _subfolders(folder: Path) -> list[Path]:
-    # Unlike `Path.iterdir`, this asks the disk about no file of a large folder of pictures.
-    entries = sorted(os.scandir(folder), key=lambda e: e.name)
-    return [Path(e.path) for e in entries if e.is_dir(follow_symlinks=False) and not is_hidden(e.name)]
+    return folders_of_sequences(root, lambda folder: (folder / _GT).is_file() or (folder / _INFO).is_file())
 
 
 def _split_of(root: Path, folder: Path) -> Split:
@@ -331,7 +311,7 @@ def _class_names(reading: _Reading, folder: Path) -> Mapping[int, str]:
             for n, name in names.items():
                 _enter(reading.numbers, name, n)
             return names
-    if any(_CHALLENGE.match(p.name) for p in (real_path(reading.root), folder, *folder.parents[:_DEPTH])):
+    if any(_CHALLENGE.match(p.name) for p in (real_path(reading.root), folder, *folder.parents[:SEQUENCE_DEPTH])):
         names = dict(enumerate(CLASSES, 1))
         for n, name in names.items():
             _enter(reading.numbers, name, n)
@@ -374,7 +354,7 @@ def _compare_info(
 
 def _instances(
     reading: _Reading, rows: Sequence[_Row], size_wh: tuple[int, int], sequence: str
-) -> tuple[Instance, ...]:  # fmt: skip
+) -> tuple[Instance, ...]:
     instances: list[Instance] = []
     for row in rows:
         x, y, w, h = row.xywh
@@ -408,58 +388,38 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A size is missing, or a category is not in the list.
     """
-    ordered = in_order(images)
-    losses: Counter[str] = Counter()
+    writer = SequenceWriter(out, images, categories, _LACKS)
     names = [c.name for c in sorted(categories, key=lambda c: c.id)]
-    numbers = {name: n for n, name in enumerate(names, 1)}
+    classes = {name: n for n, name in enumerate(names, 1)}
     ignored = {c.name for c in categories if c.ignore}
-    places = places_of(ordered)
-    files: list[Path] = []
-    problems: list[Problem] = []
     changed: list[tuple[str, int, str, int | str]] = []
     rates: dict[str, float | None] = {}
-    for folder, group in by_sequence(places).items():
-        sequence = Frames(ordered, group)
-        sequence_numbers = [places[n].number for n in group]
-        rates[folder] = _rate(folder, sequence, sequence_numbers, problems)
-        info = _info(folder, sequence, sequence_numbers[-1] + 1, rates[folder], problems)
-        files.append(write_text(out / folder / _INFO, info))
-        if not any(is_labelled(image) for image in sequence):
-            continue  # as in the test parts of MOTChallenge
-        losses["unlabelled_unsaid"] += sum(not is_labelled(image) for image in sequence)
-        tracks = Tracks(sequence, 1)
-        changed += [(folder, number, *key) for key, number in tracks.changed.items()]
-        lines = _lines(sequence, [n + 1 for n in sequence_numbers], tracks, numbers, ignored, losses)
-        files.append(write_chunks(out / folder / _GT, lines))
-        files.append(write_text(out / folder / "gt" / _LABELS, "".join(f"{name}\n" for name in names)))
-    if changed:
-        files.append(write_text(out / _TRACKS_FILE, csv_text(_TRACKS_COLUMNS, changed)))
+
+    def row(number: int, track: int, o: Instance) -> str:
+        writer.losses["visibility_made"] += o.visibility is None
+        counts = int(not o.is_crowd and o.category not in ignored)
+        return _line(number + 1, track, o, counts, classes[o.category])
 
     def find_out(place: Place) -> Capture:
         return replace(place.capture, time_s=second_of(place.number, rates[place.folder]))
 
-    files += write_pictures(out, ordered, places, _path_of, losses, pictures, find_out=find_out)
-    return Written.of(files, losses, problems)
+    for folder, frames, numbers in writer.sequences():
+        rates[folder] = _rate(folder, frames, numbers, writer.problems)
+        writer.text(f"{folder}/{_INFO}", [_info(folder, frames, numbers[-1] + 1, rates[folder], writer.problems)])
+        if not any(is_labelled(image) for image in frames):
+            continue  # as in the test parts of MOTChallenge
+        writer.losses["unlabelled_unsaid"] += sum(not is_labelled(image) for image in frames)
+        tracks = Tracks(frames, 1)
+        changed += [(folder, number, *key) for key, number in tracks.changed.items()]
+        writer.text(f"{folder}/{_GT}", writer.rows(frames, numbers, tracks, row))
+        writer.text(f"{folder}/gt/{_LABELS}", (f"{name}\n" for name in names))
+    writer.table(_TRACKS_FILE, _TRACKS_COLUMNS, changed)
+    writer.pictures(_path_of, pictures, find_out=find_out)
+    return writer.written()
 
 
 def _path_of(image: ImageRecord, place: Place) -> str:
     return f"{place.folder}/{_PICTURES}/{place.number + 1:06d}{PurePosixPath(image.name).suffix}"
-
-
-def _lines(
-    sequence: Frames,
-    frames: Iterable[int],
-    tracks: Tracks,
-    numbers: Mapping[str, int],
-    ignored: Collection[str],
-    losses: Counter[str],
-) -> Iterator[str]:
-    """Yield the lines of a sequence's text, picture by picture."""
-    for frame, image in zip(frames, sequence, strict=True):
-        require_known(image, numbers)
-        for o, (track, key) in zip(image.instances, tracks.of(image, losses), strict=True):
-            losses["track_renumbered"] += key in tracks.changed
-            yield _line(frame, track, o, int(not o.is_crowd and o.category not in ignored), numbers[o.category], losses)
 
 
 def _rate(folder: str, sequence: Frames, numbers: Sequence[int], problems: list[Problem]) -> float | None:
@@ -492,7 +452,7 @@ def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems
     if last > len(sequence):
         found = f"{len(sequence)} picture(s) numbered up to {last}; trackers may expect each number"
         problems.append(Problem(where, "frames-missing", found, "all frames of a sequence", "", "warning"))
-    fields: dict[str, Any] = {
+    fields: dict[str, object] = {
         "name": folder.partition("/")[2],
         "imDir": _PICTURES,
         "frameRate": number_text(rate or ASSUMED_RATE),
@@ -505,9 +465,7 @@ def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems
     return "[Sequence]\n" + "".join(f"{k}={v}\n" for k, v in fields.items())
 
 
-def _line(frame: int, track: int, o: Instance, conf: int, number: int, losses: Counter[str]) -> str:
-    count_dropped(o, losses, "obb", "mask", "occlusion", "truncated", "difficult")
-    losses["visibility_made"] += o.visibility is None
+def _line(frame: int, track: int, o: Instance, counts: int, number: int) -> str:
     x0, y0, x1, y1 = o.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0 + 1, y0 + 1, x1 - x0, y1 - y0))
-    return f"{frame},{track},{box},{conf},{number},{number_text(1 if o.visibility is None else o.visibility)}\n"
+    return f"{frame},{track},{box},{counts},{number},{number_text(1 if o.visibility is None else o.visibility)}\n"

@@ -149,7 +149,7 @@ class _Frames:
         return Dataset(self._root, NAME, self._categories, images, problems, notes, extra)
 
 
-def _record(files: ShardFiles, key: object) -> Mapping[str, Any]:
+def _record(files: ShardFiles, key: object) -> Mapping[str, object]:
     """Return the record of a shard of a run with this key.
 
     Raises:

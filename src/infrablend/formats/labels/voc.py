@@ -169,9 +169,7 @@ def read_folder(found: Findings, splits: Sequence[Split], from_one: bool, unlabe
         found.counts["files"] += 1
         size_wh = _size(found, top, name, paths[picture], picture)
         instances = _objects(found, top, name, size_wh, from_one)
-        records[picture] = ImageRecord(
-            "", paths[picture], split, size_wh, instances, file_name=plain_name(picture)
-        )  # fmt: skip
+        records[picture] = ImageRecord("", paths[picture], split, size_wh, instances, file_name=plain_name(picture))
     left = {
         name: split_of.get(picture_key(name)[-1], "train") if split_of else folder_split(name)
         for name in paths
@@ -340,14 +338,14 @@ def _object(
         flags[flag] = None if value is None else to_bool(value)
         if value and flags[flag] is None:
             found.warn(where, "flag-value", f"{flag} {value[:40]!r}, which is ignored", "0 or 1")
-    extra: dict[str, Any] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
+    extra: dict[str, object] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
     pose = child_text(element, "pose")
     if pose and pose != "Unspecified":
         extra["pose"] = pose
     inserted = to_bool(child_text(element, "inserted")) is True
     return Instance(
         name, box, corners, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=extra
-    )  # fmt: skip
+    )
 
 
 def _rotation_rad(element: Any) -> float:

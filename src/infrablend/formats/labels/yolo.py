@@ -41,7 +41,7 @@ from infrablend.formats.base import (
     stated_split,
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_shares, overhang_px, snap_edges
-from infrablend.formats.losses import Losses, Written, count_dropped
+from infrablend.formats.losses import Losses, Written, count_dropped, without_regions
 from infrablend.formats.pictures.listing import check_link, check_name, is_hidden, list_pictures, walk
 from infrablend.formats.polygons import outline, rasterise
 from infrablend.formats.records import Findings
@@ -191,8 +191,7 @@ def label_text(
     lines = []
     for instance in image.instances:
         if instance.category not in classes:
-            losses["ignore_dropped"] += 1
-            losses.left_out[image.split, instance.category] += 1
+            losses.leave_out("ignore_dropped", image, instance)
             continue
         if task == "seg":
             values = _polygon_values(image, instance, losses, without_mask)
@@ -281,13 +280,9 @@ def write(
     losses = Losses()
     files: list[Path] = []
     for image in ordered:
-        if crowds := [i for i in image.instances if i.is_crowd]:
-            kept = tuple(i for i in image.instances if dont_care == "keep" or not i.is_crowd)
-            if dont_care == "drop":
-                losses["ignore_dropped"] += len(crowds)
-                losses.left_out.update((image.split, i.category) for i in crowds)
-            losses["ignore_as_class"] += count_crowds(kept, regions)
-            image = replace(image, instances=kept)
+        if dont_care == "drop":
+            image = without_regions(image, (), losses)
+        losses["ignore_as_class"] += count_crowds(image.instances, regions)
         name = PurePosixPath(image.name)
         label = out / "labels" / image.split / name.with_suffix(".txt")
         files.append(write_text(label, label_text(image, classes, task, losses, without_mask)))
@@ -522,7 +517,7 @@ def find_yaml(root: Path) -> Path | None:
     return others[0] if len(others) == 1 else None
 
 
-def read_yaml(path: Path, root: Path) -> dict[str, Any]:
+def read_yaml(path: Path, root: Path) -> dict[str, object]:
     """Return the mapping in a `data.yaml`, or what Darknet's `obj.data` says, by the same keys.
 
     Args:
@@ -553,7 +548,7 @@ def read_yaml(path: Path, root: Path) -> dict[str, Any]:
     return value
 
 
-def _read_darknet(path: Path, root: Path) -> dict[str, Any]:
+def _read_darknet(path: Path, root: Path) -> dict[str, object]:
     """Return the lists of pictures and the names of the classes that a Darknet `.data` file gives as `key = path`."""
     text, problem = read_text(path, path.name, "Darknet's description of a dataset")
     said = {key.strip(): value.strip() for key, _, value in (line.partition("=") for line in text.splitlines())}
@@ -583,7 +578,7 @@ def _is_file(path: Path) -> bool:
     return os.path.isfile(path)  # noqa: PTH113 - `Path.is_file` raises for names that are too long
 
 
-def line_form(top: Mapping[str, Any], task: Task | None) -> tuple[Task | None, int]:
+def line_form(top: Mapping[str, object], task: Task | None) -> tuple[Task | None, int]:
     """Return the meaning of lines of nine numbers and the number of values of keypoints per line.
 
     Args:
@@ -683,7 +678,7 @@ def detect(root: Path) -> Match:
 
 
 def _split_places(
-    found: Findings, top: Mapping[str, Any], splits: Sequence[Split], where: str
+    found: Findings, top: Mapping[str, object], splits: Sequence[Split], where: str
 ) -> tuple[list[tuple[Split, Path]], list[tuple[Split, Path]]]:
     """Return (split, folder) and (split, text file that lists pictures) according to data.yaml.
 
@@ -807,6 +802,11 @@ def read(
     records, known = build_records(found, [p for p in pictures if p.split in wanted], names, task, keypoints)
     report_orphans(found, pictures, keypoints)
     return found.dataset(
-        NAME, records, categories_of(known), {"labels": "yolo"}, metadata=metadata, splits=wanted,
+        NAME,
+        records,
+        categories_of(known),
+        {"labels": "yolo"},
+        metadata=metadata,
+        splits=wanted,
         others=[found.place(p.path) for p in pictures],
-    )  # fmt: skip
+    )

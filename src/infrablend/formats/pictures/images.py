@@ -93,14 +93,8 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             raise _refuse(path, "image-size", found, expected, "correct the annotation or replace the picture")
         # Cameras put a preview behind the picture (MPO): Pillow opens the first frame, which is the picture.
         file_type = "JPEG" if picture.format == "MPO" else str(picture.format)
-        try:
-            frames = 1 if file_type == "JPEG" else int(getattr(picture, "n_frames", 1))
-        except Exception as error:  # Pillow reads the directories of all frames of a TIFF file to count them
-            found = "a second frame that cannot be read"
-            expected = "one picture"
-            raise _refuse(path, "image-unreadable", found, expected, "replace or remove it") from error
-        if frames != 1:
-            raise _refuse(path, "image-frames", f"{frames} frames", "one picture", "split the file")
+        if file_type != "JPEG":
+            _require_one_frame(picture, path)
         deep_colour = picture.mode in ("LA", "RGB", "RGBA") and _sixteen_bits(picture)
         try:
             picture.load()
@@ -123,6 +117,17 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             subsampling = int(JpegImagePlugin.get_sampling(picture))
         bit_depth = 16 if pixels.dtype == np.uint16 else 8
         return Background(path, pixels, mode, bit_depth, file_type, quantization, subsampling, tuple(problems))
+
+
+def _require_one_frame(picture: Any, path: Path) -> None:
+    """Check that a file that is no JPEG has one frame; DatasetError if it has more, or they cannot be read."""
+    try:
+        frames = int(getattr(picture, "n_frames", 1))
+    except Exception as error:  # Pillow reads the directories of all frames of a TIFF file to count them
+        found = "a second frame that cannot be read"
+        raise _refuse(path, "image-unreadable", found, "one picture", "replace or remove it") from error
+    if frames != 1:
+        raise _refuse(path, "image-frames", f"{frames} frames", "one picture", "split the file")
 
 
 def _sixteen_bits(picture: Any) -> bool:
@@ -211,7 +216,7 @@ def encode_image(pixels: NDArray[np.uint8] | NDArray[np.uint16], like: Backgroun
     data: NDArray[Any] = np.repeat(pixels[..., None], 3, axis=2) if like.mode == "RGB" else pixels
     picture = Image.fromarray(np.ascontiguousarray(data))
     file_type = "PNG" if kind == "png" else like.file_type
-    options: dict[str, Any] = {}
+    options: dict[str, object] = {}
     if file_type == "JPEG":
         options = {"qtables": [list(t) for t in like.quantization]}
         if like.mode == "RGB" and like.subsampling >= 0:

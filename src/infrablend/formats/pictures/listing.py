@@ -21,6 +21,8 @@ from infrablend.errors import Problem
 from infrablend.formats.base import SPLIT_FOLDERS
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+SEQUENCE_DEPTH = 3
+"""Folders of sequences are at most so far below that of the dataset."""
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
@@ -58,6 +60,23 @@ def walk(folder: Path, skip: Sequence[str] = ()) -> Iterator[tuple[str, list[str
         folders[:] = sorted(d for d in folders if not is_hidden(d) and d not in skip and d not in aside)
         aside = frozenset()  # they are at the top
         yield base, names
+
+
+def folders_of_sequences(root: Path, is_sequence: Callable[[Path], object]) -> list[Path]:
+    """Return the folders of sequences, at most three below the dataset's own, sorted; not those inside of another."""
+    found: list[Path] = []
+    level = [root]
+    for _ in range(SEQUENCE_DEPTH + 1):
+        here = [folder for folder in level if is_sequence(folder)]
+        found += here
+        level = [inside for folder in level if folder not in here for inside in _subfolders(folder)]
+    return sorted(found)
+
+
+def _subfolders(folder: Path) -> list[Path]:
+    # Unlike `Path.iterdir`, this asks the disk about no file of a large folder of pictures.
+    entries = sorted(os.scandir(folder), key=lambda e: e.name)
+    return [Path(e.path) for e in entries if e.is_dir(follow_symlinks=False) and not is_hidden(e.name)]
 
 
 def list_pictures(

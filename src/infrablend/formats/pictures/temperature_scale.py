@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -189,7 +188,7 @@ def scale_of_record(value: object, source: str, where: str) -> tuple[Radiometry 
         return None, Problem(where, "scale-malformed", str(error), "unit, slope_k, offset_k", severity="warning")
 
 
-def info_of_scale(images: Iterable[ImageRecord]) -> dict[str, Any] | None:
+def info_of_scale(images: Iterable[ImageRecord]) -> dict[str, object] | None:
     """Return the scale that all pictures share, as JSON values; None if there is none."""
     scales = {i.capture.scale for i in images}
     (scale,) = scales if len(scales) == 1 else (None,)

@@ -17,7 +17,7 @@ from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import Dataset, ImageRecord, Split
 from infrablend.core.file_names import distinct_names, file_name, fold_name
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits
+from infrablend.formats.base import SPLIT_FOLDERS, Match, check_splits, step_of
 from infrablend.formats.cameras.flight_log import sample
 from infrablend.formats.cameras.log_alignment import NO_CLOCK, align
 from infrablend.formats.cameras.video_log import (
@@ -30,7 +30,6 @@ from infrablend.formats.cameras.video_log import (
 from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR
 from infrablend.formats.pictures.listing import check_link, is_hidden, open_picture, walk
 from infrablend.formats.pictures.video import SUFFIXES, Video
-from infrablend.formats.published.anti_uav import step_of
 from infrablend.formats.records import Findings
 
 NAME = "videos"
@@ -76,9 +75,7 @@ def _names(root: Path) -> list[str]:
     return sorted(n for n in files if n.lower().endswith(SUFFIXES) and not is_hidden(Path(n).name))
 
 
-def read(
-    root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None, every: str = ""
-) -> Dataset:  # fmt: skip
+def read(root: Path, *, splits: Iterable[str] | None = None, metadata: Path | None = None, every: str = "") -> Dataset:
     """Read frames of all clips, as PNG files in the cache; what is outside of the folders of splits is train.
 
     Pitch, height and time of capture are those of the subtitles beside or in the clip; without a clock in these, the
@@ -147,21 +144,26 @@ def _read_clip(found: Findings, clip: _Clip, step: int) -> list[ImageRecord]:
     found.counts["frames"] += len(frames)
     return [
         ImageRecord(
-            "", path, clip.split, video.size_wh, (),
+            "",
+            path,
+            clip.split,
+            video.size_wh,
+            (),
             replace(captures.get(n, UNKNOWN), sequence=clip.sequence, frame=n, time_s=times[n]),
             file_name=f"{clip.sequence}/{clip.sequence}_{n:06d}.png",
         )
         for n, path in frames.items()
-    ]  # fmt: skip
+    ]
 
 
 def _name_labels(found: Findings, clip: _Clip) -> None:
     """Warn of files beside a clip that may hold its labels: no other reader knows them."""
     stem = clip.path.stem
     beside = sorted(
-        p.name for p in clip.path.parent.iterdir()
+        p.name
+        for p in clip.path.parent.iterdir()
         if p.suffix.lower() in _LABELS and p.stem.startswith(stem) and _LABEL_END.fullmatch(p.stem[len(stem) :])
-    )  # fmt: skip
+    )
     if beside:
         text = f"{', '.join(beside[:3])} beside it may hold labels, which are not read"
         todo = "convert labels, for example with CVAT, to a format of docs/formats: their objects count as absent here"

@@ -28,7 +28,7 @@ import numpy as np
 from infrablend.core.capture import UNKNOWN, Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import distinct_names, file_name, leaves_folder
-from infrablend.core.files import link_or_copy, write_text
+from infrablend.core.files import link_or_copy
 from infrablend.core.json_records import is_list
 from infrablend.core.mesh import FloatArray
 from infrablend.errors import DatasetError, Problem
@@ -36,28 +36,17 @@ from infrablend.formats.base import (
     Match,
     check_splits,
     count_crowds,
-    in_order,
-    option_error,
-    require_known,
     require_options,
+    step_of,
 )
 from infrablend.formats.box_checks import check_box, edges_of_xywh
 from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.picture_facts import csv_rows, table_of_rows
-from infrablend.formats.pictures.listing import is_hidden, is_picture_name
+from infrablend.formats.pictures.listing import folders_of_sequences, is_hidden, is_picture_name
 from infrablend.formats.pictures.video import SUFFIXES, is_video
 from infrablend.formats.records import Findings
-from infrablend.formats.sequence_writing import (
-    Frames,
-    Place,
-    by_sequence,
-    is_labelled,
-    places_of,
-    plain_id,
-    with_names,
-    write_pictures,
-)
-from infrablend.formats.values import csv_text, to_bool, to_floats, to_int, to_number, to_share
+from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, is_labelled, plain_id, with_names
+from infrablend.formats.values import to_bool, to_floats, to_int, to_number, to_share
 from infrablend.imaging.paint_out import How
 
 NAME = "anti-uav"
@@ -75,7 +64,6 @@ _FOLDERS = {"ir": ("infrared", "IR"), "rgb": ("visible", "RGB")}
 _SPLITS: Mapping[str, Split] = {
     "train": "train", "val": "val", "validation": "val", "test": "test", "test-dev": "test", "test_dev": "test",
 }  # fmt: skip
-_DEPTH = 3
 _DATE = re.compile(r"(20\d\d)(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])_", re.ASCII)
 _PICTURE_STEP = 1
 _VIDEO_STEP = 25
@@ -88,6 +76,7 @@ _COLUMNS = {"field_of_view_deg": "hfov_deg", "elevation_at_start_deg": "pitch_de
 _PAINTED: Mapping[How, str] = {"other-frames": "painted", "in-part": "painted_in_part", "guessed": "painted_by_guess"}
 
 
+_DRONE = (CATEGORIES[0].name, 0)
 _TARGETS_FILE = "targets.csv"
 _TARGETS_COLUMNS = ("folder", "of", "first", "category", "track_id", "ignore")
 
@@ -137,20 +126,8 @@ def _sequences(root: Path) -> list[_Sequence]:
     """Return the sequences at most three folders below the dataset's, sorted by path; that of a video given alone."""
     if root.is_file():
         return [s for s in _in_folder(root.parent) if s.video == root]
-    found: list[_Sequence] = []
-    level = [root]
-    for _ in range(_DEPTH + 1):
-        deeper: list[Path] = []
-        for folder in level:
-            here = _in_folder(folder)
-            found += here
-            deeper += [] if here else _subfolders(folder)
-        level = deeper
+    found = (s for folder in folders_of_sequences(root, _in_folder) for s in _in_folder(folder))
     return sorted(found, key=lambda s: (s.folder, s.kind, s.label))
-
-
-def _subfolders(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if not is_hidden(p.name) and p.is_dir() and not p.is_symlink())
 
 
 def _in_folder(folder: Path) -> list[_Sequence]:
@@ -303,18 +280,6 @@ def _name_unlabelled(found: Findings, sequences: Sequence[_Sequence]) -> None:
             found.warn(found.place(folder / left[0]), "label-missing", text, "a text per clip", todo)
 
 
-def step_of(root: Path, every: str) -> int | None:
-    """Return the step in frames that an option states; None for an empty one.
-
-    Raises:
-        DatasetError: It is not a positive whole number.
-    """
-    text = str(every).strip()
-    if text and not (text.isascii() and text.isdigit() and 0 < int(text) < 10**9):
-        raise option_error(root, "every", every, "a positive number of frames")
-    return int(text) if text else None
-
-
 def _views(found: Findings, sequences: Sequence[_Sequence]) -> dict[Path, Capture]:
     """Return field of view and pitch of clips by their label files, from the tables beside them."""
     clips = [s for s in sequences if s.label.suffix == _TEXT and s.video is not None]
@@ -340,7 +305,7 @@ def _views(found: Findings, sequences: Sequence[_Sequence]) -> dict[Path, Captur
     return views
 
 
-def _named(row: Mapping[str, Any]) -> dict[str, Any]:
+def _named(row: Mapping[str, object]) -> dict[str, object]:
     """Return a row with our names of columns; pitch is below the horizon, elevation above it."""
     named = {_COLUMNS.get(k, k): v for k, v in row.items()}
     elevation = to_number(named.get("pitch_deg"))
@@ -456,7 +421,7 @@ def _where(rect: Any, flag: Any, size_wh: tuple[int, int]) -> FloatArray | None:
 
 def _frames(
     found: Findings, sequence: _Sequence, labelled: int, step: int | None
-) -> tuple[Mapping[int, Path], int, Sequence[float]]:  # fmt: skip
+) -> tuple[Mapping[int, Path], int, Sequence[float]]:
     """Return the frames to read by number, the number of frames that the sequence has, and their seconds if known."""
     names = sorted(p for p in sequence.pictures.iterdir() if is_picture_name(p.name) and p.is_file())
     if names or sequence.video is None:
@@ -480,7 +445,7 @@ def _frames(
 
 def _instance(
     found: Findings, target: _Target, rect: Any, exist: Any, size_wh: tuple[int, int], where: str
-) -> tuple[Instance, ...]:  # fmt: skip
+) -> tuple[Instance, ...]:
     """Return the object in a frame; nothing where the flag or an empty box says that there is none."""
     numbers = to_floats(rect, 4)
     empty = rect in ([], None) or (numbers is not None and not any(numbers))
@@ -530,55 +495,65 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A category is not in the list.
     """
-    ordered = in_order(images)
-    losses = Losses()
+    writer = SequenceWriter(out, images, categories)
     ignored = {c.name for c in categories if c.ignore}
-    known = {c.name for c in categories}
-    places = places_of(ordered)
-    used: dict[Split, set[str]] = defaultdict(set)
-    for place in places:
+    used: dict[str, set[str]] = defaultdict(set)
+    for place in writer.places:
         used[place.split].add(place.sequence)
-    files: list[Path] = []
-    problems: list[Problem] = []
     rows: list[tuple[str, str, int, str, int | str, int]] = []
-    digits = max(6, len(str(len(places))))  # frames are in the order of their names
+    digits = max(6, len(str(len(writer.places))))  # frames are in the order of their names
 
     def path_of(image: ImageRecord, place: Place) -> str:
         return f"{place.folder}/{place.number + 1:0{digits}d}{PurePosixPath(image.name).suffix}"
 
-    for folder, group in by_sequence(places).items():
-        sequence = Frames(ordered, group)
-        missing = places[group[-1]].number + 1 - len(group)
-        if missing:
-            text = f"{len(group)} picture(s), without {missing} of the numbers up to the last; counted without gaps"
-            problems.append(Problem(folder, "frames-missing", text, "all frames of a sequence", "", "warning"))
-        for position, n in enumerate(group):
-            numbered = ordered[n].capture.sequence is not None and ordered[n].capture.frame == places[n].number
-            losses["frame_renumbered"] += numbered and places[n].number != position
-            places[n] = replace(places[n], number=position)
-            require_known(ordered[n], known)
-            losses["unlabelled_unsaid"] += not is_labelled(ordered[n])
-            losses["ignore_as_class"] += dont_care == "keep" and count_crowds(ordered[n].instances, ignored)
-        targets = _targets(sequence, ignored if dont_care == "drop" else None, losses) or {(CATEGORIES[0].name, 0): {}}
-        split = places[group[0]].split
-        whole = folder.partition("/")[2]
-        wanted = [file_name(f"{whole}_{track}") for _, track in list(targets)[1:]]
-        named = distinct_names(wanted, used[split])
-        used[split] |= {*named}
-        for (key, shown), name in zip(targets.items(), [whole, *named], strict=True):
-            own = f"{split}/{name}"
-            first, last = (0, len(group) - 1) if name == whole else (min(shown), max(shown))
-            files.append(write_text(out / own / _LABELS["ir"][1], _label_text(shown, range(first, last + 1))))
-            if own != folder or key != (CATEGORIES[0].name, 0):
-                rows.append((own, folder, first, *key, int(key[0] in ignored)))
-            for k in range(first, last + 1) if pictures and own != folder else ():
-                path = path_of(sequence[k], Place(split, name, k - first))
-                files.append(link_or_copy(sequence[k].path, out / path))
-    if rows:
-        files.append(write_text(out / _TARGETS_FILE, csv_text(_TARGETS_COLUMNS, rows)))
-    files += write_pictures(out, ordered, places, path_of, losses, pictures, find_out=_found_out, within="ir/")
-    losses["sequence_made"] -= losses["frame_renumbered"]  # these had a number of their own
-    return Written.of(files, losses, problems)
+    for folder, frames, numbers in writer.sequences():
+        _number_without_gaps(writer, folder, frames, numbers)
+        for image in frames:
+            writer.losses["unlabelled_unsaid"] += not is_labelled(image)
+            writer.losses["ignore_as_class"] += dont_care == "keep" and count_crowds(image.instances, ignored)
+        targets = _targets(frames, ignored if dont_care == "drop" else None, writer.losses) or {_DRONE: {}}
+        split = writer.places[frames.chosen[0]].split
+        names = _target_folders(folder, targets, used[split])
+        for (key, shown), name in zip(targets.items(), names, strict=True):
+            whole = Place(split, name, 0)
+            first, last = (0, len(frames) - 1) if whole.folder == folder else (min(shown), max(shown))
+            writer.text(f"{whole.folder}/{_LABELS['ir'][1]}", [_label_text(shown, range(first, last + 1))])
+            if whole.folder != folder or key != _DRONE:
+                rows.append((whole.folder, folder, first, *key, int(key[0] in ignored)))
+            for k in range(first, last + 1) if pictures and whole.folder != folder else ():
+                path = path_of(frames[k], replace(whole, number=k - first))
+                writer.files.append(link_or_copy(frames[k].path, out / path))
+    writer.table(_TARGETS_FILE, _TARGETS_COLUMNS, rows)
+    writer.pictures(path_of, pictures, find_out=_found_out, within="ir/")
+    return writer.written()
+
+
+def _number_without_gaps(writer: SequenceWriter, folder: str, frames: Frames, numbers: Sequence[int]) -> None:
+    """Give the pictures of a sequence their positions as numbers, and warn if some had others."""
+    missing = numbers[-1] + 1 - len(frames)
+    if missing:
+        text = f"{len(frames)} picture(s), without {missing} of the numbers up to the last; counted without gaps"
+        writer.problems.append(Problem(folder, "frames-missing", text, "all frames of a sequence", "", "warning"))
+    for position, (n, number) in enumerate(zip(frames.chosen, numbers, strict=True)):
+        capture = writer.images[n].capture
+        own = capture.sequence is not None and capture.frame == number
+        writer.losses["frame_renumbered"] += own and number != position
+        writer.places[n] = replace(writer.places[n], number=position)
+
+
+def _target_folders(folder: str, targets: Iterable[_Key], used: set[str]) -> list[str]:
+    """Return the names of the folders of a sequence's targets, the first of which has the sequence's own.
+
+    Args:
+        folder: Folder of the sequence.
+        targets: Class and track of each target.
+        used: Names of the split's folders, to which the new ones are added.
+    """
+    whole = folder.partition("/")[2]
+    _, *further = targets
+    named = distinct_names([file_name(f"{whole}_{track}") for _, track in further], used)
+    used.update(named)
+    return [whole, *named]
 
 
 def _found_out(place: Place) -> Capture:
@@ -619,8 +594,7 @@ def _targets(sequence: Frames, dropped: Collection[str] | None, losses: Losses) 
     for position, image in enumerate(sequence):
         for o in image.instances:
             if not _is_kept(o, dropped):
-                losses["hidden_absent" if o.visibility == 0 else "ignore_dropped"] += 1
-                losses.left_out[image.split, o.category] += 1
+                losses.leave_out("hidden_absent" if o.visibility == 0 else "ignore_dropped", image, o)
                 continue
             count_dropped(o, losses, "obb", "mask", "occlusion", "truncated", "difficult")
             losses["class_unfit"] += o.category != CATEGORIES[0].name
@@ -641,7 +615,7 @@ def _targets(sequence: Frames, dropped: Collection[str] | None, losses: Losses) 
 def _label_text(shown: _Shown, positions: range) -> str:
     """Return the text of a label file."""
     rects = [shown[k][0] if k in shown else () for k in positions]
-    top: dict[str, Any] = {"exist": [int(k in shown) for k in positions], "gt_rect": rects}
+    top: dict[str, object] = {"exist": [int(k in shown) for k in positions], "gt_rect": rects}
     if any(share is not None for _, share in shown.values()):
         top["visibility"] = [shown[k][1] if k in shown else None for k in positions]
     return json.dumps(top, allow_nan=False) + "\n"

@@ -15,29 +15,27 @@ import math
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
-from infrablend.core.files import link_or_copy, write_text
 from infrablend.formats.base import (
     Match,
     check_splits,
     count_crowds,
-    in_order,
     option_error,
     require_known,
     require_options,
 )
 from infrablend.formats.box_checks import edges_of_xywh, snap_edges
-from infrablend.formats.losses import Losses, Written, count_dropped
+from infrablend.formats.losses import Written, without_regions
 from infrablend.formats.pictures.listing import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
-from infrablend.formats.sequence_writing import NAMES_COLUMNS, NAMES_FILE, is_unsaid, name_cells, plain_id, with_names
-from infrablend.formats.values import csv_text, number_text, to_floats, to_int
+from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, by_sequence, plain_id, with_names
+from infrablend.formats.values import number_text, to_floats, to_int
 
 NAME = "birdsai"
 OPTIONS = {
@@ -57,11 +55,13 @@ CLASSES = (Category(0, "animal", "animal"), Category(1, "human", "human"))
 _HUMAN = {"human", "person", "pedestrian", "people"}
 
 _FOLDERS: Mapping[str, Split] = {"TrainReal": "train", "ValReal": "val", "TestReal": "test"}
+_FOLDER_OF = {split: name for name, split in _FOLDERS.items()}
 _SEQUENCE = re.compile(r"\d{10}_\d{10}", re.ASCII)
 _FRAME = re.compile(r"(\d{10}_\d{10})_(\d{10})", re.ASCII)
 _COLUMNS = "frame, object, x, y, w, h, class, species, occlusion, noise"
 _SPECIES_FILE = "species.csv"
 _SPECIES_COLUMNS = ("species", "name", "ignore")
+_LACKS = ("obb", "mask", "visibility", "occlusion boxes", "truncated", "difficult")
 
 
 # -- finding ---------------------------------------------------------------------------------------------------
@@ -389,58 +389,45 @@ def write(
         OutputError: A file cannot be written.
         ValueError: A category is not in the list.
     """
-    ordered = in_order(images)
-    losses = Losses()
+    writer = SequenceWriter(out, images, categories, _LACKS, _places)
+    places = writer.places
+    losses = writer.losses
     species = _species_numbers(categories)
     regions = {c.name for c in categories if c.ignore}
-    ignored = regions if dont_care == "drop" else set()
-    places = _places(ordered)
-    folder_of = {split: name for name, split in _FOLDERS.items()}
-    lines: dict[str, list[str]] = {}
-    files: list[Path] = []
     tracks: dict[str, _Tracks] = defaultdict(_Tracks)
-    for image in ordered:
-        tracks[places[image.id][0]].reserve(o.track_id for o in image.instances)
-    for (split, sequence), group in _grouped(ordered, places).items():
-        table = lines.setdefault(f"{folder_of[split]}/annotations/{sequence}.csv", [])
-        for image in (ordered[n] for n in group):
-            kept = []
-            for o in image.instances:
-                if o.category in ignored or (o.is_crowd and dont_care == "drop"):
-                    losses["ignore_dropped"] += 1
-                    losses.left_out[split, o.category] += 1
-                else:
-                    kept.append(o)
-            losses["ignore_as_class"] += count_crowds(kept, regions)
-            losses["empty_unsaid"] += not kept and image.extra.get("labelled", True) is True
-            require_known(replace(image, instances=tuple(kept)), species)
-            for o in kept:
-                table.append(_line(places[image.id][1], o, species, tracks[sequence], losses))
-    for name, rows in sorted(lines.items()):
-        files.append(write_text(out / name, "".join(rows)))
-    renamed = []
-    known = []
-    for image in ordered:
-        sequence, frame = places[image.id]
-        base = f"{sequence}/{sequence}_{frame:010d}{PurePosixPath(image.name).suffix}"
-        name = f"{folder_of[image.split]}/images/{base}"
-        if pictures:
-            files.append(link_or_copy(image.path, out / name))
-        losses["name_changed"] += base != image.name
-        if is_unsaid(image, base, Capture(sequence=sequence, frame=frame)):
-            renamed.append(name_cells(image, name))
-        facts = (image.capture.pitch_deg, image.capture.altitude_m, image.capture.time_of_day)
-        if any(v is not None for v in facts):
-            known.append((name, *("" if v is None else v for v in facts)))
-    ignore = {c.name: int(c.ignore) for c in categories}
-    further = [(k, n, ignore[n]) for n, (_, k) in species.items() if k > UNKNOWN.id and n not in ignored]
-    tables = (
-        (NAMES_FILE, NAMES_COLUMNS, renamed),
-        ("metadata.csv", ("file", "pitch_deg", "altitude_m", "time_of_day"), known),
-        (_SPECIES_FILE, _SPECIES_COLUMNS, further),
-    )
-    files += [write_text(out / name, csv_text(head, rows)) for name, head, rows in tables if rows]
-    return Written.of(files, losses)
+    for image, place in zip(writer.images, places, strict=True):
+        tracks[place.sequence].reserve(o.track_id for o in image.instances)
+
+    def kept_of(image: ImageRecord) -> ImageRecord:
+        kept = image if dont_care == "keep" else without_regions(image, regions, losses)
+        losses["ignore_as_class"] += count_crowds(kept.instances, regions)
+        losses["empty_unsaid"] += not kept.instances and image.extra.get("labelled", True) is True
+        require_known(kept, species)
+        return kept
+
+    def row(frame: int, track: int, o: Instance) -> str:
+        class_, number = _codes(o, species)
+        losses["class_unfit"] += class_ == 0 and number > UNKNOWN.id
+        return _line(frame, track, o, class_, number)
+
+    # Tracks of a sequence that is in several splits have numbers in the order of their frames.
+    groups = sorted(by_sequence(places).values(), key=lambda g: (places[g[0]].sequence, places[g[0]].number, g[0]))
+    for group in groups:
+        first = places[group[0]]
+        frames = map(kept_of, Frames(writer.images, group))
+        rows = writer.rows(frames, [places[n].number for n in group], tracks[first.sequence], row)
+        writer.text(f"{_FOLDER_OF[first.split]}/annotations/{first.sequence}.csv", rows)
+    writer.files.sort()
+    writer.pictures(_path_of, pictures, facts=("pitch_deg", "altitude_m", "time_of_day"))
+    written = {c.name: int(c.ignore) for c in categories if not (c.ignore and dont_care == "drop")}
+    further = [(k, n, written[n]) for n, (_, k) in species.items() if k > UNKNOWN.id and n in written]
+    writer.table(_SPECIES_FILE, _SPECIES_COLUMNS, further)
+    return writer.written()
+
+
+def _path_of(image: ImageRecord, place: Place) -> str:
+    name = f"{place.sequence}_{place.number:010d}{PurePosixPath(image.name).suffix}"
+    return f"{_FOLDER_OF[place.split]}/images/{place.sequence}/{name}"
 
 
 def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int]]:
@@ -457,22 +444,22 @@ def _species_numbers(categories: Sequence[Category]) -> dict[str, tuple[int, int
     return numbers
 
 
-def _places(images: Sequence[ImageRecord]) -> dict[str, tuple[str, int]]:
-    """Return (sequence, frame) by image id; images keep their own if these are unique names in BIRDSAI's form."""
-    groups: dict[tuple[Split, str], list[tuple[str, int | None]]] = defaultdict(list)
-    for image in images:
-        groups[image.split, image.capture.sequence or ""].append((image.id, _frame_of(image)))
+def _places(images: Sequence[ImageRecord]) -> list[Place]:
+    """Return the place of each image; images keep their own if these are unique names in BIRDSAI's form."""
+    groups: dict[tuple[Split, str], list[int]] = defaultdict(list)
+    for n, image in enumerate(images):
+        groups[image.split, image.capture.sequence or ""].append(n)
     names = sorted({sequence for _, sequence in groups})
     own = {n for n in names if _SEQUENCE.fullmatch(n)}
     free = iter(s for k in range(len(names) + len(own)) if (s := f"{k:010d}_{0:010d}") not in own)
     named = {n: n if n in own else next(free) for n in names}
-    places: dict[str, tuple[str, int]] = {}
-    for (_, sequence), group in groups.items():
-        frames = [frame for _, frame in group]
-        if None in frames or len(set(frames)) != len(frames):
+    places: dict[int, Place] = {}
+    for (split, sequence), group in groups.items():
+        frames = [frame for n in group if (frame := _frame_of(images[n])) is not None]
+        if len({*frames}) < len(group):
             frames = list(range(len(group)))
-        places |= {i: (named[sequence], f or 0) for (i, _), f in zip(group, frames, strict=True)}
-    return places
+        places |= {n: Place(split, named[sequence], frame) for n, frame in zip(group, frames, strict=True)}
+    return [places[n] for n in range(len(images))]
 
 
 def _frame_of(image: ImageRecord) -> int | None:
@@ -482,37 +469,34 @@ def _frame_of(image: ImageRecord) -> int | None:
     return number if number is not None and number < 10**10 else None
 
 
-def _grouped(
-    images: Sequence[ImageRecord], places: Mapping[str, tuple[str, int]]
-) -> dict[tuple[Split, str], list[int]]:
-    """Return the indices of the images of each sequence, in the order of their frames."""
-    groups: dict[tuple[Split, str], list[int]] = defaultdict(list)
-    keys = [(places[image.id], image.split) for image in images]
-    for n in sorted(range(len(keys)), key=lambda n: keys[n][0]):
-        (sequence, _), split = keys[n]
-        groups[split, sequence].append(n)
-    return groups
-
-
 class _Tracks:
-    """Track numbers of one sequence; named tracks and objects without a track get free numbers."""
+    """Track numbers of one sequence; named tracks and objects without a track get free numbers.
+
+    Attributes:
+        changed: The numbers of tracks whose ids are texts.
+    """
 
     def __init__(self) -> None:
-        self.named: dict[str, int] = {}
-        self.free = 0
+        self.changed: dict[str, int] = {}
+        self._free = 0
 
     def reserve(self, ids: Iterable[int | str | None]) -> None:
         """Reserve the numbers of numbered tracks."""
-        self.free = max([self.free, *(n + 1 for i in ids if i is not None and isinstance(n := plain_id(i), int))])
+        self._free = max([self._free, *(n + 1 for i in ids if i is not None and isinstance(n := plain_id(i), int))])
 
-    def number(self, id_: int | str | None) -> int:
-        """Return the number of a track; each call with None returns a new number."""
-        known = None if id_ is None else plain_id(id_)
-        if isinstance(known, int):
-            return known
-        number = self.free if known is None else self.named.setdefault(known, self.free)
-        self.free += number == self.free
-        return number
+    def of(self, image: ImageRecord, losses: Counter[str]) -> list[tuple[int, int | str | None]]:
+        """Return number and id of the track of each object of an image; an object without a track gets a new number."""
+        tracks: list[tuple[int, int | str | None]] = []
+        for o in image.instances:
+            losses["track_made"] += o.track_id is None
+            known = None if o.track_id is None else plain_id(o.track_id)
+            if isinstance(known, int):
+                number = known
+            else:
+                number = self._free if known is None else self.changed.setdefault(known, self._free)
+                self._free += number == self._free
+            tracks.append((number, known))
+        return tracks
 
 
 def _codes(instance: Instance, species: Mapping[str, tuple[int, int]]) -> tuple[int, int]:
@@ -525,17 +509,10 @@ def _codes(instance: Instance, species: Mapping[str, tuple[int, int]]) -> tuple[
     return species[instance.category]
 
 
-def _line(
-    frame: int, instance: Instance, species: Mapping[str, tuple[int, int]], tracks: _Tracks, losses: Counter[str]
-) -> str:
-    class_, number = _codes(instance, species)
-    losses["class_unfit"] += class_ == 0 and number > UNKNOWN.id
-    count_dropped(instance, losses, "obb", "mask", "visibility", "occlusion boxes", "truncated", "difficult")
-    losses["track_made"] += instance.track_id is None
-    losses["track_renumbered"] += isinstance(instance.track_id, str) and isinstance(plain_id(instance.track_id), str)
-    x0, y0, x1, y1 = instance.box_xyxy.tolist()
+def _line(frame: int, track: int, o: Instance, class_: int, species: int) -> str:
+    x0, y0, x1, y1 = o.box_xyxy.tolist()
     box = ",".join(number_text(v) for v in (x0, y0, x1 - x0, y1 - y0))
-    hidden = instance.extra.get("occluded") is True or (instance.visibility is not None and instance.visibility < 1)
-    occluded = hidden or instance.extra.get("occlusion") == 1
-    noisy = instance.extra.get("noise") == 1
-    return f"{frame},{tracks.number(instance.track_id)},{box},{class_},{number},{int(occluded)},{int(noisy)}\n"
+    hidden = o.extra.get("occluded") is True or (o.visibility is not None and o.visibility < 1)
+    occluded = hidden or o.extra.get("occlusion") == 1
+    noisy = o.extra.get("noise") == 1
+    return f"{frame},{track},{box},{class_},{species},{int(occluded)},{int(noisy)}\n"

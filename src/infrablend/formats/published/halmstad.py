@@ -20,8 +20,7 @@ from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import read_regular
 from infrablend.errors import DatasetError, MissingDependencyError, Problem
 from infrablend.formats.annotation_files import leave_out
-from infrablend.formats.base import Match, check_splits
-from infrablend.formats.published.anti_uav import step_of
+from infrablend.formats.base import Match, check_splits, step_of
 from infrablend.formats.published.matlab import object_workspace
 from infrablend.formats.records import Findings
 from infrablend.formats.values import to_floats

@@ -16,8 +16,17 @@ from infrablend.core.workspace import SPLIT_FILE, replacing, workspace
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
-from infrablend.formats.divide import assign_groups, group_weights
-from infrablend.formats.image_groups import GROUPINGS, NEAR, Grouping, Leakage, group_images, leakage, states_frame
+from infrablend.formats.image_groups import (
+    GROUPINGS,
+    NEAR,
+    Grouping,
+    Leakage,
+    assign_groups,
+    group_images,
+    group_weights,
+    leakage,
+    states_frame,
+)
 from infrablend.formats.pictures.listing import assign_ids, with_sizes
 from infrablend.pipeline.datasets.origin import loosened_before, origin_of
 from infrablend.pipeline.datasets.requests import SplitRule
