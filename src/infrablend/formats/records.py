@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -255,38 +255,3 @@ def unlabelled_problems(where: str, count: int, choice: str, what: str = "no lab
     found = f"{count} picture(s) with {what}: {'kept, marked as not labelled' if kept else 'left out'}"
     todo = "add their labels, or leave them out with --read unlabelled=drop" if kept else ""
     return [Problem(where, "label-missing", found, "labels for each picture", todo, "warning")]
-
-
-ReadLabel = Callable[[Findings, Path, tuple[int, int]], list[Instance] | None]
-"""Reads a label file of a picture of some size; None if it cannot be read."""
-
-
-def with_label_files(
-    found: Findings, pictures: Mapping[str, Path], suffix: str, unlabelled: str, where: str, read_label: ReadLabel
-) -> Iterator[ImageRecord]:
-    """Read the pictures of one folder that have label files of their stems beside them.
-
-    Those that cannot be read, or whose labels cannot, are left out.
-
-    Args:
-        found: Problems, and counts, to which `unlabelled` is added.
-        pictures: Paths by file name.
-        suffix: Suffix of label files.
-        unlabelled: `keep` or `drop` pictures without a label file.
-        where: Name of the folder, for problems.
-        read_label: Reader of a label file.
-    """
-    missing = 0
-    for name, path in pictures.items():
-        label = path.with_suffix(suffix)
-        labelled = label.is_file()
-        missing += not labelled
-        if not labelled and unlabelled == "drop":
-            continue
-        size_wh = found.size(path, found.place(path))
-        instances = None if size_wh is None else read_label(found, label, size_wh) if labelled else []
-        if instances is not None:
-            extra = {} if labelled else {"labelled": False}
-            yield ImageRecord("", path, "train", size_wh, tuple(instances), extra=extra, file_name=name)
-    found.counts["unlabelled"] += missing
-    found.problems += unlabelled_problems(where, missing, unlabelled, f"no {suffix} file")

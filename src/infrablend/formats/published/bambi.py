@@ -15,7 +15,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.core.capture import Capture
@@ -23,9 +24,10 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Inst
 from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_table
 from infrablend.errors import Problem
-from infrablend.formats.base import Match, check_splits, require_options
+from infrablend.formats.base import Match, check_splits, names_of, require_options
 from infrablend.formats.pictures.listing import PictureFolder, check_name
 from infrablend.formats.published import bambi_tracks
+from infrablend.formats.published.sidecar import Fault, Stated, checked
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
 from infrablend.formats.values import iso_date, to_floats, to_int
 
@@ -79,15 +81,11 @@ class _Reading(Findings):
 
     Attributes:
         pictures: Thermal pictures.
-        records: Records of the frames in the wanted splits.
-        species: Names of all species in the files.
         listed: Names of the pictures that a file lists.
         poses: Poses by flight and frame.
     """
 
     pictures: PictureFolder
-    records: list[ImageRecord] = field(default_factory=list)
-    species: set[str] = field(default_factory=set)
     listed: set[str] = field(default_factory=set)
     poses: Mapping[str, Mapping[int, bambi_tracks.Pose]] = field(default_factory=dict)
 
@@ -120,35 +118,34 @@ def read(
     require_options(root, unlabelled=(unlabelled, KEEP_OR_DROP), frames=(frames, ("key", "all")))
     wanted = check_splits(splits)
     if bambi_tracks.find_flight(root):
-        flights = bambi_tracks.read_flights(root, wanted, key_frames=frames == "key")
+        flights = Findings(root)
+        made = bambi_tracks.read_flights(flights, wanted, key_frames=frames == "key")
         notes = {"labels": NAME, "rows": flights.rows(*bambi_tracks.COUNTS)}
-        categories = bambi_tracks.categories(flights.species)
-        return flights.dataset(NAME, flights.records, categories, notes, metadata=metadata, splits=wanted)
+        return flights.dataset(NAME, made, bambi_tracks.categories(made), notes, metadata=metadata, splits=wanted)
     state = _Reading(root, pictures=PictureFolder.scan(root / _PICTURES))
     state.poses = bambi_tracks.all_poses(state)
-    for path in _flight_files(root):
-        _read_flight(state, path, wanted)
+    listed = [record for path in _flight_files(root) for record in _read_flight(state, path)]
     others = [name for name in state.pictures.by_name if name not in state.listed]
     state.counts["unlabelled"] = len(others)
     state.problems += unlabelled_problems(_PICTURES, len(others), unlabelled, "no entry in any file")
+    records = [record for record in listed if record.split in wanted]
     for name in others if unlabelled == "keep" and "train" in wanted else ():
         path = state.pictures.by_name[name]
         size_wh = state.size(path, f"{_PICTURES}/{name}")
         if size_wh is not None:
             capture = Capture(pitch_deg=STRAIGHT_DOWN_DEG)
             unsaid = {"labelled": False}
-            state.records.append(
-                ImageRecord("", path, "train", size_wh, (), capture, extra=unsaid, file_name=name)
-            )  # fmt: skip
-    names = [n for n in SPECIES.values() if n in state.species]
-    names += sorted(state.species - set(names))
+            records.append(ImageRecord("", path, "train", size_wh, (), capture, extra=unsaid, file_name=name))
+    species = names_of(listed)
+    names = [n for n in SPECIES.values() if n in species]
+    names += [n for n in species if n not in names]
     categories = [Category(k, n) for k, n in enumerate(names)]
     rows = state.rows("flights", "frames", "objects", "read", "no_animal", "unlabelled")
     notes = {"labels": NAME, "rows": rows}
-    return state.dataset(NAME, state.records, categories, notes, metadata=metadata, splits=wanted)
+    return state.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def _read_flight(state: _Reading, path: Path, wanted: tuple[Split, ...]) -> None:
+def _read_flight(state: _Reading, path: Path) -> Iterator[ImageRecord]:
     top = state.json(path)
     if top is None:
         return
@@ -160,76 +157,64 @@ def _read_flight(state: _Reading, path: Path, wanted: tuple[Split, ...]) -> None
         state.add(path.name, "annotation-layout", found, expected, "fetch the file again")
         return
     state.counts["flights"] += 1
-    flight = _Flight(str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:])), split, _date(top))
+    # The first valid date in the folder names of the flight's origin.
+    dates = (iso_date(*found.groups()) for found in _DATE.finditer(str(top.get("flight_info"))))
+    key = str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:]))
+    flight = _Flight(key, split, next((d for d in dates if d), None))
     for number, frame in frames.items():
         state.counts["frames"] += 1
         record = _frame_record(state, flight, frame, f"{path.name}: frame {number}")
-        if record is not None and split in wanted:
-            state.records.append(record)
+        if record is not None:
+            yield record
 
 
-def _date(top: dict[str, Any]) -> str | None:
-    """Return the date in the folder names of the flight's origin as ISO 8601; None if there is no valid date."""
-    dates = (iso_date(*found.groups()) for found in _DATE.finditer(str(top.get("flight_info"))))
-    return next((d for d in dates if d), None)
-
-
-def _frame_record(state: _Reading, flight: _Flight, frame: Any, where: str) -> ImageRecord | None:
+def _frame_record(state: _Reading, flight: _Flight, frame: object, where: str) -> ImageRecord | None:
     """Return the record of a frame, or None with a problem if its entry or picture cannot be used."""
-    entry = frame if isinstance(frame, dict) else {}
-    given = entry.get("annotations")
-    path = None
-    name = str(entry.get("thermal_image"))
+    entry: Mapping[str, object] = frame if isinstance(frame, dict) else {}
+    annotations = entry.get("annotations")
     problem = check_name(entry.get("thermal_image"), where)
-    if problem is None and not isinstance(given, list):
+    if problem is None and not isinstance(annotations, list):
         expected = "a list of annotations"
         problem = Problem(where, "annotation-layout", "no list of annotations", expected, "fetch the file again")
-    if problem is None:
-        name, path, problem = state.pictures.find(name, where)
-        if problem is None and name in state.listed:
-            problem = Problem(where, "image-duplicate", f"picture {name} again", "each picture once", "keep one entry")
-        if problem is None and path is None:
-            expected = f"the picture in {_PICTURES}"
-            problem = Problem(where, "image-missing", f"no picture {name}", expected, "restore it")
-        state.listed.add(name)
+    if problem is not None or not isinstance(annotations, list):
+        state.problems += [problem] if problem else []
+        return None
+    name, path, problem = state.pictures.find(str(entry["thermal_image"]), where)
+    if problem is None and name in state.listed:
+        problem = Problem(where, "image-duplicate", f"picture {name} again", "each picture once", "keep one entry")
+    if problem is None and path is None:
+        problem = Problem(where, "image-missing", f"no picture {name}", f"the picture in {_PICTURES}", "restore it")
+    state.listed.add(name)
     if problem is not None or path is None:
         state.problems += [problem] if problem else []
         return None
     size_wh = state.size(path, where)
     if size_wh is None:
         return None
-    instances = tuple(_instances(state, given, size_wh, where))
+    state.counts["objects"] += len(annotations)
+    stated = ((f"{where}: annotation {n}", _stated(a)) for n, a in enumerate(annotations, 1))
+    objects = checked(state, stated, size_wh)
+    animals = tuple(o for o in objects if o.category != bambi_tracks.NO_ANIMAL)
+    state.counts["no_animal"] += len(objects) - len(animals)
+    state.counts["read"] -= len(objects) - len(animals)
     number = to_int(entry.get("frame_idx"))
     pose = state.poses.get(flight.key, {}).get(-1 if number is None else number)
-    posed = Capture(pitch_deg=STRAIGHT_DOWN_DEG) if pose is None else pose.capture
-    capture = posed.over(Capture(sequence=flight.key, captured=flight.captured, frame=number))
-    return ImageRecord("", path, flight.split, size_wh, instances, capture, file_name=name)
+    capture = bambi_tracks.capture_of(pose).over(Capture(sequence=flight.key, captured=flight.captured, frame=number))
+    return ImageRecord("", path, flight.split, size_wh, animals, capture, file_name=name)
 
 
-def _instances(state: _Reading, given: Any, size_wh: tuple[int, int], where: str) -> Iterator[Instance]:
-    """Yield the objects of a frame; those without a species or with a bad box are left out with a problem."""
-    for n, annotation in enumerate(given, 1):
-        here = f"{where}: annotation {n}"
-        state.counts["objects"] += 1
-        values = annotation if isinstance(annotation, dict) else {}
-        species = values.get("species")
-        box = values.get("bbox")
-        edges = to_floats([box.get(k) for k in _EDGES], 4) if isinstance(box, dict) else None
-        if not isinstance(species, str) or not species.strip() or edges is None:
-            expected = "species, and bbox with x_min, y_min, x_max and y_max"
-            found = "no species" if edges is not None else "no box of four numbers"
-            state.add(here, "annotation-layout", found, expected, "correct the annotation")
-            continue
-        xyxy = state.box(edges, size_wh, here)
-        if xyxy is None:
-            continue
-        wikidata = bambi_tracks.WIKIDATA.get(str(values.get("wikidata_id")))
-        name = SPECIES.get(species.strip()) or wikidata or species.strip()
-        if name == bambi_tracks.NO_ANIMAL:
-            state.counts["no_animal"] += 1
-            continue
-        state.species.add(name)
-        state.counts["read"] += 1
-        # Sex, age and visibility are codes without a published key, kept as they are.
-        codes = {k: values[k] for k in ("gender", "age", "visibility") if to_int(values.get(k)) is not None}
-        yield Instance(name, xyxy, source_id=to_int(values.get("label_id")), extra=codes)
+def _stated(annotation: object) -> Stated:
+    """Return the object that an annotation states; a fault for one without a species or a box of four numbers."""
+    values: Mapping[str, object] = annotation if isinstance(annotation, dict) else {}
+    species = values.get("species")
+    box = values.get("bbox")
+    edges = to_floats([box.get(k) for k in _EDGES], 4) if isinstance(box, dict) else None
+    if not isinstance(species, str) or not species.strip() or edges is None:
+        found = "no species" if edges is not None else "no box of four numbers"
+        expected = "species, and bbox with x_min, y_min, x_max and y_max"
+        return Fault("annotation-layout", found, expected, "correct the annotation")
+    wikidata = bambi_tracks.WIKIDATA.get(str(values.get("wikidata_id")))
+    name = SPECIES.get(species.strip()) or wikidata or species.strip()
+    # Sex, age and visibility are codes without a published key, kept as they are.
+    codes = {k: values[k] for k in ("gender", "age", "visibility") if to_int(values.get(k)) is not None}
+    return Instance(name, np.array(edges), source_id=to_int(values.get("label_id")), extra=codes)

@@ -11,11 +11,12 @@ import csv
 import io
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from infrablend.core.camera import STRAIGHT_DOWN_DEG, pitch_of_tilt
 from infrablend.core.capture import Capture
@@ -24,10 +25,11 @@ from infrablend.core.file_names import leaves_folder
 from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError
 from infrablend.formats.annotation_files import leave_out
+from infrablend.formats.base import names_of
 from infrablend.formats.box_checks import edges_of_shares, edges_of_xywh, snap_edges
-from infrablend.formats.labels.yolo import parse_labels
 from infrablend.formats.pictures.listing import is_picture_name, list_pictures
 from infrablend.formats.pictures.video import Video
+from infrablend.formats.published.sidecar import Fault, Stated, checked, if_file, yolo_lines
 from infrablend.formats.records import Findings
 from infrablend.formats.values import to_floats, to_int, to_number, to_time
 
@@ -83,24 +85,16 @@ def _start(path: Path) -> str:
         return ""
 
 
-def categories(species: Iterable[str]) -> list[Category]:
-    """Return the categories of these species, in the order of the published classes, others after them."""
-    found = {*species}
+def categories(records: Iterable[ImageRecord]) -> list[Category]:
+    """Return the categories of some records, in the order of the published classes, others after them."""
+    found = names_of(records)
     known = [name for _, name in CLASSES if name in found]
-    return [Category(k, n) for k, n in enumerate([*known, *sorted(found - {*known})])]
+    return [Category(k, n) for k, n in enumerate([*known, *(n for n in found if n not in known)])]
 
 
 def species_of(number: int) -> str | None:
     """Return the species of a published class number, or None."""
     return next((name for end, name in CLASSES if 0 <= number < end), None)
-
-
-@dataclass
-class Flights(Findings):
-    """Result of reading flights: records, problems, counts and the species of all objects."""
-
-    records: list[ImageRecord] = field(default_factory=list)
-    species: set[str] = field(default_factory=set)
 
 
 @dataclass(frozen=True)
@@ -111,45 +105,38 @@ class Pose:
     captured: str | None
     time_s: float | None
 
-    @property
-    def capture(self) -> Capture:
-        """What it says of its picture."""
-        return Capture(pitch_deg=self.pitch_deg, captured=self.captured, time_s=self.time_s)
+
+def capture_of(pose: Pose | None) -> Capture:
+    """Return what a pose says of its picture; without one, the camera looks straight down."""
+    if pose is None:
+        return Capture(pitch_deg=STRAIGHT_DOWN_DEG)
+    return Capture(pitch_deg=pose.pitch_deg, captured=pose.captured, time_s=pose.time_s)
 
 
-@dataclass(frozen=True)
-class _Row:
-    where: str
-    track: int
-    xywh: tuple[float, ...]
-    species: str
-    extra: Mapping[str, Any]
-    interpolated: bool
-
-
-def read_flights(root: Path, wanted: Sequence[Split], *, key_frames: bool) -> Flights:
+def read_flights(found: Findings, wanted: Sequence[Split], *, key_frames: bool) -> list[ImageRecord]:
     """Read all flights of a folder.
 
     Args:
-        root: Folder of the dataset.
+        found: The folder of the dataset, problems and counts.
         wanted: Splits to read.
         key_frames: Whether to read only frames that people annotated, not those with interpolated boxes alone.
     """
-    found = Flights(root)
+    root = found.root
     poses = {p.name.removesuffix(_POSES): p for p in _named(root, _POSES)}
+    records: list[ImageRecord] = []
     if (root / "images").is_dir() and (root / "labels").is_dir():
-        _read_yolo(found, poses, wanted)
+        records += _read_yolo(found, poses, wanted)
     for path in _named(root, _TRACKS):
-        _read_tracks(found, path, poses, wanted, key_frames)
-    return found
+        records += _read_tracks(found, path, poses, wanted, key_frames)
+    return records
 
 
 # -- tracks ------------------------------------------------------------------------------------------------------
 
 
 def _read_tracks(
-    found: Flights, path: Path, poses: Mapping[str, Path], wanted: Sequence[Split], key_frames: bool
-) -> None:  # fmt: skip
+    found: Findings, path: Path, poses: Mapping[str, Path], wanted: Sequence[Split], key_frames: bool
+) -> Iterator[ImageRecord]:  # fmt: skip
     flight = path.name.removesuffix(_TRACKS)
     split, start = _facts(found, path.with_name(flight + _METADATA))
     if split not in wanted:
@@ -157,7 +144,9 @@ def _read_tracks(
         return
     found.counts["flights"] += 1
     frames = _rows(found, path)
-    chosen = {n: rows for n, rows in frames.items() if not key_frames or not all(r.interpolated for r in rows)}
+    chosen = {
+        n: rows for n, rows in frames.items() if not key_frames or not all(r.extra["interpolated"] for _, r in rows)
+    }
     found.counts["interpolated_frames"] += len(frames) - len(chosen)
     pictures = _pictures(found, path.parent, flight, sorted(chosen))
     of_frame = _poses(found, poses.get(flight))
@@ -170,16 +159,14 @@ def _read_tracks(
     for number, picture in sorted(pictures.items()):
         size_wh = found.size(picture, f"{found.place(path)}: frame {number}")
         if size_wh is not None:
-            animals = [r for r in chosen[number] if r.species != NO_ANIMAL]
-            instances = tuple(o for r in animals if (o := _instance(found, r, size_wh)) is not None)
-            _add(found, picture, split, size_wh, flight, number, instances, of_frame.get(number), start)
+            animals = [(here, o) for here, o in chosen[number] if o.category != NO_ANIMAL]
+            objects = checked(found, animals, size_wh)
+            yield _record(found, picture, split, size_wh, flight, number, objects, of_frame.get(number), start)
 
 
-def _facts(found: Flights, path: Path) -> tuple[Split, datetime | None]:
+def _facts(found: Findings, path: Path) -> tuple[Split, datetime | None]:
     """Return the split and the start of a flight from its metadata; train and None without."""
-    if not path.is_file():
-        return "train", None
-    top = found.json(path)
+    top = found.json(path) if path.is_file() else None
     if top is None:
         return "train", None
     info = top.get("flight_info")
@@ -187,9 +174,10 @@ def _facts(found: Flights, path: Path) -> tuple[Split, datetime | None]:
     return next((s for s in SPLITS if s == top.get("split")), "train"), start
 
 
-def _rows(found: Flights, path: Path) -> dict[int, list[_Row]]:
+def _rows(found: Findings, path: Path) -> dict[int, list[tuple[str, Instance]]]:
+    """Return place and object of each row by frame; the boxes are still as written."""
     where = found.place(path)
-    frames: dict[int, list[_Row]] = defaultdict(list)
+    frames: dict[int, list[tuple[str, Instance]]] = defaultdict(list)
     try:
         lines = list(csv.reader(io.StringIO(found.text(path, "a table of tracks") or "", newline="")))
     except csv.Error as error:
@@ -217,20 +205,14 @@ def _rows(found: Flights, path: Path) -> dict[int, list[_Row]]:
         names = {8: "visibility", 10: "gender", 11: "age"}
         extra = {k: v for i, k in names.items() if len(cells) > i and (v := to_number(cells[i])) is not None}
         interpolated = len(cells) > 12 and cells[12].strip() == "1"
-        frames[frame].append(_Row(here, track, numbers[2:6], species, extra, interpolated))
+        box = np.array(edges_of_xywh(numbers[2:6], None))
+        frames[frame].append(
+            (here, Instance(species, box, track_id=track, extra={**extra, "interpolated": interpolated}))
+        )
     return frames
 
 
-def _instance(found: Flights, row: _Row, size_wh: tuple[int, int]) -> Instance | None:
-    box = found.box(edges_of_xywh(row.xywh, None), size_wh, row.where)
-    if box is None:
-        return None
-    found.species.add(row.species)
-    found.counts["read"] += 1
-    return Instance(row.species, box, track_id=row.track, extra={**row.extra, "interpolated": row.interpolated})
-
-
-def _pictures(found: Flights, folder: Path, flight: str, numbers: Sequence[int]) -> dict[int, Path]:
+def _pictures(found: Findings, folder: Path, flight: str, numbers: Sequence[int]) -> dict[int, Path]:
     """Return the thermal pictures of frames: extracted ones, else the left half of the flight's video."""
     pictures: dict[int, Path] = {}
     wanted = {*numbers}
@@ -296,24 +278,23 @@ def _seconds(start: datetime | None, when: datetime | None) -> float | None:
     return Capture.from_json({"time_s": (when - start).total_seconds()}, strict=False).time_s
 
 
-def _add(
-    found: Flights, path: Path, split: Split, size_wh: tuple[int, int], flight: str, number: int,
-    instances: tuple[Instance, ...], pose: Pose | None, start: datetime | None,
-) -> None:  # fmt: skip
+def _record(
+    found: Findings, path: Path, split: Split, size_wh: tuple[int, int], flight: str, number: int,
+    objects: Iterable[Instance], pose: Pose | None, start: datetime | None,
+) -> ImageRecord:  # fmt: skip
     found.counts["frames"] += 1
     found.counts["without_pose"] += pose is None
-    posed = Capture(pitch_deg=STRAIGHT_DOWN_DEG) if pose is None else pose.capture
     day = None if start is None else start.date().isoformat()
-    capture = posed.over(Capture(sequence=flight, captured=day, frame=number))
+    capture = capture_of(pose).over(Capture(sequence=flight, captured=day, frame=number))
     name = f"{flight}_{number}{path.suffix}"
-    found.records.append(ImageRecord("", path, split, size_wh, instances, capture, file_name=name))
+    return ImageRecord("", path, split, size_wh, tuple(objects), capture, file_name=name)
 
 
 # -- YOLO --------------------------------------------------------------------------------------------------------
 
 
-def _read_yolo(found: Flights, poses: Mapping[str, Path], wanted: Sequence[Split]) -> None:
-    """Add the pictures in `images/<split>` with their YOLO labels of published class numbers."""
+def _read_yolo(found: Findings, poses: Mapping[str, Path], wanted: Sequence[Split]) -> Iterator[ImageRecord]:
+    """Yield the pictures in `images/<split>` with their YOLO labels of published class numbers."""
     of_flight: dict[str, dict[int, Pose]] = {}
     for split in wanted:
         base = found.root / "images" / split
@@ -325,36 +306,25 @@ def _read_yolo(found: Flights, poses: Mapping[str, Path], wanted: Sequence[Split
                 continue
             flight = match[1]
             number = int(match[2])
-            label = (found.root / "labels" / split / name).with_suffix(".txt")
+            label = if_file((found.root / "labels" / split / name).with_suffix(".txt"))
             size_wh = found.size(path, where)
             if size_wh is None:
                 continue
             if flight not in of_flight:
                 of_flight[flight] = _poses(found, poses.get(flight))
                 found.counts["flights"] += 1
-            instances = tuple(_yolo_instances(found, label, size_wh))
-            _add(found, path, split, size_wh, flight, number, instances, of_flight[flight].get(number), None)
+            lines = (label and yolo_lines(found, label)) or ()
+            stated = ((here, _stated(found, class_, values, size_wh)) for here, class_, values in lines)
+            pose = of_flight[flight].get(number)
+            yield _record(found, path, split, size_wh, flight, number, checked(found, stated, size_wh), pose, None)
 
 
-def _yolo_instances(found: Flights, path: Path, size_wh: tuple[int, int]) -> Iterable[Instance]:
-    if not path.is_file():
-        return
-    where = found.place(path)
-    labels = parse_labels(found.text(path, "a YOLO label file") or "", where)
-    found.problems += labels.problems
-    for n, class_, values in labels.rows:
-        found.counts["objects"] += 1
-        here = f"{where}: line {n}"
-        species = species_of(class_)
-        if species is None or len(values) != 4:
-            text = f"class {class_}, {len(values)} numbers"
-            found.add(here, "category-unknown", text, "class 0 to 74 and a box")
-            continue
-        if species == NO_ANIMAL:
-            found.counts["no_animal"] += 1
-            continue
-        box = found.box(snap_edges(edges_of_shares(values, size_wh), size_wh), size_wh, here)
-        if box is not None:
-            found.species.add(species)
-            found.counts["read"] += 1
-            yield Instance(species, box, extra={"class": class_})
+def _stated(found: Findings, class_: int, shares: Sequence[float], size_wh: tuple[int, int]) -> Stated:
+    species = species_of(class_)
+    if species is None or len(shares) != 4:
+        return Fault("category-unknown", f"class {class_}, {len(shares)} numbers", "class 0 to 74 and a box", "")
+    if species == NO_ANIMAL:
+        found.counts["no_animal"] += 1
+        return None
+    box = np.array(snap_edges(edges_of_shares(shares, size_wh), size_wh))
+    return Instance(species, box, extra={"class": class_})

@@ -10,9 +10,11 @@ reader takes the border off both.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +24,11 @@ from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Inst
 from infrablend.errors import DatasetError
 from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.base import Match, check_splits, require_options
-from infrablend.formats.box_checks import check_box, is_near
+from infrablend.formats.box_checks import is_near
 from infrablend.formats.pictures import derived
 from infrablend.formats.pictures.listing import is_picture_name
-from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.published.sidecar import Fault, LabelledFolder, Stated, checked, if_file
+from infrablend.formats.records import KEEP_OR_DROP, Findings
 from infrablend.formats.values import to_floats
 
 NAME = "drone-vehicle"
@@ -97,13 +100,14 @@ def read(
                 records += _read_split(found, split, folder, kind, border == "crop", unlabelled, unknown)
             else:
                 leave_out(sorted((folder / f"{split}{_KINDS[kind][1]}").glob("*.xml")))
+    counts = found.counts
     if unknown:
         text = "names that are no class, left out: " + ", ".join(f"{n!r} {k}" for n, k in sorted(unknown.items()))
         found.warn(root.name, "category-unknown", text, f"one of {', '.join(c.name for c in CATEGORIES)}")
-    found.counts["unknown"] = unknown.total()
-    if found.counts["clipped"]:
-        text = f"{found.counts['clipped']} object(s) that reach out of the picture; their boxes are clipped to it"
+    if counts["box-clipped"]:
+        text = f"{counts['box-clipped']} object(s) that reach out of the picture; their boxes are clipped to it"
         found.warn(root.name, "box-clipped", text, "boxes inside")
+    counts |= Counter(unknown=unknown.total(), clipped=counts["box-clipped"], outside=counts["box-outside"])
     keys = ("pictures", "objects", "read", "clipped", "outside", "unknown", "unlabelled", "cropped", "pairs")
     notes = {"labels": NAME, "modality": modality, "rows": found.rows(*keys)}
     return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
@@ -111,91 +115,73 @@ def read(
 
 def _read_split(
     found: Findings, split: Split, folder: Path, kind: str, crop: bool, unlabelled: str, unknown: Counter[str]
-) -> list[ImageRecord]:
-    """Return the pictures of one kind in a split; `unknown` counts names that are no class."""
+) -> Iterator[ImageRecord]:
+    """Yield the pictures of one kind in a split; `unknown` counts names that are no class."""
     pictures, labels = (folder / f"{split}{suffix}" for suffix in _KINDS[kind])
     twins = folder / f"{split}{_KINDS['rgb' if kind == 'ir' else 'ir'][0]}"
     names = sorted(p.name for p in pictures.iterdir() if is_picture_name(p.name)) if pictures.is_dir() else []
-    records = []
-    without = 0
-    for name in names:
-        path = pictures / name
-        label = labels / f"{Path(name).stem}.xml"
-        without += not label.is_file()
-        if not label.is_file() and unlabelled == "drop":
-            continue
-        found.counts["pictures"] += 1
-        made, size_wh, offset = _picture(found, path, crop)
-        if size_wh is None:
-            continue
-        instances = _instances(found, label, size_wh, offset, unknown) if label.is_file() else ()
-        if instances is None:
-            continue
-        extra: dict[str, Any] = {"modality": "visible"} if kind == "rgb" else {}
-        extra |= {} if label.is_file() else {"labelled": False}
-        if (twins / name).is_file():
+    labelled = LabelledFolder(
+        pictures.name, {name: pictures / name for name in names}, lambda p: if_file(labels / f"{p.stem}.xml"),
+        "no label file", split=split, is_visible=lambda _: kind == "rgb", look=partial(_look, crop),
+    )  # fmt: skip
+    for record in labelled.read(found, unlabelled, partial(_read_label, pictures, unknown)):
+        extra = dict(record.extra)
+        if (twins / record.name).is_file():
             found.counts["pairs"] += 1
-            extra["twin"] = found.place(twins / name)
-        file = f"{pictures.name}/{made.name}"
-        records.append(ImageRecord("", made, split, size_wh, instances, extra=extra, file_name=file))
-    found.counts["unlabelled"] += without
-    found.problems += unlabelled_problems(pictures.name, without, unlabelled)
+            extra["twin"] = found.place(twins / record.name)
+        yield replace(record, extra=extra, file_name=f"{pictures.name}/{record.path.name}")
     stems = {Path(n).stem for n in names}
     for label in sorted(labels.glob("*.xml")) if labels.is_dir() else ():
         if label.stem not in stems and not label.name.startswith("."):
             found.add(found.place(label), "image-missing", "no picture of that name", "restore it")
-    return records
 
 
-def _picture(found: Findings, path: Path, crop: bool) -> tuple[Path, tuple[int, int] | None, int]:
-    """Return the picture to read, its size (None if it cannot be read), and the width of the border taken off."""
+def _look(crop: bool, found: Findings, path: Path) -> tuple[Path, tuple[int, int] | None]:
+    """Return the picture to read, perhaps without its border, and its size; None if it cannot be read."""
+    found.counts["pictures"] += 1
     where = found.place(path)
     size_wh = found.size(path, where)
     if size_wh != WITH_BORDER_WH or not crop:
-        return path, size_wh, 0
+        return path, size_wh
     try:
         made = derived.crop(path, BORDER_PX)
     except DatasetError as error:
         found.add_all(error.problems, where)
-        return path, None, 0
+        return path, None
     found.counts["cropped"] += 1
-    return made, (WITH_BORDER_WH[0] - 2 * BORDER_PX, WITH_BORDER_WH[1] - 2 * BORDER_PX), BORDER_PX
+    return made, (WITH_BORDER_WH[0] - 2 * BORDER_PX, WITH_BORDER_WH[1] - 2 * BORDER_PX)
 
 
-def _instances(
-    found: Findings, path: Path, size_wh: tuple[int, int], offset: int, unknown: Counter[str]
-) -> tuple[Instance, ...] | None:
-    top = found.xml(path)
+def _read_label(
+    pictures: Path, unknown: Counter[str], found: Findings, picture: Path, label: Path, size_wh: tuple[int, int]
+) -> list[Instance] | None:
+    top = found.xml(label)
     if top is None:
         return None
-    instances = []
-    for n, element in enumerate(top.findall("object"), 1):
-        here = f"{found.place(path)}: object {n}"
-        found.counts["objects"] += 1
-        written = " ".join((element.findtext("name") or "").split())
-        name = SPELLINGS.get(written.lower(), written.lower())
-        if name not in {c.name for c in CATEGORIES}:
-            unknown[written[:40]] += 1
-            continue
-        corners = _corners(element)
-        if corners is None:
-            expected = "a polygon of four corners x1, y1 to x4, y4, or a bndbox"
-            found.add(here, "annotation-layout", "no box", expected, "correct the annotation")
-            continue
-        corners = clockwise(corners - offset)
-        # Boxes that are clipped are counted, not reported one by one.
-        box, problem = check_box(box_of_points(corners).tolist(), size_wh, here)
-        if box is None:
-            found.counts["outside"] += problem is not None and problem.code == "box-outside"
-            found.problems += [problem] if problem else []
-            continue
-        found.counts["clipped"] += problem is not None
-        found.counts["read"] += 1
-        instances.append(Instance(name, box, corners))
-    return tuple(instances)
+    elements = top.findall("object")
+    found.counts["objects"] += len(elements)
+    where = found.place(label)
+    offset = 0 if picture.parent == pictures else BORDER_PX
+    entries = ((f"{where}: object {n}", _stated(unknown, e, offset)) for n, e in enumerate(elements, 1))
+    # Boxes that are clipped are counted, not reported one by one.
+    return checked(found, entries, size_wh, silent=("box-clipped",))
 
 
-def _corners(element: Any) -> NDArray[np.float64] | None:
+def _stated(unknown: Counter[str], element: Element, offset: int) -> Stated:
+    written = " ".join((element.findtext("name") or "").split())
+    name = SPELLINGS.get(written.lower(), written.lower())
+    if name not in {c.name for c in CATEGORIES}:
+        unknown[written[:40]] += 1
+        return None
+    corners = _corners(element)
+    if corners is None:
+        expected = "a polygon of four corners x1, y1 to x4, y4, or a bndbox"
+        return Fault("annotation-layout", "no box", expected, "correct the annotation")
+    corners = clockwise(corners - offset)
+    return Instance(name, box_of_points(corners), corners)
+
+
+def _corners(element: Element) -> NDArray[np.float64] | None:
     """Return the corners of an object, from its polygon or else its box; None if it has neither."""
     for tag, keys in (("polygon", _CORNERS), ("bndbox", ("xmin", "ymin", "xmax", "ymax"))):
         place = element.find(tag)

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
@@ -24,7 +25,16 @@ from infrablend.formats.annotation_files import files_with
 from infrablend.formats.base import Match, check_splits, require_options, split_of_stem
 from infrablend.formats.box_checks import edges_of_xywh
 from infrablend.formats.pictures.listing import is_hidden, list_pictures
-from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
+from infrablend.formats.published.sidecar import (
+    Fault,
+    LabelledFolder,
+    Stated,
+    checked,
+    if_file,
+    line_reader,
+    text_lines,
+)
+from infrablend.formats.records import KEEP_OR_DROP, Findings
 from infrablend.formats.values import to_floats, to_int
 
 NAME = "visdrone"
@@ -37,6 +47,7 @@ CATEGORIES = tuple(
     )
 )  # fmt: skip
 
+_IGNORED = [c.name for c in CATEGORIES if c.ignore]
 _LINE = re.compile(rb"(-?\d+(\.\d+)?\s*,\s*){7}-?\d+(\.\d+)?\s*,?\s*", re.ASCII)
 _VIDEO_LINE = re.compile(rb"\d+\s*,\s*(-?\d+(\.\d+)?\s*,\s*){8}-?\d+(\.\d+)?\s*,?\s*", re.ASCII)
 _FIELDS = "left,top,width,height,score,category,truncation,occlusion"
@@ -99,84 +110,58 @@ def read(
             split = split_of_stem(folder.relative_to(root).as_posix() if folder != root else real_path(root).name)
             if split in wanted:
                 records += read_split(found, split, folder, unlabelled)
+    found.counts["ignored"] = sum(o.category in _IGNORED for r in records for o in r.instances)
     notes = {"labels": NAME, "rows": found.rows("objects", "read", "ignored", "unlabelled")}
     return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
 
 
 def _read_split(found: Findings, split: Split, folder: Path, unlabelled: str) -> Iterator[ImageRecord]:
     labels = {p.stem: p for p in sorted((folder / "annotations").glob("*.txt")) if not p.name.startswith(".")}
-    without = 0
-    for name, path in list_pictures(folder / "images", is_labelled=lambda p: p.stem in labels).items():
-        label = labels.pop(path.stem, None)
-        without += label is None
-        if label is None and unlabelled == "drop":
-            continue
-        size_wh = found.size(path, found.place(path))
-        instances = None if size_wh is None else [] if label is None else _read_label(found, label, size_wh)
-        if instances is None:
-            continue
-        published = _PUBLISHED.fullmatch(path.stem)
-        capture = Capture(sequence=published[1] if published else None)
-        extra = ({"modality": "visible"} if published else {}) | ({"labelled": False} if label is None else {})
-        yield ImageRecord("", path, split, size_wh, tuple(instances), capture, extra=extra, file_name=name)
-    found.counts["unlabelled"] += without
-    found.problems += unlabelled_problems(found.place(folder), without, unlabelled)
+    pictures = list_pictures(folder / "images", is_labelled=lambda p: p.stem in labels)
+
+    def flight(stem: str) -> str | None:
+        published = _PUBLISHED.fullmatch(stem)
+        return published[1] if published else None
+
+    labelled = LabelledFolder(
+        found.place(folder), pictures, lambda p: labels.pop(p.stem, None), "no label file",
+        lambda stem: Capture(sequence=flight(stem)), split, lambda stem: flight(stem) is not None,
+    )  # fmt: skip
+    yield from labelled.read(found, unlabelled, line_reader("a label file", _stated))
     left = files_with(folder / "annotations", "*.txt", _may_be_ours, 1000) if labels else []
     for label in (p for p in left if labels.get(p.stem) == p):
         found.add(found.place(label), "image-missing", "no picture of that name", "a file in images/", "restore it")
 
 
-def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
-    text = found.text(path, "a label file")
-    if text is None:
-        return None
-    instances = []
-    for here, line in _lines(found, path, text):
-        values = to_floats(line.rstrip(",").split(","), 8)
-        if values is None:
-            found.add(here, "label-malformed", repr(line[:80]), _FIELDS, "correct the line")
-        elif (instance := _object(found, values, size_wh, here)) is not None:
-            instances.append(instance)
-    return instances
+def _stated(line: str, size_wh: tuple[int, int]) -> Stated:
+    values = to_floats(line.rstrip(",").split(","), 8)
+    if values is None:
+        return Fault("label-malformed", repr(line[:80]), _FIELDS)
+    return _object(values, size_wh)
 
 
-def _lines(found: Findings, path: Path, text: str) -> Iterator[tuple[str, str]]:
-    """Yield each line that is not empty, after its place. Each counts as an object."""
-    for n, line in enumerate(text.splitlines(), 1):
-        if line.strip():
-            found.counts["objects"] += 1
-            yield f"{found.place(path)}: line {n}", line.strip()
-
-
-def _object(
-    found: Findings, values: Sequence[float], size_wh: tuple[int, int], here: str, track: int | None = None
-) -> Instance | None:  # fmt: skip
-    """Return the object of a line's eight values; None, with a problem, if it cannot be used."""
+def _object(values: Sequence[float], size_wh: tuple[int, int], track: int | None = None) -> Stated:
+    """Return the object that the eight values of a line state, or a fault."""
     score, number, truncation, occlusion = values[4:]
     if number not in range(len(CATEGORIES)):
-        found.add(here, "category-unknown", f"category {number:g}", "0 to 11", "correct the line")
-        return None
-    box = found.box(edges_of_xywh(values[:4], size_wh), size_wh, here)
-    if box is None:
-        return None
-    category = CATEGORIES[int(number)]
-    extra: dict[str, Any] = {"occluded": occlusion > 0, "occlusion": int(occlusion)} if occlusion in (0, 1, 2) else {}
-    if score == 0 and not category.ignore:
-        extra["category"], category = category.name, CATEGORIES[0]
-    found.counts["ignored"] += category.ignore
-    found.counts["read"] += 1
+        return Fault("category-unknown", f"category {number:g}", "0 to 11")
+    category = CATEGORIES[int(number)].name
+    extra: dict[str, object] = {}
+    if occlusion in (0, 1, 2):
+        extra = {"occluded": occlusion > 0, "occlusion": int(occlusion)}
+    if score == 0 and category not in _IGNORED:
+        extra["category"] = category
+        category = _IGNORED[0]
     truncated = bool(truncation) if truncation in (0, 1) else None
-    return Instance(category.name, box, truncated=truncated, extra=extra, track_id=track)
+    box = np.array(edges_of_xywh(values[:4], size_wh))
+    return Instance(category, box, truncated=truncated, extra=extra, track_id=track)
 
 
 # -- videos ----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Row:
-    where: str
-    track: int
-    values: tuple[float, ...]
+_Rows = dict[int, list[tuple[str, tuple[float, ...]]]]
+"""Place and values of the lines of a video's text, by frame."""
 
 
 def _read_videos(found: Findings, split: Split, folder: Path, unlabelled: str) -> Iterator[ImageRecord]:
@@ -188,38 +173,42 @@ def _read_videos(found: Findings, split: Split, folder: Path, unlabelled: str) -
         if len(frames) < len(pictures):
             text = f"{len(pictures) - len(frames)} picture(s) left out: their names are not numbers from 1, each once"
             found.add(where, "name-grammar", text, "names such as 0000001.jpg", "rename them")
-        label = folder / "annotations" / f"{sequence.name}.txt"
-        rows = _rows(found, label) if label.is_file() else {}
-        if not label.is_file():
-            found.counts["unlabelled"] += len(frames)
-            found.problems += unlabelled_problems(where, len(frames), unlabelled, "no text of their video")
-        if rows is None or (not label.is_file() and unlabelled == "drop"):
+        label = if_file(folder / "annotations" / f"{sequence.name}.txt")
+        rows = {} if label is None else _rows(found, label)
+        if rows is None:
             continue
         lost = sum(len(r) for n, r in rows.items() if n not in frames)
-        if lost:
+        if label is not None and lost:
             text = f"{lost} line(s) left out because their frame has no picture"
             found.warn(found.place(label), "row-without-picture", text, "a picture per frame, numbered from 1")
-        extra: dict[str, Any] = {"modality": "visible"} if _PUBLISHED_VIDEO.fullmatch(sequence.name) else {}
-        extra |= {} if label.is_file() else {"labelled": False}
-        for number, path in sorted(frames.items()):
-            size_wh = found.size(path, found.place(path))
-            if size_wh is None:
-                continue
-            made = (_object(found, r.values, size_wh, r.where, r.track) for r in rows.get(number, ()))
-            capture = Capture(sequence=sequence.name, frame=number - 1)
-            name = f"{sequence.name}/{path.name}"
-            objects = tuple(o for o in made if o is not None)
-            yield ImageRecord("", path, split, size_wh, objects, capture, extra=extra, file_name=name)
+        yield from _labelled_video(found.place(sequence), sequence.name, frames, label, split).read(
+            found, unlabelled, partial(_read_frame, rows)
+        )
 
 
-def _rows(found: Findings, path: Path) -> dict[int, list[_Row]] | None:
-    """Return the lines of a video's text by frame; None, with a problem, if it cannot be read."""
-    text = found.text(path, "a line per box: frame,object," + _FIELDS)
-    if text is None:
+def _labelled_video(
+    where: str, name: str, frames: Mapping[int, Path], label: Path | None, split: Split
+) -> LabelledFolder:
+    return LabelledFolder(
+        where, {f"{name}/{path.name}": path for _, path in sorted(frames.items())}, lambda _: label,
+        "no text of their video", lambda stem: Capture(sequence=name, frame=int(stem) - 1), split,
+        lambda _: _PUBLISHED_VIDEO.fullmatch(name) is not None,
+    )  # fmt: skip
+
+
+def _read_frame(rows: _Rows, found: Findings, picture: Path, _: Path, size_wh: tuple[int, int]) -> list[Instance]:
+    lines = rows.get(int(picture.stem), ())
+    return checked(found, ((here, _object(v[2:], size_wh, int(v[1]))) for here, v in lines), size_wh)
+
+
+def _rows(found: Findings, path: Path) -> _Rows | None:
+    """Return place and values of the lines of a video's text by frame; None, with a problem, if it cannot be read."""
+    lines = text_lines(found, path, "a line per box: frame,object," + _FIELDS)
+    if lines is None:
         return None
-    rows: dict[int, list[_Row]] = defaultdict(list)
+    rows: _Rows = defaultdict(list)
     seen: set[tuple[int, int]] = set()
-    for here, line in _lines(found, path, text):
+    for here, line in lines:
         values = to_floats(line.rstrip(",").split(","), 10)
         frame, track = (to_int(v) for v in values[:2]) if values else (None, None)
         if values is None or frame is None or track is None or frame < 1:
@@ -229,5 +218,5 @@ def _rows(found: Findings, path: Path) -> dict[int, list[_Row]] | None:
         if (frame, track) in seen:
             found.track_twice(here, track, frame, "give one of them another number")
         seen.add((frame, track))
-        rows[frame].append(_Row(here, track, values[2:]))
+        rows[frame].append((here, values))
     return rows

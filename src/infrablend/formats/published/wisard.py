@@ -10,17 +10,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from infrablend.core.capture import Capture
-from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
+from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.formats.base import Match, check_splits, option_error, require_options
 from infrablend.formats.box_checks import snap
-from infrablend.formats.labels.yolo import parse_labels
 from infrablend.formats.pictures.listing import by_folder, is_hidden, sidecar_labels
-from infrablend.formats.records import KEEP_OR_DROP, Findings, with_label_files
+from infrablend.formats.published.sidecar import Fault, LabelledFolder, Stated, checked, if_file, yolo_lines
+from infrablend.formats.records import KEEP_OR_DROP, Findings
 from infrablend.formats.values import iso_date, to_floats
 
 NAME = "wisard"
@@ -94,32 +96,39 @@ def read(
     records: list[ImageRecord] = []
     for folder, pictures in _clips(root).items() if of_all in wanted else ():
         clip = _clip_name(root, folder)
-        kind = str(modality_of(clip))
-        if modality not in (kind, "all"):
+        if modality not in (modality_of(clip), "all"):
             found.counts["other_clips"] += 1
             found.counts["other_pictures"] += len(pictures)
             continue
         found.counts["clips"] += 1
         _report_strays(found, folder, pictures)
-        for r in with_label_files(found, pictures, ".txt", unlabelled, clip, _read_label):
-            logos = _logo(found, r, region) if "FLIR" in clip.split("_") else []
-            frame = _FRAME.search(r.path.stem)
-            capture = Capture(sequence=clip, captured=_captured(clip), frame=int(frame[1]) if frame else None)
-            extra = {**r.extra, "modality": "visible"} if kind == "vis" else r.extra
-            labels = (*r.instances, *logos)
-            name = f"{clip}/{r.name}"
-            records.append(replace(r, split=of_all, instances=labels, capture=capture, extra=extra, file_name=name))
+        for record in _labelled(clip, pictures, of_all).read(found, unlabelled, _read_label):
+            logos = _logo(found, record, region) if "FLIR" in clip.split("_") else []
+            records.append(replace(record, instances=(*record.instances, *logos)))
+    counts = found.counts
+    counts["objects"] += counts["malformed"]
+    counts["without_area"] = counts["box-empty"] + counts["box-outside"]
     _summarise(found, modality, logo)
-    categories = CATEGORIES if found.counts["logos"] else CATEGORIES[:1]
+    categories = CATEGORIES if counts["logos"] else CATEGORIES[:1]
     keys = ("clips", "labelled", "empty", "unlabelled", "objects", "read", "snapped", "without_area", "logos")
     rows = found.rows(*keys, "other_clips", "other_pictures")
     notes = {"labels": NAME, "modality": modality, "logo": logo, "rows": rows}
     return found.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def _captured(clip: str) -> str | None:
-    found = _DATE.match(clip)
-    return iso_date(f"20{found[1]}", found[2], found[3]) if found else None
+def _labelled(clip: str, pictures: Mapping[str, Path], split: Split) -> LabelledFolder:
+    date = _DATE.match(clip)
+    captured = iso_date(f"20{date[1]}", date[2], date[3]) if date else None
+
+    def capture_of(stem: str) -> Capture:
+        frame = _FRAME.search(stem)
+        return Capture(sequence=clip, captured=captured, frame=int(frame[1]) if frame else None)
+
+    named = {f"{clip}/{name}": path for name, path in pictures.items()}
+    visible = modality_of(clip) == "vis"
+    return LabelledFolder(
+        clip, named, lambda p: if_file(p.with_suffix(".txt")), "no .txt file", capture_of, split, lambda _: visible
+    )
 
 
 def _report_strays(found: Findings, folder: str, pictures: Mapping[str, Path]) -> None:
@@ -131,36 +140,22 @@ def _report_strays(found: Findings, folder: str, pictures: Mapping[str, Path]) -
         found.warn(folder, "image-missing", text, "a picture per label file", "restore them")
 
 
-def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
-    where = found.place(path)
-    counts = found.counts
-    text = found.text(path, "a YOLO label file")
-    if text is None:
+def _read_label(found: Findings, _: Path, label: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
+    lines = yolo_lines(found, label)
+    if lines is None:
         return None
-    lines = parse_labels(text, where)
-    found.problems += lines.problems
-    counts["labelled"] += 1
-    counts["empty"] += not lines.rows and not lines.problems
-    counts["objects"] += sum(bool(line.strip()) for line in text.splitlines())
+    return checked(found, ((here, _stated(found, number, v, size_wh)) for here, number, v in lines), size_wh)
+
+
+def _stated(found: Findings, number: int, values: Sequence[float], size_wh: tuple[int, int]) -> Stated:
+    if number != 0 or len(values) != 4:
+        return Fault("category-unknown", f"class {number} with {len(values)} numbers", "0 cx cy w h")
+    cx, cy, bw, bh = values
     w, h = size_wh
-    instances = []
-    for n, number, values in lines.rows:
-        here = f"{where}: line {n}"
-        if number != 0 or len(values) != 4:
-            said = f"class {number} with {len(values)} numbers"
-            found.add(here, "category-unknown", said, "0 cx cy w h", "correct the line")
-            continue
-        cx, cy, bw, bh = values
-        edges = ((cx - bw / 2) * w, (cy - bh / 2) * h, (cx + bw / 2) * w, (cy + bh / 2) * h)
-        raw = [snap(v, size_wh[i % 2], _ROUNDING * size_wh[i % 2]) for i, v in enumerate(edges)]
-        counts["snapped"] += any(a != b for a, b in zip(raw, edges, strict=True))
-        box = found.box(raw, size_wh, here)
-        if box is not None:
-            instances.append(Instance("human", box))
-        else:
-            counts["without_area"] += found.problems[-1].code in ("box-empty", "box-outside")
-    counts["read"] += len(instances)
-    return instances
+    written = [(cx - bw / 2) * w, (cy - bh / 2) * h, (cx + bw / 2) * w, (cy + bh / 2) * h]
+    snapped = [snap(v, size_wh[k % 2], _ROUNDING * size_wh[k % 2]) for k, v in enumerate(written)]
+    found.counts["snapped"] += snapped != written
+    return Instance("human", np.array(snapped))
 
 
 def _logo_region(root: Path, logo: str) -> tuple[float, ...] | None:

@@ -9,16 +9,18 @@ missing or empty.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath
+
+import numpy as np
 
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.formats.base import Match, check_splits, require_options
 from infrablend.formats.box_checks import snap_edges
 from infrablend.formats.pictures.listing import by_folder, sidecar_labels
-from infrablend.formats.records import KEEP_OR_DROP, Findings, with_label_files
+from infrablend.formats.published.sidecar import Fault, LabelledFolder, Stated, if_file, line_reader
+from infrablend.formats.records import KEEP_OR_DROP, Findings
 from infrablend.formats.values import to_floats
 
 NAME = "wit-uas"
@@ -71,55 +73,48 @@ def read(
     found = Findings(root)
     records: list[ImageRecord] = []
     for folder, frames in _runs(root).items():
-        place = (root / folder).absolute()
-        # Both cameras of a run see the same scene: one sequence.
-        run, _, sensor = place.name.rpartition("_")
-        split = _split(folder)
-        if split not in wanted:
+        pictures = _labelled(root, folder, frames)
+        if pictures.split not in wanted:
             continue
-        if camera not in (sensor.lower(), "both"):
+        if camera in (pictures.extra["sensor"], "both"):
+            records += pictures.read(found, unlabelled, line_reader("a label file", _stated))
+        else:
             found.counts["other_camera"] += len(frames)
-            continue
-        parts = [part for part in PurePosixPath(folder).parts if part not in SPLITS]
-        date = _DATE.match(place.parent.name)
-        capture = Capture(sequence=run, captured=date[1] if date else None)
-        for r in with_label_files(found, frames, ".label", unlabelled, folder, _read_label):
-            time = Capture.from_json({"time_s": r.path.stem.removeprefix("time_")}, strict=False)
-            extra = {"sensor": sensor.lower(), **r.extra}
-            name = "/".join([*parts, r.name])
-            records.append(replace(r, split=split, capture=time.over(capture), extra=extra, file_name=name))
     if found.counts["other_camera"]:
         text = f"{found.counts['other_camera']} picture(s) of the other camera left out"
         found.warn(root.name, "camera-excluded", text, f"camera={camera}")
+    found.counts["without_area"] = found.counts["box-empty"] + found.counts["box-outside"]
     rows = found.rows("labelled", "empty", "unlabelled", "objects", "read", "without_area", "other_camera")
     notes = {"labels": NAME, "camera": camera, "rows": rows}
     return found.dataset(NAME, records, CATEGORIES, notes, metadata=metadata, splits=wanted)
 
 
-def _split(folder: str) -> Split:
-    return next((s for part in PurePosixPath(folder).parts for s in SPLITS if s == part), "train")
+def _labelled(root: Path, folder: str, frames: Mapping[str, Path]) -> LabelledFolder:
+    place = (root / folder).absolute()
+    # Both cameras of a run see the same scene: one sequence.
+    run, _, sensor = place.name.rpartition("_")
+    date = _DATE.match(place.parent.name)
+    parts = PurePosixPath(folder).parts
+    split: Split = next((s for part in parts for s in SPLITS if s == part), "train")
+    below = [part for part in parts if part not in SPLITS]
+    named = {"/".join([*below, name]): path for name, path in frames.items()}
+
+    def capture_of(stem: str) -> Capture:
+        time = Capture.from_json({"time_s": stem.removeprefix("time_")}, strict=False)
+        return time.over(Capture(sequence=run, captured=date[1] if date else None))
+
+    return LabelledFolder(
+        folder, named, lambda p: if_file(p.with_suffix(".label")), "no .label file", capture_of, split,
+        extra={"sensor": sensor.lower()},
+    )  # fmt: skip
 
 
-def _read_label(found: Findings, path: Path, size_wh: tuple[int, int]) -> list[Instance] | None:
-    text = found.text(path, "a label file")
-    if text is None:
-        return None
-    found.counts["labelled"] += 1
-    instances: list[Instance] = []
-    lines = [(n, words) for n, line in enumerate(text.splitlines(), 1) if (words := line.split())]
-    found.counts["empty"] += not lines
-    for n, words in lines:
-        here = f"{found.place(path)}: line {n}"
-        found.counts["objects"] += 1
-        edges = to_floats(words[:4], 4) if len(words) == 5 else None
-        code = words[-1].lower()
-        if edges is None:
-            found.add(here, "label-malformed", repr(" ".join(words)[:80]), "x1 y1 x2 y2 code", "correct the line")
-        elif code not in CODES:
-            found.add(here, "category-unknown", f"code {code[:20]!r}", "h, v or c", "correct the line")
-        elif (box := found.box(snap_edges(edges, size_wh), size_wh, here)) is not None:
-            instances.append(Instance(CODES[code], box, extra={"code": code} if code == "c" else {}))
-        else:
-            found.counts["without_area"] += found.problems[-1].code in ("box-empty", "box-outside")
-    found.counts["read"] += len(instances)
-    return instances
+def _stated(line: str, size_wh: tuple[int, int]) -> Stated:
+    words = line.split()
+    values = to_floats(words[:4], 4) if len(words) == 5 else None
+    if values is None:
+        return Fault("label-malformed", repr(" ".join(words)[:80]), "x1 y1 x2 y2 code")
+    code = words[-1].lower()
+    if code not in CODES:
+        return Fault("category-unknown", f"code {code[:20]!r}", "h, v or c")
+    return Instance(CODES[code], np.array(snap_edges(values, size_wh)), extra={"code": code} if code == "c" else {})
