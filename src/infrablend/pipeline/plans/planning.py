@@ -21,7 +21,6 @@ from infrablend.formats.pictures.temperature_scale import OPTIONS
 from infrablend.formats.reading import Reading
 from infrablend.imaging.surfaces import model_version
 from infrablend.pipeline.datasets.content import fingerprint
-from infrablend.pipeline.extraction.camera_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.plans.checks import (
     data_warnings,
     dataset_remarks,
@@ -41,6 +40,7 @@ from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
 from infrablend.pipeline.plans.planned_sequences import plan_sequences
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
+from infrablend.pipeline.plans.sequence_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.plans.times import time_warnings, with_used_times
 from infrablend.sampling.scene_sampler import require_parts
 
