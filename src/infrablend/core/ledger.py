@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import DAMAGED, output_error, replace_atomically
+from infrablend.core.file_names import real_path
+from infrablend.core.files import DAMAGED, output_error, replace_atomically, sha256_of
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
@@ -63,6 +64,30 @@ class DoneFrame:
     bytes: int
     sha256: str
     inserted: int
+
+
+@dataclass(frozen=True)
+class KnownBackground:
+    """The file of a background, as it was when frames were made of it.
+
+    Attributes:
+        bytes: Its size.
+        changed_ns: When it was changed last, ns since 1970.
+        sha256: Its digest.
+    """
+
+    bytes: int
+    changed_ns: int
+    sha256: str
+
+    def is_still(self, path: Path) -> bool:
+        """Return whether a file is this background; it is read only if its size or time differs."""
+        try:
+            status = path.stat()
+            same_times = (status.st_size, status.st_mtime_ns) == (self.bytes, self.changed_ns)
+            return same_times or sha256_of(real_path(path)) == self.sha256
+        except OSError:
+            return False
 
 
 class Ledger:
@@ -231,13 +256,18 @@ class Ledger:
 
     # -- files -------------------------------------------------------------------------------------------------------
 
-    def backgrounds(self) -> dict[str, tuple[int, int, str]]:
-        """Return size, time of the last change, and digest of the background pictures that were read, by path."""
-        return {p: (n, t, d) for p, n, t, d in self._rows("SELECT * FROM backgrounds")}
+    def backgrounds(self) -> dict[str, KnownBackground]:
+        """Return the background pictures that were read, by `<split>/<id>`."""
+        return {name: KnownBackground(*facts) for name, *facts in self._rows("SELECT * FROM backgrounds")}
 
-    def add_background(self, path: str, size: int, changed_ns: int, sha256: str) -> None:
-        """Note a background as it was when a frame was made of it."""
-        self._write("INSERT OR REPLACE INTO backgrounds VALUES (?, ?, ?, ?)", path, size, changed_ns, sha256)
+    def add_background(self, name: str, file: Path, sha256: str) -> None:
+        """Note the file of a background, `<split>/<id>`, of which a frame was made, with the digest that it had."""
+        try:
+            status = file.stat()
+        except OSError:  # removed meanwhile: its frames are made again by the next call that finds it
+            return
+        facts = (name, status.st_size, status.st_mtime_ns, sha256)
+        self._write("INSERT OR REPLACE INTO backgrounds VALUES (?, ?, ?, ?)", *facts)
 
     def write_exports(self, files: Iterable[tuple[str, int, str]]) -> None:
         """Keep path, size and digest of the files of the finished run, other than pictures."""

@@ -15,7 +15,7 @@ from typing import Any
 from infrablend.annotation.looseness import Looseness
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.files import sha256_of
+from infrablend.core.files import has_size, sha256_of
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import LEDGER, Ledger
 from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
@@ -181,14 +181,6 @@ def require_nothing_added(folder: RunFolder, plan: RunPlan) -> None:
             f"{folder.root}: {len(added)} files, such as {added[0]}, are not of this run, and are in folders that are "
             "written again; nothing was changed. Move them out of these folders (infrablend check names all of them)"
         )
-
-
-def has_size(path: Path, size: int) -> bool:
-    """Return whether there is a file with this number of bytes."""
-    try:
-        return path.lstat().st_size == size
-    except OSError:
-        return False
 
 
 def _files_below(root: Path, top: str) -> list[str]:

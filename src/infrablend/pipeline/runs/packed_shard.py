@@ -18,9 +18,9 @@ from infrablend.annotation.looseness import Looseness
 from infrablend.core.files import flush, read_object, read_regular, replace_atomically, sha256_of, write_json
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import Ledger
-from infrablend.core.run_folder import RUN_FILE, RunFolder, ShardFiles
+from infrablend.core.run_folder import RunFolder, ShardFiles
 from infrablend.core.tasks import Failure, OnProgress
-from infrablend.core.workspace import Existing, workspace
+from infrablend.core.workspace import Existing, Workspace
 from infrablend.errors import OutputError
 from infrablend.formats.labels.shard_tar import LABEL, SCENE, TarWriter, key_of, label_text
 from infrablend.formats.labels.shards import SOURCE
@@ -28,7 +28,8 @@ from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.origin import run_inserts
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.run_request import Execution
-from infrablend.pipeline.runs.run import RunReport, require_same_key, run_in
+from infrablend.pipeline.runs.key import require_same_key
+from infrablend.pipeline.runs.run import RunReport, run_plan
 from infrablend.pipeline.runs.shard_table import TableWriter, require_pyarrow
 from infrablend.report.card import find_provenance, shard_source
 
@@ -58,14 +59,18 @@ def run_packed(
     """
     if (whole := find_whole(plan, files, existing)) is not None:
         return whole
-    with workspace(files.folder / files.name, "shard", RUN_FILE, existing, keep=True) as space:
-        report, record = run_in(space, plan, execution, on_progress)
-        assert record is not None  # what is finished is packed, and has no folder
+    counts: Mapping[str, Any] = {}
+
+    def pack_up(space: Workspace, record: Mapping[str, Any]) -> None:
+        nonlocal counts
+        packed = ShardFiles(space.folder, files.name)
         with Ledger.open(space.folder) as ledger:
             frames = _frames_of(plan, RunFolder(space.folder), ledger)
-            counts = pack(plan, frames, ShardFiles(space.folder, files.name), record, ledger.failures())
-        publish(ShardFiles(space.folder, files.name), files)
+            counts = pack(plan, frames, packed, record, ledger.failures())
+        publish(packed, files)
         space.discard()
+
+    report = run_plan(plan, files.folder / files.name, execution, existing, on_progress, finish=pack_up)
     return replace(report, out=files.folder, record_file=files.marker, counts=counts)
 
 

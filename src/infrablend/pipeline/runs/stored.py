@@ -32,8 +32,9 @@ from infrablend.errors import ArgumentError, OutputError, StorageError
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import Shard
+from infrablend.pipeline.runs.key import require_same_key
 from infrablend.pipeline.runs.packed_shard import ARCHIVE
-from infrablend.pipeline.runs.run import RunReport, require_same_key
+from infrablend.pipeline.runs.run import RunReport
 from infrablend.pipeline.runs.shard_source import ShardArchive, ShardSource
 from infrablend.pipeline.runs.sharded import ShardedRun, run_shard, run_shards
 from infrablend.pipeline.storage.store import Store
