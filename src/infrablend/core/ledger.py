@@ -24,6 +24,7 @@ from typing import Any
 from infrablend.core.file_names import real_path
 from infrablend.core.files import DAMAGED, output_error, replace_atomically, sha256_of
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
 
@@ -226,18 +227,34 @@ class Ledger:
     def record(self, frame_id: str) -> FrameRecord:
         """Return the record of a frame; a `KeyError` if there is no such frame."""
         text = self.record_text(frame_id)
-        try:
+        with self._damage_named(frame_id):
             return FrameRecord.from_text(text)
-        except DAMAGED as error:
-            raise OutputError(
-                f"{self.file}: the record of {frame_id} is damaged ({type(error).__name__}: {error}); expected one as "
-                "it was written. Make the run again with --overwrite."
-            ) from error
+
+    def row(self, frame_id: str) -> FrameRow:
+        """Return what is shown and counted of a frame; a `KeyError` if there is no such frame."""
+        text = self.record_text(frame_id)
+        with self._damage_named(frame_id):
+            return FrameRow.from_json(json.loads(text))
 
     def records(self, frame_ids: Iterable[str] | None = None) -> Iterator[FrameRecord]:
         """Yield the records of these frames, or of all that `frame_ids()` returns; one is in memory at a time."""
         for frame_id in self.frame_ids() if frame_ids is None else frame_ids:
             yield self.record(frame_id)
+
+    def rows(self, frame_ids: Iterable[str] | None = None) -> Iterator[FrameRow]:
+        """Yield the rows of these frames, or of all that `frame_ids()` returns."""
+        for frame_id in self.frame_ids() if frame_ids is None else frame_ids:
+            yield self.row(frame_id)
+
+    @contextlib.contextmanager
+    def _damage_named(self, frame_id: str) -> Iterator[None]:
+        try:
+            yield
+        except DAMAGED as error:
+            raise OutputError(
+                f"{self.file}: the record of {frame_id} is damaged ({type(error).__name__}: {error}); expected one as "
+                "it was written. Make the run again with --overwrite."
+            ) from error
 
     # -- exclusion ---------------------------------------------------------------------------------------------------
 

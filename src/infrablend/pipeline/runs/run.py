@@ -210,8 +210,8 @@ def _finish_labels(space: Workspace, run: BegunRun, started: float) -> tuple[Run
             from infrablend.pipeline.runs.run_report import write_report
 
             record.pop(COMMAND, None)  # finished runs are equal, whatever their folders
-            records = run.ledger.records(f.frame_id for f in run.finished_frames)
-            write_report(run.folder, record, records, run.ledger.excluded())
+            rows = run.ledger.rows(f.frame_id for f in run.finished_frames)
+            write_report(run.folder, record, rows, run.ledger.excluded())
         run.ledger.write_exports(list_exports(run.folder, run.ledger, space.foreign))
         run.ledger.write_run(record)
     except KeyboardInterrupt as error:
@@ -232,8 +232,8 @@ def _export(space: Workspace, run: BegunRun) -> LabelSummary:
     if run.plan.shard is None:
         return export_run(run.plan, run.folder, run.ledger, run.finished_frames)
     # Whether nothing was inserted is known with all shards.
-    records = run.ledger.records(f.frame_id for f in run.finished_frames)
-    return LabelSummary(count_objects(run.plan.recipe, records))
+    rows = run.ledger.rows(f.frame_id for f in run.finished_frames)
+    return LabelSummary(count_objects(run.plan.recipe, rows))
 
 
 def _header(plan: RunPlan, execution: Execution, source: FrameSource | None) -> dict[str, Any]:
