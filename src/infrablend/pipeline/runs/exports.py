@@ -7,7 +7,7 @@ import statistics
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -94,42 +94,69 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
             yield image
 
     images = store_images(labelled(), folder.root)
-    losses: Counter[str] = Counter()
-    problems: list[Problem] = []
-    labels: dict[str, dict[str, int]] = {}
-    for name in plan.recipe.output.formats if images else ():
+    files = _write_labels(plan, folder, images)
+    finished = summarize(plan, rows, images)
+    counts = dict(finished.counts)
+    if any(held != counts["labels"] for held in files.labels.values()):
+        counts["labels_by_format"] = files.labels
+    counts |= looseness.counted(loosened)
+    problems = [
+        *files.problems,
+        *frame_warnings(rows),
+        *nothing_inserted(plan.recipe, counts, finished.draws),
+        *absent_warnings(finished.draws),
+        *track_warnings(rows),
+        *limit_warnings(rows),
+        *air_warnings(rows),
+        *horizon_warnings(counts),
+        *hiding_warnings(counts),
+    ]
+    if images:
+        known = tuple(dict.fromkeys(problems))
+        problems += write_card(folder.root, run_card(plan, counts, files.losses, images, known))
+    return LabelSummary(
+        counts,
+        finished.draws,
+        removed=tuple(removed),
+        losses=dict(sorted(files.losses.items())),
+        problems=tuple(dict.fromkeys(problems)),  # the three YOLO formats warn alike of a missing split
+    )
+
+
+@dataclass
+class _WrittenLabels:
+    """What became of the labels of a run in its files.
+
+    Attributes:
+        labels: Number of labels per class in each format that has files.
+        losses: Counts of what formats cannot express, by `<format>.<kind>`.
+        problems: Warnings.
+    """
+
+    labels: dict[str, dict[str, int]] = field(default_factory=dict)
+    losses: Counter[str] = field(default_factory=Counter)
+    problems: list[Problem] = field(default_factory=list)
+
+
+def _write_labels(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord]) -> _WrittenLabels:
+    """Write the labels of a run in all formats of the recipe, and beside its pictures, with tracks and 8-bit copies."""
+    files = _WrittenLabels()
+    output = plan.recipe.output
+    for name in output.formats if images else ():
         written = _write_format(name, plan, folder.root, images)
         if written.files:
-            labels[name] = by_class(written.kept(images))
-        losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
-        problems += written.problems
+            files.labels[name] = by_class(written.kept(images))
+        files.losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
+        files.problems += written.problems
     # The pictures load with `datasets` from where they are.
     beside = huggingface.write(folder.root / IMAGES, images, plan.categories, pictures=False)
-    losses.update({f"{IMAGES}.{k}": n for k, n in beside.losses.items()})
-    problems += beside.problems
-    if plan.recipe.output.agc is not None and images:
-        problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
+    files.losses.update({f"{IMAGES}.{k}": n for k, n in beside.losses.items()})
+    files.problems += beside.problems
+    if output.agc is not None and images:
+        files.problems += _write_eight_bit(plan, folder, images, output.agc)
     if plan.sequences and images:
-        problems += write_tracks(folder.root, images, plan.categories)
-    problems += frame_warnings(rows)
-    finished = summarize(plan, rows, images)
-    differing = any(held != finished.counts["labels"] for held in labels.values())
-    written_counts = {"labels_by_format": labels} if differing else {}
-    finished = replace(finished, counts={**finished.counts, **written_counts, **looseness.counted(loosened)})
-    problems += nothing_inserted(plan.recipe, finished.counts, finished.draws)
-    problems += absent_warnings(finished.draws) + track_warnings(rows) + limit_warnings(rows) + air_warnings(rows)
-    problems += horizon_warnings(finished.counts) + hiding_warnings(finished.counts)
-    if images:
-        problems += write_card(
-            folder.root, run_card(plan, finished.counts, losses, images, tuple(dict.fromkeys(problems)))
-        )
-    # The three YOLO formats warn alike of a missing split.
-    return replace(
-        finished,
-        removed=tuple(removed),
-        losses=dict(sorted(losses.items())),
-        problems=tuple(dict.fromkeys(problems)),
-    )
+        files.problems += write_tracks(folder.root, images, plan.categories)
+    return files
 
 
 def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
