@@ -20,7 +20,7 @@ from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 from infrablend.imaging.camera_path import follow_camera
 from infrablend.imaging.camera_shift import find_corners, follow, moved
-from infrablend.pipeline.extraction.camera_motion import sequence_views, sequences_of
+from infrablend.pipeline.plans.sequence_motion import sequence_views, sequences_of
 
 FAR_PX = 4  # other corners are at least so far from those of the estimate
 THERE = 100

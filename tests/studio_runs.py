@@ -23,7 +23,9 @@ def frame_record(frame_id: str, **changes: Any) -> dict[str, Any]:
     }  # fmt: skip
     return {
         "run": "", "frame_id": frame_id, "image": f"{frame_id}.png", "image_sha256": _digest(frame_id), "kept": [],
-        "background": {"id": "a", "path": "a.png", "pitch_deg": 60.0, "altitude_m": 80.0, "time_of_day": "day"},
+        "background": {
+            "id": "a", "path": "a.png", "size_wh": [64, 48], "pitch_deg": 60.0, "altitude_m": 80.0, "time_of_day": "day"
+        },
         "scene": None, "mapping": None, "inserted": [label], "removed": [], "facts": {}, "warnings": [], **changes,
     }  # fmt: skip
 

@@ -31,7 +31,7 @@ ALLOWED = {
     "pipeline/runs/make_shards.py": "the ledger, by SQLite",
     "pipeline/studies/profile.py": "pictures of a dataset, checked by its reader",
     "pipeline/runs/rerender.py": "a file that the user names",
-    "pipeline/runs/run.py": "the ledger, by SQLite",
+    "pipeline/runs/begun_run.py": "the ledger, by SQLite",
     "pipeline/runs/sharded.py": "the ledger, by SQLite",
     "pipeline/compose/trial.py": "a file that the user names",
     "report/card.py": "the licence beside a dataset",

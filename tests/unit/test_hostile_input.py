@@ -23,7 +23,7 @@ from infrablend.pipeline.execution import scratch
 from infrablend.pipeline.plans import run_request
 from infrablend.pipeline.plans.run_request import Execution, RunRequest
 from infrablend.pipeline.runs import run
-from infrablend.pipeline.runs.generate import prepare_run
+from infrablend.pipeline.runs.generate import plan_request
 from tests.run_files import hashes
 
 pytestmark = pytest.mark.long
@@ -148,7 +148,7 @@ def _of_pictures(name):
     ],
 )
 def test_settings_without_effect_are_reported(data, recipe, settings, where, why):
-    plan = prepare_run(RunRequest(recipe, data, settings=settings))
+    plan = plan_request(RunRequest(recipe, data, settings=settings))
     found = [p for p in plan.problems if p.code == "no-effect"]
     assert [p.where for p in found] == ([] if where is None else [where])
     assert all(p.severity == "warning" and why in p.found for p in found)

@@ -16,7 +16,7 @@ from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, 
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.runs.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
-from infrablend.pipeline.runs.generate import describe_run, generate_run
+from infrablend.pipeline.runs.generate import describe_run, run_request
 from infrablend.pipeline.runs.merge import merge_shards
 from infrablend.pipeline.runs.rerender import rerender_frame, show_frame
 from infrablend.pipeline.runs.run import RunReport
@@ -62,14 +62,14 @@ def generate(  # noqa: PLR0913 - callers name these; a value object for some of 
     """
     chosen = selection if limit is None else replace(selection, limit=limit)
     request = RunRequest(recipe, Path(data), Path(out), chosen, seed, settings, reading, execution, existing)
-    return generate_run(request, on_progress)
+    return run_request(request, on_progress)
 
 
 def generate_shard(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
     """Render one shard, such as `RunRequest(..., shard=ShardRequest(2, 7))`, into a folder of its own; see `merge`."""
     if request.shard is None:
         raise ArgumentError("generate_shard: found no shard in the request, expected one such as ShardRequest(2, 7)")
-    return generate_run(request, on_progress)
+    return run_request(request, on_progress)
 
 
 def merge(

@@ -1,4 +1,4 @@
-"""What the grown models share: joints and legs of a skeleton, pieces of skin, cuts at water, meshes, coats in the sun."""
+"""What the grown models share: skeletons, pieces of skin, cuts at water, meshes, coats in the sun."""
 
 from __future__ import annotations
 

@@ -81,6 +81,14 @@ def existing_part(folder: Path) -> Path:
     return next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
 
 
+def has_size(path: Path, size: int) -> bool:
+    """Return whether there is a file with this number of bytes."""
+    try:
+        return path.lstat().st_size == size
+    except OSError:
+        return False
+
+
 def free_bytes(folder: Path) -> int:
     """Return the free disk space where a folder is, or will be."""
     return shutil.disk_usage(existing_part(folder)).free

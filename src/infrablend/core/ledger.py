@@ -21,8 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from infrablend.core.files import DAMAGED, output_error, replace_atomically
+from infrablend.core.file_names import real_path
+from infrablend.core.files import DAMAGED, output_error, replace_atomically, sha256_of
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
 
@@ -63,6 +65,30 @@ class DoneFrame:
     bytes: int
     sha256: str
     inserted: int
+
+
+@dataclass(frozen=True)
+class KnownBackground:
+    """The file of a background, as it was when frames were made of it.
+
+    Attributes:
+        bytes: Its size.
+        changed_ns: When it was changed last, ns since 1970.
+        sha256: Its digest.
+    """
+
+    bytes: int
+    changed_ns: int
+    sha256: str
+
+    def is_still(self, path: Path) -> bool:
+        """Return whether a file is this background; it is read only if its size or time differs."""
+        try:
+            status = path.stat()
+            same_times = (status.st_size, status.st_mtime_ns) == (self.bytes, self.changed_ns)
+            return same_times or sha256_of(real_path(path)) == self.sha256
+        except OSError:
+            return False
 
 
 class Ledger:
@@ -201,18 +227,34 @@ class Ledger:
     def record(self, frame_id: str) -> FrameRecord:
         """Return the record of a frame; a `KeyError` if there is no such frame."""
         text = self.record_text(frame_id)
-        try:
+        with self._damage_named(frame_id):
             return FrameRecord.from_text(text)
-        except DAMAGED as error:
-            raise OutputError(
-                f"{self.file}: the record of {frame_id} is damaged ({type(error).__name__}: {error}); expected one as "
-                "it was written. Make the run again with --overwrite."
-            ) from error
+
+    def row(self, frame_id: str) -> FrameRow:
+        """Return what is shown and counted of a frame; a `KeyError` if there is no such frame."""
+        text = self.record_text(frame_id)
+        with self._damage_named(frame_id):
+            return FrameRow.from_json(json.loads(text))
 
     def records(self, frame_ids: Iterable[str] | None = None) -> Iterator[FrameRecord]:
         """Yield the records of these frames, or of all that `frame_ids()` returns; one is in memory at a time."""
         for frame_id in self.frame_ids() if frame_ids is None else frame_ids:
             yield self.record(frame_id)
+
+    def rows(self, frame_ids: Iterable[str] | None = None) -> Iterator[FrameRow]:
+        """Yield the rows of these frames, or of all that `frame_ids()` returns."""
+        for frame_id in self.frame_ids() if frame_ids is None else frame_ids:
+            yield self.row(frame_id)
+
+    @contextlib.contextmanager
+    def _damage_named(self, frame_id: str) -> Iterator[None]:
+        try:
+            yield
+        except DAMAGED as error:
+            raise OutputError(
+                f"{self.file}: the record of {frame_id} is damaged ({type(error).__name__}: {error}); expected one as "
+                "it was written. Make the run again with --overwrite."
+            ) from error
 
     # -- exclusion ---------------------------------------------------------------------------------------------------
 
@@ -231,13 +273,18 @@ class Ledger:
 
     # -- files -------------------------------------------------------------------------------------------------------
 
-    def backgrounds(self) -> dict[str, tuple[int, int, str]]:
-        """Return size, time of the last change, and digest of the background pictures that were read, by path."""
-        return {p: (n, t, d) for p, n, t, d in self._rows("SELECT * FROM backgrounds")}
+    def backgrounds(self) -> dict[str, KnownBackground]:
+        """Return the background pictures that were read, by `<split>/<id>`."""
+        return {name: KnownBackground(*facts) for name, *facts in self._rows("SELECT * FROM backgrounds")}
 
-    def add_background(self, path: str, size: int, changed_ns: int, sha256: str) -> None:
-        """Note a background as it was when a frame was made of it."""
-        self._write("INSERT OR REPLACE INTO backgrounds VALUES (?, ?, ?, ?)", path, size, changed_ns, sha256)
+    def add_background(self, name: str, file: Path, sha256: str) -> None:
+        """Note the file of a background, `<split>/<id>`, of which a frame was made, with the digest that it had."""
+        try:
+            status = file.stat()
+        except OSError:  # removed meanwhile: its frames are made again by the next call that finds it
+            return
+        facts = (name, status.st_size, status.st_mtime_ns, sha256)
+        self._write("INSERT OR REPLACE INTO backgrounds VALUES (?, ?, ?, ?)", *facts)
 
     def write_exports(self, files: Iterable[tuple[str, int, str]]) -> None:
         """Keep path, size and digest of the files of the finished run, other than pictures."""

@@ -10,8 +10,9 @@ from typing import Any
 
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import join_inside
+from infrablend.core.files import has_size
 from infrablend.core.frame_record import FrameRecord
-from infrablend.core.ledger import LEDGER, Ledger
+from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
 from infrablend.core.workspace import unfinished
 from infrablend.errors import OutputError
 
@@ -60,6 +61,10 @@ class RunFolder:
     def excluded(self, relative: str) -> Path:
         """Return where an image is while its frame is left out, by its path below `images/`."""
         return join_inside(self.root / EXCLUDED, relative)
+
+    def has_picture(self, frame: DoneFrame) -> bool:
+        """Return whether a picture is there, in its place or left out, with the size in the ledger."""
+        return any(has_size(path, frame.bytes) for path in (self.image(frame.image), self.excluded(frame.image)))
 
     def labels(self, format_name: str) -> Path:
         """Return the folder with the labels of one format."""

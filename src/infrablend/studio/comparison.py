@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from infrablend.studio.frame_index import FrameRow, row_of
+from infrablend.core.frame_row import FrameRow
+from infrablend.studio.frame_index import value_of
 from infrablend.studio.opened_run import RunFrames
 from infrablend.studio.page_pictures import to_png
 
@@ -83,7 +84,7 @@ def changes_of(a: FrameRow, b: FrameRow) -> dict[str, float]:
     """Return what differs between two frames, by measure; a measure that one of them lacks is left out."""
     found = {}
     for name in MEASURES:
-        before, after = getattr(a, name), getattr(b, name)
+        before, after = value_of(a, name), value_of(b, name)
         if before is None or after is None:
             continue
         is_ratio = name == "size_px"
@@ -229,7 +230,7 @@ class RecipeComparison:
             if found is None:
                 found = self._tuning.compose(self.names[side], {}, self._tuning.background(number))
                 self._drawn[side, number] = found
-                self._rows[side, number] = row_of(found.trial.frame.record.to_json())
+                self._rows[side, number] = FrameRow.of(found.trial.frame.record)
                 while len(self._drawn) > _KEPT:
                     self._drawn.popitem(last=False)
             return found

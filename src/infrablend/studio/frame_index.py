@@ -1,13 +1,13 @@
-"""The frames of a run as rows to sort and filter: one small row per frame, read from its record."""
+"""The frames of a run as rows to sort and filter."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from infrablend.core.dataset import finite
+from infrablend.core.frame_row import FrameRow
 
 if TYPE_CHECKING:
     from infrablend.studio.disagreement import Disagreement
@@ -29,73 +29,16 @@ SORTS: Mapping[str, str] = {
 NONE: Mapping[str, Disagreement] = {}
 
 
-@dataclass(frozen=True)
-class FrameRow:
-    """A frame in lists; until its record is read, only the id is known.
-
-    Attributes:
-        background: Id of its background.
-        image: Path of its image below `images/`.
-        digest: SHA-256 of the image.
-        classes: Classes of its inserts, each once, sorted.
-        boxes: Boxes of its inserts, `(left, top, right, bottom)`, pixels.
-        size_px: Longest side of the smallest insert's box, pixels; None without inserts.
-        visibility: Least visible share of an insert.
-        contrast: Least contrast of an insert, 8-bit grey levels.
-        time_of_day: `day`, `night` or None.
-        inserted: Number of inserts.
-        removed: Original labels that the frame lost, each with a reason.
-        warnings: Warnings, in words.
-    """
-
-    id: str
-    background: str = ""
-    image: str = ""
-    digest: str = ""
-    classes: tuple[str, ...] = ()
-    boxes: tuple[tuple[float, float, float, float], ...] = ()
-    size_px: float | None = None
-    visibility: float | None = None
-    contrast: float | None = None
-    pitch_deg: float | None = None
-    altitude_m: float | None = None
-    time_of_day: str | None = None
-    inserted: int = 0
-    removed: tuple[Mapping[str, Any], ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-def row_of(record: Mapping[str, Any]) -> FrameRow:
-    """Return the row of a frame's record."""
-    inserted = record["inserted"]
-    background = record["background"]
-    corners = [finite(i["box_xyxy"]) for i in inserted]
-    boxes = tuple((float(x0), float(y0), float(x1), float(y1)) for x0, y0, x1, y1 in corners)
-    extra = [i.get("extra") or {} for i in inserted]
-    warnings = [str(w.get("found") or w.get("code") or "warning") for w in record.get("warnings", ())]
-    if unplaced := sum((record.get("scene") or {}).get("draws", {}).get("absent", {}).values()):
-        warnings.append(f"{unplaced} object(s) not inserted")
-    return FrameRow(
-        id=str(record["frame_id"]),
-        background=str(background["id"]),
-        image=str(record["image"]),
-        digest=str(record["image_sha256"]),
-        classes=tuple(sorted({str(i["category"]) for i in inserted})),
-        boxes=boxes,
-        size_px=min((max(b[2] - b[0], b[3] - b[1]) for b in boxes), default=None),
-        visibility=_least(i.get("visibility") for i in inserted),
-        contrast=_least(abs(e["contrast_grey"]) for e in extra if "contrast_grey" in e),
-        pitch_deg=background.get("pitch_deg"),
-        altitude_m=background.get("altitude_m"),
-        time_of_day=background.get("time_of_day"),
-        inserted=len(inserted),
-        removed=tuple(record.get("removed", ())),
-        warnings=tuple(warnings),
-    )
-
-
-def _least(values: Any) -> float | None:
-    return min((float(v) for v in values if v is not None), default=None)
+def value_of(row: FrameRow, name: str) -> float | None:
+    """Return what frames are sorted by in a column of `SORTS`; None if it is not known."""
+    if name == "warnings":
+        return len(row.remarks)
+    if name == "inserted":
+        return len(row.inserts)
+    if name == "removed":
+        return len(row.removed)
+    value: float | None = getattr(row, name)
+    return value
 
 
 @dataclass(frozen=True)
@@ -168,33 +111,26 @@ class View:
         if self.sort == "disagreement":
             known = [(float(d.total), n) for n in found if (d := disagreement.get(rows[n].image)) is not None]
         else:
-            known = [(v, n) for n in found if (v := self._value(rows[n], self.sort)) is not None]
+            known = [(v, n) for n in found if (v := value_of(rows[n], self.sort)) is not None]
         known.sort(key=lambda pair: (-pair[0] if self.descending else pair[0], pair[1]))
         # Frames without the value come last in either order.
         listed = {n for _, n in known}
         return [n for _, n in known] + [n for n in found if n not in listed]
 
     def _shows(self, row: FrameRow, verdict: str) -> bool:
-        if self.category and self.category not in (row.classes or ("none",)):
+        if self.category and self.category not in (row.classes or ["none"]):
             return False
         if self.time_of_day and self.time_of_day != (row.time_of_day or "unknown"):
             return False
-        if (self.verdict and verdict != self.verdict) or (self.warned and not row.warnings):
+        if (self.verdict and verdict != self.verdict) or (self.warned and not row.remarks):
             return False
         if self.text.lower() not in row.id.lower():
             return False
         for name, low, high in self.limits:
-            value = self._value(row, name)
+            value = value_of(row, name)
             if value is None or (low is not None and value < low) or (high is not None and value > high):
                 return False
         return True
-
-    @staticmethod
-    def _value(row: FrameRow, name: str) -> float | None:
-        value = getattr(row, name, None)
-        if isinstance(value, tuple):
-            return float(len(value))
-        return None if value is None or isinstance(value, str) else float(value)
 
 
 def _number(text: str | None) -> float | None:

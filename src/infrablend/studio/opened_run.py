@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import TRACKS, RunFolder
 from infrablend.detection.detections import RECORD
 from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.runs.review_file import REVIEW_FILE
 from infrablend.report.preview import draw_labels, to_8_bit, to_rgb
-from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.page_pictures import Thumbnails, enlarged, read_pixels, to_png, with_originals
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.run_labels import RunLabels
@@ -122,9 +122,9 @@ class RunFrames:
             DatasetError: There is no such frame or insert, or its picture cannot be read.
         """
         row = self.row(number)
-        if not 0 <= insert < len(row.boxes):
-            raise DatasetError(f"{row.id}: no insert {insert}; the frame has {len(row.boxes)}")
-        return to_png(enlarged(to_rgb(read_pixels(self.layout, row)), row.boxes[insert], _ZOOM))
+        if not 0 <= insert < len(row.inserts):
+            raise DatasetError(f"{row.id}: no insert {insert}; the frame has {len(row.inserts)}")
+        return to_png(enlarged(to_rgb(read_pixels(self.layout, row)), row.inserts[insert].box_xyxy, _ZOOM))
 
     def _begin(self) -> None:
         self._stamp = self._stamp_now()

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.files import read_regular, write_bytes
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import OutputError
 from infrablend.imaging.surfaces import SurfaceMap
 from infrablend.report.preview import INSERTED, Rgb, decode_picture, to_rgb
 from infrablend.report.surface_sheet import coloured
-from infrablend.studio.frame_index import FrameRow
 
 THUMBNAIL_PX = 208
 """Width of thumbnails, twice that of the smallest cell."""

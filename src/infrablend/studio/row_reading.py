@@ -5,14 +5,13 @@ A page can show the frames by name at once, and any single one, long before the 
 
 from __future__ import annotations
 
-import json
 import logging
 import threading
 from functools import cached_property
 
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import OutputError
-from infrablend.studio.frame_index import FrameRow, row_of
 
 _PAUSE_EVERY = 50
 _PAUSE_S = 0.001
@@ -67,7 +66,7 @@ class RowReading:
         if (row := self._rows[number]) is not None:
             return row
         with self._layout.ledger() as ledger:
-            return row_of(json.loads(ledger.record_text(self.ids[number])))
+            return ledger.row(self.ids[number])
 
     def _run(self) -> None:
         try:
@@ -75,7 +74,7 @@ class RowReading:
                 self._needed.wait(_START_S)
             with self._layout.ledger() as ledger:
                 for number, frame_id in enumerate(self.ids):
-                    self._rows[number] = row_of(json.loads(ledger.record_text(frame_id)))
+                    self._rows[number] = ledger.row(frame_id)
                     self.count += 1
                     if self.count % _PAUSE_EVERY == 0:
                         self._read.wait(_PAUSE_S)  # requests of pages come first

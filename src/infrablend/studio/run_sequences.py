@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from infrablend.core.frame_row import FrameRow
 from infrablend.formats.labels.mot import ASSUMED_RATE
-from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.run_labels import Box, Place, RunLabels
 
 

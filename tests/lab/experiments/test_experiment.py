@@ -418,7 +418,7 @@ def killing(name, function):
     return call
 makers.train_dataset = killing("train", bench.train)
 makers.evaluate_detector = killing("evaluate", bench.evaluate)
-makers.generate_run = killing("generate", makers.generate_run)
+makers.run_request = killing("generate", makers.run_request)
 makers.compare_evaluations = killing("compare", bench.compare)
 experiment_forecast.require_trainer = lambda device: None
 write_results.draw_plots = lambda facts: []
@@ -481,7 +481,7 @@ def test_interrupted_stage_with_other_settings_starts_again(
         return call
 
     monkeypatch.setattr(makers, "train_dataset", refusing("train", bench.train))
-    monkeypatch.setattr(makers, "generate_run", refusing("generate", makers.generate_run))
+    monkeypatch.setattr(makers, "run_request", refusing("generate", makers.run_request))
     assert run("hit-uav-drone", data, tmp_path / "work").status == "complete"
     assert {("train", "resume"), ("train", "overwrite"), ("generate", "resume"), ("generate", "overwrite")} == {*asked}
 
@@ -1110,9 +1110,9 @@ def test_page_is_made_from_the_json_only(charts: None, bench: Bench, data: Path,
 def test_the_command_lists_plans_runs_and_says_when_nothing_is_to_do(
     bench: Bench, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make = makers.generate_run
+    make = makers.run_request
     flat = Execution(renderer="flat", in_process=True)
-    monkeypatch.setattr(makers, "generate_run", lambda run, tell: make(replace(run, execution=flat), tell))
+    monkeypatch.setattr(makers, "run_request", lambda run, tell: make(replace(run, execution=flat), tell))
     monkeypatch.setenv("INFRABLEND_LOG", str(tmp_path / "log.txt"))
     assert main(["experiment", "--list"]) == 0
     assert "pitch-alignment" in capsys.readouterr().out

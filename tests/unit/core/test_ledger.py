@@ -15,7 +15,7 @@ import pytest
 
 from infrablend.cli.exits import ENVIRONMENT, exit_code
 from infrablend.core.frame_record import FrameRecord
-from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
+from infrablend.core.ledger import LEDGER, DoneFrame, KnownBackground, Ledger
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
 from tests.run_files import edit_ledger, ledger_rows
@@ -73,9 +73,12 @@ def test_excluded_frames_keep_their_records(folder: Path) -> None:
 
 def test_backgrounds_and_exports(folder: Path) -> None:
     with Ledger.open(folder, write=True) as ledger:
-        ledger.add_background("test/x", 5, 6, "cd")
-        ledger.add_background("test/x", 7, 8, "ef")
-        assert ledger.backgrounds() == {"test/x": (7, 8, "ef")}
+        picture = folder / "x.png"
+        for content, digest in ((b"12345", "cd"), (b"1234567", "ef")):
+            picture.write_bytes(content)
+            ledger.add_background("test/x", picture, digest)
+        ledger.add_background("test/gone", folder / "gone.png", "00")
+        assert ledger.backgrounds() == {"test/x": KnownBackground(7, picture.stat().st_mtime_ns, "ef")}
         for _ in range(2):
             ledger.write_exports([("yolo/b.txt", 2, "02"), ("coco/a.json", 1, "01")])
         assert list(ledger.exports()) == [("coco/a.json", 1, "01"), ("yolo/b.txt", 2, "02")]
@@ -175,7 +178,7 @@ def test_two_readers_see_what_the_writer_has_committed(folder: Path) -> None:
 WRITER = """
 import sys
 from pathlib import Path
-from infrablend.core.ledger import DoneFrame, Ledger
+from infrablend.core.ledger import DoneFrame, KnownBackground, Ledger
 with Ledger.open(Path(sys.argv[1]), write=True) as ledger:
     for n in range(10 ** 9):
         ledger.add(f"train/{n}", DoneFrame("a.png", 1, "", 1), "{}" + " " * 3000)

@@ -15,7 +15,7 @@ from infrablend.config.recipe import LocalMatching
 from infrablend.errors import DatasetError, MissingDependencyError, RecipeError
 from infrablend.pipeline.compose.looks import local_settings
 from infrablend.pipeline.plans.run_request import RunRequest
-from infrablend.pipeline.runs.generate import prepare_run
+from infrablend.pipeline.runs.generate import plan_request
 from tests.command_line import done
 from tests.recipes import ANYWHERE
 from tests.run_files import records
@@ -242,7 +242,7 @@ def test_a_class_in_another_spelling_than_the_datasets_is_refused(tmp_path, inse
     settings = {"objects.0.category": inserted, "camera.pitch": {"fixed_deg": 45}, "output.formats": ["yolo"]}
 
     def make_plan(**more):
-        return prepare_run(RunRequest("hit-uav-drone", data, settings={**settings, **more}))
+        return plan_request(RunRequest("hit-uav-drone", data, settings={**settings, **more}))
 
     if similar is None:
         assert inserted in [c.name for c in make_plan().categories]

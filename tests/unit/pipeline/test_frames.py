@@ -16,7 +16,7 @@ from PIL import Image
 from infrablend.errors import DatasetError
 from infrablend.formats import detection
 from infrablend.pipeline.plans.run_request import RunRequest
-from infrablend.pipeline.runs.generate import prepare_run
+from infrablend.pipeline.runs.generate import plan_request
 from tests.command_line import run, said
 from tests.videos import FRAMES, RATE, SIZE_WH, av, bracketed, level, write_srt, write_video
 
@@ -203,12 +203,12 @@ def test_frames_without_a_log_are_not_seen_through_the_recipes_lens(tmp_path: Pa
     video = write_video(tmp_path / "a.mp4")
     done(video, "--every", "3s", "--out", tmp_path / "blind", "--no-log")
     with pytest.raises(DatasetError) as caught:
-        prepare_run(RunRequest("hit-uav-people", tmp_path / "blind", settings=settings))
+        plan_request(RunRequest("hit-uav-people", tmp_path / "blind", settings=settings))
     assert {p.code for p in caught.value.problems if p.severity == "error"} == {"no-field-of-view"}
     lens = [*settings, "camera.focal_length_mm=40"]
-    assert prepare_run(RunRequest("hit-uav-people", tmp_path / "blind", settings=lens)).frames
+    assert plan_request(RunRequest("hit-uav-people", tmp_path / "blind", settings=lens)).frames
     done(video, "--every", "3s", "--out", tmp_path / "seen", "--no-log", "--hfov", "40")
-    assert prepare_run(RunRequest("hit-uav-people", tmp_path / "seen", settings=settings)).frames
+    assert plan_request(RunRequest("hit-uav-people", tmp_path / "seen", settings=settings)).frames
 
 
 def airdata(path: Path, day: str = "2024-05-01", video: range = range(100, 150), rows: int = 300) -> Path:

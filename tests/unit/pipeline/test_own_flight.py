@@ -15,7 +15,7 @@ from infrablend.errors import DatasetError
 from infrablend.formats.cameras.header_facts import fov_of_35mm
 from infrablend.formats.cameras.rjpeg_writing import Maker
 from infrablend.pipeline.plans.run_request import RunRequest
-from infrablend.pipeline.runs.generate import describe_run, prepare_run
+from infrablend.pipeline.runs.generate import describe_run, plan_request
 from tests.flights import SIZE_WH, flight, shot
 from tests.run_files import records
 
@@ -85,20 +85,20 @@ def test_a_lens_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> 
 
     def remarks(hfov_deg: float) -> list[str]:
         settings = [f"camera.focal_length_mm={18 / np.tan(np.radians(hfov_deg) / 2)}"]
-        plan = prepare_run(RunRequest("hit-uav-people", data, settings=settings))
+        plan = plan_request(RunRequest("hit-uav-people", data, settings=settings))
         return [str(p) for p in plan.problems if p.code == "lens-replaced"]
 
     assert remarks(true_deg * 1.1) == []
     (remark,) = remarks(true_deg * 1.3)
     assert f"the files of 3 picture(s) state {true_deg:.1f}" in remark
-    assert not [p for p in prepare_run(RunRequest("hit-uav-people", data)).problems if p.code == "lens-replaced"]
+    assert not [p for p in plan_request(RunRequest("hit-uav-people", data)).problems if p.code == "lens-replaced"]
 
 
 def test_a_pitch_that_differs_from_the_files_is_reported_once(tmp_path: Path) -> None:
     data = flight(tmp_path, 3)  # 60 degrees
 
     def remarks(**pitch: object) -> list[str]:
-        plan = prepare_run(RunRequest("hit-uav-people", data, settings={"camera.pitch": pitch}))
+        plan = plan_request(RunRequest("hit-uav-people", data, settings={"camera.pitch": pitch}))
         return [str(p) for p in plan.problems if p.code == "pitch-replaced"]
 
     assert remarks(fixed_deg=50) == remarks(random_deg=[30, 50]) == []
@@ -112,7 +112,7 @@ def test_a_height_that_differs_from_the_files_is_reported_once(tmp_path: Path) -
 
     def remarks(recipe: str = "hit-uav-people", **altitude: object) -> list[str]:
         settings = {"camera.altitude": altitude} if altitude else {}
-        plan = prepare_run(RunRequest(recipe, data, settings=settings))
+        plan = plan_request(RunRequest(recipe, data, settings=settings))
         return [str(p) for p in plan.problems if p.code == "height-replaced"]
 
     assert remarks() == remarks(fixed_m=100) == remarks(random_m=[20, 65]) == []
@@ -132,7 +132,7 @@ def test_daylight_that_is_not_stated_is_reported(tmp_path: Path) -> None:
 
     def remarks(longitude_deg: float) -> list[str]:
         place = {"latitude_deg": 25, "longitude_deg": longitude_deg}
-        plan = prepare_run(RunRequest("hit-uav-people", data, settings={"environment.place": place}))
+        plan = plan_request(RunRequest("hit-uav-people", data, settings={"environment.place": place}))
         return [str(p) for p in plan.problems if p.code == "sun-above-horizon"]
 
     (remark,) = remarks(102.7)
@@ -156,7 +156,7 @@ def test_every_picture_that_is_left_out_counts_as_skipped(tmp_path: Path) -> Non
 def test_a_fact_that_some_pictures_lack_is_asked_for_in_the_table_first(tmp_path: Path) -> None:
     data = flight(tmp_path, 3)
     shot(data / "DJI_0002_T.JPG", number=1, pitch_deg=None)
-    (missing,) = [p for p in prepare_run(RunRequest("hit-uav-people", data)).problems if p.code == "no-pitch"]
+    (missing,) = [p for p in plan_request(RunRequest("hit-uav-people", data)).problems if p.code == "no-pitch"]
     (asked,) = [p for p in api.read_dataset(data).problems if p.code == "flight-missing"]
     for text in (str(missing), str(asked)):
         assert text.index("metadata.csv") < text.index("camera.pitch")

@@ -14,12 +14,13 @@ from PIL import Image
 from infrablend import api
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.plans.planning import make_plan
-from infrablend.pipeline.runs.warnings import absent_warnings, limit_warnings
+from infrablend.report.run.run_warnings import absent_warnings, limit_warnings
 from tests.run_files import edit_ledger, hashes, records
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -552,10 +553,10 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
         view = View(115.0, 100.0, 0.0, {"car": 3}, 0.1, at_limit)
         gain = {"grey_per_k": 6.0, "posterior": [centre, 1.0], "bounds": [2.5, 12.0], "doubts": doubts}
         facts = {**record.facts, "matching": {"gain": {"warm": gain}}}
-        return dataclasses.replace(record, scene=dataclasses.replace(scene, view=view), facts=facts)
+        return FrameRow.of(dataclasses.replace(record, scene=dataclasses.replace(scene, view=view), facts=facts))
 
     good, bad = with_estimates(6.0), with_estimates(14.0, "gain_at_bound", at_limit=True)
-    assert limit_warnings([record] * 3 + [good] * 5 + [bad]) == []
+    assert limit_warnings([FrameRow.of(record)] * 3 + [good] * 5 + [bad]) == []
     found = limit_warnings([good] * 4 + [bad])
     assert [(p.where, p.code, p.severity) for p in found] == [
         ("camera", "height-at-limit", "warning"),
@@ -563,7 +564,7 @@ def test_estimates_at_their_limits_are_a_warning(dataset, tmp_path):
     ]
     assert "in 1 of 5 frames" in str(found[0]) and "in 1 of 5 frames" in str(found[1])
     day = Weather(290.0, 284.0, 0.0, 283.0, 292.0, Sun(0.0, 0.5, 800.0, 100.0, "contradicted"))
-    early = dataclasses.replace(record, scene=dataclasses.replace(scene, weather=day))
+    early = FrameRow.of(dataclasses.replace(record, scene=dataclasses.replace(scene, weather=day)))
     (sun,) = limit_warnings([good] * 9 + [early])
     assert sun.code == "sun-below-horizon" and "in 1 frames" in sun.found
     others = [with_estimates(-3.0, kind) for kind in ("gain_negative", "anchors_contradict", "no_anchor")]

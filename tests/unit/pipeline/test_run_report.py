@@ -13,10 +13,11 @@ import pytest
 from PIL import Image
 
 from infrablend import api
+from infrablend.core.frame_row import FrameRow, InsertRow, RemovedLabel
 from infrablend.errors import Problem
 from infrablend.report.run import run_page as page
 from infrablend.report.run.charts import bin_edges
-from infrablend.report.run.run_facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts, removed_crops
+from infrablend.report.run.run_facts import RunFacts, removed_crops
 from infrablend.report.run.run_page import run_page
 from tests.command_line import done
 from tests.flat_renderer import render_flat
@@ -123,21 +124,21 @@ def test_excluded_frames_are_listed_with_their_reason_only(made: Path) -> None:
 
 
 def test_removed_labels_are_shown_beside_the_insert_over_them(tmp_path: Path) -> None:
-    drone = InsertFacts("drone", (0.0, 0.0, 20.0, 12.0))
-    far, near = InsertFacts("deer", (40.0, 30.0, 60.0, 44.0)), (5.0, 4.0, 8.0, 10.0)
+    drone = InsertRow("drone", (0.0, 0.0, 20.0, 12.0))
+    far, near = InsertRow("deer", (40.0, 30.0, 60.0, 44.0)), (5.0, 4.0, 8.0, 10.0)
     labels = (
         RemovedLabel("Person", "covered", 0.97, False, near),
         RemovedLabel("Car", "category", 0.0, False, (30, 1, 35, 4)),
     )
-    frame = FrameFacts("train/a", "images/a.png", (64, 48), frozenset("a"), None, None, None, (far, drone), labels)
+    frame = FrameRow("train/a", "a.png", size_wh=(64, 48), background="a", inserts=(far, drone), removed=labels)
     seen = RemovedLabel("Person", "covered", 0.91, False, near)
-    other = dataclasses.replace(frame, frame_id="train/b", removed=(seen, RemovedLabel("Person", "covered", 0.9)))
+    other = dataclasses.replace(frame, id="train/b", removed=(seen, RemovedLabel("Person", "covered", 0.9)))
     found = removed_crops([frame, other], 8)
     assert [(c.frame, c.label.covered_share, c.cover) for c in found["covered"]] == [(1, 0.91, drone), (0, 0.97, drone)]
     assert found["covered"][0].window_xyxy == (0.0, 0.0, 20.0, 12.0)
     assert found["category"][0].cover is None and found["category"][0].window_xyxy == (30, 1, 35, 4)
     assert [c.frame for c in removed_crops([frame, other], 1)["covered"]] == [1]
-    wide = dataclasses.replace(other, inserts=(InsertFacts("drone", (0.0, 0.0, 400.0, 300.0)),))
+    wide = dataclasses.replace(other, inserts=(InsertRow("drone", (0.0, 0.0, 400.0, 300.0)),))
     assert removed_crops([wide], 1)["covered"][0].window_xyxy == (0.0, 0.0, 38.0, 40.0)
     (tmp_path / "images").mkdir()
     Image.fromarray(np.zeros((48, 64), np.uint8)).save(tmp_path / "images/a.png")
@@ -150,17 +151,25 @@ def test_removed_labels_are_shown_beside_the_insert_over_them(tmp_path: Path) ->
 # -- names from the data
 
 
-def frames_of(root: Path, count: int, name: str = "a") -> Iterator[FrameFacts]:
+def frames_of(root: Path, count: int, name: str = "a") -> Iterator[FrameRow]:
     for k in range(count):
-        insert = InsertFacts(name, (4.0 + k % 40, 5.0, 20.0 + k % 40, 15.0 + k % 7), 10 + k, 5.0 + k, -3.0 + k % 9, 0.9)
+        insert = InsertRow(name, (4.0 + k % 40, 5.0, 20.0 + k % 40, 15.0 + k % 7), 10 + k, 5.0 + k, -3.0 + k % 9, 0.9)
         removed = (RemovedLabel(name, "covered", 1.0, False, (6.0, 6.0, 9.0, 9.0)),) if k % 3 == 0 else ()
-        yield FrameFacts(
-            f"train/{name}{k}", f"images/{name}{k % 2}.png", (64, 48), frozenset({name}), "day", 30.0, None, (insert,),
-            removed, (name,), frozenset({name}),
-        )  # fmt: skip
+        yield FrameRow(
+            f"train/{name}{k}",
+            f"{name}{k % 2}.png",
+            size_wh=(64, 48),
+            background=name,
+            time_of_day="day",
+            pitch_deg=30.0,
+            inserts=(insert,),
+            removed=removed,
+            drops=(name,),
+            warnings=(Problem(name, name, name),),
+        )
 
 
-def run_of(root: Path, frames: list[FrameFacts], name: str = "a") -> RunFacts:
+def run_of(root: Path, frames: list[FrameRow], name: str = "a") -> RunFacts:
     problem = Problem(f"{name}: object 1", name, name, name, name, "warning")
     return RunFacts(
         root, name, name, name, name, name, [(name, name)], {"labels": {name: 3}, "labels_inserted": {name: 3}},

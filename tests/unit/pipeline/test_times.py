@@ -16,7 +16,7 @@ from infrablend.errors import Problem
 from infrablend.formats.cameras.flight_headers import time_of_day
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.times import time_warnings, with_used_times
-from infrablend.pipeline.runs.generate import describe_run, prepare_run
+from infrablend.pipeline.runs.generate import describe_run, plan_request
 from tests.flights import flight
 from tests.recipes import load_anywhere
 from tests.run_files import records
@@ -61,7 +61,7 @@ def test_a_stated_time_that_replaces_others_is_reported_once(tmp_path: Path) -> 
     def request(time: str) -> RunRequest:
         return RunRequest("hit-uav-people", data, settings={"environment.time_of_day": time})
 
-    (remark,) = [str(p) for p in prepare_run(request("dusk")).problems if p.code == "time-replaced"]
+    (remark,) = [str(p) for p in plan_request(request("dusk")).problems if p.code == "time-replaced"]
     assert "dusk for all pictures, but by their files or capture times they are: 1 by day, 1 by night" in remark
     assert remark in describe_run(request("dusk"))["kept_fields"]
 

@@ -9,32 +9,33 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.frame_row import FrameRow, InsertRow, RemovedLabel
 from infrablend.errors import Problem
 from infrablend.pipeline.plans import checks, times
-from infrablend.pipeline.runs import warnings
-from infrablend.report.run.run_facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts
+from infrablend.report.run import run_warnings as warnings
+from infrablend.report.run.run_facts import RunFacts
 from infrablend.report.run.run_page import run_page
 from infrablend.report.run.summary import MEANINGS, plain_summary
 
 
-def run_of(*frames: FrameFacts, problems: tuple[Problem, ...] = (), **counts: Any) -> RunFacts:
+def run_of(*frames: FrameRow, problems: tuple[Problem, ...] = (), **counts: Any) -> RunFacts:
     return RunFacts(Path(), "r", "", "", "", "1", (), counts, problems, {}, {}, {}, frames)
 
 
-def sentences(*frames: FrameFacts, **counts: Any) -> list[str]:
+def sentences(*frames: FrameRow, **counts: Any) -> list[str]:
     return [text for text, _ in plain_summary(run_of(*frames, **counts))]
 
 
-def frame(n: int, *inserts: InsertFacts, time: str | None = "night", **facts: object) -> FrameFacts:
-    fields = {"removed": (), "dropped": (), **facts}
-    return FrameFacts(f"train/{n}", "", (640, 512), frozenset(), time, 60.0, 80.0, inserts, **fields)  # type: ignore[arg-type]
+def frame(n: int, *inserts: InsertRow, time: str | None = "night", **facts: Any) -> FrameRow:
+    facts = {"size_wh": (640, 512), "pitch_deg": 60.0, "altitude_m": 80.0, **facts}
+    return FrameRow(f"train/{n}", time_of_day=time, inserts=inserts, **facts)
 
 
 def test_numbers_and_links_of_a_run() -> None:
-    person, hidden = InsertFacts("person", (0, 0, 8, 20)), InsertFacts("person", (0, 0, 6, 7), visibility=0.5)
+    person, hidden = InsertRow("person", (0, 0, 8, 20)), InsertRow("person", (0, 0, 6, 7), visibility=0.5)
     frames = (
         frame(0, person, hidden),
-        frame(1, InsertFacts("deer", (0, 0, 30, 40)), time="day", dropped=("no_ground", "no_place")),
+        frame(1, InsertRow("deer", (0, 0, 30, 40)), time="day", drops=("no_ground", "no_place")),
         frame(2, time=None, removed=(RemovedLabel("car", "covered", 0.9),)),
     )
     problem = Problem("placement", "objects-absent", "a", "b", "c", "warning")
@@ -57,7 +58,7 @@ def test_a_run_without_anything_says_so() -> None:
 
 
 def test_one_of_each_is_in_the_singular() -> None:
-    one = frame(0, InsertFacts("person", (0, 0, 8, 20), visibility=0.5), dropped=("no_place",))
+    one = frame(0, InsertRow("person", (0, 0, 8, 20), visibility=0.5), drops=("no_place",))
     assert sentences(one, labels={"person": 1}, failed_frames=1, skipped_backgrounds=1) == [
         "1 object was inserted into 1 of 1 picture: 1 x person. Each has a label.",
         "It is 20 pixels long.",
@@ -70,7 +71,7 @@ def test_one_of_each_is_in_the_singular() -> None:
 
 
 def test_an_object_of_a_sequence_is_one_object() -> None:
-    person = InsertFacts("person", (0, 0, 8, 20), visibility=0.5, track="a c0 1")
+    person = InsertRow("person", (0, 0, 8, 20), visibility=0.5, track="a c0 1")
     text = sentences(frame(0, person), frame(1, person), frame(2))
     assert text[0] == "1 object was inserted into 2 of 3 pictures, with 2 labels: 2 x person. Each has a label."
     assert text[2] == "1 object was partly hidden, or cut by the picture's edge."
@@ -81,14 +82,14 @@ def test_objects_without_labels_were_inserted_as_well() -> None:
     assert sentences(frame(0, removed=(bare, bare)), labels={"car": 3})[::2] == [
         "2 objects were inserted without label, as the recipe asks for.", "All labels of real objects stay.",
     ]  # fmt: skip
-    lost = frame(0, InsertFacts("person", (0, 0, 8, 20)), removed=(RemovedLabel("car", "labels", 0.0),))
+    lost = frame(0, InsertRow("person", (0, 0, 8, 20)), removed=(RemovedLabel("car", "labels", 0.0),))
     assert sentences(lost, labels={"person": 1})[-1] == "1 label of real objects was removed, and none is left."
 
 
 def test_all_links_lead_to_sections_of_the_page_and_names_are_text(tmp_path: Path) -> None:
     name, warning = "<b>car</b>", Problem("placement", "objects-absent", "a", "b", "c", "warning")
     failed = Problem("train/9", "frame-crashed", "a", "b", "c")
-    full = frame(0, InsertFacts(name, (0, 0, 8, 20), visibility=0.5, track="a c0 1"), dropped=("no_place",))
+    full = frame(0, InsertRow(name, (0, 0, 8, 20), visibility=0.5, track="a c0 1"), drops=("no_place",))
     full = replace(full, removed=(RemovedLabel(name, "covered", 0.9),))
     runs = [
         run_of(), run_of(frame(0)), run_of(full), run_of(frame(0), full, problems=(warning,), labels={name: 2}),

@@ -9,26 +9,39 @@ from pathlib import Path
 
 import pytest
 
+from infrablend.core.frame_row import FrameRow, InsertRow
 from infrablend.errors import ArgumentError, DatasetError
 from infrablend.studio.comparison import FramePair, PairView, RunComparison, pair_rows
-from infrablend.studio.frame_index import FrameRow
 from infrablend.studio.open_studio import Session
 from infrablend.studio.opened_run import RunFrames
 from infrablend.studio.run_labels import RunLabels
 from infrablend.studio.studio_request import StudioRequest
 from tests.studio_runs import frame_record, write_run
 
+
+def row(frame_id: str, background: str, digest: str, inserts: int = 1, **values: float) -> FrameRow:
+    """Return a frame with some equal inserts, by default of 10 px, whole, and with a contrast of 20."""
+    size_px = values.get("size_px", 10)
+    insert = InsertRow(
+        "drone",
+        (0, 0, size_px, 3),
+        visibility=values.get("visibility", 1),
+        signed_grey=values.get("contrast", 20),
+    )
+    return FrameRow(frame_id, digest=digest, background=background, inserts=(insert,) * inserts)
+
+
 FIRST = (
-    FrameRow("test/night/a_c0", "a", digest="1", size_px=10, visibility=1, contrast=20, inserted=1),
-    FrameRow("test/night/a_c1", "a", digest="2", size_px=10, visibility=1, contrast=20, inserted=1),
-    FrameRow("test/b_c0", "b", digest="3", inserted=0),
-    FrameRow("val/a_c0", "a", digest="4", size_px=10, visibility=1, contrast=20, inserted=1),
+    row("test/night/a_c0", "a", "1"),
+    row("test/night/a_c1", "a", "2"),
+    row("test/b_c0", "b", "3", 0),
+    row("val/a_c0", "a", "4"),
 )
 SECOND = (
-    FrameRow("test/a_c0", "a", digest="1", size_px=10, visibility=1, contrast=20, inserted=1),
-    FrameRow("test/a_c1", "a", digest="9", size_px=40, visibility=0.5, contrast=18, inserted=3),
-    FrameRow("test/c_c0", "c", digest="5"),
-    FrameRow("val/a_c0", "a", digest="6", size_px=10, visibility=1, contrast=25, inserted=1),
+    row("test/a_c0", "a", "1"),
+    row("test/a_c1", "a", "9", 3, size_px=40, visibility=0.5, contrast=18),
+    row("test/c_c0", "c", "5", 0),
+    row("val/a_c0", "a", "6", contrast=25),
 )
 
 
@@ -61,7 +74,7 @@ def test_the_largest_difference_comes_first_and_single_frames_have_lists_of_thei
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Path, Path]]:
     monkeypatch.setenv("INFRABLEND_CACHE", str(tmp_path / "cache"))
-    both = [frame_record(f"test/{n}_c0", background={"id": n}) for n in "ab"]
+    both = [frame_record(f"test/{n}_c0", background={"id": n, "path": f"{n}.png", "size_wh": [64, 48]}) for n in "ab"]
     first = write_run(tmp_path / "first", {r["frame_id"]: r for r in both})
     yield first, write_run(tmp_path / "second", {both[1]["frame_id"]: both[1]})
 

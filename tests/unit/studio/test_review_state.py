@@ -9,21 +9,25 @@ from pathlib import Path
 
 import pytest
 
+from infrablend.core.frame_row import FrameRow, InsertRow
 from infrablend.core.run_folder import RunFolder
-from infrablend.errors import DatasetError, OutputError
+from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.pipeline.runs.review_file import Verdict, read_verdicts
-from infrablend.studio.frame_index import FrameRow, View
+from infrablend.studio.frame_index import View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.row_reading import RowReading
 from infrablend.studio.verdicts import Review
 from tests.studio_runs import frame_record, write_run, write_sequence
 
+
+def insert(category: str, size_px: float, visibility: float, contrast: float) -> InsertRow:
+    return InsertRow(category, (0, 0, size_px, 3), visibility=visibility, signed_grey=-contrast)
+
+
 ROWS = (
-    FrameRow("test/a", classes=("drone",), size_px=40, visibility=1, contrast=9, time_of_day="day", inserted=1),
-    FrameRow("test/b", size_px=None, time_of_day=None, warnings=("low",)),
-    FrameRow(
-        "train/c", classes=("car", "drone"), size_px=12, visibility=0.5, contrast=30, time_of_day="night", inserted=2
-    ),
+    FrameRow("test/a", inserts=(insert("drone", 40, 1, 9),), time_of_day="day"),
+    FrameRow("test/b", warnings=(Problem("a.png", "low", "low"),)),
+    FrameRow("train/c", inserts=(insert("drone", 12, 0.5, 30), insert("car", 20, 1, 31)), time_of_day="night"),
 )
 
 
@@ -63,7 +67,7 @@ def test_rows_are_read_from_the_ledger(tmp_path: Path) -> None:
     reading = RowReading(RunFolder(tmp_path))
     assert reading.ids == names
     a, *others = reading.wait()
-    assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (("drone",), 10, 12, 60)
+    assert (a.classes, a.size_px, a.contrast, a.pitch_deg) == (["drone"], 10, 12, 60)
     assert [row.id for row in others] == names[1:]
     assert reading.is_complete and reading.count == 3
 

@@ -30,7 +30,7 @@ from infrablend.pipeline.datasets.requests import ClassChanges, Selection, Split
 from infrablend.pipeline.datasets.select import select
 from infrablend.pipeline.datasets.split import split_dataset
 from infrablend.pipeline.plans.run_request import Execution, RunRequest
-from infrablend.pipeline.runs.generate import generate_run
+from infrablend.pipeline.runs.generate import run_request
 
 
 def _make_source(job: StageJob) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def _make_run(job: StageJob) -> dict[str, Any]:
         execution=execution,
     )
     for _ in range(2):
-        report = job.resume_or_restart(lambda existing: generate_run(replace(run, existing=existing), job.on_progress))
+        report = job.resume_or_restart(lambda existing: run_request(replace(run, existing=existing), job.on_progress))
         if not report.counts.get("failed_frames"):
             break
     else:

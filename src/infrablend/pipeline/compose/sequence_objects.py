@@ -29,8 +29,8 @@ from infrablend.imaging.paint_out import Shown, find_written
 from infrablend.pipeline.compose.looks import Earlier, Match
 from infrablend.pipeline.compose.partly_hidden import Front
 from infrablend.pipeline.compose.settings import FrameSettings
-from infrablend.pipeline.extraction.camera_motion import sample_of
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence
+from infrablend.pipeline.plans.sequence_motion import sample_of
 from infrablend.sampling.paths import Fits
 from infrablend.sampling.placement import PlacementRequest
 from infrablend.sampling.site import Site

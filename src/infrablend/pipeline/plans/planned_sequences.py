@@ -11,8 +11,8 @@ from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.mesh import FloatArray
 from infrablend.errors import Problem
 from infrablend.formats.labels.mot import ASSUMED_RATE
-from infrablend.pipeline.extraction.camera_motion import find_motion, motion_problems, sequences_of
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence
+from infrablend.pipeline.plans.sequence_motion import find_motion, motion_problems, sequences_of
 from infrablend.sampling.tracks import Footage
 
 log = logging.getLogger(__name__)

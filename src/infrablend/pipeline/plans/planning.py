@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from infrablend.formats.pictures.temperature_scale import OPTIONS
 from infrablend.formats.reading import Reading
 from infrablend.imaging.surfaces import model_version
 from infrablend.pipeline.datasets.content import fingerprint
-from infrablend.pipeline.extraction.camera_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.plans.checks import (
     data_warnings,
     dataset_remarks,
@@ -41,10 +40,24 @@ from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
 from infrablend.pipeline.plans.planned_sequences import plan_sequences
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
+from infrablend.pipeline.plans.sequence_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.plans.times import time_warnings, with_used_times
+from infrablend.pipeline.storage.mirror import local_folder
 from infrablend.sampling.scene_sampler import require_parts
 
 LEVELS_SAMPLE = 64
+
+
+def plan_folder(
+    recipe: Recipe, data: Path, seed: int, reading: Reading, selection: FrameSelection, warnings: Sequence[Problem]
+) -> RunPlan:
+    """Read the backgrounds in a folder or at an address, and return the plan of a run on them.
+
+    `warnings` are those about the recipe. The errors are those of `make_plan`, and of reading the dataset.
+    """
+    root = local_folder(data)
+    dataset = detection.read(root, reading_for(recipe, reading, root))
+    return make_plan(recipe, dataset, seed, splits=reading.splits, selection=selection, recipe_warnings=warnings)
 
 
 def make_plan(
@@ -70,9 +83,8 @@ def make_plan(
     classes = [o.category or models[o.model].category for o in recipe.objects]
     require_loosened(recipe, {*classes})
     require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
-    read = dataset
-    dataset = with_used_times(dataset, recipe)
-    renamed = rename_classes(dataset, recipe.labels.rename)
+    timed = with_used_times(dataset, recipe)
+    renamed = rename_classes(timed, recipe.labels.rename)
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
     require_distinct_classes(recipe, classes, renamed)
 
@@ -81,33 +93,28 @@ def make_plan(
     chosen = None
     if selection.frames is not None:
         chosen = find_frames(selection.frames, renamed.images, names)
-        of_chosen = {image for image, _ in chosen}
-        images = [image for image in images if id(image) in of_chosen]
-    problems = [*recipe_warnings, *without_effect(recipe, models), *dataset_remarks(recipe, renamed)]
-    problems += ignored_turned_objects(dataset, recipe.labels.rename)
+        images = _images_of(chosen, images)
     stands = all(m.stands for m in models.values())
     usable, left_out = usable_images(recipe, renamed, images, stands)
-    problems += left_out
+    problems = [
+        *recipe_warnings,
+        *without_effect(recipe, models),
+        *dataset_remarks(recipe, renamed),
+        *ignored_turned_objects(timed, recipe.labels.rename),
+        *left_out,
+    ]
     if not usable:
         of_splits = f" of split {', '.join(splits)}" if splits else ""
         reasons = [*all_in_colour(images), *problems]
         raise DatasetError(f"{dataset.root}: no usable background in {len(images)} image(s){of_splits}", reasons)
     if selection.pictures is not None:
         chosen = selection.share_out(usable, recipe.output.originals, seed)
-        drawn = {image for image, _ in chosen}
-        usable = [image for image in usable if id(image) in drawn]
+        usable = _images_of(chosen, usable)
         recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
         names = frame_names(renamed.images, recipe)
-    problems += (
-        data_warnings(recipe, usable, dataset.root)
-        + time_warnings(recipe, read.images, usable)
-        + without_mask(recipe, usable, renamed.images)
-    )
-    problems += unknown_by_hand(recipe, renamed.images)
-    require_ids(recipe, usable)
-    require_pitch_of_pixels(recipe, usable)
+    problems += _warnings(recipe, dataset, renamed, usable)
 
-    as_read = {id(new): old for old, new in zip(dataset.images, renamed.images, strict=True)}
+    as_read = {id(new): old for old, new in zip(timed.images, renamed.images, strict=True)}
     frames = [
         PlannedFrame(image, k, as_read[id(image)], names[id(image), k])
         for image in usable
@@ -133,11 +140,34 @@ def make_plan(
         frames=tuple(frames),
         problems=tuple(problems),
         key=key,
-        ignored=tuple(c.name for c in dataset.categories if c.ignore),
+        ignored=tuple(c.name for c in timed.categories if c.ignore),
         sample=renamed.images[:: max(1, len(renamed.images) // LEVELS_SAMPLE)][:LEVELS_SAMPLE],
         run=sha256_of_json([{**key["recipe"], "description": None}, seed])[:16],
         sequences=sequences,
     )
+
+
+def _images_of(chosen: Set[tuple[int, int | None]], images: Sequence[ImageRecord]) -> list[ImageRecord]:
+    """Return the images of frames that are given by `id(image)` and configuration."""
+    wanted = {image for image, _ in chosen}
+    return [image for image in images if id(image) in wanted]
+
+
+def _warnings(recipe: Recipe, read: Dataset, renamed: Dataset, usable: Sequence[ImageRecord]) -> list[Problem]:
+    """Return warnings about the backgrounds that are used; refuse those whose labels no format of the recipe holds.
+
+    Raises:
+        RecipeError, DatasetError: See `require_ids`, `require_pitch_of_pixels`.
+    """
+    problems = [
+        *data_warnings(recipe, usable, read.root),
+        *time_warnings(recipe, read.images, usable),
+        *without_mask(recipe, usable, renamed.images),
+        *unknown_by_hand(recipe, renamed.images),
+    ]
+    require_ids(recipe, usable)
+    require_pitch_of_pixels(recipe, usable)
+    return problems
 
 
 def _with_new(known: Sequence[Category], classes: Iterable[str]) -> tuple[Category, ...]:

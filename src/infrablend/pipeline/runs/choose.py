@@ -15,9 +15,10 @@ from infrablend.errors import ArgumentError, OtherSettingsError, OutputError, Pr
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.selection import similar
+from infrablend.pipeline.runs.begun_run import Choice
 from infrablend.pipeline.runs.recorded import RecordedRun
 from infrablend.pipeline.runs.review_file import read_verdicts
-from infrablend.pipeline.runs.run import Choice, is_unchanged, run_plan
+from infrablend.pipeline.runs.run import run_plan
 
 BY_HAND = "by hand"
 
@@ -162,7 +163,7 @@ def _require_backgrounds(plan: RunPlan, folder: RunFolder, excluded: Mapping[str
         done = ledger.done()
     kept = [f for f in plan.frames if f.frame_id in done and f.frame_id not in excluded]
     paths = {f.background_id: f.background.path for f in kept if f.background_id in known}
-    other = {b for b, path in paths.items() if not is_unchanged(path, known[b])}
+    other = {b for b, path in paths.items() if not known[b].is_still(path)}
     changed = [
         Problem(str(f.background.path), "background-changed", f"not the one that {f.frame_id} was made of")
         for f in kept

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 import os
 import statistics
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from infrablend.annotation.looseness import Looseness
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.files import sha256_of
+from infrablend.core.files import has_size, sha256_of
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.ledger import LEDGER, Ledger
 from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
 from infrablend.core.spool import Spool, store_images
@@ -32,7 +32,8 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
 from infrablend.pipeline.runs.run_card import run_card
 from infrablend.pipeline.runs.track_files import with_own_sequence, write_tracks
-from infrablend.pipeline.runs.warnings import (
+from infrablend.report.card import CARD_FILE, is_own, write_card
+from infrablend.report.run.run_warnings import (
     absent_warnings,
     air_warnings,
     doubt_codes,
@@ -42,7 +43,6 @@ from infrablend.pipeline.runs.warnings import (
     limit_warnings,
     track_warnings,
 )
-from infrablend.report.card import CARD_FILE, is_own, write_card
 
 _NO_EXPORTS = frozenset({EXCLUDED, WORKERS_LOG, LEDGER, f"{LEDGER}-journal"})
 """What stays in the folder, besides the pictures, when labels are written again."""
@@ -74,8 +74,12 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     `spool.IN_MEMORY`, whatever their number.
     """
     records: Spool[FrameRecord] = Spool(folder.root)  # on disk, see `Spool`
+    rows: Spool[FrameRow] = Spool(folder.root)
+    removed: list[Mapping[str, Any]] = []
     for record in ledger.records(f.frame_id for f in frames):
         records.append(record)
+        rows.append(FrameRow.of(record))
+        removed += [{"frame_id": record.frame_id, **r} for r in record.removed if r["reason"] == "covered"]
     loosened, looseness = 0, Looseness.of_labels(plan.recipe.labels)
     several = bool(plan.sequences) and (plan.recipe.configurations > 1 or plan.recipe.output.originals)
 
@@ -90,39 +94,69 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
             yield image
 
     images = store_images(labelled(), folder.root)
-    losses: Counter[str] = Counter()
-    problems: list[Problem] = []
-    labels: dict[str, dict[str, int]] = {}
-    for name in plan.recipe.output.formats if images else ():
+    files = _write_labels(plan, folder, images)
+    finished = summarize(plan, rows, images)
+    counts = dict(finished.counts)
+    if any(held != counts["labels"] for held in files.labels.values()):
+        counts["labels_by_format"] = files.labels
+    counts |= looseness.counted(loosened)
+    problems = [
+        *files.problems,
+        *frame_warnings(rows),
+        *nothing_inserted(plan.recipe, counts, finished.draws),
+        *absent_warnings(finished.draws),
+        *track_warnings(rows),
+        *limit_warnings(rows),
+        *air_warnings(rows),
+        *horizon_warnings(counts),
+        *hiding_warnings(counts),
+    ]
+    if images:
+        known = tuple(dict.fromkeys(problems))
+        problems += write_card(folder.root, run_card(plan, counts, files.losses, images, known))
+    return LabelSummary(
+        counts,
+        finished.draws,
+        removed=tuple(removed),
+        losses=dict(sorted(files.losses.items())),
+        problems=tuple(dict.fromkeys(problems)),  # the three YOLO formats warn alike of a missing split
+    )
+
+
+@dataclass
+class _WrittenLabels:
+    """What became of the labels of a run in its files.
+
+    Attributes:
+        labels: Number of labels per class in each format that has files.
+        losses: Counts of what formats cannot express, by `<format>.<kind>`.
+        problems: Warnings.
+    """
+
+    labels: dict[str, dict[str, int]] = field(default_factory=dict)
+    losses: Counter[str] = field(default_factory=Counter)
+    problems: list[Problem] = field(default_factory=list)
+
+
+def _write_labels(plan: RunPlan, folder: RunFolder, images: Sequence[ImageRecord]) -> _WrittenLabels:
+    """Write the labels of a run in all formats of the recipe, and beside its pictures, with tracks and 8-bit copies."""
+    files = _WrittenLabels()
+    output = plan.recipe.output
+    for name in output.formats if images else ():
         written = _write_format(name, plan, folder.root, images)
         if written.files:
-            labels[name] = by_class(written.kept(images))
-        losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
-        problems += written.problems
+            files.labels[name] = by_class(written.kept(images))
+        files.losses.update({f"{name}.{k}": n for k, n in written.losses.items() if n})
+        files.problems += written.problems
     # The pictures load with `datasets` from where they are.
     beside = huggingface.write(folder.root / IMAGES, images, plan.categories, pictures=False)
-    losses.update({f"{IMAGES}.{k}": n for k, n in beside.losses.items()})
-    problems += beside.problems
-    if plan.recipe.output.agc is not None and images:
-        problems += _write_eight_bit(plan, folder, images, plan.recipe.output.agc)
+    files.losses.update({f"{IMAGES}.{k}": n for k, n in beside.losses.items()})
+    files.problems += beside.problems
+    if output.agc is not None and images:
+        files.problems += _write_eight_bit(plan, folder, images, output.agc)
     if plan.sequences and images:
-        problems += write_tracks(folder.root, images, plan.categories)
-    problems += frame_warnings(records)
-    finished = summarize(plan, records, images)
-    differing = any(held != finished.counts["labels"] for held in labels.values())
-    written_counts = {"labels_by_format": labels} if differing else {}
-    finished = replace(finished, counts={**finished.counts, **written_counts, **looseness.counted(loosened)})
-    problems += nothing_inserted(plan.recipe, finished.counts, finished.draws)
-    problems += (
-        absent_warnings(finished.draws) + track_warnings(records) + limit_warnings(records) + air_warnings(records)
-    )
-    problems += horizon_warnings(finished.counts) + hiding_warnings(finished.counts)
-    if images:
-        problems += write_card(
-            folder.root, run_card(plan, finished.counts, losses, images, tuple(dict.fromkeys(problems)))
-        )
-    # The three YOLO formats warn alike of a missing split.
-    return replace(finished, losses=dict(sorted(losses.items())), problems=tuple(dict.fromkeys(problems)))
+        files.problems += write_tracks(folder.root, images, plan.categories)
+    return files
 
 
 def remove_exports(space: Workspace, folder: RunFolder, ledger: Ledger) -> None:
@@ -183,14 +217,6 @@ def require_nothing_added(folder: RunFolder, plan: RunPlan) -> None:
         )
 
 
-def has_size(path: Path, size: int) -> bool:
-    """Return whether there is a file with this number of bytes."""
-    try:
-        return path.lstat().st_size == size
-    except OSError:
-        return False
-
-
 def _files_below(root: Path, top: str) -> list[str]:
     found = []
     for folder, _, names in os.walk(root / top):
@@ -223,7 +249,7 @@ def _write_format(name: str, plan: RunPlan, out: Path, images: Sequence[ImageRec
     return writing.write(name, out / name, images, plan.categories, settings=settings, source=plan.dataset)
 
 
-def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[ImageRecord]) -> LabelSummary:
+def summarize(plan: RunPlan, rows: Sequence[FrameRow], images: Sequence[ImageRecord]) -> LabelSummary:
     """Return counts and placement statistics of the finished frames."""
     ignored = {c.name for c in plan.categories if c.ignore}
     n: defaultdict[str, Counter[str]] = defaultdict(Counter)
@@ -233,31 +259,29 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         per_split[image.split].update(i.category for i in image.instances)
         n["labels"].update(i.category for i in image.instances)
         n["crowds"].update(i.category for i in image.instances if i.is_crowd and i.category not in ignored)
-    removed: list[Mapping[str, Any]] = []
     total: Counter[str] = Counter()
-    for r in records:
-        removed += [{"frame_id": r.frame_id, **item} for item in r.removed if item["reason"] == "covered"]
-        n["removed"].update(item["reason"] for item in r.removed)
-        n["inserted"].update(i.category for i in r.inserted)
-        n["doubts"].update(doubt_codes(r))
-        n["behind"].update(r.facts.get("matching", {}).get("behind", ()))
-        if r.scene is not None and "pitch_from" in r.scene.draws:
-            n["pitches"][r.scene.draws["pitch_from"]] += 1
-        total["covered"] += len(r.covered)
-        total["fallbacks"] += len(r.facts.get("mask_fallbacks", ()))
-        total["without"] += not r.inserted
-        other_size = r.scene is not None and tuple(r.scene.camera.size_wh) != tuple(plan.recipe.camera.size_px)
-        total["other_size"] += other_size
+    for row in rows:
+        n["removed"].update(label.reason for label in row.removed)
+        n["inserted"].update(i.category for i in row.inserts)
+        n["doubts"].update(doubt_codes(row))
+        n["behind"].update(row.behind)
+        total["covered"] += row.covered
+        total["fallbacks"] += row.mask_fallbacks
+        total["without"] += not row.inserts
+        if row.scene is not None:
+            if row.scene.draws.pitch_from is not None:
+                n["pitches"][row.scene.draws.pitch_from] += 1
+            total["other_size"] += row.scene.size_wh != tuple(plan.recipe.camera.size_px)
     by_name = {name: dict(sorted(counter.items())) for name, counter in n.items()}
-    draws = draw_statistics(records)
+    draws = draw_statistics(rows)
     behind = by_name.get("behind", {})
     found_at_times = {
         "labels_of_crowds": by_name.get("crowds"),
         "frames_in_doubt": by_name.get("doubts"),
         "pitch_from": by_name.get("pitches"),
         "in_front_of": behind if behind.keys() - {"ground"} else {},
-        "partly_hidden": hiding_statistics(records),
-        "contrast_grey": contrast_statistics(records),
+        "partly_hidden": hiding_statistics(rows),
+        "contrast_grey": contrast_statistics(rows),
     }
     counts = {
         "images": len(images),
@@ -267,51 +291,51 @@ def summarize(plan: RunPlan, records: Sequence[FrameRecord], images: Sequence[Im
         "labels_inserted": by_name.get("inserted", {}),
         "labels_removed": by_name.get("removed", {}),
         "labels_partly_covered": total["covered"],
-        **count_objects(plan.recipe, records),
+        **count_objects(plan.recipe, rows),
         "masks_of_one_pixel": total["fallbacks"],
         "frames_without_object": total["without"],
-        "frames_without_object_because": empty_frames(records),
+        "frames_without_object_because": empty_frames(rows),
         "frames_of_other_size": total["other_size"],
         **{name: found for name, found in found_at_times.items() if found},
     }
-    return LabelSummary(counts, draws, tuple(removed))
+    return LabelSummary(counts, draws)
 
 
-def empty_frames(records: Sequence[FrameRecord]) -> dict[str, int]:
+def empty_frames(rows: Iterable[FrameRow]) -> dict[str, int]:
     """Count the frames without a labelled inserted object by reason; a frame counts once per reason.
 
     Unchanged originals do not count.
     """
     reasons: Counter[str] = Counter()
-    for r in records:
-        if r.scene is None or r.inserted:
+    for row in rows:
+        if row.scene is None or row.inserts:
             continue
-        found = {*r.scene.draws.get("absent", {}), *(d["reason"] for d in r.facts.get("drops", ()))}
-        if r.scene.draws.get("out_of_view"):
+        draws = row.scene.draws
+        found = {*draws.absent, *row.drops}
+        if draws.out_of_view:
             found.add("out_of_view")
-        elif r.scene.draws.get("empty_by_recipe") or not r.scene.draws.get("wanted", 1):
+        elif draws.empty_by_recipe or draws.wanted == 0:
             found = {"recipe"}
         reasons.update(found or {"unknown"})
     return dict(sorted(reasons.items()))
 
 
-def hiding_statistics(records: Sequence[FrameRecord]) -> dict[str, int]:
+def hiding_statistics(rows: Iterable[FrameRow]) -> dict[str, int]:
     """Count the objects that were to be partly hidden, and those that are; empty if the recipe hides nothing."""
-    asked = Counter("window" in o for r in records for o in r.facts.get("occlusion", ()))
+    asked = Counter(hidden for row in rows for hidden in row.hidden)
     return {"wanted": asked.total(), "hidden": asked[True]} if asked else {}
 
 
-def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
+def contrast_statistics(rows: Iterable[FrameRow]) -> dict[str, str]:
     """Return quantiles of the contrast of inserts, 8-bit levels: of the labelled ones, and before any was moved.
 
     The contrast is the smaller of the change of the object's pixels and the change of its box against the ring.
     """
     before = "before placement.min_contrast"
     measured: dict[str, array[float]] = {"labelled": array("d"), before: array("d")}
-    for r in records:
-        kept = r.facts.get("contrast", ())
-        for name, values in (("labelled", kept), (before, r.facts.get("contrast_first", kept))):
-            measured[name].extend(float(min(c["changed"], c.get("change", c["changed"]))) for c in values)
+    for row in rows:
+        measured["labelled"].extend(row.changes_grey)
+        measured[before].extend(row.first_changes_grey)
     found = {}
     for name, levels in measured.items():
         if levels:
@@ -320,7 +344,7 @@ def contrast_statistics(records: Sequence[FrameRecord]) -> dict[str, str]:
     return found
 
 
-def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
+def draw_statistics(rows: Iterable[FrameRow]) -> dict[str, Any]:
     """Return how often scenes were redrawn, by reason, and how redrawing shifted the camera distances."""
     first = array("d")
     last = array("d")
@@ -331,21 +355,23 @@ def draw_statistics(records: Sequence[FrameRecord]) -> dict[str, Any]:
     wanted = 0
     attempts = array("q")
     too_small = array("d")
-    for r in records:
-        for i in r.inserted:
-            sizes.append(max(float(i.box_xyxy[2] - i.box_xyxy[0]), float(i.box_xyxy[3] - i.box_xyxy[1])))
-        if r.scene is None or not r.scene.draws.get("wanted"):
+    for row in rows:
+        sizes.extend(i.size_px for i in row.inserts)
+        if row.scene is None:
             continue
-        draws = r.scene.draws
-        wanted += int(draws["wanted"])
-        attempts.append(int(draws["attempts"]))
-        first.append(float(draws["first_distance_m"]))
-        last.append(r.scene.camera.distance_m)
-        pitches.append(math.degrees(r.scene.camera.pitch_rad))
-        rejected.update(draws["rejected"])
-        absent.update(draws["absent"])
-        if "too_small_px" in draws:
-            too_small.append(float(draws["too_small_px"]))
+        draws = row.scene.draws
+        if not draws.wanted:
+            continue
+        assert draws.attempts is not None and draws.first_distance_m is not None, "recorded with what was wanted"
+        wanted += draws.wanted
+        attempts.append(draws.attempts)
+        first.append(draws.first_distance_m)
+        last.append(row.scene.distance_m)
+        pitches.append(row.scene.pitch_deg)
+        rejected.update(draws.rejected)
+        absent.update(draws.absent)
+        if draws.too_small_px is not None:
+            too_small.append(draws.too_small_px)
     if not attempts:
         return {}
     return {

@@ -12,6 +12,7 @@ import numpy as np
 
 from infrablend.core.camera import fov_of_width
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRow
 from infrablend.errors import DatasetError, Problem
 from infrablend.pipeline.compose.frame import FrameComposer
 from infrablend.pipeline.compose.settings import settings_for
@@ -21,8 +22,8 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.exports import draw_statistics
 from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
-from infrablend.pipeline.runs.warnings import absent_warnings
 from infrablend.rendering import make_renderer
+from infrablend.report.run.run_warnings import absent_warnings
 
 # Objects, about, that are placed for a forecast, and bounds of the number of frames for them.
 _OBJECTS = 60
@@ -56,9 +57,9 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, Any], list[Problem]]:
             placed.append((frame, composer.place(frame)))
         except DatasetError as error:
             unusable.update({p.code for p in error.problems} or ["unusable"])
-    records = [record for _, record in placed]
-    counts = count_objects(plan.recipe, records)
-    draws = draw_statistics(records)
+    rows = [FrameRow.of(record) for _, record in placed]
+    counts = count_objects(plan.recipe, rows)
+    draws = draw_statistics(rows)
     classes = [o.category or plan.models[o.model].category for o in plan.recipe.objects]
     times = len(changed) / len(some)
     found = {
@@ -66,7 +67,7 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, Any], list[Problem]]:
         "unusable": dict(unusable),
         "objects": _objects(classes, counts.get("objects_by_kind", {}), times),
         "left_out": counts.get("objects_left_out", {}),
-        "size_px": _sizes(records),
+        "size_px": _sizes(rows),
         **_cameras(plan, placed),
     }
     nothing = [replace(p, severity="warning") for p in nothing_inserted(plan.recipe, counts, draws)]
@@ -80,12 +81,11 @@ def _objects(classes: Sequence[str], by_kind: Mapping[str, Mapping[str, int]], t
     return {name: round(n * times) for name, n in placed.items()}
 
 
-def _sizes(records: Sequence[FrameRecord]) -> dict[str, dict[str, float]]:
+def _sizes(rows: Sequence[FrameRow]) -> dict[str, dict[str, float]]:
     sizes = defaultdict[str, list[float]](list)
-    for r in records:
-        for label in r.inserted:
-            x0, y0, x1, y1 = label.box_xyxy
-            sizes[label.category].append(max(x1 - x0, y1 - y0))
+    for row in rows:
+        for insert in row.inserts:
+            sizes[insert.category].append(insert.size_px)
     return {name: _spread(values) for name, values in sizes.items()}
 
 

@@ -1,4 +1,4 @@
-"""Carries out a run request: loads the recipe, reads the backgrounds, plans and renders the frames."""
+"""Carries out a run request: reads recipe and backgrounds, plans the frames, and has the plan run."""
 
 from __future__ import annotations
 
@@ -16,38 +16,36 @@ from infrablend.core.output_checks import require_apart
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
-from infrablend.formats import detection
 from infrablend.pipeline.plans.checks import HEIGHT_REPLACED, LENS_REPLACED, PITCH_REPLACED
 from infrablend.pipeline.plans.estimate import estimate_run
 from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.pipeline.plans.planning import make_plan, reading_for
+from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import forecast_objects
 from infrablend.pipeline.runs.make_shards import make_shards, require_packed
 from infrablend.pipeline.runs.run import RunReport, run_plan
-from infrablend.pipeline.storage.mirror import local_folder
 
 
-def generate_run(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
-    """Insert rendered objects into a dataset and write the enlarged dataset with merged labels.
+def run_request(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
+    """Plan a run, and make it: whole, or in shards, here or in object storage.
 
     Raises:
         RecipeError, DatasetError, ModelError, OutputError, RenderError, Interrupted: See `infrablend.errors`.
     """
     if request.out is None:
         raise OutputError("no output folder given, but a run needs one. Set `out` (--out)")
-    plan = prepare_run(request)
-    wanted = _wanted(request, plan)
-    if wanted is not None:
-        shards = wanted.of(len(plan.frames))
-        return make_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
-    return run_plan(plan, request.out, request.execution, request.existing, on_progress)
+    plan = plan_request(request)
+    wanted = _wanted_shards(request, plan)
+    if wanted is None:
+        return run_plan(plan, request.out, request.execution, request.existing, on_progress)
+    shards = wanted.of(len(plan.frames))
+    return make_shards(plan, shards, request.out, request.execution, request.existing, on_progress)
 
 
-def _wanted(request: RunRequest, plan: RunPlan) -> ShardRequest | None:
+def _wanted_shards(request: RunRequest, plan: RunPlan) -> ShardRequest | None:
     """Return the shards to make; None for a run with a file per frame.
 
     Raises:
@@ -67,8 +65,8 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
     With a shard in the request, times are those of one shard and of merging. What is expected of objects and cameras
     is in the fields `expected_...`, see `forecast_objects`.
     """
-    plan = prepare_run(request)
-    wanted = _wanted(request, plan)
+    plan = plan_request(request)
+    wanted = _wanted_shards(request, plan)
     shown = (KEPT, LENS_REPLACED, PITCH_REPLACED, HEIGHT_REPLACED, TIME_REPLACED)
     others = [p for p in plan.problems if p.severity == "warning" and p.code not in (DROPPED, *shown)]
     shards = None if wanted is None else wanted.of(len(plan.frames))[0].count
@@ -102,7 +100,7 @@ def outlook(out: Path, existing: Existing) -> str | None:
     return f"{state}: {then}"
 
 
-def prepare_run(request: RunRequest) -> RunPlan:
+def plan_request(request: RunRequest) -> RunPlan:
     """Load the recipe, read the backgrounds, and plan the frames.
 
     Raises:
@@ -119,16 +117,7 @@ def prepare_run(request: RunRequest) -> RunPlan:
         require_packed(loaded.recipe, request.out)
     if request.out is not None and address_of(request.out) is None and address_of(request.data) is None:
         require_apart(request.data, request.out)
-    root = local_folder(request.data)
-    dataset = detection.read(root, reading_for(loaded.recipe, request.reading, root))
-    plan = make_plan(
-        loaded.recipe,
-        dataset,
-        request.seed,
-        splits=request.reading.splits,
-        selection=request.selection,
-        recipe_warnings=loaded.warnings,
-    )
+    plan = plan_folder(loaded.recipe, request.data, request.seed, request.reading, request.selection, loaded.warnings)
     if request.reading.val_share is not None and "val" not in {f.background.split for f in plan.frames}:
         left_out = [p for p in plan.problems if p.code in LEFT_OUT]
         raise ArgumentError(

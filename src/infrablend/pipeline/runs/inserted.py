@@ -7,15 +7,15 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from infrablend.config.recipe import Recipe
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRow
 from infrablend.errors import Problem
-from infrablend.pipeline.runs.warnings import absent_warnings
+from infrablend.report.run.run_warnings import absent_warnings
 
 NOTHING_INSERTED = "nothing-inserted"
 """Code of the problem of a run, or of an entry of `objects`, that asked for objects and got none."""
 
 
-def count_objects(recipe: Recipe, records: Iterable[FrameRecord]) -> dict[str, Any]:
+def count_objects(recipe: Recipe, rows: Iterable[FrameRow]) -> dict[str, Any]:
     """Return the counts of objects by entry of the recipe, and of those left out or without a label by reason.
 
     Frames with objects placed by hand ask for nothing: their places are not checked.
@@ -24,15 +24,14 @@ def count_objects(recipe: Recipe, records: Iterable[FrameRecord]) -> dict[str, A
     inserted = Counter[int]()
     absent = Counter[str]()
     dropped = Counter[str]()
-    for r in records:
-        if r.scene is None:
+    for row in rows:
+        if row.scene is None:
             continue
-        kinds = [o.kind for o in r.scene.objects]
-        inserted.update(kinds[i.extra["object"]] for i in r.inserted if i.extra.get("object") is not None)
-        absent.update(r.scene.draws.get("absent", {}))
-        dropped.update(d["reason"] for d in r.facts.get("drops", ()))
-        if r.frame_id not in recipe.frames:
-            asked.update({int(kind): n for kind, n in r.scene.draws.get("wanted_by_kind", {}).items()})
+        inserted.update(i.kind for i in row.inserts if i.kind is not None)
+        absent.update(row.absent)
+        dropped.update(row.drops)
+        if row.id not in recipe.frames:
+            asked.update(row.scene.draws.wanted_by_kind)
     by_kind = {f"objects.{k}": {"asked": asked[k], "inserted": inserted[k]} for k in sorted(asked | inserted)}
     found = {"objects_by_kind": by_kind, "objects_left_out": dict(sorted(absent.items()))}
     return {

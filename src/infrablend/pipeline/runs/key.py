@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
+
+from infrablend.errors import OtherSettingsError
+from infrablend.pipeline.plans.plan import RunPlan
 
 _BACKGROUNDS = "backgrounds"
 _SHOWN = 3
@@ -37,6 +41,19 @@ def differences(
         else:
             texts.append(f"{k} was {_short(was.get(k))}, is {_short(now[k])}")
     return list(dict.fromkeys(texts))
+
+
+def require_same_key(previous: Mapping[str, Any], plan: RunPlan, out: Path | str) -> None:
+    """Check that the record of an earlier run, or of a shard, is of the run that is planned.
+
+    Raises:
+        OtherSettingsError: It is of another run; the message lists the differences.
+    """
+    if texts := differences(previous.get("key", {}), plan.key, previous.get("request"), plan.request):
+        raise OtherSettingsError(
+            f"{out}: cannot be resumed because this is a different run: {'; '.join(texts)}. "
+            "Use the same recipe, data, seed, splits and choice of frames, or --overwrite, or another --out."
+        )
 
 
 def _asked_differences(earlier: Mapping[str, Any] | None, asked: Mapping[str, Any] | None) -> list[str]:

@@ -11,22 +11,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
 from infrablend.core.files import read_object, sha256_of_json
 from infrablend.core.ledger import Ledger
-from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
+from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import OnProgress, Progress
-from infrablend.core.workspace import Existing, workspace
+from infrablend.core.workspace import Existing, Workspace
 from infrablend.errors import ArgumentError, OutputError
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.inserted import nothing_inserted
+from infrablend.pipeline.runs.key import require_same_key
 from infrablend.pipeline.runs.packed_shard import pack
-from infrablend.pipeline.runs.run import FrameSource, RunReport, require_same_key, run_in, run_plan
+from infrablend.pipeline.runs.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.runs.shard_table import require_pyarrow
 from infrablend.pipeline.runs.sharded import ShardedRun
 from infrablend.pipeline.storage.store import Store
@@ -167,14 +168,18 @@ def _make(
         return whole
     if run.store is not None and existing == "refuse":
         existing = "resume"  # what a killed job left on this machine; the storage has no such shard
-    with workspace(files.folder / files.name, "shard", RUN_FILE, existing, keep=True) as space:
-        report, record = run_in(space, plan, execution, on_progress, source=source)
-        assert record is not None  # what is finished is packed, and has no folder
+    counts: Mapping[str, object] = {}
+
+    def pack_up(space: Workspace, record: Mapping[str, Any]) -> None:
+        nonlocal counts
         packed = ShardFiles(space.folder, files.name)
         with Ledger.open(space.folder) as ledger:
             counts = pack(plan, RunFolder(space.folder), ledger, packed, record)
         run.publish(packed)
         space.discard()
+
+    folder = files.folder / files.name
+    report = run_plan(plan, folder, execution, existing, on_progress, source=source, finish=pack_up)
     return replace(report, out=Path(run.place), record_file=Path(run.place_of(files.marker)), counts=counts)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from infrablend.annotation.looseness import Looseness
 from infrablend.core.files import flush, read_regular, replace_atomically, sha256_of, write_json
 from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRow
 from infrablend.core.ledger import Ledger
 from infrablend.core.run_folder import RunFolder, ShardFiles
 from infrablend.errors import OutputError
@@ -60,7 +61,8 @@ def pack(
                 tar.add(key, LABEL, label)
                 tar.add(key, SCENE, scene)
                 facts = {"label_sha256": _sha256(label), "scene_sha256": _sha256(scene)}
-                table.add(known, image, key, {**facts, "image_offset": offset, "image_bytes": len(picture)})
+                place: dict[str, int | str] = {**facts, "image_offset": offset, "image_bytes": len(picture)}
+                table.add(FrameRow.of(known), image, key, place)
         flush(table_part)
     counts = {**record["counts"], **looseness.counted(loosened)}
     groups = {c.name: c.supercategory for c in plan.categories}  # for readers, who have no other file with them

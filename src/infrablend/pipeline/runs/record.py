@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -116,6 +117,18 @@ class RunState:
         log.error("frame %s failed (%s): %s: %s", result.key, failure.kind, failure.error, failure.message)
         # At level info: the ledger keeps it, too.
         log.info("traceback of frame %s:\n%s", result.key, failure.traceback)
+
+    def timing(self, started: float, made: float) -> dict[str, Any]:
+        """Return the times of a call that `started`, and had `made` its frames, monotonic clock; now its labels are."""
+        now = time.monotonic()
+        return {
+            "seconds": round(now - started, 3),
+            "frames_seconds": round(made - started, 3),
+            "labels_seconds": round(now - made, 3),
+            "resumed_frames": self.resumed,
+            "worker_seconds": {k: round(v, 3) for k, v in sorted(self.render_seconds.items())},
+            "peak_worker_rss_mb": round(self.peak_rss_bytes / 2**20, 1),
+        }
 
     def problems(self, plan: RunPlan, labels: LabelSummary) -> list[Problem]:
         """Return the problems of the data, of frames and of labels; first that nothing was inserted."""

@@ -14,12 +14,10 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.machine import Device
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, OutputError, Problem
-from infrablend.formats import detection
 from infrablend.formats.reading import Reading
 from infrablend.pipeline.plans.plan import RunPlan
-from infrablend.pipeline.plans.planning import make_plan, reading_for
+from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.selection import FrameSelection
-from infrablend.pipeline.storage.mirror import local_folder
 
 
 @dataclass(frozen=True)
@@ -114,12 +112,7 @@ class RecordedRun:
         Raises:
             InfraBlendError: The backgrounds cannot be read.
         """
-        root = local_folder(data or self.data)
-        dataset = detection.read(root, reading_for(self.recipe, self.reading, root))
-        plan = make_plan(
-            self.recipe, dataset, self.seed, splits=self.reading.splits, selection=self.selection,
-            recipe_warnings=self.warnings,
-        )  # fmt: skip
+        plan = plan_folder(self.recipe, data or self.data, self.seed, self.reading, self.selection, self.warnings)
         return replace(plan, request=self.request)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping
 from functools import cache
 from importlib.util import find_spec
@@ -10,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.dataset import ImageRecord, Instance
-from infrablend.core.frame_record import FrameRecord
-from infrablend.core.scene import SceneSpec
+from infrablend.core.frame_row import FrameRow, SceneRow
 from infrablend.errors import MissingDependencyError
 
 _ROWS = 1000
@@ -62,7 +62,7 @@ class TableWriter:
         import pyarrow.parquet as pq
 
         self._ids = ids
-        self._rows: list[dict[str, Any]] = []
+        self._rows: list[object] = []
         # The compression is stated, because another default would give other bytes.
         self._writer = pq.ParquetWriter(path, _schema(), compression="zstd", version="2.6")
 
@@ -74,36 +74,33 @@ class TableWriter:
             self._write()
         self._writer.close()
 
-    def add(self, record: FrameRecord, image: ImageRecord, key: str, files: Mapping[str, Any]) -> None:
-        """Add a frame: its record, its labels, its key in the tar, and the columns about its files."""
+    def add(self, frame: FrameRow, image: ImageRecord, key: str, files: Mapping[str, int | str]) -> None:
+        """Add a frame: its row, its labels, its key in the tar, and the columns about its files."""
         width, height = image.size_wh or (None, None)
-        reasons: dict[str, int] = {}
-        for item in record.removed:
-            reasons[item["reason"]] = reasons.get(item["reason"], 0) + 1
         row = {
             "key": key,
-            "frame_id": record.frame_id,
+            "frame_id": frame.id,
             "split": image.split,
-            "image": record.image,
+            "image": frame.image,
             "width": width,
             "height": height,
-            "background": record.background.get("id"),
-            "configuration": None if record.scene is None else record.scene.configuration,
+            "background": frame.background,
+            "configuration": None if frame.scene is None else frame.scene.configuration,
             "pitch_deg": image.capture.pitch_deg,
             "altitude_m": image.capture.altitude_m,
             "time_of_day": image.capture.time_of_day,
             "objects": [self._object(i) for i in image.instances],
-            "removed": _counts(reasons),
-            "draws": None if record.scene is None else _draws(record.scene),
-            "background_sha256": record.background.get("sha256"),
-            "image_sha256": record.image_sha256,
+            "removed": _counts(Counter(label.reason for label in frame.removed)),
+            "draws": None if frame.scene is None else _draws(frame.scene),
+            "background_sha256": frame.background_digest,
+            "image_sha256": frame.digest,
             **files,
         }
         self._rows.append(_fitting(row))
         if len(self._rows) == _ROWS:
             self._write()
 
-    def _object(self, instance: Instance) -> dict[str, Any]:
+    def _object(self, instance: Instance) -> dict[str, object]:
         corners = instance.corners_xy
         mask = instance.mask
         return {
@@ -126,19 +123,18 @@ class TableWriter:
             self._rows = []
 
 
-def _draws(scene: SceneSpec) -> dict[str, Any]:
-    draws = scene.draws
+def _draws(scene: SceneRow) -> dict[str, object]:
     return {
-        "wanted": draws.get("wanted"),
-        "attempts": draws.get("attempts"),
-        "first_distance_m": draws.get("first_distance_m"),
-        "distance_m": scene.camera.distance_m,
-        "absent": _counts(draws.get("absent", {})),
-        "rejected": _counts(draws.get("rejected", {})),
+        "wanted": scene.draws.wanted,
+        "attempts": scene.draws.attempts,
+        "first_distance_m": scene.draws.first_distance_m,
+        "distance_m": scene.distance_m,
+        "absent": _counts(scene.draws.absent),
+        "rejected": _counts(scene.draws.rejected),
     }
 
 
-def _counts(reasons: Mapping[str, int]) -> list[dict[str, Any]]:
+def _counts(reasons: Mapping[str, int]) -> list[dict[str, str | int]]:
     return [{"reason": reason, "count": count} for reason, count in sorted(reasons.items())]
 
 

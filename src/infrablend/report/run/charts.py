@@ -8,8 +8,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from infrablend.core.frame_row import FrameRow
 from infrablend.report.figures import compact
-from infrablend.report.run.run_facts import Filters, FrameFacts
+from infrablend.report.run.run_facts import Filters
 
 BINS = 12
 MAP_WH = (8, 6)
@@ -127,7 +128,7 @@ def bin_edges(low: float, high: float, bins: int = BINS) -> list[float]:
     return [float(f"{(start + n) * step:.12g}") for n in range(count + 1)]
 
 
-def position_map(frames: Sequence[FrameFacts], filters: Filters) -> Chart | None:
+def position_map(frames: Sequence[FrameRow], filters: Filters) -> Chart | None:
     """Return a map of the frame that counts the centres of the inserted objects; None without any."""
     columns, rows = MAP_WH
     cells: list[list[int]] = [[] for _ in range(columns * rows)]

@@ -11,92 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from infrablend.core.frame_row import Box, FrameRow, InsertRow, RemovedLabel
 from infrablend.errors import Problem
 
-Box = tuple[float, float, float, float]
 _NEAR = 2.0
 _NEAR_PX = 30.0
-
-
-@dataclass(frozen=True)
-class InsertFacts:
-    """An inserted object that has a label.
-
-    Attributes:
-        category: Class of the label.
-        box_xyxy: Its box, pixels.
-        range_m: Distance from the camera to the object; None if it is not recorded.
-        change_grey: Smaller of the change of its pixels and the change of its box against the ring, 8-bit levels; None
-            if it is not recorded.
-        signed_grey: Contrast against the ring, 8-bit levels, negative for a darker object; None if not measured.
-        visibility: Visible share; None if unknown.
-        track: Name of its track in the run; empty in single pictures.
-    """
-
-    category: str
-    box_xyxy: Box
-    range_m: float | None = None
-    change_grey: float | None = None
-    signed_grey: float | None = None
-    visibility: float | None = None
-    track: str = ""
-
-    @property
-    def size_px(self) -> float:
-        """Longer side of the box."""
-        x0, y0, x1, y1 = self.box_xyxy
-        return max(x1 - x0, y1 - y0)
-
-
-@dataclass(frozen=True)
-class RemovedLabel:
-    """A label that was left out of a frame.
-
-    Attributes:
-        reason: `covered`, `category` or `labels`, see `annotation.merge_labels.Removal`.
-        covered_share: Share of the object under inserted objects.
-        box_xyxy: Its box, pixels; None if it is not recorded.
-    """
-
-    category: str
-    reason: str
-    covered_share: float
-    inserted: bool = False
-    box_xyxy: Box | None = None
-
-
-@dataclass(frozen=True)
-class FrameFacts:
-    """A finished frame; what is not known of it is None.
-
-    Attributes:
-        image: Path of its picture, relative to the folder of the run.
-        background: Names that problems use for its background: id, path, file name.
-        pitch_deg: Pitch of the camera that the objects were rendered with, else of the background.
-        inserts: Labelled inserted objects.
-        removed: Labels that were left out.
-        dropped: Reasons why wanted objects are absent or have no label, one per object.
-        warnings: Codes of the warnings that the frame contributes to.
-        time_from: What its time of day was taken from: `recipe`, `sun` at the time of capture, or None for the dataset.
-    """
-
-    frame_id: str
-    image: str
-    size_wh: tuple[int, int]
-    background: frozenset[str]
-    time_of_day: str | None
-    pitch_deg: float | None
-    altitude_m: float | None
-    inserts: tuple[InsertFacts, ...]
-    removed: tuple[RemovedLabel, ...] = ()
-    dropped: tuple[str, ...] = ()
-    warnings: frozenset[str] = frozenset()
-    time_from: str | None = None
-
-    @property
-    def time_text(self) -> str | None:
-        """Time of day, and what it was taken from where that is not the dataset: `dusk (recipe)`."""
-        return self.time_of_day if self.time_from is None else f"{self.time_of_day} ({self.time_from})"
 
 
 @dataclass(frozen=True)
@@ -127,7 +46,7 @@ class RunFacts:
     excluded: Mapping[str, str]
     timing: Mapping[str, Any]
     machine: Mapping[str, Any]
-    frames: Sequence[FrameFacts]
+    frames: Sequence[FrameRow]
 
 
 @dataclass(frozen=True)
@@ -137,7 +56,7 @@ class RemovedCrop:
     frame: int
     label: RemovedLabel
     box_xyxy: Box
-    cover: InsertFacts | None
+    cover: InsertRow | None
 
     @property
     def window_xyxy(self) -> Box:
@@ -151,7 +70,7 @@ class RemovedCrop:
         return left, top, right, bottom
 
 
-def removed_crops(frames: Sequence[FrameFacts], most: int) -> dict[str, list[RemovedCrop]]:
+def removed_crops(frames: Sequence[FrameRow], most: int) -> dict[str, list[RemovedCrop]]:
     """Return at most `most` removed labels by reason; those of which most can still be seen come first."""
     found: dict[str, list[RemovedCrop]] = {}
     for number, frame in enumerate(frames):
@@ -165,7 +84,7 @@ def removed_crops(frames: Sequence[FrameFacts], most: int) -> dict[str, list[Rem
     }
 
 
-def _cover(box: Box, inserts: Sequence[InsertFacts]) -> InsertFacts | None:
+def _cover(box: Box, inserts: Sequence[InsertRow]) -> InsertRow | None:
     shared = [(_shared_px(box, i.box_xyxy), i) for i in inserts]
     most = max((area for area, _ in shared), default=0.0)
     return next((i for area, i in shared if area == most), None) if most > 0 else None

@@ -13,13 +13,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 from urllib.parse import quote
 
+from infrablend.core.frame_row import Box, FrameRow, InsertRow
+from infrablend.core.run_folder import IMAGES
 from infrablend.errors import Problem
 from infrablend.report.figures import compact, human_seconds
 from infrablend.report.page import page_part, render_page
 from infrablend.report.preview import spread
 from infrablend.report.run.charts import Chart, Share, histogram, position_map, shares
-from infrablend.report.run.run_facts import Box, Filters, FrameFacts, InsertFacts, RemovedCrop, RunFacts, removed_crops
+from infrablend.report.run.run_facts import Filters, RemovedCrop, RunFacts, removed_crops
 from infrablend.report.run.run_pictures import Crop, crop, read_levels, thumbnail
+from infrablend.report.run.run_warnings import warning_codes
 from infrablend.report.run.summary import MEANINGS, plain_summary
 
 Key = TypeVar("Key", str, tuple[str, str])
@@ -80,7 +83,7 @@ def run_page(run: RunFacts) -> str:
     listed = sorted({*spread(len(frames), LISTED), *(k for k, _ in boxes)})
     thumbnails, crops = _pictures(run, listed, boxes)
 
-    def entries(found: Sequence[tuple[int, InsertFacts]]) -> list[dict[str, Any]]:
+    def entries(found: Sequence[tuple[int, InsertRow]]) -> list[dict[str, Any]]:
         return [_insert_entry(k, frames[k], i, crops.get((k, i.box_xyxy))) for k, i in found]
 
     members = filters.classes(len(frames))
@@ -129,7 +132,7 @@ def _tiles(run: RunFacts, filters: Filters) -> list[tuple[str, str, str]]:
     frames = run.frames
     counts = run.counts
     without = [k for k, f in enumerate(frames) if not f.inserts]
-    dropped = sum(len(f.dropped) for f in frames)
+    dropped = sum(len(f.missing) for f in frames)
     removed = sum(len(f.removed) for f in frames)
     rows = [
         (len(frames), "frames", "#frames"),
@@ -147,9 +150,9 @@ def _tiles(run: RunFacts, filters: Filters) -> list[tuple[str, str, str]]:
     return [(str(n), what, link if n else "") for n, what, link in rows if n or what != "tracks"]
 
 
-def _charts(frames: Sequence[FrameFacts], filters: Filters) -> list[Chart]:
+def _charts(frames: Sequence[FrameRow], filters: Filters) -> list[Chart]:
     inserts = [(i, k) for k, f in enumerate(frames) for i in f.inserts]
-    pitches = [(f.pitch_deg, k) for k, f in enumerate(frames)]
+    pitches = [(f.camera_pitch_deg, k) for k, f in enumerate(frames)]
     seen = [(100 * i.visibility, k) for i, k in inserts if i.visibility is not None]
     found = [
         histogram([(i.size_px, k) for i, k in inserts], "Size: longer side of the box", filters, " px"),
@@ -164,13 +167,13 @@ def _charts(frames: Sequence[FrameFacts], filters: Filters) -> list[Chart]:
 
 
 def _share_groups(run: RunFacts, filters: Filters) -> list[tuple[str, list[Share]]]:
-    def rows(key: Callable[[FrameFacts], str], what: str) -> list[Share]:
+    def rows(key: Callable[[FrameRow], str], what: str) -> list[Share]:
         members = _grouped((key(f), k) for k, f in enumerate(run.frames))
         return shares([(name, len(m), f"{len(m)}", filters.add(f"{what}: {name}", m)) for name, m in members.items()])
 
     return [
         ("Frames by time of day", rows(lambda f: f.time_text or "unknown", "Time of day")),
-        ("Frames by split", rows(lambda f: f.frame_id.partition("/")[0], "Split")),
+        ("Frames by split", rows(lambda f: f.id.partition("/")[0], "Split")),
         ("Frames by number of inserted objects", rows(lambda f: str(len(f.inserts)), "Inserted objects per frame")),
     ]
 
@@ -194,7 +197,7 @@ def _class_rows(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
     ]
 
 
-def _removed_rows(frames: Sequence[FrameFacts], filters: Filters) -> list[dict[str, Any]]:
+def _removed_rows(frames: Sequence[FrameRow], filters: Filters) -> list[dict[str, Any]]:
     members = _grouped(((r.reason, r.category), k) for k, f in enumerate(frames) for r in f.removed)
     return [
         {
@@ -207,8 +210,8 @@ def _removed_rows(frames: Sequence[FrameFacts], filters: Filters) -> list[dict[s
     ]
 
 
-def _dropped_rows(frames: Sequence[FrameFacts], filters: Filters) -> list[Share]:
-    members = _grouped((reason, k) for k, f in enumerate(frames) for reason in f.dropped)
+def _dropped_rows(frames: Sequence[FrameRow], filters: Filters) -> list[Share]:
+    members = _grouped((reason, k) for k, f in enumerate(frames) for reason in f.missing)
     most_first = sorted(members.items(), key=lambda m: -len(m[1]))
     return shares(
         [(_why(r), len(m), str(len(m)), filters.add(f"Dropped objects: {_why(r)}", m)) for r, m in most_first]
@@ -217,8 +220,8 @@ def _dropped_rows(frames: Sequence[FrameFacts], filters: Filters) -> list[Share]
 
 def _problem_groups(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
     """Return the problems by code, each with its meaning, the first ones in words, and the frames behind them."""
-    of_name = _grouped((name, k) for k, f in enumerate(run.frames) for name in (f.frame_id, *f.background))
-    of_code = _grouped((code, k) for k, f in enumerate(run.frames) for code in f.warnings)
+    of_name = _grouped((name, k) for k, f in enumerate(run.frames) for name in (f.id, *f.background_names))
+    of_code = _grouped((code, k) for k, f in enumerate(run.frames) for code in warning_codes(f))
     groups: dict[tuple[str, str], list[Problem]] = {}
     for p in run.problems:
         groups.setdefault((p.severity, p.code), []).append(p)
@@ -259,14 +262,14 @@ def _time_rows(timing: Mapping[str, Any]) -> list[Share]:
 
 # ---- frames and crops
 
-Extreme = tuple[str, str, list[tuple[int, InsertFacts]]]
+Extreme = tuple[str, str, list[tuple[int, InsertRow]]]
 
 
-def _extremes(frames: Sequence[FrameFacts]) -> list[Extreme]:
+def _extremes(frames: Sequence[FrameRow]) -> list[Extreme]:
     """Return (title, note, inserts with the numbers of their frames) of the inserts that are worth a look."""
     every = [(k, i) for k, f in enumerate(frames) for i in f.inserts]
 
-    def first(key: Callable[[InsertFacts], float | None], sign: int = 1) -> list[tuple[int, InsertFacts]]:
+    def first(key: Callable[[InsertRow], float | None], sign: int = 1) -> list[tuple[int, InsertRow]]:
         known = [(sign * v, k, i) for k, i in every if (v := key(i)) is not None]
         return [(k, i) for _, k, i in sorted(known, key=lambda e: (e[0], e[1], e[2].box_xyxy))[:CROPS]]
 
@@ -279,9 +282,9 @@ def _extremes(frames: Sequence[FrameFacts]) -> list[Extreme]:
     return [e for e in found if e[2]]
 
 
-def _tracks(frames: Sequence[FrameFacts]) -> list[Extreme]:
+def _tracks(frames: Sequence[FrameRow]) -> list[Extreme]:
     """Return the longest tracks, each at moments spread over its length; empty for single pictures."""
-    of_track: dict[str, list[tuple[int, InsertFacts]]] = {}
+    of_track: dict[str, list[tuple[int, InsertRow]]] = {}
     for k, f in enumerate(frames):
         for i in f.inserts:
             if i.track:
@@ -299,7 +302,7 @@ def _ends_and_between(count: int) -> list[int]:
     return list(range(count)) if count <= CROPS else [k * (count - 1) // (CROPS - 1) for k in range(CROPS)]
 
 
-def _hidden(insert: InsertFacts) -> float | None:
+def _hidden(insert: InsertRow) -> float | None:
     return insert.visibility if insert.visibility is not None and insert.visibility < 0.995 else None
 
 
@@ -314,7 +317,7 @@ def _pictures(
     thumbnails: dict[int, str] = {}
     crops: dict[tuple[int, Box], Crop] = {}
     for k in sorted(shown | of_frame.keys()):
-        pixels = read_levels(run.root / run.frames[k].image)
+        pixels = read_levels(run.root / IMAGES / run.frames[k].image)
         if pixels is None:
             continue
         if k in shown:
@@ -323,39 +326,38 @@ def _pictures(
     return thumbnails, crops
 
 
-def _insert_entry(number: int, frame: FrameFacts, insert: InsertFacts, picture: Crop | None) -> dict[str, Any]:
+def _insert_entry(number: int, frame: FrameRow, insert: InsertRow, picture: Crop | None) -> dict[str, Any]:
     boxes = [("", _rectangle(insert.box_xyxy))]
     text = _describe(insert)
-    return {"number": number, "frame_id": frame.frame_id, "picture": picture, "boxes": boxes, "text": text}
+    return {"number": number, "frame_id": frame.id, "picture": picture, "boxes": boxes, "text": text}
 
 
-def _removed_entry(shown: RemovedCrop, frame: FrameFacts, picture: Crop | None) -> dict[str, Any]:
+def _removed_entry(shown: RemovedCrop, frame: FrameRow, picture: Crop | None) -> dict[str, Any]:
     boxes = [("lost", _rectangle(shown.box_xyxy))]
     _, _, width, height = boxes[0][1]
     text = f"{shown.label.category} {width:.0f} x {height:.0f} px, {100 * shown.label.covered_share:.0f} % covered"
     if shown.cover is not None:
         boxes.append(("", _rectangle(shown.cover.box_xyxy)))
         text += f"; over it: {_describe(shown.cover)}"
-    return {"number": shown.frame, "frame_id": frame.frame_id, "picture": picture, "boxes": boxes, "text": text}
+    return {"number": shown.frame, "frame_id": frame.id, "picture": picture, "boxes": boxes, "text": text}
 
 
-def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: Sequence[str]) -> dict[str, Any]:
+def _frame_entry(number: int, frame: FrameRow, picture: str | None, members: Sequence[str]) -> dict[str, Any]:
     facts = [
-        *([] if frame.pitch_deg is None else [f"pitch {compact(round(frame.pitch_deg, 1))}°"]),
-        *([] if frame.altitude_m is None else [f"altitude {compact(frame.altitude_m)} m"]),
+        *([] if frame.camera_pitch_deg is None else [f"pitch {compact(round(frame.camera_pitch_deg, 1))}°"]),
+        *([] if frame.camera_height_m is None else [f"altitude {compact(frame.camera_height_m)} m"]),
         *([] if frame.time_text is None else [frame.time_text]),
     ]
-    dropped = Counter(frame.dropped)
+    dropped = Counter(frame.missing)
     removed = Counter(r.category for r in frame.removed)
     notes = [f"dropped: {n} {_why(reason)}" for reason, n in sorted(dropped.items())]
     notes += [f"removed labels: {n} {category}" for category, n in sorted(removed.items())]
-    notes += [f"warning {code}" for code in sorted(frame.warnings)]
+    notes += [f"warning {code}" for code in sorted(warning_codes(frame))]
     changes = [i.change_grey for i in frame.inserts if i.change_grey is not None]
-    seen = [i.visibility for i in frame.inserts if i.visibility is not None]
     return {
         "number": number,
-        "frame_id": frame.frame_id,
-        "href": quote(frame.image, errors="replace"),
+        "frame_id": frame.id,
+        "href": quote(f"{IMAGES}/{frame.image}", errors="replace"),
         "picture": picture,
         "size_wh": frame.size_wh,
         "boxes": [_rectangle(i.box_xyxy) for i in frame.inserts[:SHOWN_INSERTS]],
@@ -364,9 +366,9 @@ def _frame_entry(number: int, frame: FrameFacts, picture: str | None, members: S
         "more": max(0, len(frame.inserts) - SHOWN_INSERTS),
         "notes": notes,
         "members": " ".join(members),
-        "size": compact(min((i.size_px for i in frame.inserts), default=None)),
+        "size": compact(frame.size_px),
         "change": compact(min(changes, default=None)),
-        "seen": compact(min(seen, default=None)),
+        "seen": compact(frame.visibility),
     }
 
 
@@ -375,7 +377,7 @@ def _rectangle(box: Box) -> tuple[float, float, float, float]:
     return round(x0, 1), round(y0, 1), round(x1 - x0, 1), round(y1 - y0, 1)
 
 
-def _describe(insert: InsertFacts) -> str:
+def _describe(insert: InsertRow) -> str:
     _, _, width, height = _rectangle(insert.box_xyxy)
     parts = [f"{insert.category} {width:.0f} x {height:.0f} px"]
     if insert.range_m is not None:

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.file_names import leaves_folder
+from infrablend.core.frame_row import Box
 from infrablend.errors import DatasetError
 from infrablend.formats.pictures.images import load_background
 from infrablend.report.preview import to_8_bit
-from infrablend.report.run.run_facts import Box
 
 THUMBNAIL_PX = 200
 CROP_PX = 240

@@ -6,7 +6,8 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from statistics import median_high
 
-from infrablend.report.run.run_facts import FrameFacts, InsertFacts, RunFacts
+from infrablend.core.frame_row import FrameRow, InsertRow
+from infrablend.report.run.run_facts import RunFacts
 
 Sentence = tuple[str, str]
 """A sentence, and the link to the section that it is about; empty for none."""
@@ -76,7 +77,7 @@ def plain_summary(run: RunFacts) -> list[Sentence]:
         text = f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, or cut by the picture's edge."
         found.append((text, "#extremes"))
     found += _times(frames)
-    if dropped := sum(len(f.dropped) for f in frames):
+    if dropped := sum(len(f.missing) for f in frames):
         text = f"{_count(dropped, 'more object')} {_were(dropped)} wanted, but {_are(dropped)} missing or without label"
         found.append((f"{text}, for the reasons listed below.", "#dropped"))
     removed = sum(not r.inserted for f in frames for r in f.removed)
@@ -97,7 +98,7 @@ def plain_summary(run: RunFacts) -> list[Sentence]:
     return found
 
 
-def _inserted(frames: Sequence[FrameFacts], inserts: Sequence[InsertFacts]) -> list[Sentence]:
+def _inserted(frames: Sequence[FrameRow], inserts: Sequence[InsertRow]) -> list[Sentence]:
     """Return what was inserted, and of what size."""
     if not inserts:
         bare = sum(r.inserted for f in frames for r in f.removed)
@@ -119,12 +120,12 @@ def _inserted(frames: Sequence[FrameFacts], inserts: Sequence[InsertFacts]) -> l
     return [*found, (f"{text}; {small} of {len(sizes)} {_are(small)} smaller than {SMALL_PX} pixels.", "#charts")]
 
 
-def _objects(inserts: Sequence[InsertFacts]) -> int:
+def _objects(inserts: Sequence[InsertRow]) -> int:
     """Return the number of objects, each of which a sequence shows in many pictures."""
     return len({i.track for i in inserts if i.track}) + sum(not i.track for i in inserts)
 
 
-def _times(frames: Sequence[FrameFacts]) -> list[Sentence]:
+def _times(frames: Sequence[FrameRow]) -> list[Sentence]:
     times = Counter(f.time_of_day or "at an unknown time" for f in frames)
     text = ", ".join(f"{n} by {t}" if t in ("day", "night") else f"{n} {_at(t)}" for t, n in times.most_common())
     return [(f"Time of day: {text}.", "#charts")] if frames else []

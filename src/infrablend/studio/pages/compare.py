@@ -15,9 +15,10 @@ from nicegui.events import KeyEventArguments
 from starlette.requests import Request
 from starlette.responses import Response
 
+from infrablend.core.frame_row import FrameRow
 from infrablend.errors import InfraBlendError
 from infrablend.studio.comparison import MEASURES, SORTS, Comparison, FramePair, PairView
-from infrablend.studio.frame_index import FrameRow
+from infrablend.studio.frame_index import value_of
 from infrablend.studio.pages.layout import is_pressed, key_button, show_choice, show_error, show_table, when_read
 from infrablend.studio.pages.routes import KEEP, answered
 
@@ -229,10 +230,10 @@ def _count_text(pairs: list[FramePair]) -> str:
 def _facts(rows: tuple[FrameRow | None, FrameRow | None]) -> list[tuple[str, list[str]]]:
     found = [("Frame", ["-" if row is None else row.id for row in rows])]
     for name, title in MEASURES.items():
-        values = [None if row is None else getattr(row, name) for row in rows]
+        values = [None if row is None else value_of(row, name) for row in rows]
         found.append((title, [_value_text(name, value) for value in values]))
     found.append(("Classes", ["-" if row is None else ", ".join(row.classes) or "none" for row in rows]))
-    found.append(("Warnings", ["-" if row is None else "; ".join(row.warnings) or "none" for row in rows]))
+    found.append(("Warnings", ["-" if row is None else "; ".join(row.remarks) or "none" for row in rows]))
     return found
 
 

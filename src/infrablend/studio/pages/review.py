@@ -15,9 +15,10 @@ from nicegui.element import Element
 from nicegui.events import KeyEventArguments
 
 from infrablend.core.capture import TimeOfDay
+from infrablend.core.frame_row import FrameRow, RemovedLabel
 from infrablend.errors import DatasetError, InfraBlendError
 from infrablend.pipeline.runs.review_file import Verdict
-from infrablend.studio.frame_index import SORTS, FrameRow, View
+from infrablend.studio.frame_index import SORTS, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.pages.layout import (
     error_text,
@@ -234,7 +235,7 @@ class ReviewPage:
         seen = self._run.disagreement.get(row.image)
         facts = {
             "Name": row.id,
-            "Inserts": ", ".join(row.classes) + (f" ({row.inserted})" if row.inserted else "none"),
+            "Inserts": ", ".join(row.classes) + (f" ({len(row.inserts)})" if row.inserts else "none"),
             "Smallest": _with_unit(row.size_px, "px"),
             "Visible": None if row.visibility is None else f"{100 * row.visibility:.0f} %",
             "Contrast": _with_unit(row.contrast, "grey levels"),
@@ -252,12 +253,12 @@ class ReviewPage:
                         ui.label(name)
                     with ui.element("dd"):
                         ui.label(value)
-        for text in row.warnings:
+        for text in row.remarks:
             ui.label(text).classes("warn")
-        if row.boxes:
+        if row.inserts:
             ui.html("<h3>Enlarged</h3>", sanitize=False)
             with ui.element("div").classes("crops"):
-                for k in range(min(len(row.boxes), _MOST_CROPS)):
+                for k in range(min(len(row.inserts), _MOST_CROPS)):
                     crop = ui.element("img")
                     crop.props["alt"] = f"Insert {k + 1}, enlarged"
                     crop.props["src"] = f"/run/crop/{self._number}/{k}.png?d={row.digest[:12]}"
@@ -388,7 +389,7 @@ def show_losses(run: OpenedRun) -> None:
     if not found:
         ui.label("No original object lost its label.")
         return
-    counts = Counter(str(loss.get("reason", "unknown")) for _, loss in found)
+    counts = Counter(loss.reason for _, loss in found)
     for reason, count in counts.most_common():
         ui.label(f"{count} {_LOSSES.get(reason, reason)}")
     show_table(("Frame", "Class", "Reason", "Covered"), [_loss_cells(*one) for one in found[:_MOST_LOSSES]])
@@ -398,9 +399,6 @@ def show_losses(run: OpenedRun) -> None:
         )
 
 
-def _loss_cells(frame_id: str, loss: Mapping[str, Any]) -> list[str | tuple[str, str]]:
-    reason = str(loss.get("reason", ""))
-    share = loss.get("covered_share")
-    covered = f"{100 * share:.0f} %" if isinstance(share, int | float) else ""
+def _loss_cells(frame_id: str, loss: RemovedLabel) -> list[str | tuple[str, str]]:
     link = (frame_id, frame_address("/review", frame_id))
-    return [link, str(loss.get("category", "")), _LOSSES.get(reason, reason), covered]
+    return [link, loss.category, _LOSSES.get(loss.reason, loss.reason), f"{100 * loss.covered_share:.0f} %"]

@@ -1,31 +1,31 @@
-"""Warnings about a run as a whole, from the records of its frames."""
+"""Warnings about a run as a whole, from the rows of its frames."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from infrablend.compositing.gain import Doubt
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRow
 from infrablend.errors import Problem
 
 _HEIGHT = "height-at-limit"
 _SUN = "sun-below-horizon"
 
 
-def frame_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+def frame_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
     """Return the warnings about backgrounds, merged into one per kind."""
-    seen: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for r in records:
-        for w in r.warnings:
-            seen.setdefault(w["code"], {}).setdefault(w["where"], w)
+    seen: dict[str, dict[str, Problem]] = {}
+    for row in rows:
+        for w in row.warnings:
+            seen.setdefault(w.code, {}).setdefault(w.where, w)
     warnings = []
-    for code, by_place in sorted(seen.items()):
+    for _, by_place in sorted(seen.items()):
         first = min(by_place)
-        w = by_place[first]
         where = first if len(by_place) == 1 else f"{first} and {len(by_place) - 1} more"
-        warnings.append(Problem(where, code, w["found"], w["expected"], w["todo"], "warning"))
+        warnings.append(replace(by_place[first], where=where, severity="warning"))
     return warnings
 
 
@@ -137,9 +137,9 @@ def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
     return problems
 
 
-def air_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+def air_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
     """Return a warning if radiometric frames have a drawn temperature of the air."""
-    drawn = sum(r.facts.get("matching", {}).get("air") == "drawn" for r in records)
+    drawn = sum(row.air_drawn for row in rows)
     if not drawn:
         return []
     found = f"the temperature of the air is not stated for {drawn} frame(s), and was drawn"
@@ -184,29 +184,33 @@ _DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
 }
 
 
-def track_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+def track_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
     """Return a warning if labels of tracks are of objects that nobody can see in their frame."""
-    faint = sum(len(r.facts.get("faint", ())) for r in records)
+    faint = 0
+    total = 0
+    for row in rows:
+        faint += row.faint
+        total += sum(bool(i.track) for i in row.inserts)
     if not faint:
         return []
-    total = sum(i.track_id is not None for r in records for i in r.inserted)
     found = f"{faint} of {total} labels of tracks are of objects fainter in their frame than the least contrast"
     todo = "the label stays, as its track goes on; see `faint` in the frames' records, or warm the objects (delta_t_k)"
     return [Problem("tracks", "track-faint", found, "objects that can be seen", todo, "warning")]
 
 
-def limit_warnings(records: Sequence[FrameRecord]) -> list[Problem]:
+def limit_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
     """Return a warning per estimate that is not to be trusted in at least a fifth of its frames.
 
     The estimates are the height of the camera (metric placement) and the gain (physical look). A sun that is below the
     horizon by day is a warning wherever it occurs.
     """
-    heights = gains = 0
+    heights = 0
+    gains = 0
     counts: Counter[str] = Counter()
-    for r in records:
-        heights += _height_at_limit(r) is not None
-        gains += bool(_gains(r))
-        counts.update(doubt_codes(r))
+    for row in rows:
+        heights += row.scene is not None and row.scene.at_limit is not None
+        gains += row.estimates_gain
+        counts.update(doubt_codes(row))
     problems = []
     if heights and 5 * counts[_HEIGHT] >= heights:
         found = (
@@ -246,37 +250,22 @@ def horizon_warnings(counts: Mapping[str, Any]) -> list[Problem]:
     return [Problem("camera.pitch", "horizon-absent", text, "pictures with a horizon, or of the sky", todo, "warning")]
 
 
-def _height_at_limit(record: FrameRecord) -> bool | None:
-    """Return whether the corrected height of the camera is at a limit; None if it was not corrected."""
-    view = None if record.scene is None else record.scene.view
-    if view is None or not view.anchors:
-        return None
-    return view.at_limit
-
-
-def _gains(record: FrameRecord) -> list[Mapping[str, Any]]:
-    return list(record.facts.get("matching", {}).get("gain", {}).values())
-
-
-def doubt_codes(record: FrameRecord) -> set[str]:
+def doubt_codes(row: FrameRow) -> set[str]:
     """Return the codes of the doubts about a frame's estimates, one per kind."""
-    codes = {_DOUBTS[kind][0] for gain in _gains(record) for kind in gain["doubts"] if kind in _DOUBTS}
-    if _height_at_limit(record):
+    codes = {code for kind, (code, *_) in _DOUBTS.items() if kind in row.doubts}
+    if row.scene is not None and row.scene.at_limit:
         codes.add(_HEIGHT)
-    weather = None if record.scene is None else record.scene.weather
-    if weather is not None and weather.sun is not None and weather.sun.source == "contradicted":
+    if row.scene is not None and row.scene.sun_contradicted:
         codes.add(_SUN)
     return codes
 
 
-def warning_codes(record: FrameRecord) -> set[str]:
+def warning_codes(row: FrameRow) -> set[str]:
     """Return the codes of the warnings about a run that a frame contributes to, whether or not the run has them."""
-    codes = {str(w["code"]) for w in record.warnings}
-    if record.scene is not None:
-        absent = record.scene.draws.get("absent", {})
-        codes |= {_REASONS[name].code if name in _REASONS else "objects-absent" for name in absent}
-    if record.facts.get("matching", {}).get("air") == "drawn":
+    codes = {w.code for w in row.warnings}
+    codes |= {_REASONS[reason].code if reason in _REASONS else "objects-absent" for reason in row.absent}
+    if row.air_drawn:
         codes.add("air-drawn")
-    if any("window" not in o for o in record.facts.get("occlusion", ())):
+    if not all(row.hidden):
         codes.add("nothing-in-front")
-    return codes | doubt_codes(record)
+    return codes | doubt_codes(row)

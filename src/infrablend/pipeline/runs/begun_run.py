@@ -1,0 +1,235 @@
+"""How a run begins: in an empty folder, or with what an earlier call left there, checked against the plan."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
+from infrablend.core.run_folder import EXCLUDED, RunFolder
+from infrablend.core.typed_command import COMMAND, command_facts
+from infrablend.core.workspace import Workspace
+from infrablend.errors import OtherSettingsError
+from infrablend.formats.pictures.images import output_suffix
+from infrablend.pipeline.plans.levels import dataset_levels, recorded_levels
+from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.plans.run_request import Execution
+from infrablend.pipeline.runs.exports import lost_exports, require_nothing_added
+from infrablend.pipeline.runs.key import require_same_key
+from infrablend.pipeline.runs.record import RUN, RunState, recorded_versions
+
+log = logging.getLogger(__name__)
+
+Choose = Callable[[Mapping[str, str]], Mapping[str, str]]
+"""Returns the frames to leave out from now on, each with its reason, from those that are left out now."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Change of the frames that are left out of a finished run.
+
+    Attributes:
+        choose: Called while no other process can change them.
+        purge: Whether to delete the pictures of all frames that are left out then.
+    """
+
+    choose: Choose
+    purge: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierRun:
+    """What an earlier call left of a run, and what is to do now.
+
+    Attributes:
+        plan: Plan of the run, with its identity and levels as they were recorded.
+        record: Its record.
+        done: Frames that have a picture, by id.
+        excluded: Frames that are left out from now on, each with its reason.
+        todo: Frames to make: without a picture, or of a background that has changed.
+        is_same: Whether nothing is to do but to return the report of the earlier call.
+    """
+
+    plan: RunPlan
+    record: Mapping[str, Any]
+    done: Mapping[str, DoneFrame]
+    excluded: Mapping[str, str]
+    todo: Sequence[PlannedFrame]
+    is_same: bool
+
+
+@dataclass(frozen=True, eq=False)
+class BegunRun:
+    """A run whose ledger is open; it is written by this process alone.
+
+    Attributes:
+        plan: Plan of the frames that are not left out.
+        folder: Its folder, until it is complete a workspace.
+        ledger: Its ledger.
+        header: What its record says before its first frame.
+        todo: Frames to make.
+        state: Counts, updated with each frame.
+        is_new: Whether this call began it.
+    """
+
+    plan: RunPlan
+    folder: RunFolder
+    ledger: Ledger
+    header: Mapping[str, Any]
+    todo: Sequence[PlannedFrame]
+    state: RunState
+    is_new: bool
+
+    @property
+    def finished_frames(self) -> list[PlannedFrame]:
+        """Frames with a picture, in the order of the plan."""
+        return [f for f in self.plan.frames if f.frame_id not in self.state.unfinished]
+
+
+def find_earlier(space: Workspace, plan: RunPlan, execution: Execution, choice: Choice | None) -> EarlierRun | None:
+    """Return what an earlier call left of a run in an open workspace; None if there is nothing.
+
+    Raises:
+        OtherSettingsError: It is of another recipe, data or seed, or of another renderer.
+        OutputError: Its labels have to be written again, which would delete files that somebody put beside them.
+    """
+    folder = RunFolder(space.folder)
+    if not (folder.root / LEDGER).is_file():
+        return None
+    with Ledger.open(folder.root) as ledger:
+        record = ledger.read_run()
+        _require_same_run(record, plan, space.out, execution)
+        plan = replace(plan, run=str(record[RUN]), levels=recorded_levels(record.get("levels")))
+        done = ledger.done()
+        before = ledger.excluded()
+        excluded = dict(before if choice is None else choice.choose(before))
+        todo = _remaining(plan, folder, ledger, done, excluded)
+        exported = list(plan.recipe.output.formats) == record["formats"] and not lost_exports(folder, ledger)
+    is_same = False
+    if space.state == "complete":
+        chosen = excluded != before or (choice is not None and choice.purge)
+        is_same = not todo and not chosen and (exported or plan.shard is not None)
+        if todo:
+            named = ", ".join(f.frame_id for f in todo[:3])
+            log.warning("%d frames were missing, damaged or failed, and are made again: %s", len(todo), named)
+        if not is_same:
+            require_nothing_added(folder, plan)
+    return EarlierRun(plan, record, done, excluded, todo, is_same)
+
+
+def begin_run(space: Workspace, plan: RunPlan, header: Mapping[str, Any]) -> BegunRun:
+    """Begin a run in an empty workspace; `header` is what its record says before its first frame."""
+    header = {**header, **command_facts()}
+    ledger = Ledger.create(space.folder, header)
+    return BegunRun(plan, RunFolder(space.folder), ledger, header, plan.frames, RunState(), is_new=True)
+
+
+def go_on(space: Workspace, earlier: EarlierRun, header: Mapping[str, Any], choice: Choice | None) -> BegunRun:
+    """Open the ledger of an earlier call again, with the frames that are left out from now on put aside."""
+    space.reopen()
+    folder = RunFolder(space.folder)
+    header = {**header, **_command(earlier.record, choice is not None)}
+    ledger = Ledger.open(folder.root, write=True)
+    with contextlib.ExitStack() as unusable:
+        unusable.callback(ledger.close)
+        ledger.write_run({**earlier.record, **header})
+        ledger.exclude(earlier.excluded)
+        _place_excluded(folder, earlier.done, earlier.excluded, purge=choice is not None and choice.purge)
+        unusable.pop_all()
+    frames = tuple(f for f in earlier.plan.frames if f.frame_id not in earlier.excluded)
+    again = {f.frame_id for f in earlier.todo}
+    kept = [earlier.done[f.frame_id] for f in frames if f.frame_id not in again]
+    state = RunState(
+        excluded=len(earlier.plan.frames) - len(frames),
+        resumed=len(kept),
+        inserted=sum(frame.inserted for frame in kept),
+    )
+    return BegunRun(replace(earlier.plan, frames=frames), folder, ledger, header, earlier.todo, state, is_new=False)
+
+
+def with_levels(plan: RunPlan) -> RunPlan:
+    """Return a plan with the range of grey levels of the dataset, measured now if the recipe needs it.
+
+    Raises:
+        DatasetError: It cannot be measured.
+    """
+    if plan.levels is None and plan.needs_levels:
+        return replace(plan, levels=dataset_levels(plan))
+    return plan
+
+
+def _command(previous: Mapping[str, Any], choosing: bool) -> dict[str, Any]:
+    """Return the command line for the record of an unfinished run; a choice of frames keeps that of the run."""
+    if not choosing and (facts := command_facts()):
+        return facts
+    return {k: v for k, v in previous.items() if k == COMMAND}
+
+
+def _remaining(
+    plan: RunPlan, folder: RunFolder, ledger: Ledger, done: Mapping[str, DoneFrame], excluded: Mapping[str, str]
+) -> list[PlannedFrame]:
+    """Return the frames to make: those without a picture of the recorded size, or whose background has changed."""
+    known = ledger.backgrounds()
+    unchanged = dict[str, bool]()
+    output = plan.recipe.output
+    todo = []
+    for frame in plan.frames:
+        if frame.frame_id in excluded:
+            continue
+        row = done.get(frame.frame_id)
+        name = frame.background_id
+        image = frame.image_path(output.group_by, output_suffix(frame.background.path, output.image))
+        if row is None or row.image != image or not folder.has_picture(row):
+            todo.append(frame)
+            continue
+        if name not in unchanged:
+            unchanged[name] = name in known and known[name].is_still(frame.background.path)
+        if not unchanged[name]:
+            log.warning("%s: the background has changed since the frame was made; making it again", frame.frame_id)
+            todo.append(frame)
+    return todo
+
+
+def _place_excluded(
+    folder: RunFolder, done: Mapping[str, DoneFrame], excluded: Mapping[str, str], *, purge: bool
+) -> None:
+    """Move the pictures of excluded frames to `excluded/`, and those of other frames back."""
+    if not excluded and not (folder.root / EXCLUDED).is_dir():
+        return
+    for frame_id, frame in done.items():
+        here = folder.image(frame.image)
+        aside = folder.excluded(frame.image)
+        left_out = frame_id in excluded
+        source, target = (here, aside) if left_out else (aside, here)
+        if source.is_file():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            source.replace(target)
+        if left_out and purge:
+            aside.unlink(missing_ok=True)
+    root = folder.root / EXCLUDED
+    for path in sorted((root, *root.rglob("*")), reverse=True):
+        if path.is_dir() and not any(path.iterdir()):
+            path.rmdir()
+
+
+def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, execution: Execution) -> None:
+    """Refuse to resume if frames would differ; warn if they might."""
+    machine = previous["machine"]
+    renderer = execution.renderer
+    device = execution.device
+    if machine["renderer"] != renderer:
+        raise OtherSettingsError(f"{out}: was rendered with {machine['renderer']}, not {renderer}; use another --out")
+    if machine["device"] != device:
+        was = machine["device"]
+        log.warning(
+            "%s: started with --device %s, resumed with %s; devices may differ by one grey level", out, was, device
+        )
+    versions = previous["packages"]
+    installed = recorded_versions(execution)
+    for name in sorted(n for n in installed if versions.get(n, installed[n]) != installed[n]):
+        log.warning("%s: started with %s %s, resumed with %s", out, name, versions[name], installed[name])
+    require_same_key(previous, plan, out)
