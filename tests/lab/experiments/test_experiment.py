@@ -403,8 +403,8 @@ import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from infrablend import api
-from infrablend.lab.experiments import forecast, makers
-from infrablend.lab.pages import write
+from infrablend.lab.experiments import experiment_forecast, makers
+from infrablend.lab.pages import write_results
 from tests.lab.experiments.test_experiment import Bench, run
 bench = Bench()
 calls = []
@@ -420,8 +420,8 @@ makers.train_dataset = killing("train", bench.train)
 makers.evaluate_detector = killing("evaluate", bench.evaluate)
 makers.generate_run = killing("generate", makers.generate_run)
 makers.compare_evaluations = killing("compare", bench.compare)
-forecast.require_trainer = lambda device: None
-write.draw_plots = lambda facts: []
+experiment_forecast.require_trainer = lambda device: None
+write_results.draw_plots = lambda facts: []
 run("pitch-alignment", Path({data!r}), Path({work!r}))
 """
 

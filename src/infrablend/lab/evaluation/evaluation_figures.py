@@ -15,11 +15,9 @@ from infrablend.detection.detections import FloatArray
 from infrablend.detection.intervals import draw_images, has_several_groups, interval
 from infrablend.detection.matching import SIZE_BINS, ClassMatches, match_all, overlaps
 from infrablend.detection.truth import Case
-from infrablend.lab.evaluation.coco_precision import coco_precisions
 from infrablend.lab.evaluation.precision import (
     MEASURES,
     RECALLS,
-    average_precisions,
     drawn_figures,
     operating_point,
     precision_by_recall,
@@ -59,22 +57,19 @@ def figures(
     """
     names = case.classes
     matches = match_all(case)
-    coco = coco_precisions(case)[0]
-    ours = np.array([average_precisions(m)[0] for m in matches])
-    if not np.allclose(coco, ours, rtol=0, atol=1e-6, equal_nan=True):
-        raise AssertionError("pycocotools and our own matching disagree: a bug")
+    once = np.ones((1, len(case.images)), np.int32)
+    whole = drawn_figures(matches, once)[0]
     weights = draw_images(groups, draws, seed)
     confidence, points = operating_point(matches)
     matrix = confusion_matrix(case, confidence)
-    table = np.array([(np.nanmean(coco[:, 0]), np.nanmean(coco)), *((ap[0], ap.mean()) for ap in coco)])
-    rows = _rows(names, len(case.images), matches, table, drawn_figures(matches, weights), groups)
+    rows = _rows(names, len(case.images), matches, whole, drawn_figures(matches, weights), groups)
     means = [float(np.mean(of)) for of in zip(*(p for p in points if p is not None), strict=True)]
     one = match_all(as_one_class(case), {"all": SIZE_BINS["all"]})
     rows["all"] |= _as_one(one, weights, rows["all"]["ci"])
     targets = found_and_named(case, confidence)
     alarms = false_alarms(case, {"all": one[0], **dict(zip(names, matches, strict=True))}, confidence)
     overlapping = match_all(case, {"all": SIZE_BINS["all"]}, ious=np.array([FOUND_IOU]))
-    at_overlap = drawn_figures(overlapping, np.ones((1, len(case.images)), np.int32))[0, :, 0]
+    at_overlap = drawn_figures(overlapping, once)[0, :, 0]
     for (name, row), point, ap in zip(rows.items(), [means, *points], at_overlap, strict=True):
         row["p"], row["r"] = point or (None, None)
         row["map10"] = None if np.isnan(ap) else float(ap)

@@ -17,7 +17,7 @@ from infrablend.rendering.engine.process import blender_process
 from infrablend.rendering.engine.programs import Program, marker_of, private_environment, python_of
 from infrablend.rendering.engine.system_libraries import install_command, missing_packages
 
-REQUIREMENTS = Path(__file__).resolve().parent.parent / "blender" / "requirements.txt"
+REQUIREMENTS = Path(__file__).resolve().parents[2] / "blender" / "requirements.txt"
 _PYTHON = (3, 11)
 _LAST_LINES = 10
 

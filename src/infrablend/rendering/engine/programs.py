@@ -23,7 +23,7 @@ from infrablend.errors import MissingDependencyError
 VARIABLE = "INFRABLEND_BLENDER"
 OFF = "none"
 TODO = "infrablend blender install"
-_PACKAGE = Path(__file__).resolve().parent.parent
+_PACKAGE = Path(__file__).resolve().parents[2]
 
 # Only this package is importable from its folder: the libraries beside it may be for another version of Python.
 _PACKAGE_ALONE = (
