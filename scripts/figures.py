@@ -1,26 +1,30 @@
 #!/usr/bin/env python
-"""Prints the size and shape of the code: statements, lines, files, long functions, import circles, mode switches, docs.
+"""Prints the size and shape of the code: statements, files, names, records, long functions, import circles, docs.
 
     .venv/bin/python scripts/figures.py            the figures of this tree
     .venv/bin/python scripts/figures.py --list     also the places behind each figure
     .venv/bin/python scripts/figures.py --root DIR the figures of another checkout
 
-A statement is a statement of Python's grammar, docstrings and imports included. A circle is a set of modules that
-import each other, counting imports inside functions and under TYPE_CHECKING.
+A statement is a statement of Python's grammar. Docstrings and imports do not count, and an assignment of N names to N
+values counts as N, so that neither explaining nor packing changes the figure. The core is everything but
+`infrablend.lab`. A circle is a set of modules that import each other, counting imports inside functions and under
+TYPE_CHECKING.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-from collections.abc import Iterator
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 LONG = 45
+LAB = "lab/"
+UNTYPED = re.compile(r"(?:dict|Dict|Mapping)\[str, Any\]")
 # The package of the recipe classes. Looks and placements are taken from tables by the name of the mode.
 RECIPES = "config/"
-# What gives an output folder its name, or marks it as the command's own.
-FOLDER_OWNERS = ("OutputFolder", "Manifest")
 
 
 class Tree:
@@ -37,10 +41,15 @@ class Tree:
         """Number of lines."""
         return sum(text.count("\n") for text in self.texts.values())
 
-    @property
-    def statements(self) -> int:
-        """Number of statements."""
-        return sum(isinstance(node, ast.stmt) for tree in self.modules.values() for node in ast.walk(tree))
+    def statements(self, *, core: bool = False) -> int:
+        """Return the number of statements, of the core alone if that is asked for."""
+        return sum(
+            count_statements(tree.body) for name, tree in self.modules.items() if not (core and name.startswith(LAB))
+        )
+
+    def packages(self) -> list[str]:
+        """Return the names of the packages directly below the folder."""
+        return sorted({name.split("/")[0] for name in self.modules if "/" in name})
 
     def long_functions(self) -> list[str]:
         """Return the functions with more than `LONG` statements, longest first."""
@@ -48,9 +57,43 @@ class Tree:
         for name, tree in self.modules.items():
             for node in ast.walk(tree):
                 if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                    count = sum(isinstance(inner, ast.stmt) for inner in ast.walk(node)) - 1
-                    found += [(count, f"{name}:{node.lineno} {node.name}")] if count > LONG else []
+                    count = count_statements(node.body)
+                    if count > LONG:
+                        found.append((count, f"{name}:{node.lineno} {node.name}"))
         return [f"{place} ({count})" for count, place in sorted(found, reverse=True)]
+
+    def packed(self) -> list[str]:
+        """Return the assignments of several values to as many names."""
+        return [
+            f"{name}:{node.lineno} {ast.unparse(node)}"
+            for name, tree in self.modules.items()
+            for node in ast.walk(tree)
+            if isinstance(node, ast.stmt) and values_assigned(node) > 1
+        ]
+
+    def shared_names(self) -> list[str]:
+        """Return the files whose name another file has, too."""
+        files = [name for name in self.modules if not name.endswith("__init__.py")]
+        times = Counter(name.split("/")[-1] for name in files)
+        return [name for name in files if times[name.split("/")[-1]] > 1]
+
+    def untyped_records(self) -> list[str]:
+        """Return the uses of mappings from text to anything as a type."""
+        return [
+            f"{name}:{number} {line.strip()}"
+            for name, text in self.texts.items()
+            for number, line in enumerate(text.splitlines(), 1)
+            for _ in UNTYPED.findall(line)
+        ]
+
+    def unformatted(self) -> list[str]:
+        """Return the places that the formatter leaves alone."""
+        return [
+            f"{name}:{number}"
+            for name, text in self.texts.items()
+            for number, line in enumerate(text.splitlines(), 1)
+            if "# fmt: skip" in line
+        ]
 
     def switches(self) -> list[str]:
         """Return the `isinstance` on recipe classes and the comparisons of `.mode` outside the recipe classes."""
@@ -70,15 +113,6 @@ class Tree:
                     found.append(f"{name}:{node.lineno} {ast.unparse(node)}")
         return found
 
-    def folder_owners(self) -> list[str]:
-        """Return the calls that claim an output folder or keep a list of its files."""
-        return [
-            f"{name}:{node.lineno} {ast.unparse(node)}"
-            for name, tree in self.modules.items()
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in FOLDER_OWNERS
-        ]
-
     def circles(self, package: str) -> list[list[str]]:
         """Return the sets of modules that import each other."""
         names = {_module(package, path): path for path in self.modules}
@@ -91,6 +125,25 @@ class Tree:
                 circles.append(circle)
                 seen |= {*circle}
         return circles
+
+
+def count_statements(body: Iterable[ast.stmt]) -> int:
+    """Return the number of statements in a body, without docstrings and imports."""
+    return sum(values_assigned(node) for top in body for node in ast.walk(top) if isinstance(node, ast.stmt))
+
+
+def values_assigned(node: ast.stmt) -> int:
+    """Return how often a statement counts: 0 for imports and docstrings, else 1, or as often as it assigns a value."""
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        return 0
+    if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+        return 0
+    if isinstance(node, ast.Assign):
+        target = node.targets[0]
+        value = node.value
+        if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+            return len(value.elts)
+    return 1
 
 
 def _is_class_check(node: ast.AST, classes: set[str]) -> bool:
@@ -157,13 +210,18 @@ def main() -> None:
     asked = parser.parse_args()
     source, tests = Tree(asked.root / "src" / "infrablend"), Tree(asked.root / "tests")
     places = {
+        "packages": source.packages(),
+        "files whose name another file has": source.shared_names(),
+        "records without types": source.untyped_records(),
+        "assignments of several values": source.packed(),
+        "places left alone by the formatter": source.unformatted(),
         f"functions of more than {LONG} statements": source.long_functions(),
         "isinstance on recipe classes, comparisons of modes": source.switches(),
-        "calls that claim an output folder or list its files": source.folder_owners(),
         "import circles": [", ".join(circle) for circle in source.circles("infrablend")],
     }
     figures = {
-        "src: statements": source.statements,
+        "src: statements": source.statements(),
+        "src: statements of the core": source.statements(core=True),
         "src: lines": source.lines,
         "src: files": len(source.modules),
         **{name: len(found) for name, found in places.items()},
