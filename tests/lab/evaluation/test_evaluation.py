@@ -337,8 +337,9 @@ def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
     one = paired([middle], [base], names, weights, groups)
     alike = paired([middle, middle, middle], [base, base], names, weights, groups)
     for name in ("all", *names):
+        repeated: Any = alike[name]["map50"]
         for key, value in one[name]["map50"].items():
-            assert alike[name]["map50"][key] == pytest.approx(value)
+            assert repeated[key] == pytest.approx(value)
     three = paired([low, middle, high], [base], names, weights, groups)
     for name in ("all", *names):
         of = [paired([d], [base], names, weights, groups)[name]["map50"]["ours"] for d in (low, middle, high)]
