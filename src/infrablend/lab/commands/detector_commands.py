@@ -141,7 +141,7 @@ def _evaluation(report: EvaluationReport) -> list[str]:
     from infrablend.lab.pages import evaluation_page as page
     from infrablend.report.figures import decimals, interval
 
-    metrics: Any = report.metrics
+    metrics = report.metrics
     classes = metrics["classes"]
     rows = [[*row, page.class_interval(classes[row[0]]["ci"], "map50_95")] for row in page.table_rows(classes)]
     blocks = [grid([*page.HEAD, "interval"], rows)]
