@@ -174,7 +174,7 @@ def main() -> None:
         sample = ["--sample", str(asked.sample), "--to", every]
         commands[recipe] = ["generate", recipe, *backgrounds(recipe, real), *sample]
     for name, (folder, *options) in CONVERTED.items() if not asked.recipe else ():
-        for written in every.split(","):
+        for written in every.removesuffix(",native").split(","):  # some have no writer of their own
             commands[f"{name} as {written}"] = ["convert", str(real / folder), "--to", written, *options]
     unequal = 0
     for title, command in commands.items():
