@@ -157,9 +157,9 @@ def test_all_shards_of_a_size(small, tmp_path):
     ended = done(*small, "--shard-size", 2, "--json")
     count = len(list(out.glob("*.tar")))
     assert count > 1
-    assert json.loads(ended.stdout)["counts"]["frames"] == sum(
-        pq.read_metadata(p).num_rows for p in out.glob("*.parquet")
-    )
+    counts = json.loads(ended.stdout)["counts"]
+    assert counts["frames"] == sum(pq.read_metadata(p).num_rows for p in out.glob("*.parquet"))
+    assert counts["loosened_by"] == 1.2, "a factor is no count that is added"
     before = contents(out)
     shutil.rmtree(out)
     for number in range(1, count + 1):

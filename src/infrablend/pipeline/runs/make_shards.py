@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import TypeAlias
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
@@ -32,9 +31,6 @@ from infrablend.pipeline.runs.sharded import ShardedRun
 from infrablend.pipeline.storage.store import Store
 
 log = logging.getLogger(__name__)
-
-Counts: TypeAlias = "Mapping[str, int | Counts]"
-"""Counts of a record by name, some of them in groups."""
 
 
 def require_packed(recipe: Recipe, out: Path) -> None:
@@ -89,7 +85,7 @@ def make_shards(
             progress = None if on_progress is None else _progress_of_all(on_progress, before, total)
             reports.append(_make(run, part, shard, execution, existing, progress, source))
             before += len(frames)
-    counts = reduce(_added, (r.counts for r in reports))
+    counts: Mapping[str, object] = reduce(_added, (r.counts for r in reports))
     whole = len(shards) == shards[0].count  # a part alone may have no object of a kind
     nothing = tuple(nothing_inserted(plan.recipe, counts)) if whole else ()
     problems = nothing + tuple(p for r in reports for p in r.problems)
@@ -98,16 +94,17 @@ def make_shards(
     return RunReport(out, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
 
 
-def _added(a: Counts, b: Counts) -> Counts:
-    """Return the sums of two sets of counts, nested ones as well."""
+def _added(a: Mapping[str, object], b: Mapping[str, object]) -> dict[str, object]:
+    """Return the sums of two sets of counts, nested ones as well; what is no count, as a factor, is equal in both."""
     found = dict(a)
     for name, value in b.items():
-        known = found.get(name, 0)
-        if isinstance(value, int):
-            assert isinstance(known, int)  # the same field of the same kind of record
+        known = found.get(name)
+        if isinstance(known, int) and isinstance(value, int):
             found[name] = known + value
+        elif isinstance(known, Mapping) and isinstance(value, Mapping):
+            found[name] = _added(known, value)
         else:
-            found[name] = _added({} if isinstance(known, int) else known, value)
+            found[name] = value
     return found
 
 
