@@ -12,14 +12,13 @@ from dataclasses import replace
 from functools import reduce
 from pathlib import Path
 
-from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
 from infrablend.core.files import read_object, sha256_of_json
 from infrablend.core.ledger import Ledger
 from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import OnProgress, Progress
-from infrablend.core.workspace import Existing, workspace
-from infrablend.errors import ArgumentError, OutputError
+from infrablend.core.workspace import Existing, is_being_written, partial_of, workspace
+from infrablend.errors import OutputError
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import Shard
@@ -31,19 +30,6 @@ from infrablend.pipeline.runs.sharded import ShardedRun
 from infrablend.pipeline.storage.store import Store
 
 log = logging.getLogger(__name__)
-
-
-def require_packed(recipe: Recipe, out: Path) -> None:
-    """Check that a run in object storage has packed shards.
-
-    Raises:
-        ArgumentError: Its layout has a file per frame.
-    """
-    if (address := address_of(out)) is not None and recipe.output.layout != "shards":
-        raise ArgumentError(
-            f"out: found {address} and output.layout: files, expected packed shards in object storage. Add "
-            "--set output.layout=shards; `infrablend merge` makes files of them"
-        )
 
 
 def make_shards(
@@ -159,12 +145,16 @@ def _make(
     if plan.recipe.output.layout == "files":
         return run_plan(plan, run.folder_of(shard).root, execution, existing, on_progress, source=source)
     files = run.files_of(shard)
+    place = files.folder / files.name
     run.refresh(files.marker.name)
     if (whole := _whole(run, plan, shard, existing)) is not None:
+        if partial_of(place).is_dir() and not is_being_written(place):  # left by a kill after the record had appeared
+            with workspace(place, "shard", RUN_FILE, existing, keep=True) as space:
+                space.discard()
         return whole
     if run.store is not None and existing == "refuse":
         existing = "resume"  # what a killed job left on this machine; the storage has no such shard
-    with workspace(files.folder / files.name, "shard", RUN_FILE, existing, keep=True) as space:
+    with workspace(place, "shard", RUN_FILE, existing, keep=True) as space:
         report, record = run_in(space, plan, execution, on_progress, source=source)
         assert record is not None  # what is finished is packed, and has no folder
         packed = ShardFiles(space.folder, files.name)
