@@ -137,7 +137,9 @@ def test_busy_and_slow_storage_is_ridden_out(dataset, server, tmp_path):
     assert hashes(tmp_path / "merged") == hashes(tmp_path / "whole")
 
 
-def test_storage_that_cannot_be_written(dataset, server):
+def test_storage_that_cannot_be_written(dataset, server, monkeypatch):
+    from infrablend.rendering import flat
+
     server.rule = lambda method, path, _: FORBIDDEN if method in ("PUT", "POST") and ".tar" in path else None
     ended = run(*shard(dataset, server, "1/2"))
     assert ended.exit_code == 3, ended.output
@@ -147,6 +149,7 @@ def test_storage_that_cannot_be_written(dataset, server):
     assert len(scratch_left()) == 1, "what was rendered is kept"
     server.rule = None
     server.requests.clear()
+    monkeypatch.setattr(flat.FlatRenderer, "render", _fail)  # and copied: nothing is rendered again
     done(*shard(dataset, server, "1/2"))
     assert server.names() == [*FIRST, SHARDS_FILE]
     assert scratch_left() == []

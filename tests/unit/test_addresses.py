@@ -9,8 +9,9 @@ from infrablend import api
 from infrablend.cli.call_state import LogFileHandler
 from infrablend.core.addresses import address_of, require_folder, require_known, shown, without_user
 from infrablend.core.files import write_bytes
-from infrablend.errors import ArgumentError, DatasetError
+from infrablend.errors import ArgumentError, DatasetError, MissingDependencyError, StorageError
 from infrablend.pipeline.plans.run_request import RunRequest
+from infrablend.pipeline.storage.store import Store
 from tests.command_line import run
 
 ADDRESS = "s3://key:secret@bucket/run"
@@ -104,7 +105,7 @@ def test_commands_that_need_a_folder_show_what_to_do() -> None:
 
 
 def test_addresses_survive_paths() -> None:
-    for text in ("s3://bucket/a/b", "gs://b/c", "hf://datasets/user/name/run"):
+    for text in ("s3://bucket/a/b", "gs://b/c", "hf://datasets/user/name/run", "az://container/run"):
         assert address_of(text) == address_of(Path(text)) == address_of(f"{text}/") == shown(Path(text)) == text
         require_known("out", Path(text))
     assert address_of("runs/full") is None
@@ -117,6 +118,16 @@ def test_addresses_survive_paths() -> None:
 def test_addresses_that_are_refused(text: str) -> None:
     with pytest.raises(ArgumentError, match=r"^out: found "):
         require_known("out", Path(text))
+
+
+@pytest.mark.parametrize(
+    ("address", "says"),
+    [("abfs://container/run", "adlfs"), ("gs://bucket/run", "gcsfs"), ("nonsense://bucket/run", "nonsense")],
+)
+def test_storage_without_its_package_is_named(address: str, says: str) -> None:
+    pytest.importorskip("fsspec", reason="NEEDS FSSPEC")
+    with pytest.raises((MissingDependencyError, StorageError), match=says):
+        Store(address)
 
 
 @pytest.mark.parametrize(

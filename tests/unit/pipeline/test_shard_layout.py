@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import shlex
 import shutil
 import tarfile
@@ -13,7 +14,7 @@ import pytest
 
 from infrablend import api
 from infrablend.core.ledger import Ledger
-from infrablend.core.workspace import workspace
+from infrablend.core.workspace import Workspace, workspace
 from infrablend.formats.labels import shard_tar
 from infrablend.pipeline.runs import shard_table
 from tests.command_line import done, run
@@ -157,9 +158,9 @@ def test_all_shards_of_a_size(small, tmp_path):
     ended = done(*small, "--shard-size", 2, "--json")
     count = len(list(out.glob("*.tar")))
     assert count > 1
-    assert json.loads(ended.stdout)["counts"]["frames"] == sum(
-        pq.read_metadata(p).num_rows for p in out.glob("*.parquet")
-    )
+    counts = json.loads(ended.stdout)["counts"]
+    assert counts["frames"] == sum(pq.read_metadata(p).num_rows for p in out.glob("*.parquet"))
+    assert counts["loosened_by"] == 1.2, "a factor is no count that is added"
     before = contents(out)
     shutil.rmtree(out)
     for number in range(1, count + 1):
@@ -194,6 +195,20 @@ def test_a_kill_before_any_rename_is_finished(dataset, tmp_path, monkeypatch):
         assert contents(out) == expected
         # A kill may leave a temporary plan, which is hidden and has a name of its own.
         assert [name for name in names(out) if not name.startswith(".shards.")] == listed
+
+
+def test_a_kill_after_the_record_leaves_no_frames_behind(small, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    with monkeypatch.context() as patch:
+        patch.setattr(Workspace, "discard", lambda self: os._exit(137))
+        run_until_killed(10**6, lambda: run(*small, "--shard", "1/2"))
+    left = out / ".shard-00001-of-00002.partial"
+    assert left.is_dir()
+    assert json.loads(run("status", out, "--json").stdout)["states"] == {"done": 1, "missing": 1}
+    before = contents(out)
+    done(*small, "--shard", "1/2", "--resume")
+    assert contents(out) == before
+    assert not left.exists()
 
 
 def test_damaged_shards_are_named_and_made_again(small, tmp_path):

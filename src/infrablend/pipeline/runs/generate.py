@@ -25,7 +25,7 @@ from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import forecast_objects
-from infrablend.pipeline.runs.make_shards import make_shards, require_packed
+from infrablend.pipeline.runs.make_shards import make_shards
 from infrablend.pipeline.runs.run import RunReport, run_plan
 
 
@@ -113,9 +113,13 @@ def plan_request(request: RunRequest) -> RunPlan:
                 f"{option} {as_text(str(path))!r}: a path that is not UTF-8; expected a path that the run record "
                 "(JSON) can hold. Rename the folder, or use a link to it"
             )
-    if request.out is not None:
-        require_packed(loaded.recipe, request.out)
-    if request.out is not None and address_of(request.out) is None and address_of(request.data) is None:
+    address = None if request.out is None else address_of(request.out)
+    if address is not None and loaded.recipe.output.layout != "shards":
+        raise ArgumentError(
+            f"out: found {address} and output.layout: files, expected packed shards in object storage. Add "
+            "--set output.layout=shards; `infrablend merge` makes files of them"
+        )
+    if request.out is not None and address is None and address_of(request.data) is None:
         require_apart(request.data, request.out)
     plan = plan_folder(loaded.recipe, request.data, request.seed, request.reading, request.selection, loaded.warnings)
     if request.reading.val_share is not None and "val" not in {f.background.split for f in plan.frames}:

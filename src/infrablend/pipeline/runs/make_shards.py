@@ -11,16 +11,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import reduce
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
-from infrablend.config.recipe import Recipe
 from infrablend.core.addresses import address_of
 from infrablend.core.files import read_object, sha256_of_json
 from infrablend.core.ledger import Ledger
-from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
+from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import OnProgress, Progress
-from infrablend.core.workspace import Existing, Workspace
-from infrablend.errors import ArgumentError, OutputError
+from infrablend.core.workspace import Existing, Workspace, is_being_written, partial_of, workspace
+from infrablend.errors import OutputError
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.shard import Shard
@@ -33,22 +32,6 @@ from infrablend.pipeline.runs.sharded import ShardedRun
 from infrablend.pipeline.storage.store import Store
 
 log = logging.getLogger(__name__)
-
-Counts: TypeAlias = "Mapping[str, int | Counts]"
-"""Counts of a record by name, some of them in groups."""
-
-
-def require_packed(recipe: Recipe, out: Path) -> None:
-    """Check that a run in object storage has packed shards.
-
-    Raises:
-        ArgumentError: Its layout has a file per frame.
-    """
-    if (address := address_of(out)) is not None and recipe.output.layout != "shards":
-        raise ArgumentError(
-            f"out: found {address} and output.layout: files, expected packed shards in object storage. Add "
-            "--set output.layout=shards; `infrablend merge` makes files of them"
-        )
 
 
 def make_shards(
@@ -90,7 +73,7 @@ def make_shards(
             progress = None if on_progress is None else _progress_of_all(on_progress, before, total)
             reports.append(_make(run, part, shard, execution, existing, progress, source))
             before += len(frames)
-    counts = reduce(_added, (r.counts for r in reports))
+    counts: Mapping[str, object] = reduce(_added, (r.counts for r in reports))
     whole = len(shards) == shards[0].count  # a part alone may have no object of a kind
     nothing = tuple(nothing_inserted(plan.recipe, counts)) if whole else ()
     problems = nothing + tuple(p for r in reports for p in r.problems)
@@ -99,16 +82,17 @@ def make_shards(
     return RunReport(out, counts, problems, sum(r.seconds for r in reports), out / SHARDS_FILE)
 
 
-def _added(a: Counts, b: Counts) -> Counts:
-    """Return the sums of two sets of counts, nested ones as well."""
+def _added(a: Mapping[str, object], b: Mapping[str, object]) -> dict[str, object]:
+    """Return the sums of two sets of counts, nested ones as well; what is no count, as a factor, is equal in both."""
     found = dict(a)
     for name, value in b.items():
-        known = found.get(name, 0)
-        if isinstance(value, int):
-            assert isinstance(known, int)  # the same field of the same kind of record
+        known = found.get(name)
+        if isinstance(known, int) and isinstance(value, int):
             found[name] = known + value
+        elif isinstance(known, Mapping) and isinstance(value, Mapping):
+            found[name] = _added(known, value)
         else:
-            found[name] = _added({} if isinstance(known, int) else known, value)
+            found[name] = value
     return found
 
 
@@ -163,8 +147,12 @@ def _make(
     if plan.recipe.output.layout == "files":
         return run_plan(plan, run.folder_of(shard).root, execution, existing, on_progress, source=source)
     files = run.files_of(shard)
+    place = files.folder / files.name
     run.refresh(files.marker.name)
     if (whole := _whole(run, plan, shard, existing)) is not None:
+        if partial_of(place).is_dir() and not is_being_written(place):  # left by a kill after the record had appeared
+            with workspace(place, "shard", RUN_FILE, existing, keep=True) as space:
+                space.discard()
         return whole
     if run.store is not None and existing == "refuse":
         existing = "resume"  # what a killed job left on this machine; the storage has no such shard
@@ -178,8 +166,7 @@ def _make(
         run.publish(packed)
         space.discard()
 
-    folder = files.folder / files.name
-    report = run_plan(plan, folder, execution, existing, on_progress, source=source, finish=pack_up)
+    report = run_plan(plan, place, execution, existing, on_progress, source=source, finish=pack_up)
     return replace(report, out=Path(run.place), record_file=Path(run.place_of(files.marker)), counts=counts)
 
 
