@@ -59,14 +59,16 @@ def realism(
 
 
 def _realism_lines(compared: api.RealismReport) -> list[str]:
-    from infrablend.lab.pages.realism_report import check_rows
+    from infrablend.lab.pages.realism_report import check_table
 
     lines = []
     for name, facts in compared.facts["classes"].items():
         lines.append(table({name: "", **_class_rows(facts)}))
         lines += [
             f"  {contrast}: real {real}, inserted {inserted}, {found} ({required}): {holds}"
-            for contrast, real, inserted, found, required, holds in check_rows(facts["contrast"])
+            for contrast, real, inserted, found, required, holds in check_table(
+                [("", *of) for of in facts["contrast"].items()]
+            ).rows
         ]
     return [*lines, str(compared.out / "realism.html")]
 

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -45,6 +45,7 @@ from infrablend.lab.evaluation.evaluation_comparison import (
     write_matches,
 )
 from infrablend.lab.evaluation.evaluation_figures import figures, list_found
+from infrablend.lab.evaluation.evaluation_record import EvaluationRecord
 from infrablend.lab.evaluation.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.lab.evaluation.small_targets import BODY_BINS, NO_BODY_PX, body_sizes
 from infrablend.lab.evaluation.tracking import require_trackers
@@ -152,10 +153,11 @@ def evaluate_detector(
             "problems": [p.to_json() for p in problems],
         }
         write_matches(space.folder / MATCHES, stored)
-        plots = draw_plots(facts)
+        record = cast(EvaluationRecord, facts)
+        plots = draw_plots(record)
         for name, data in plots.items():
             write_bytes(space.folder / PLOTS / name, data)
-        write_text(space.folder / PAGE, evaluation_page(facts, plots))
+        write_text(space.folder / PAGE, evaluation_page(record, plots))
         space.finish(facts)
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
 

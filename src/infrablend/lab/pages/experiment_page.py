@@ -11,8 +11,9 @@ from typing import Any
 
 from infrablend.annotation.looseness import looseness_text
 from infrablend.core.dataset import SPLITS
-from infrablend.lab.pages.evaluation_page import FOUND_HEAD, found_rows, found_title
-from infrablend.report.figures import markdown_table, stratum_order
+from infrablend.lab.pages.evaluation_page import found_table
+from infrablend.report.figures import stratum_order
+from infrablend.report.page import Table, bullets, markdown_page
 
 _STRATA = {
     "size": "longer side, px", "body": "longer side of the body, px", "pitch": "camera pitch, °",
@@ -58,7 +59,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
     """
     stem = stem or page_name(facts["experiment"], facts["scale"])
     evaluations = facts["evaluations"]
-    left_out = "\n".join(f"* `{name}`: {why}." for name, why in facts["left_out"].items())
+    left_out = bullets(f"`{name}`: {why}." for name, why in facts["left_out"].items())
     elsewhere = ", ".join(f"`{n}`" for n in facts["at_other_scales"])
     blocks = [
         f"# {facts['title']}",
@@ -84,7 +85,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         _SMOKE if facts["checks"] and facts["scale"] == "smoke" else "",
         *(["## Paired differences", *_comparisons(facts["comparisons"])] if facts["comparisons"] else []),
         "## What differs from the paper",
-        "\n".join(f"* {line}" for line in list_differences(facts)),
+        bullets(list_differences(facts)),
         *(["## Plots", *(f"![{title}]({name})" for name, title in plots)] if plots else []),
         *_ultralytics(evaluations),
         *_found_by(facts["tables"], evaluations),
@@ -95,7 +96,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         _provenance(facts),
         f"All figures: [{stem}.json]({stem}.json). All experiments: [index]({INDEX_FILE}).",
     ]
-    return "\n\n".join(block for block in blocks if block) + "\n"
+    return markdown_page(blocks)
 
 
 def _unfinished(facts: Mapping[str, Any]) -> str:
@@ -127,7 +128,7 @@ def _figures_table(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str]) ->
                 cell += f" ({extent[0]:.3f} to {extent[1]:.3f})"
             cells.append(cell)
         lines.append(cells)
-    text = markdown_table(["", *(k.capitalize() for k in shown), *(METRICS[k] for k in metrics)], lines)
+    text = Table(["", *(k.capitalize() for k in shown), *(METRICS[k] for k in metrics)], lines).markdown()
     if several := max((len(r.get("means_of", ())) for r in rows), default=0):
         text += f"\n\nRows with a range in round brackets show means of {several} trainings, smallest to largest."
     why = sorted({f"{r['title']}: {r['missing']}" for r in rows if r["missing"]})
@@ -139,8 +140,9 @@ def _found_lists(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     for name, evaluation in evaluations.items():
         if listed := evaluation.get("first_detections"):
             yield f"## Found and missed: `{name}`"
-            yield f"{found_title(listed)}."
-            yield markdown_table(FOUND_HEAD, found_rows(listed))
+            table = found_table(listed)
+            yield f"{table.title}."
+            yield table.markdown()
 
 
 def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -152,7 +154,7 @@ def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
         cells.append(paper_and_ours(", ".join(paper["labels"]), ", ".join(ours.get("labels", ())), "s"))
         objects = f"{ours['instances']:,} of {', '.join(ours['names'])}" if ours else f"- ({r['missing']})"
         lines.append([r["title"], *cells, objects])
-    return markdown_table(["Dataset", "Images", "Classes", "Labels", "Objects (ours)"], lines)
+    return Table(["Dataset", "Images", "Classes", "Labels", "Objects (ours)"], lines).markdown()
 
 
 def _claims_table(checks: Sequence[Mapping[str, Any]]) -> str:
@@ -164,26 +166,19 @@ def _claims_table(checks: Sequence[Mapping[str, Any]]) -> str:
         elif "ratio" in c:
             found = f"{c['ratio']:.3f} = {c['values'][0]:.3f} / {c['values'][1]:.3f}"
         else:
-            found = f"{c['difference']:+.3f} [{c['ci'][0]:+.3f}, {c['ci'][1]:+.3f}]"
+            found = _difference(c)
             if c.get("same_sign") is not None:
                 found += f", sign kept in {100 * c['same_sign']:.0f} % of the draws"
         expected = _EXPECTED[c["expect"]].format(least=c.get("least") or 0)
         lines.append([c["text"], f"{c['class']}, {METRICS[c['metric']]}", expected, found, verdict])
-    return markdown_table(["Claim", "Class and metric", "Expected", "Found", "Holds"], lines)
+    return Table(["Claim", "Class and metric", "Expected", "Found", "Holds"], lines).markdown()
 
 
 def _comparisons(comparisons: Mapping[str, Mapping[str, Any]]) -> list[str]:
     lines = []
     for c in comparisons.values():
         for name in sorted(c["classes"], key=class_order):
-            of_class = c["classes"][name]
-            cells = []
-            for k in ("map50", "map50_95"):
-                d = of_class.get(k)
-                ci = d.get("ci") if d else None
-                interval = f" [{ci[0]:+.3f}, {ci[1]:+.3f}]" if ci else ""
-                cells.append("-" if d is None else f"{d['difference']:+.3f}{interval}")
-            lines.append([c["title"], name, *cells])
+            lines.append([c["title"], name, *(_difference(c["classes"][name].get(k)) for k in ("map50", "map50_95"))])
     note = (
         "Both detectors are evaluated on the same images and the same bootstrap draws; in brackets the 95 % interval."
     )
@@ -194,7 +189,15 @@ def _comparisons(comparisons: Mapping[str, Mapping[str, Any]]) -> list[str]:
         )
     else:
         note += " It does not include the spread between training seeds."
-    return [markdown_table(["Difference", "Class", "mAP50", "mAP50-95"], lines), note]
+    return [Table(["Difference", "Class", "mAP50", "mAP50-95"], lines).markdown(), note]
+
+
+def _difference(found: Mapping[str, Any] | None) -> str:
+    """Return a difference and, in brackets, its interval, if there is one."""
+    if found is None:
+        return "-"
+    ends = f" [{found['ci'][0]:+.3f}, {found['ci'][1]:+.3f}]" if found.get("ci") else ""
+    return f"{found['difference']:+.3f}{ends}"
 
 
 def _ultralytics(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
@@ -203,7 +206,7 @@ def _ultralytics(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     lines = [[c, *(_ap_pair(t.get(c)) for t in tables.values())] for c in classes]
     if tables:
         yield "## The same figures from Ultralytics' own validation"
-        yield markdown_table(["mAP50 / mAP50-95", *tables], lines)
+        yield Table(["mAP50 / mAP50-95", *tables], lines).markdown()
 
 
 def _ap_pair(figures: Mapping[str, Any] | None) -> str:
@@ -236,7 +239,7 @@ def _found_by(tables: Sequence[Mapping[str, Any]], evaluations: Mapping[str, Map
         lines = [[t, *(f"{a / n:.2f} of {n:,}" if n else "-" for a, n in row)] for t, row in cells.items()]
         yield "## Found, by size and visible share"
         yield "Share of the objects that any detection overlaps, at the confidence of the best F1, over all trainings."
-        yield markdown_table(["", *words], lines)
+        yield Table(["", *words], lines).markdown()
 
 
 def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iterator[str]:
@@ -251,7 +254,7 @@ def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iter
             if any(r and r["instances"] for r in rows):
                 lines.append([stratum, *(f"{_ap_pair(r)} of {r['instances']:,}" if r else "-" for r in rows)])
         if lines:
-            tables.append(markdown_table([words, *found], lines))
+            tables.append(Table([words, *found], lines).markdown())
     if tables:
         yield f"## By size, pitch, altitude and time: {'all classes' if category == 'all' else category}"
         yield "mAP50 / mAP50-95, and the number of objects."
@@ -261,7 +264,7 @@ def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iter
 def _stages_table(stages: Sequence[Mapping[str, Any]]) -> str:
     lines = [[f"`{s['stage']}`", f"`{s['key']}`", paper_and_ours(None, s["images"], ","), _status(s)] for s in stages]
     total = sum(s["seconds"] or 0 for s in stages)
-    return markdown_table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", _duration(total)]])
+    return Table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", _duration(total)]]).markdown()
 
 
 def _status(stage: Mapping[str, Any]) -> str:
@@ -274,11 +277,10 @@ def _status(stage: Mapping[str, Any]) -> str:
 
 
 def _provenance(facts: Mapping[str, Any]) -> str:
-    lines = [f"* {k.replace('_', ' ')}: {', '.join(str(v) for v in values)}" for k, values in facts["hardware"].items()]
+    lines = [f"{k.replace('_', ' ')}: {', '.join(str(v) for v in values)}" for k, values in facts["hardware"].items()]
     versions = ", ".join(f"{k} {'/'.join(v)}" for k, v in facts["versions"].items())
-    lines += [f"* versions: {versions}"] if versions else []
-    lines += [f"* seed: {facts['seed']}", f"* commit: {', '.join(facts['commits']) or 'not a checkout'}"]
-    return "\n".join(lines)
+    lines += [f"versions: {versions}"] if versions else []
+    return bullets([*lines, f"seed: {facts['seed']}", f"commit: {', '.join(facts['commits']) or 'not a checkout'}"])
 
 
 def page_name(experiment: str, scale: str) -> str:

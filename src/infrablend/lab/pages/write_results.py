@@ -20,7 +20,7 @@ from infrablend.lab.pages.experiment_page import (
     paper_and_ours,
     run_state,
 )
-from infrablend.report.figures import markdown_table
+from infrablend.report.page import Table, markdown_page
 
 # Figures of the charts that the JSON does not keep.
 _NOT_KEPT = ("curves", "confusion")
@@ -105,7 +105,7 @@ def index_text(out: Path) -> str:
     if (out / _REALISM).is_file():
         intro += f" `infrablend realism` writes the page on [inserted and real objects side by side]({_REALISM})."
     head = ["Experiment", "Scale", "Status", "First row, mAP50: paper → ours", "Conclusions that hold"]
-    return "\n\n".join(["# Results", intro, markdown_table(head, rows) if rows else "No results yet."]) + "\n"
+    return markdown_page(["# Results", intro, Table(head, rows).markdown() if rows else "No results yet."])
 
 
 def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
