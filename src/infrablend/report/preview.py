@@ -205,7 +205,14 @@ def _with_names(
         if y < 0:  # no room above: below, or inside at the top
             y = round(y1) + 2 if round(y1) + 2 + h <= canvas.shape[0] else max(0, round(y0) + 2)
         colour = of_inserted if i.inserted else _ORIGINAL_NAME
-        pen.text((x + 2 - left, y + 2 - top), text, fill=colour, font=font, stroke_width=1, stroke_fill=PAPER)
+        pen.text(
+            (x + 2 - left, y + 2 - top),
+            text,
+            fill=colour,
+            font=font,
+            stroke_width=2 if i.inserted else 1,
+            stroke_fill=PAPER,
+        )
     return np.asarray(image)
 
 
