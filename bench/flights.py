@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from infrablend.formats.cameras.rjpeg_writing import MAKERS, Shot, radiometric_jpeg
+from infrablend.lab.world.rjpeg_writing import MAKERS, Shot, radiometric_jpeg
 
 LIMIT_S = 20.0
 SHAPE = (512, 640)

@@ -24,7 +24,7 @@ from tests.flight_fuzzing import TooSlow, damage, exercise  # noqa: E402
 from tests.flights import shot  # noqa: E402
 from tests.fuzzing import make_outside  # noqa: E402
 
-from infrablend.formats.cameras.rjpeg_writing import MAKERS  # noqa: E402
+from infrablend.lab.world.rjpeg_writing import MAKERS  # noqa: E402
 
 
 def main(arguments: list[str]) -> int:

@@ -11,8 +11,8 @@ import numpy as np
 from PIL import Image
 
 from infrablend.formats.cameras.jpeg_segments import APP1, read_header
-from infrablend.formats.cameras.rjpeg_writing import Maker, Shot, radiometric_jpeg, segment_bytes
 from infrablend.formats.cameras.xmp import STANDARD
+from infrablend.lab.world.rjpeg_writing import Maker, Shot, radiometric_jpeg, segment_bytes
 
 SIZE_WH = (160, 128)
 _EXIF = b"Exif\0\0"

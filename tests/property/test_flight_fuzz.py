@@ -13,7 +13,7 @@ from tests.flight_fuzzing import damage, exercise
 from tests.flights import shot
 from tests.fuzzing import make_outside
 
-from infrablend.formats.cameras.rjpeg_writing import MAKERS, Maker
+from infrablend.lab.world.rjpeg_writing import MAKERS, Maker
 
 
 @pytest.mark.parametrize("maker", MAKERS)

@@ -1,5 +1,5 @@
 """The operator that detection needs."""
 
-from infrablend.training.environment import nms
+from infrablend.detection.ultralytics_environment import nms
 
 __all__ = ["nms"]

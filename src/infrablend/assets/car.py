@@ -95,7 +95,7 @@ _DUSK_SHADOW_OPACITY = 0.25
 # levels darker than the ground, which is 7.7 K at 6 levels per kelvin, some 4 K of it from the reflected sky. Screens
 # and window frames are as dark as the roof: HIT-UAV's cars are one dark shape from bonnet to boot. Upright parts see
 # the ground and have nearly its level; stores of heat (tyres, floor, engine bay) are warmer than the air for hours,
-# so that the edge below is some 14 levels brighter (bench/edge_profiles.py).
+# so that the edge below is some 14 levels brighter.
 _PARKED_COLD: Mapping[str, Range] = {
     "roof": (-7.0, -4.5), "bonnet": (-7.0, -4.5), "boot": (-7.0, -4.5), "cowl": (-7.0, -4.5),
     "wing": (-4.0, -1.0), "side": (-1.5, 2.5), "pillar": (-7.0, -4.5), "front": (-1.5, 3.0),

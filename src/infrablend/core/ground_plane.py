@@ -3,7 +3,7 @@
 Lines are edges of roads, kerbs, walls and rows of parked cars. Two directions at right angles count as one, as in a
 street grid. The strongest edges of the picture are projected to the ground plane, and the direction is that of their
 mean, weighted by the squared gradient. In HIT-UAV's train, the longer axis of real cars differs from it, or from its
-normal, by 3.6 degrees by day and 6.6 by night (medians, `bench/headings.py`); 22.5 would be chance.
+normal, by 3.6 degrees by day and 6.6 by night (medians); 22.5 would be chance.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Day, dusk, night and dawn by the sun, and what stays of the day's heat.
 
 The sun is low from the end of civil twilight, -6 degrees, to 8 degrees, around which passive surfaces swap places in
-the morning (thermal crossover). The shares below follow from the energy balance of `bench/daytime.py`.
+the morning (thermal crossover). The shares below follow from an energy balance (bench/daytime.py at
+commit 7a8fc2b5).
 """
 
 from __future__ import annotations

@@ -20,8 +20,7 @@ from infrablend.detection.intervals import draw_images, interval
 from infrablend.detection.matching import SIZE_BINS, match_all, polygon_areas, quad_intersections
 from infrablend.detection.truth import Case, Truth, class_numbers, compared, fingerprint, match_classes, truths
 from infrablend.errors import DatasetError
-from infrablend.lab.evaluation.coco_precision import coco_precisions
-from infrablend.lab.evaluation.evaluation_figures import confusion_matrix, image_strata
+from infrablend.lab.evaluation.evaluation_figures import confusion_matrix, figures, image_strata
 from infrablend.lab.evaluation.precision import (
     average_precisions,
     drawn_figures,
@@ -29,6 +28,7 @@ from infrablend.lab.evaluation.precision import (
     paired,
     precision_by_recall,
 )
+from tests.lab.evaluation.coco_precision import coco_precisions
 from tests.polygons import polygon_iou
 
 ALL = {"all": (0.0, float("inf"))}
@@ -207,6 +207,19 @@ def test_our_matching_is_that_of_pycocotools_at_every_size_and_threshold(task: s
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("task", ["detect", "obb", "segment"])
+def test_the_table_has_the_precision_of_pycocotools(task: str) -> None:
+    labels, found = made_up(40, task)
+    images = tuple(ImageRecord(t.key, Path(t.key), "test", t.size_wh, ()) for t in labels)
+    whole = replace(case(labels, found, 4, task), images=images)  # there is no object of the last class
+    rows = figures(whole, [t.key for t in labels], 0, 0)[0]["classes"]
+    theirs = coco_precisions(whole)[0]
+    for name, ap in (("all", theirs[:3]), *zip(whole.classes[:3], theirs, strict=False)):
+        assert rows[name]["map50"] == pytest.approx(ap[..., 0].mean(), abs=1e-9)
+        assert rows[name]["map50_95"] == pytest.approx(ap.mean(), abs=1e-9)
+    assert rows["3"]["map50"] is None and np.isnan(theirs[3]).all()
+
+
 def test_image_with_weight_two_equals_two_copies() -> None:
     labels, found = made_up(40, "detect")
     # Scores without ties, as equal ones may come in another order.
@@ -324,8 +337,9 @@ def test_detectors_that_differ_in_the_seed_are_drawn_too() -> None:
     one = paired([middle], [base], names, weights, groups)
     alike = paired([middle, middle, middle], [base, base], names, weights, groups)
     for name in ("all", *names):
+        repeated: Any = alike[name]["map50"]
         for key, value in one[name]["map50"].items():
-            assert alike[name]["map50"][key] == pytest.approx(value)
+            assert repeated[key] == pytest.approx(value)
     three = paired([low, middle, high], [base], names, weights, groups)
     for name in ("all", *names):
         of = [paired([d], [base], names, weights, groups)[name]["map50"]["ours"] for d in (low, middle, high)]

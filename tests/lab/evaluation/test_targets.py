@@ -13,7 +13,6 @@ from infrablend.core.rng import stream
 from infrablend.detection.detections import Detections, detections
 from infrablend.detection.matching import SIZE_BINS, match_all
 from infrablend.detection.truth import Case, Truth
-from infrablend.lab.evaluation.coco_precision import coco_precisions
 from infrablend.lab.evaluation.evaluation_figures import figures
 from infrablend.lab.evaluation.precision import average_precisions
 from infrablend.lab.evaluation.small_targets import (
@@ -27,6 +26,7 @@ from infrablend.lab.evaluation.small_targets import (
     name_objects,
     sizes_by_body,
 )
+from tests.lab.evaluation.coco_precision import coco_precisions
 
 DRONE, BIRD = 0, 1
 A, B, FAR = [0, 0, 10, 10], [50, 50, 60, 60], [80, 80, 90, 90]

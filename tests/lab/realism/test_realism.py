@@ -321,12 +321,11 @@ def test_kid_uses_the_weights_in_torchs_cache(monkeypatch, tmp_path):
 
 
 def test_figures_are_valid_only_with_plausible_controls():
-    facts = {"n": 600, "hard_paste_logistic": 0.999}
-    assert validity(facts, 0.74) == {"valid": True, "invalid_because": []}
-    bad = validity({"n": 40, "hard_paste_logistic": 0.9}, None)
+    assert validity(600, 0.999, 0.74) == {"valid": True, "invalid_because": []}
+    bad = validity(40, 0.9, None)
     assert not bad["valid"]
     assert len(bad["invalid_because"]) == 3
-    assert validity(facts, 0.65)["invalid_because"] == [
+    assert validity(600, 0.999, 0.65)["invalid_because"] == [
         "the AUC of people's real control is 0.650; expected 0.70 to 0.80"
     ]
 

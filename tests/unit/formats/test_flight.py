@@ -16,7 +16,7 @@ from infrablend import api
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.cameras import flight_headers as flight_data
-from infrablend.formats.cameras.rjpeg_writing import Maker
+from infrablend.lab.world.rjpeg_writing import Maker
 from tests.command_line import run
 from tests.flights import START, flight, plain_jpeg, shot, with_exif_size, with_xmp
 from tests.samples import SAMPLES, picture

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from infrablend.formats.cameras.jpeg_segments import APP1
-from infrablend.formats.cameras.rjpeg_writing import PLANCK, segment_bytes
 from infrablend.formats.cameras.xmp import EXTENDED
+from infrablend.lab.world.rjpeg_writing import PLANCK, segment_bytes
 from tests.command_line import said
 from tests.flights import SIZE_WH, flight, shot, with_xmp
 

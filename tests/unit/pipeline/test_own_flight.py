@@ -13,7 +13,7 @@ from infrablend import api
 from infrablend.core.frame_record import FrameRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.cameras.header_facts import fov_of_35mm
-from infrablend.formats.cameras.rjpeg_writing import Maker
+from infrablend.lab.world.rjpeg_writing import Maker
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.runs.generate import describe_run, prepare_run
 from tests.flights import SIZE_WH, flight, shot

@@ -142,7 +142,7 @@ def _evaluation(report: EvaluationReport) -> list[str]:
     from infrablend.lab.pages import evaluation_page as page
     from infrablend.report.figures import decimals, interval
 
-    metrics: Any = report.metrics
+    metrics = report.metrics
     classes = metrics["classes"]
     targets = page.target_table(metrics["targets"], classes)
     found_by = page.kind_table(metrics["targets"], "size or visible share")

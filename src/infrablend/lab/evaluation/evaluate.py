@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, cast
 
 import numpy as np
 
@@ -39,13 +38,14 @@ from infrablend.formats.pictures.listing import with_sizes
 from infrablend.lab.evaluation.evaluated_tracks import find_sequences, track_facts
 from infrablend.lab.evaluation.evaluation_comparison import (
     StoredMatches,
+    conditions,
     paired_facts,
     read_evaluation,
     require_same,
     write_matches,
 )
 from infrablend.lab.evaluation.evaluation_figures import figures, list_found
-from infrablend.lab.evaluation.evaluation_record import EvaluationRecord
+from infrablend.lab.evaluation.evaluation_record import ClassRows, EvaluatedDataset, EvaluationRecord
 from infrablend.lab.evaluation.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.lab.evaluation.small_targets import BODY_BINS, NO_BODY_PX, body_sizes
 from infrablend.lab.evaluation.tracking import require_trackers
@@ -69,7 +69,7 @@ class EvaluationReport:
     """
 
     out: Path
-    metrics: Mapping[str, Any]
+    metrics: EvaluationRecord
     problems: tuple[Problem, ...] = ()
     seconds: float = 0.0
 
@@ -78,7 +78,7 @@ class EvaluationReport:
         """Path of the detections."""
         return self.out / PREDICTIONS
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return dict(self.metrics)
 
@@ -105,15 +105,38 @@ def evaluate_detector(
         split = settings.split or _default_split(dataset, problems)
         case, numbers, groups, counts = _prepare(dataset, split, source, settings, problems)
         sequences = find_sequences(case, problems) if settings.tracks else None
-        facts: dict[str, Any] = {
+        evaluated: EvaluatedDataset = {
+            "name": dataset.root.name,
+            "format": dataset.format,
+            "split": split,
+            "images": len(case.images),
+            "labels_sha256": fingerprint(case.images),
+        }
+        if rival is not None:
+            ours = conditions(evaluated, case.task, ignore_regions=settings.ignore_regions, group=settings.group)
+            require_same(rival[1], ours, rival[0])
+        predictions = source.on(case.images, settings.image_size, on_image, problems)
+        write_predictions(space.folder / PREDICTIONS, predictions)
+        class_of = class_numbers(numbers, len(predictions.classes))
+        case = replace(case, found=compared(predictions.images, case.labels, class_of, case.task))
+        counts["detections"] = sum(len(d) for d in predictions.images.values())
+        foreign = counts["detections"] - sum(len(d) for d in case.found)
+        counts |= {"detections_of_other_classes": foreign} if foreign else {}
+        tracks = None if sequences is None else track_facts(case, sequences, settings, problems)
+        bodies = measure_bodies(case, counts, problems) if settings.by_body else None
+        metrics, matches = figures(case, groups, settings.bootstrap, settings.seed, bodies)
+        stored = StoredMatches(case.classes, matches, groups)
+        problems += _detection_warnings(metrics["classes"], counts["detections"])
+        facts: EvaluationRecord = {
+            "classes": metrics["classes"],
+            "confidence": metrics["confidence"],
+            "strata": metrics["strata"],
+            "targets": metrics["targets"],
+            "false_alarms": metrics["false_alarms"],
+            "confusion": metrics["confusion"],
+            "curves": metrics["curves"],
             "infrablend": __version__,
-            "dataset": {
-                "name": dataset.root.name,
-                "format": dataset.format,
-                "split": split,
-                "images": len(case.images),
-                "labels_sha256": fingerprint(case.images),
-            },
+            "dataset": evaluated,
             "task": case.task,
             "settings": {
                 "ignore_regions": settings.ignore_regions,
@@ -124,26 +147,6 @@ def evaluate_detector(
                 "seed": settings.seed,
                 "level": LEVEL,
             },
-        }
-        if rival is not None:
-            require_same(rival[1], facts, rival[0])
-        predictions = source.on(case.images, settings.image_size, on_image, problems)
-        write_predictions(space.folder / PREDICTIONS, predictions)
-        class_of = class_numbers(numbers, len(predictions.classes))
-        case = replace(case, found=compared(predictions.images, case.labels, class_of, case.task))
-        counts["detections"] = sum(len(d) for d in predictions.images.values())
-        foreign = counts["detections"] - sum(len(d) for d in case.found)
-        counts |= {"detections_of_other_classes": foreign} if foreign else {}
-        if settings.list_first:
-            facts["first_detections"] = list_found(case, settings.list_first, settings.list_iou)
-        if sequences is not None:
-            facts["tracks"] = track_facts(case, sequences, settings, problems)
-        bodies = measure_bodies(case, counts, problems) if settings.by_body else None
-        metrics, matches = figures(case, groups, settings.bootstrap, settings.seed, bodies)
-        stored = StoredMatches(case.classes, matches, groups)
-        problems += _detection_warnings(metrics["classes"], counts["detections"])
-        facts |= metrics
-        facts |= {
             "detector": {**predictions.facts, "task": predictions.task, "classes": list(predictions.classes)},
             "counts": counts,
             "ultralytics": _by_ultralytics(case),
@@ -152,12 +155,15 @@ def evaluate_detector(
             else paired_facts([stored], [rival[2]], rival[1], rival[0].name, settings.bootstrap, settings.seed),
             "problems": [p.to_json() for p in problems],
         }
+        if settings.list_first:
+            facts["first_detections"] = list_found(case, settings.list_first, settings.list_iou)
+        if tracks is not None:
+            facts["tracks"] = tracks
         write_matches(space.folder / MATCHES, stored)
-        record = cast(EvaluationRecord, facts)
-        plots = draw_plots(record)
+        plots = draw_plots(facts)
         for name, data in plots.items():
             write_bytes(space.folder / PLOTS / name, data)
-        write_text(space.folder / PAGE, evaluation_page(record, plots))
+        write_text(space.folder / PAGE, evaluation_page(facts, plots))
         space.finish(facts)
     return EvaluationReport(out, facts, tuple(problems), time.monotonic() - started)
 
@@ -327,7 +333,7 @@ def measure_bodies(case: Case, counts: dict[str, int], problems: list[Problem]) 
     return found
 
 
-def _detection_warnings(table: Mapping[str, Mapping[str, Any]], detections: int) -> list[Problem]:
+def _detection_warnings(table: ClassRows, detections: int) -> list[Problem]:
     """Return a warning if there are no detections, or if the AP of every class rounds to 0.000."""
     code = "no-detections"
     found = f"no detection of {', '.join(c for c in table if c != 'all')}"
@@ -341,7 +347,7 @@ def _detection_warnings(table: Mapping[str, Mapping[str, Any]], detections: int)
     return [Problem("detector", code, found, "a trained detector", todo, severity="warning")]
 
 
-def _by_ultralytics(case: Case) -> dict[str, Any] | None:
+def _by_ultralytics(case: Case) -> ClassRows | None:
     if missing_packages():
         return None
     from infrablend.lab.evaluation.ultralytics_scores import ultralytics_table

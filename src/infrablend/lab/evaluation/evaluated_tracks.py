@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.detection.truth import Case, Truth
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.sequence_writing import is_labelled
+from infrablend.lab.evaluation.evaluation_record import TrackFacts
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
 from infrablend.lab.evaluation.track_scores import MATCH_IOU, Followed, only_tracked, track_figures
 from infrablend.lab.evaluation.tracking import follow, tracker_settings
@@ -100,9 +100,7 @@ def _numbered(images: Sequence[ImageRecord]) -> tuple[dict[str, dict[int, int]],
     return numbered, counts
 
 
-def track_facts(
-    case: Case, sequences: Sequences, settings: EvaluationSettings, problems: list[Problem]
-) -> dict[str, Any]:
+def track_facts(case: Case, sequences: Sequences, settings: EvaluationSettings, problems: list[Problem]) -> TrackFacts:
     """Run the tracker on the detections of each sequence, and return the figures as in `evaluation.json`."""
     used = tracker_settings(settings.tracker)
     followed = []

@@ -19,6 +19,7 @@ from infrablend.detection.intervals import draw_images
 from infrablend.detection.matching import ClassMatches
 from infrablend.detection.truth import match_classes
 from infrablend.errors import ArgumentError, DatasetError, Problem
+from infrablend.lab.evaluation.evaluation_record import Difference, EvaluatedDataset, EvaluationRecord, Paired, Rival
 from infrablend.lab.evaluation.precision import paired
 
 
@@ -49,13 +50,13 @@ class EvaluationComparison:
         left_out: Classes that only one side evaluated.
     """
 
-    against: Mapping[str, Any]
+    against: Rival
     draws: int
     detectors: Sequence[int]
-    classes: Mapping[str, Any]
+    classes: Mapping[str, Mapping[str, Difference | None]]
     left_out: Sequence[str]
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return dict(vars(self))
 
@@ -67,7 +68,7 @@ def compare_evaluations(
     classes: Sequence[str] | None = None,
     bootstrap: int = 1000,
     seed: int = 0,
-) -> dict[str, Any]:
+) -> Paired:
     """Return the difference by class of two evaluations on the same images and labels; see `infrablend.api`.
 
     Raises:
@@ -80,9 +81,10 @@ def compare_evaluations(
     require_names("classes", classes)
     require_whole("bootstrap", bootstrap, 0)
     record, first = read_evaluation(ours[0])
+    expected = recorded_conditions(record)
     read = {folder: read_evaluation(folder) for folder in [*ours[1:], *theirs]}
     for folder, (other, _) in read.items():
-        require_same(other, record, folder)
+        require_same(other, expected, folder)
     if classes is not None:
         numbers = match_classes(first.classes, classes)
         unknown = [name for name, of in numbers.items() if not of]
@@ -100,11 +102,11 @@ def compare_evaluations(
 def paired_facts(
     ours: Sequence[StoredMatches],
     theirs: Sequence[StoredMatches],
-    record: Mapping[str, Any],
+    record: EvaluationRecord,
     name: str,
     draws: int,
     seed: int,
-) -> dict[str, Any]:
+) -> Paired:
     """Return the differences by class; `record` and `name` are those of the second side, groups those of the first."""
     sides = [*ours, *theirs]
     both = [n for n in ours[0].classes if all(n in j.classes for j in sides)]
@@ -123,28 +125,48 @@ def paired_facts(
     }
 
 
-_CONDITIONS = (
-    ("split", "dataset", "split", "give both the same --split"),
-    ("images", "dataset", "images", "evaluate both on the same split of the same dataset"),
-    ("labels", "dataset", "labels_sha256", "evaluate both on the same split and labels"),
-    ("task", None, "task", "give both the same --task"),
-    ("ignored regions", "settings", "ignore_regions", "treat regions alike in both"),
-    ("group", "settings", "group", "give both the same --group"),
-)
-"""What two evaluations must have in common to be compared: name, section and field in the record, and advice."""
+_SAME = {
+    "split": "give both the same --split",
+    "images": "evaluate both on the same split of the same dataset",
+    "labels": "evaluate both on the same split and labels",
+    "task": "give both the same --task",
+    "ignored regions": "treat regions alike in both",
+    "group": "give both the same --group",
+}
+"""What two evaluations must have in common to be compared, and advice."""
 
 
-def require_same(record: Mapping[str, Any], ours: Mapping[str, Any], where: Path) -> None:
+def conditions(dataset: EvaluatedDataset, task: str, *, ignore_regions: object, group: object) -> dict[str, object]:
+    """Return what two evaluations must have in common to be compared, by name."""
+    return {
+        "split": dataset["split"],
+        "images": dataset["images"],
+        "labels": dataset["labels_sha256"],
+        "task": task,
+        "ignored regions": ignore_regions,
+        "group": group,
+    }
+
+
+def recorded_conditions(record: EvaluationRecord) -> dict[str, object]:
+    """Return the conditions of an earlier evaluation."""
+    settings = record["settings"]
+    return conditions(
+        record["dataset"], record["task"], ignore_regions=settings["ignore_regions"], group=settings["group"]
+    )
+
+
+def require_same(record: EvaluationRecord, ours: Mapping[str, object], where: Path) -> None:
     """Raise DatasetError if the record of an evaluation, in the folder `where`, has other conditions than ours."""
     problems: list[Problem] = []
-    for what, section, field, todo in _CONDITIONS:
-        found, expected = ((r[section] if section else r)[field] for r in (record, ours))
+    for what, found in recorded_conditions(record).items():
+        expected = ours[what]
         if found == expected or (what in ("images", "labels") and problems):  # other splits have other images
             continue
         if what == "labels":
             found = "different labels or images"
             expected = "the same"
-        problems.append(Problem(str(where), f"other-{what}", f"{what}: {found}", str(expected), todo))
+        problems.append(Problem(str(where), f"other-{what}", f"{what}: {found}", str(expected), _SAME[what]))
     if problems:
         raise DatasetError(f"{where}: cannot be compared image by image", problems)
 
@@ -167,7 +189,7 @@ def write_matches(path: Path, stored: StoredMatches) -> None:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
 
-def read_evaluation(folder: Path) -> tuple[dict[str, Any], StoredMatches]:
+def read_evaluation(folder: Path) -> tuple[EvaluationRecord, StoredMatches]:
     """Return the record and the matches of an earlier evaluation.
 
     Raises:
@@ -180,12 +202,12 @@ def read_evaluation(folder: Path) -> tuple[dict[str, Any], StoredMatches]:
         return DatasetError(f"{folder}: not a finished evaluation", [problem])
 
     try:
-        record = json.loads(read_regular(folder / RECORD))
+        record: EvaluationRecord = json.loads(read_regular(folder / RECORD))
         with open_regular(folder / MATCHES) as file, np.load(file, allow_pickle=False) as data:
             classes = tuple(str(n) for n in data["classes"])
             matches = tuple(_unpacked(data, k) for k in range(len(classes)))
             stored = StoredMatches(classes, matches, tuple(str(g) for g in data["groups"]))
-        if record["detector"] is None or any((record[s] if s else record)[f] is None for _, s, f, _ in _CONDITIONS):
+        if record["detector"] is None or None in recorded_conditions(record).values():
             raise KeyError("settings")
     except FileNotFoundError as error:
         raise refuse(f"no {Path(str(error.filename)).name}") from error

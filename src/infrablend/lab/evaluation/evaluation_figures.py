@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any, TypedDict, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +15,21 @@ from infrablend.detection.detections import FloatArray
 from infrablend.detection.intervals import draw_images, has_several_groups, interval
 from infrablend.detection.matching import SIZE_BINS, ClassMatches, match_all, overlaps
 from infrablend.detection.truth import Case
-from infrablend.lab.evaluation.coco_precision import coco_precisions
+from infrablend.lab.evaluation.evaluation_record import (
+    ClassRow,
+    ClassRows,
+    Confusion,
+    Curves,
+    FalseAlarms,
+    FirstDetections,
+    ListedObject,
+    Strata,
+    Stratum,
+    Targets,
+)
 from infrablend.lab.evaluation.precision import (
     MEASURES,
     RECALLS,
-    average_precisions,
     drawn_figures,
     operating_point,
     precision_by_recall,
@@ -27,12 +37,12 @@ from infrablend.lab.evaluation.precision import (
 from infrablend.lab.evaluation.small_targets import (
     BODY_BINS,
     FOUND_IOU,
+    add_target_shares,
     as_one_class,
     false_alarms,
     found_and_named,
     found_by_kind,
     sizes_by_body,
-    target_shares,
 )
 
 # Least overlap of a match in the confusion matrix.
@@ -45,9 +55,29 @@ AS_ONE = ("as_one50", "as_one50_95")
 _SINGLE_VALUES = 10
 
 
+class Figures(TypedDict):
+    """The fields of an `EvaluationRecord` that follow from labels and detections alone."""
+
+    classes: ClassRows
+    confidence: float
+    strata: Strata
+    targets: Targets
+    false_alarms: FalseAlarms
+    confusion: Confusion
+    curves: Curves
+
+
+class Hit(TypedDict):
+    """The fields of a `ListedObject` on the detection that found it; None if it was missed."""
+
+    rank: int | None
+    score: float | None
+    iou: float | None
+
+
 def figures(
     case: Case, groups: Sequence[str], draws: int, seed: int, bodies_px: Sequence[FloatArray] | None = None
-) -> tuple[dict[str, Any], tuple[ClassMatches, ...]]:
+) -> tuple[Figures, tuple[ClassMatches, ...]]:
     """Return the figures of an evaluation as in `evaluation.json`, and the matches of each class at all sizes.
 
     Args:
@@ -59,33 +89,32 @@ def figures(
     """
     names = case.classes
     matches = match_all(case)
-    coco = coco_precisions(case)[0]
-    ours = np.array([average_precisions(m)[0] for m in matches])
-    if not np.allclose(coco, ours, rtol=0, atol=1e-6, equal_nan=True):
-        raise AssertionError("pycocotools and our own matching disagree: a bug")
+    once = np.ones((1, len(case.images)), np.int32)
+    whole = drawn_figures(matches, once)[0]
     weights = draw_images(groups, draws, seed)
     confidence, points = operating_point(matches)
     matrix = confusion_matrix(case, confidence)
-    table = np.array([(np.nanmean(coco[:, 0]), np.nanmean(coco)), *((ap[0], ap.mean()) for ap in coco)])
-    rows = _rows(names, len(case.images), matches, table, drawn_figures(matches, weights), groups)
-    means = [float(np.mean(of)) for of in zip(*(p for p in points if p is not None), strict=True)]
+    rows = _rows(names, len(case.images), matches, whole, drawn_figures(matches, weights), groups)
+    known = [p for p in points if p is not None]
+    means = (float(np.mean([p for p, _ in known])), float(np.mean([r for _, r in known]))) if known else None
     one = match_all(as_one_class(case), {"all": SIZE_BINS["all"]})
-    rows["all"] |= _as_one(one, weights, rows["all"]["ci"])
+    _add_as_one(rows["all"], one, weights)
     targets = found_and_named(case, confidence)
     alarms = false_alarms(case, {"all": one[0], **dict(zip(names, matches, strict=True))}, confidence)
     overlapping = match_all(case, {"all": SIZE_BINS["all"]}, ious=np.array([FOUND_IOU]))
-    at_overlap = drawn_figures(overlapping, np.ones((1, len(case.images)), np.int32))[0, :, 0]
+    at_overlap = drawn_figures(overlapping, once)[0, :, 0]
     for (name, row), point, ap in zip(rows.items(), [means, *points], at_overlap, strict=True):
-        row["p"], row["r"] = point or (None, None)
+        row["p"] = None if point is None else point[0]
+        row["r"] = None if point is None else point[1]
         row["map10"] = None if np.isnan(ap) else float(ap)
-        row |= target_shares(targets[name], alarms["classes"].get(name))
-    strata = {"size": _by_size(case, matches, SIZE_BINS, weights, groups)}
+        add_target_shares(row, targets[name], alarms["classes"].get(name))
+    strata: dict[str, Mapping[str, Stratum]] = {"size": _by_size(case, matches, SIZE_BINS, weights, groups)}
     if bodies_px is not None:
         of_bodies = match_all(case, {"all": SIZE_BINS["all"], **BODY_BINS}, sizes_by_body(case, bodies_px))
         strata["body"] = _by_size(case, of_bodies, BODY_BINS, weights, groups)
     for kind, parts in image_strata(case.images).items():
         strata[kind] = {name: _stratum(matches, names, which, weights, groups) for name, which in parts.items()}
-    metrics = {
+    metrics: Figures = {
         "classes": rows,
         "confidence": confidence,
         "strata": strata,
@@ -114,15 +143,15 @@ def figures(
     return metrics, tuple(_at_size(m, 0) for m in matches)
 
 
-def _as_one(
-    one: Sequence[ClassMatches], weights: NDArray[Any], ci: dict[str, list[float] | None] | None
-) -> dict[str, Any]:
-    """Return the AP of all classes as one, and the intervals `ci` with its own if there are any."""
+def _add_as_one(row: ClassRow, one: Sequence[ClassMatches], weights: NDArray[Any]) -> None:
+    """Add the AP of all classes as one to the row `all`, and its intervals if the row has any."""
     once = np.ones((1, weights.shape[1]), np.int32)
     values = drawn_figures(one, once)[0, 0]
-    drawn = drawn_figures(one, weights)[:, 0]
-    ours = {measure: float(v) for measure, v in zip(AS_ONE, values, strict=True)}
-    return {**ours, "ci": None if ci is None else ci | {m: interval(drawn[:, n]) for n, m in enumerate(AS_ONE)}}
+    row["as_one50"] = float(values[0])
+    row["as_one50_95"] = float(values[1])
+    if row["ci"] is not None:
+        drawn = drawn_figures(one, weights)[:, 0]
+        row["ci"] = {**row["ci"], **{m: interval(drawn[:, n]) for n, m in enumerate(AS_ONE)}}
 
 
 def _by_size(
@@ -131,9 +160,9 @@ def _by_size(
     bins: Iterable[str],
     weights: NDArray[Any],
     groups: Sequence[str],
-) -> dict[str, Any]:
+) -> dict[str, Stratum]:
     """Return the strata of the size ranges of some matches: the first holds all sizes, the others are the bins."""
-    strata = {}
+    strata: dict[str, Stratum] = {}
     for a, name in enumerate([b for b in bins if b != "all"], 1):
         at_size = [_at_size(m, a) for m in matches]
         stratum = _stratum(at_size, case.classes, np.ones(len(case.images), np.bool_), weights, groups)
@@ -160,7 +189,7 @@ def _stratum(
     which: NDArray[np.bool_],
     weights: NDArray[Any],
     groups: Sequence[str],
-) -> dict[str, Any]:
+) -> Stratum:
     matches = [_of_images(m, which) for m in matches]
     figures = drawn_figures(matches, which[None].astype(np.int32))[0]
     drawn = drawn_figures(matches, weights * which[None].astype(np.int32))
@@ -175,7 +204,7 @@ def _rows(
     figures: NDArray[np.float64],
     drawn: NDArray[np.float64],
     groups: Sequence[str],
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, ClassRow]:
     """Return the rows of `all` and of each class, with no interval without draws or if one group has all objects.
 
     Args:
@@ -187,13 +216,14 @@ def _rows(
         groups: Group of each image.
     """
     objects = [m.objects[0] for m in matches]
-    rows = {}
+    rows: dict[str, ClassRow] = {}
     for k, (name, of) in enumerate(zip(("all", *names), [np.sum(objects, axis=0), *objects], strict=True)):
         several = len(drawn) and has_several_groups(of > 0, groups)
         rows[name] = {
             "images": int((of > 0).sum()) if k else images,
             "instances": int(of.sum()),
-            **{m: None if np.isnan(value) else float(value) for m, value in zip(MEASURES, figures[k], strict=True)},
+            "map50": None if np.isnan(figures[k, 0]) else float(figures[k, 0]),
+            "map50_95": None if np.isnan(figures[k, 1]) else float(figures[k, 1]),
             "ci": {m: interval(drawn[:, k, n]) for n, m in enumerate(MEASURES)} if several else None,
         }
     return rows
@@ -255,7 +285,7 @@ def _bins(values: Sequence[str | None], ordered: Sequence[str]) -> dict[str, NDA
     return {name: np.array([v == name for v in bins], np.bool_) for name in (*ordered, "unknown") if name in set(bins)}
 
 
-def list_found(case: Case, first: int, iou: float) -> dict[str, Any]:
+def list_found(case: Case, first: int, iou: float) -> FirstDetections:
     """Return which objects are among the detections with the highest scores of all images together.
 
     In the order of their scores, detections take the object of their class with the largest overlap that no earlier one
@@ -279,7 +309,7 @@ def list_found(case: Case, first: int, iou: float) -> dict[str, Any]:
         overlap.append(shared)
         candidates += [(-float(found.scores[d]), k, int(d)) for d in np.flatnonzero(~ignored)]
     candidates.sort()
-    hits: dict[tuple[int, int], dict[str, Any]] = {}
+    hits: dict[tuple[int, int], Hit] = {}
     for rank, (minus_score, k, d) in enumerate(candidates[:first], 1):
         truth = case.labels[k]
         free = (truth.classes == case.found[k].classes[d]) & ~truth.ignore
@@ -288,8 +318,8 @@ def list_found(case: Case, first: int, iou: float) -> dict[str, Any]:
         if shared.size and shared.max() >= iou:
             best = int(shared.argmax())
             hits[k, best] = {"rank": rank, "score": -minus_score, "iou": round(float(shared[best]), 3)}
-    missed = {"rank": None, "score": None, "iou": None}
-    objects = [
+    missed: Hit = {"rank": None, "score": None, "iou": None}
+    objects: list[ListedObject] = [
         {
             "image": truth.key,
             "class": case.classes[truth.classes[g]],

@@ -15,6 +15,7 @@ from infrablend.core.rng import stream
 from infrablend.detection.detections import FloatArray
 from infrablend.detection.intervals import has_several_groups, interval
 from infrablend.detection.matching import ClassMatches
+from infrablend.lab.evaluation.evaluation_record import Difference
 
 RECALLS: FloatArray = np.linspace(0.0, 1.0, 101)
 CONFIDENCES: FloatArray = np.linspace(0.0, 1.0, 1000)
@@ -180,7 +181,7 @@ def paired(
     weights: NDArray[Any],
     groups: Sequence[str],
     seed: int = 0,
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, dict[str, Difference | None]]:
     """Return ours minus theirs by class (and `all`), with the interval over the same draws of the same images.
 
     Args:
@@ -201,7 +202,7 @@ def paired(
     first, second = (np.mean([drawn_figures(m, once)[0] for m in side], axis=0) for side in (ours, theirs))
     drawn = _mean_of(ours, weights, seed, "ours") - _mean_of(theirs, weights, seed, "theirs")
     held = [m.objects[0] > 0 for m in ours[0]]
-    result: dict[str, dict[str, Any]] = {}
+    result: dict[str, dict[str, Difference | None]] = {}
     for k, name in enumerate(("all", *classes)):
         result[name] = {}
         several = has_several_groups(held[k - 1] if k else np.any(held, axis=0), groups)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,14 @@ from infrablend.core.rings import Levels
 from infrablend.detection.detections import Detections, FloatArray, Task
 from infrablend.detection.matching import SIZE_BINS, ClassMatches, overlaps
 from infrablend.detection.truth import Case, Truth, long_sides
+from infrablend.lab.evaluation.evaluation_record import (
+    AlarmsAtRecall,
+    ClassAlarms,
+    ClassRow,
+    FalseAlarms,
+    FoundCounts,
+    NamedCounts,
+)
 
 # Least overlap of a detection with an object that counts as found: small boxes that are a pixel off share little.
 FOUND_IOU = 0.1
@@ -90,7 +97,7 @@ def _names(case: Case, confidence: float) -> Iterator[NDArray[np.int64]]:
         yield names
 
 
-def found_by_kind(case: Case, confidence: float) -> dict[str, dict[str, dict[str, int]]]:
+def found_by_kind(case: Case, confidence: float) -> dict[str, dict[str, FoundCounts]]:
     """Return numbers of `objects`, and of those `found` by a detection of any class, by size and by visible share.
 
     Sizes are the longer sides of boxes, px. Objects whose visible share is unknown are in no range of it, and a range
@@ -106,7 +113,7 @@ def found_by_kind(case: Case, confidence: float) -> dict[str, dict[str, dict[str
         shares.append((unknown if truth.visibility is None else truth.visibility)[objects])
         found.append(names < len(case.classes))
     hit = np.concatenate(found)
-    rows: dict[str, dict[str, dict[str, int]]] = {}
+    rows: dict[str, dict[str, FoundCounts]] = {}
     bins = {k: v for k, v in SIZE_BINS.items() if k != "all"}
     for kind, values, ranges in (("size", sizes, bins), ("visibility", shares, VISIBLE_BINS)):
         of = np.concatenate(values)
@@ -117,13 +124,13 @@ def found_by_kind(case: Case, confidence: float) -> dict[str, dict[str, dict[str
     return rows
 
 
-def found_and_named(case: Case, confidence: float) -> dict[str, dict[str, Any]]:
+def found_and_named(case: Case, confidence: float) -> dict[str, NamedCounts]:
     """Return numbers of `objects`, of those `found` and of those `named` rightly, per class and for `all`.
 
     `called` has the number of found objects by the name of their detection, see `name_objects`.
     """
     counts = name_objects(case, confidence)
-    rows = {}
+    rows: dict[str, NamedCounts] = {}
     for k, name in enumerate(("all", *case.classes), -1):
         of = counts.sum(axis=0) if k < 0 else counts[k]
         rows[name] = {
@@ -135,7 +142,7 @@ def found_and_named(case: Case, confidence: float) -> dict[str, dict[str, Any]]:
     return rows
 
 
-def false_alarms(case: Case, matches: Mapping[str, ClassMatches], confidence: float) -> dict[str, Any]:
+def false_alarms(case: Case, matches: Mapping[str, ClassMatches], confidence: float) -> FalseAlarms:
     """Return the false alarms a picture on the pictures without objects of the evaluated classes.
 
     Args:
@@ -149,12 +156,12 @@ def false_alarms(case: Case, matches: Mapping[str, ClassMatches], confidence: fl
     """
     empty = np.array([not (t.classes >= 0).any() for t in case.labels], np.bool_)
     pictures = int(empty.sum())
-    classes = {}
+    classes: dict[str, ClassAlarms] = {}
     for name, m in matches.items() if pictures else ():
         scores = m.scores[empty[m.images] & ~m.neutral[0, 0]]
         hits = np.cumsum(m.right[0, 0])
         objects = int(m.objects[0].sum())
-        at_recall: dict[str, dict[str, float] | None] = {}
+        at_recall: dict[str, AlarmsAtRecall | None] = {}
         for level in RECALL_LEVELS:
             needed = math.ceil(level * objects - 1e-9)
             at_recall[f"{level:g}"] = None
@@ -168,16 +175,14 @@ def false_alarms(case: Case, matches: Mapping[str, ClassMatches], confidence: fl
     return {"pictures": pictures, "classes": classes}
 
 
-def target_shares(target: Mapping[str, Any], alarms: Mapping[str, Any] | None) -> dict[str, float | None]:
-    """Return a class's share of objects found, of these the share named, and false alarms a picture at recall 0.8."""
+def add_target_shares(row: ClassRow, target: NamedCounts, alarms: ClassAlarms | None) -> None:
+    """Add a class's share of objects found, of these the share named, and false alarms a picture at recall 0.8."""
     objects = target["objects"]
     found = target["found"]
     at_recall = alarms["at_recall"]["0.8"] if alarms else None
-    return {
-        "found": found / objects if objects else None,
-        "named": target["named"] / found if found else None,
-        "false_alarms": at_recall["per_picture"] if at_recall else None,
-    }
+    row["found"] = found / objects if objects else None
+    row["named"] = target["named"] / found if found else None
+    row["false_alarms"] = at_recall["per_picture"] if at_recall else None
 
 
 def body_sizes(picture: Levels, truth: Truth) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from infrablend.detection.detections import Detections, FloatArray, Task
 from infrablend.detection.intervals import draw_images, has_several_groups, interval
 from infrablend.detection.matching import overlaps
 from infrablend.detection.truth import Truth
+from infrablend.lab.evaluation.evaluation_record import TrackRow
 
 MEASURES = ("hota", "deta", "assa", "mota", "idf1", "switches")
 MATCH_IOU = 0.5
@@ -34,6 +35,19 @@ class Followed:
     found: Sequence[tuple[Detections, NDArray[np.int64]]]
 
 
+class SequenceData(TypedDict):
+    """The tracks of one class in one sequence, by trackeval's names: ids and overlaps of each picture, and numbers."""
+
+    gt_ids: list[NDArray[np.int64]]
+    tracker_ids: list[NDArray[np.int64]]
+    similarity_scores: list[FloatArray]
+    num_gt_dets: int
+    num_tracker_dets: int
+    num_gt_ids: int
+    num_tracker_ids: int
+    num_timesteps: int
+
+
 def only_tracked(truth: Truth) -> tuple[Truth, int, int]:
     """Return labels in which objects without a track are to be ignored, with the number of them.
 
@@ -50,7 +64,7 @@ def only_tracked(truth: Truth) -> tuple[Truth, int, int]:
 
 def track_figures(
     sequences: Sequence[Followed], classes: Sequence[str], task: Task, draws: int, seed: int
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, TrackRow]:
     """Return the figures by class; `all` has their mean over the classes with labelled tracks, and all switches.
 
     Args:
@@ -71,8 +85,7 @@ def track_figures(
     values = []
     for c in range(len(classes)):
         data = [_sequence_data(s, c, task) for s in sequences]
-        fields = ("num_gt_dets", "num_gt_ids", "num_tracker_ids")
-        counts.append(np.array([[d[f] for f in fields] for d in data], np.int64))
+        counts.append(np.array([[d["num_gt_dets"], d["num_gt_ids"], d["num_tracker_ids"]] for d in data], np.int64))
         values.append(_measure(data, weights))
         values[-1][weights @ counts[-1][:, 0] == 0] = np.nan
     there = [k for k, of in enumerate(counts) if of[:, 0].any()]
@@ -84,17 +97,27 @@ def track_figures(
     }
 
 
-def _row(counts: NDArray[np.int64], figures: FloatArray, names: Sequence[str]) -> dict[str, Any]:
+def _row(counts: NDArray[np.int64], figures: FloatArray, names: Sequence[str]) -> TrackRow:
     objects, tracks, found = counts.sum(axis=0).tolist()
     held = counts[:, 0] > 0
-    row: dict[str, Any] = {"sequences": int(held.sum()), "tracks": tracks, "objects": objects, "found": found}
-    row |= {m: float(v) if objects else None for m, v in zip(MEASURES, figures[0], strict=True)}
-    row["switches"] = round(row["switches"]) if objects else None
     several = len(figures) > 1 and has_several_groups(held, names)
-    return row | {"ci": {m: interval(figures[1:, k]) for k, m in enumerate(MEASURES)} if several else None}
+    hota, deta, assa, mota, idf1, switches = (float(v) if objects else None for v in figures[0])
+    return {
+        "sequences": int(held.sum()),
+        "tracks": tracks,
+        "objects": objects,
+        "found": found,
+        "hota": hota,
+        "deta": deta,
+        "assa": assa,
+        "mota": mota,
+        "idf1": idf1,
+        "switches": None if switches is None else round(switches),
+        "ci": {m: interval(figures[1:, k]) for k, m in enumerate(MEASURES)} if several else None,
+    }
 
 
-def _sequence_data(sequence: Followed, c: int, task: Task) -> dict[str, Any]:
+def _sequence_data(sequence: Followed, c: int, task: Task) -> SequenceData:
     """Return the tracks of one class as trackeval's metrics expect them, without detections in regions to ignore."""
     labelled: dict[Hashable, int] = {}
     tracked: dict[Hashable, int] = {}
@@ -127,7 +150,7 @@ def _numbers(ids: Sequence[Hashable], known: dict[Hashable, int]) -> NDArray[np.
     return np.array([known.setdefault(i, len(known)) for i in ids], np.int64)
 
 
-def _measure(data: Sequence[dict[str, Any]], weights: NDArray[np.int32]) -> FloatArray:
+def _measure(data: Sequence[SequenceData], weights: NDArray[np.int32]) -> FloatArray:
     """Return the (b, 6) measures for (b, s) numbers of times that each sequence counts."""
     from trackeval.metrics import CLEAR, HOTA, Identity
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any, Literal
@@ -33,7 +33,7 @@ def require_trackers() -> None:
         )
 
 
-def tracker_settings(tracker: Tracker) -> dict[str, Any]:
+def tracker_settings(tracker: Tracker) -> dict[str, object]:
     """Return Ultralytics' default settings of a tracker."""
     with quiet_ultralytics():
         from ultralytics.utils import ROOT, YAML
@@ -42,7 +42,7 @@ def tracker_settings(tracker: Tracker) -> dict[str, Any]:
 
 
 def follow(
-    images: Sequence[ImageRecord], found: Sequence[Detections], settings: dict[str, Any]
+    images: Sequence[ImageRecord], found: Sequence[Detections], settings: Mapping[str, object]
 ) -> list[tuple[Detections, NDArray[np.int64]]]:
     """Return what a new tracker makes of the detections on each picture of a sequence: boxes, and ids of the tracks.
 

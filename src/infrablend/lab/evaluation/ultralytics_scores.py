@@ -13,9 +13,10 @@ from infrablend.detection.detections import Detections, Task
 from infrablend.detection.matching import IOUS, overlaps
 from infrablend.detection.truth import Case, Truth
 from infrablend.detection.ultralytics_environment import quiet_ultralytics
+from infrablend.lab.evaluation.evaluation_record import ClassRow
 
 
-def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
+def ultralytics_table(case: Case) -> dict[str, ClassRow]:
     """Return images, instances, P, R, mAP50 and mAP50-95 of `all` and of each class, by Ultralytics' code.
 
     Ultralytics has no regions to ignore. Detections that overlap such a region, but no object of their class, by half
@@ -56,18 +57,22 @@ def ultralytics_table(case: Case) -> dict[str, dict[str, Any]]:
             target,
         )
     with_class = np.concatenate(images)
-    table: dict[str, dict[str, Any]] = {
-        "all": _row(len(case.labels), len(target), p.mean(), r.mean(), ap[:, 0].mean(), ap.mean())
-    }
+    table = {"all": _row(len(case.labels), len(target), p.mean(), r.mean(), ap[:, 0].mean(), ap.mean())}
     for k, c in enumerate(which):
         counts = int((with_class == c).sum()), int((target == c).sum())
         table[case.classes[c]] = _row(*counts, p[k], r[k], ap[k, 0], ap[k].mean())
     return table
 
 
-def _row(images: int, instances: int, *measures: float) -> dict[str, Any]:
-    named = zip(("p", "r", "map50", "map50_95"), measures, strict=True)
-    return {"images": images, "instances": instances, **{name: float(value) for name, value in named}}
+def _row(images: int, instances: int, p: float, r: float, map50: float, map50_95: float) -> ClassRow:
+    return {
+        "images": images,
+        "instances": instances,
+        "p": float(p),
+        "r": float(r),
+        "map50": float(map50),
+        "map50_95": float(map50_95),
+    }
 
 
 def _outside_regions(ours: Detections, truth: Truth, task: Task) -> Detections:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import measure_contrast, near_edge, real_least
 from infrablend.compositing.mapping import GreyImage
-from infrablend.compositing.paste import FEATHER_PX, CutOut, cut_out, fits, offset_at, paste, placed_box
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import link_or_copy
@@ -25,6 +24,7 @@ from infrablend.formats.labels import coco
 from infrablend.formats.pictures.images import Background, load_background, save_image
 from infrablend.imaging.burnt_in import find_burnt_in
 from infrablend.imaging.skyline import find_skyline
+from infrablend.lab.experiments.cut_outs import FEATHER_PX, CutOut, cut_out, fits, offset_at, paste, placed_box
 from infrablend.lab.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.lab.experiments.definition import Paste
 from infrablend.lab.experiments.stage import StageJob

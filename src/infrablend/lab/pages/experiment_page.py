@@ -34,8 +34,8 @@ UNFINISHED_END = "-unfinished"
 """End of the name of an unfinished run's page beside a complete one."""
 _CELLS = (
     "Each cell shows paper → ours (difference) and, in brackets, the 95 % interval of ours from a bootstrap "
-    "over the test images. P and R are taken at the confidence with the best mean F1; AP is computed by "
-    "pycocotools with at most 300 detections per image."
+    "over the test images. P and R are taken at the confidence with the best mean F1; AP is COCO's "
+    "with at most 300 detections per image."
 )
 _FROM_SCRATCH = (
     "No published weights were found when this was run. On a machine that finds them, add `--weights scratch` to train "

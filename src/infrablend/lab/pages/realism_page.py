@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from infrablend.compositing.object_contrast import MIN_COMPARED
 from infrablend.core.class_names import known_class
@@ -27,7 +27,14 @@ from infrablend.lab.pages.realism_report import (
     slope_table,
 )
 from infrablend.lab.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_LEAST_RATIO
-from infrablend.lab.realism.realism_record import CollectedClass, ComparedRun, Quantity, Score
+from infrablend.lab.realism.realism_record import (
+    ClassFacts,
+    CollectedClass,
+    ComparedRun,
+    Quantity,
+    RealismRecord,
+    ScoreName,
+)
 from infrablend.report.charts import BLUE, FAINT, ORANGE, estimate, legend_above, pair_of_panels, svg_bytes
 from infrablend.report.page import Table, bullets, markdown_page
 
@@ -45,7 +52,7 @@ _KEPT = (
     "floor_n", "floor_logistic", "floor_ci", "floor_boosting", "hard_paste_n", "hard_paste_logistic",
     "chain_off_logistic", "chain_off_boosting", "valid", "invalid_because", "mmd_dct", "box_looseness",
 )  # fmt: skip
-_SCORES: Final[Mapping[Score, str]] = {
+_SCORES: Final[Mapping[ScoreName, str]] = {
     "auc_boosting": "boosting",
     "floor_logistic": "floor",
     "hard_paste_logistic": "hard paste",
@@ -57,7 +64,7 @@ _SHIFTS = {"real": 0.15, "inserted": -0.15}  # within a row
 _TIMES = ("night", "day", "dusk", "dawn", "all", "unknown")
 
 
-def add_to_page(facts: Mapping[str, Any], out: Path) -> Path:
+def add_to_page(facts: RealismRecord, out: Path) -> Path:
     """Add a comparison's figures to `realism.json` in a folder, and write its page and charts again.
 
     Figures of the same class and time of day are replaced, others are kept.
@@ -79,7 +86,7 @@ def add_to_page(facts: Mapping[str, Any], out: Path) -> Path:
     classes = dict(collected["classes"]) if ours else {}
     for category, of_class in facts["classes"].items():
         name = known_class(category) or category.casefold()
-        classes[name] = _merged(classes.get(name, {}), of_class, facts)
+        classes[name] = _merged(classes.get(name), of_class, facts)
     page = json.loads(json.dumps({"page": STEM, "version": 1, "classes": classes}, sort_keys=True))
     charts = [(f"{STEM}_{name}.svg", title, svg) for name, title, svg in draw_charts(page["classes"])]
     for name, _, svg in charts:
@@ -91,26 +98,28 @@ def add_to_page(facts: Mapping[str, Any], out: Path) -> Path:
     )
 
 
-def _merged(earlier: Mapping[str, Any], of_class: Mapping[str, Any], facts: Mapping[str, Any]) -> dict[str, Any]:
+def _merged(earlier: CollectedClass | None, of_class: ClassFacts, facts: RealismRecord) -> dict[str, object]:
     """Return a class's figures with those of one comparison added.
 
     The classifiers' figures of one time of day are also those of the class: by night if known, else of all pictures.
     """
-    kept = {k: of_class[k] for k in _KEPT if k in of_class}
-    scores = {**earlier.get("by_time", {}), facts["time_of_day"]: {**kept, "run": facts["run"]}}
-    of_times = {t: {**sides, "run": facts["run"]} for t, sides in of_class["contrast"].items()}
+    kept = {k: v for k, v in of_class.items() if k in _KEPT}
+    written = of_class.get("contrast_as_written", {})
+    scores: dict[str, Mapping[str, object]] = {facts["time_of_day"]: {**kept, "run": facts["run"]}}
+    contrasts: dict[str, object] = {t: {**sides, "run": facts["run"]} for t, sides in of_class["contrast"].items()}
+    as_written: dict[str, object] = {**written}
+    if earlier is not None:
+        # A run with exact boxes has no boxes as written; those of an earlier run do not stay beside it.
+        as_written = {**{t: c for t, c in earlier["contrast_as_written"].items() if t not in contrasts}, **written}
+        scores = {**earlier["by_time"], **scores}
+        contrasts = {**earlier["contrast"], **contrasts}
     first = next(t for t in ("night", "all", "day") if t in scores)
-    headline = {k: v for k, v in scores[first].items() if k != "run"}
     return {
-        **headline,
+        **{k: v for k, v in scores[first].items() if k != "run"},
         "time_of_day": first,
         "by_time": scores,
-        "contrast": {**earlier.get("contrast", {}), **of_times},
-        "contrast_as_written": {
-            # A run with exact boxes has none; figures of an earlier run do not stay beside it.
-            **{t: c for t, c in earlier.get("contrast_as_written", {}).items() if t not in of_times},
-            **of_class.get("contrast_as_written", {}),
-        },
+        "contrast": contrasts,
+        "contrast_as_written": as_written,
     }
 
 

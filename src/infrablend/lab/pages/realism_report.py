@@ -5,25 +5,28 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from infrablend.annotation.measured_looseness import BoxFactor
+from infrablend.compositing.object_contrast import SlopeFigures
 from infrablend.core.rng import stream
 from infrablend.lab.realism.class_comparison import ClassComparison
 from infrablend.lab.realism.contrasts import QUANTILES
 from infrablend.lab.realism.features import FEATURES, MEASURES, Measured
 from infrablend.lab.realism.realism_record import (
-    BoxFactor,
-    ClassScores,
-    ContrastSides,
-    Level,
+    ClassFacts,
+    Medians,
     Quantity,
-    Score,
+    RealismRecord,
+    ScoreName,
+    SeparatingFeature,
     Side,
-    SlopeFigures,
+    StepScores,
+    TimeContrast,
 )
 from infrablend.report.charts import COLOURS, curves, histogram, legend, panels, png_bytes
 from infrablend.report.figures import compact, interval
@@ -35,7 +38,7 @@ ON_A_SHEET = 24
 COLUMNS = 4
 _CAPTION_PX = 16
 SIDES: Final[tuple[Side, ...]] = ("real", "inserted")
-LEVELS: Final[tuple[Level, ...]] = ("high", "middle")
+LEVELS = ("high", "middle")
 _CHECKS = {
     "slope_high": "slope of the 95 % quantile",
     "slope_middle": "slope of the middle",
@@ -51,7 +54,7 @@ _QUANTITIES: Final[Mapping[Quantity, str]] = {
     "ground_level": "ground, level above the picture's median",
     "ground_clutter": "ground, standard deviation",
 }
-_SCORES: Final[Mapping[Score, str]] = {
+_SCORES: Final[Mapping[ScoreName, str]] = {
     "auc_boosting": "boosting",
     "floor_logistic": "floor",
     "floor_boosting": "floor, boosting",
@@ -125,7 +128,7 @@ def _sheet(rows: Sequence[tuple[Measured, Measured, float]]) -> bytes:
 # ---- the page
 
 
-def html_report(facts: Mapping[str, Any], comparisons: Sequence[ClassComparison], sheets: Sequence[CropSheet]) -> str:
+def html_report(facts: RealismRecord, comparisons: Sequence[ClassComparison], sheets: Sequence[CropSheet]) -> str:
     """Return the HTML page; the same facts give the same bytes."""
     return render_page(
         "realism",
@@ -140,8 +143,8 @@ def html_report(facts: Mapping[str, Any], comparisons: Sequence[ClassComparison]
     )
 
 
-def score_table(head: str, rows: Mapping[str, ClassScores], scores: Mapping[Score, str]) -> Table:
-    """Return number of pairs, AUC and interval of the logistic classifier, and further figures of classes or steps."""
+def score_table(head: str, rows: Mapping[str, ClassFacts], scores: Mapping[ScoreName, str]) -> Table:
+    """Return number of pairs, AUC and interval of the logistic classifier, and further figures of classes."""
     return Table(
         [head, "pairs", "logistic", "95 %", *scores.values()],
         [
@@ -154,9 +157,8 @@ def score_table(head: str, rows: Mapping[str, ClassScores], scores: Mapping[Scor
 def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str, object]:
     """Return what the template shows of a class."""
     f = v.facts
-    contrasts, as_written = (
-        [("", time, sides) for time, sides in f.get(key, {}).items()] for key in ("contrast", "contrast_as_written")
-    )
+    contrasts = [("", time, sides) for time, sides in f["contrast"].items()]
+    as_written = [("", time, sides) for time, sides in f.get("contrast_as_written", {}).items()]
     return {
         "category": v.category,
         "facts": f,
@@ -171,34 +173,38 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
         "checks": check_table(contrasts),
         "checks_as_written": check_table(as_written),
         "cues": _cue_table(f["separating_features"]),
-        "steps": score_table("up to", v.ablation, {"auc_boosting": "boosting"}),
+        "steps": _step_table(v.ablation),
         "medians": _median_table({**f["medians"], **{step: a["medians"] for step, a in v.ablation.items()}}),
         "plots": _plots(v),
         "sheets": sheets,
     }
 
 
-def _crop_table(f: Mapping[str, Any]) -> Table:
-    """Return a row for the network and each distance, or the reason why it was skipped."""
+def _step_table(steps: Mapping[str, StepScores]) -> Table:
     rows = []
-    for key, name, inserted, floor in (
-        ("cnn", "small network, AUC", "auc", "floor"),
-        ("kid", "KID", "inserted", "real_halves"),
-        ("mmd_dct", "MMD on cosine frequencies", "inserted", "real_halves"),
-    ):
-        found = f[key]
-        if "skipped" in found:
-            rows.append([name, f"skipped: {found['skipped']}", "-"])
-        else:
-            rows.append([name, _mean_sd(found[inserted]), _mean_sd(found.get(floor))])
+    for step, a in steps.items():
+        rows.append([step, str(a["n"]), compact(a["auc_logistic"]), interval(a["ci"]), compact(a["auc_boosting"])])
+    return Table(["up to", "pairs", "logistic", "95 %", "boosting"], rows)
+
+
+def _crop_table(f: ClassFacts) -> Table:
+    """Return a row for the network and each distance, or the reason why it was skipped."""
+    network = f["cnn"]
+    rows = [_crop_row("small network, AUC", network.get("skipped"), network.get("auc"), network.get("floor"))]
+    for name, found in (("KID", f["kid"]), ("MMD on cosine frequencies", f["mmd_dct"])):
+        rows.append(_crop_row(name, found.get("skipped"), found.get("inserted"), found.get("real_halves")))
     return Table(["", "inserted", "floor"], rows)
 
 
-def _mean_sd(value: float | list[float] | None) -> str:
-    return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, list) else compact(value)
+def _crop_row(name: str, skipped: str | None, *values: float | Sequence[float] | None) -> list[str]:
+    return [name, *map(_mean_sd, values)] if skipped is None else [name, f"skipped: {skipped}", "-"]
 
 
-def _cue_table(features: Sequence[Mapping[str, Any]]) -> Table:
+def _mean_sd(value: float | Sequence[float] | None) -> str:
+    return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, Sequence) else compact(value)
+
+
+def _cue_table(features: Sequence[SeparatingFeature]) -> Table:
     rows = []
     for t in features:
         quartiles = [" / ".join(map(compact, t[side])) for side in SIDES]
@@ -206,7 +212,7 @@ def _cue_table(features: Sequence[Mapping[str, Any]]) -> Table:
     return Table(["feature", "alone", "inserted is", "real 25/50/75 %", "inserted 25/50/75 %", "weight"], rows)
 
 
-def _median_table(populations: Mapping[str, Mapping[str, float | None]]) -> Table:
+def _median_table(populations: Mapping[str, Medians]) -> Table:
     rows = [[name, *(compact(m[name]) for m in populations.values())] for name in (*FEATURES, *MEASURES)]
     return Table(["", *populations], rows)
 
@@ -247,7 +253,7 @@ def _measured(v: ClassComparison) -> Iterator[tuple[str, list[float], list[float
 
 # ---- tables of contrast
 
-TimedContrasts = Sequence[tuple[str, str, ContrastSides]]
+TimedContrasts = Sequence[tuple[str, str, TimeContrast]]
 """Class, or "" where there is only one, time of day, and the contrast of both populations."""
 
 

@@ -9,14 +9,14 @@ from typing import Any, Final
 from infrablend.detection.detections import RECORD
 from infrablend.lab.pages.evaluation_page import HEAD, STRATA, class_table
 from infrablend.lab.pages.realism_report import score_table
-from infrablend.lab.realism.realism_record import Score
+from infrablend.lab.realism.realism_record import ScoreName
 from infrablend.report.figures import decimals, stratum_order
 from infrablend.report.page import Table
 from infrablend.studio.results import ResultReport, ResultTable
 
 REALISM = "realism.json"
 _PICTURES = (".png", ".svg")
-_SCORES: Final[Mapping[Score, str]] = {
+_SCORES: Final[Mapping[ScoreName, str]] = {
     "auc_boosting": "boosting",
     "floor_logistic": "floor",
     "hard_paste_logistic": "hard paste",

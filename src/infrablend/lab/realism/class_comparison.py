@@ -10,16 +10,25 @@ import bisect
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.rng import stream
-from infrablend.lab.realism.classify import FOLDS, Score, auc, group_numbers, score, weights
+from infrablend.lab.realism.classify import FOLDS, Kind, Score, auc, group_numbers, score, weights
 from infrablend.lab.realism.features import FEATURES, MEASURES, Measured
 from infrablend.lab.realism.nets import inception_features, missing, no_inception, score_crops
+from infrablend.lab.realism.realism_record import (
+    BoxMeasures,
+    ClassFacts,
+    CropScores,
+    FeatureDistance,
+    FloorScores,
+    SeparatingFeature,
+    StepScores,
+    Validity,
+)
 
 LEAST_PAIRS = 500
 HARD_AT_LEAST = 0.99
@@ -40,15 +49,15 @@ class ClassComparison:
 
     Attributes:
         category: The class.
-        facts: Plain JSON values, documented in docs/how_to/measure_realism.md.
+        facts: Its entry in `realism.json`.
         ablation: Scores per step of the sensor chain; empty if there is none.
         pairs: (real, inserted) pairs, as scored.
         logistic: Score of the logistic classifier on these pairs; None if they are too few for folds.
     """
 
     category: str
-    facts: dict[str, Any]
-    ablation: dict[str, Any]
+    facts: ClassFacts
+    ablation: Mapping[str, StepScores]
     pairs: Pairs
     logistic: Score | None
 
@@ -69,33 +78,36 @@ def compare_class(
     inserts = [i for _, i in pairs]
     floor = redone.get("floor", ())
     hard = redone.get("hard_paste", ())
-    logistic, boosting = _both_scores(pairs)
+    logistic = _score(pairs, "logistic")
+    boosting = _score(pairs, "boosting")
     partner = {i.key: r for r, i in pairs}
-    steps: dict[str, Any] = {}
-    for step in (s for s in redone if s not in ("floor", "hard_paste")):
-        usable = _with_partners(redone[step], partner)
-        scores = _scores("auc", *_both_scores(usable))
-        steps[step] = {
-            "n": len(usable),
-            "auc_logistic": scores["auc_logistic"],
-            "auc_boosting": scores["auc_boosting"],
-            "ci": scores["auc_ci"],
-            "medians": _medians([m for _, m in usable]),
-        }
-    off = {
-        f"chain_off_{kind}": steps["chain_off"][f"auc_{kind}"]
-        for kind in ("logistic", "boosting")
-        if "chain_off" in steps
+    steps = {
+        name: _step_scores(_with_partners(made, partner))
+        for name, made in redone.items()
+        if name not in ("floor", "hard_paste")
     }
-    facts = {
+    hard_pairs = _with_partners(hard, {r.key: r for r in reals})
+    hard_logistic = _score(hard_pairs, "logistic")
+    hard_boosting = _score(hard_pairs, "boosting")
+    control = compare_floor(reals, floor)
+    facts: ClassFacts = {
+        "floor_n": control["floor_n"],
+        "floor_logistic": control["floor_logistic"],
+        "floor_boosting": control["floor_boosting"],
+        "floor_ci": control["floor_ci"],
+        "floor_boosting_ci": control["floor_boosting_ci"],
         "n": len(pairs),
         "n_real": len(real),
         "n_inserted": len(inserted),
-        **_scores("auc", logistic, boosting),
+        "auc_logistic": _auc(logistic),
+        "auc_boosting": _auc(boosting),
+        "auc_boosting_ci": _interval(boosting),
         "ci": _interval(logistic),
-        **compare_control("floor", reals, floor),
-        **compare_control("hard_paste", reals, hard),
-        **off,
+        "hard_paste_n": len(hard_pairs),
+        "hard_paste_logistic": _auc(hard_logistic),
+        "hard_paste_boosting": _auc(hard_boosting),
+        "hard_paste_ci": _interval(hard_logistic),
+        "hard_paste_boosting_ci": _interval(hard_boosting),
         "medians": {
             "real": _medians(reals),
             "inserted": _medians(inserts),
@@ -109,14 +121,35 @@ def compare_class(
         "mmd_dct": _distances(reals, inserts),
         "kid": _kid(reals, inserts),
     }
-    del facts["auc_ci"]
+    if "chain_off" in steps:
+        facts["chain_off_logistic"] = steps["chain_off"]["auc_logistic"]
+        facts["chain_off_boosting"] = steps["chain_off"]["auc_boosting"]
     return ClassComparison(category, facts, steps, pairs, logistic)
 
 
-def compare_control(name: str, real: Sequence[Measured], made: Sequence[Measured]) -> dict[str, Any]:
-    """Return the AUCs of untouched objects against a control made of them."""
-    usable = _with_partners(made, {m.key: m for m in real})
-    return {f"{name}_n": len(usable), **_scores(name, *_both_scores(usable))}
+def _step_scores(pairs: Pairs) -> StepScores:
+    logistic = _score(pairs, "logistic")
+    return {
+        "n": len(pairs),
+        "auc_logistic": _auc(logistic),
+        "auc_boosting": _auc(_score(pairs, "boosting")),
+        "ci": _interval(logistic),
+        "medians": _medians([m for _, m in pairs]),
+    }
+
+
+def compare_floor(real: Sequence[Measured], made: Sequence[Measured]) -> FloorScores:
+    """Return the AUCs of untouched objects against the control made of them."""
+    pairs = _with_partners(made, {m.key: m for m in real})
+    logistic = _score(pairs, "logistic")
+    boosting = _score(pairs, "boosting")
+    return {
+        "floor_n": len(pairs),
+        "floor_logistic": _auc(logistic),
+        "floor_boosting": _auc(boosting),
+        "floor_ci": _interval(logistic),
+        "floor_boosting_ci": _interval(boosting),
+    }
 
 
 def _with_partners(made: Sequence[Measured], partner: Mapping[str, Measured]) -> Pairs:
@@ -124,21 +157,27 @@ def _with_partners(made: Sequence[Measured], partner: Mapping[str, Measured]) ->
     return [(partner[m.key], m) for m in made if not m.flaw and m.key in partner]
 
 
-def validity(facts: Mapping[str, Any], person_floor: float | None) -> dict[str, Any]:
-    """Return whether a class's figures are valid, and the reasons if they are not."""
+def validity(pairs: int, hard_paste: float | None, person_floor: float | None) -> Validity:
+    """Return whether a class's figures are valid, and the reasons if they are not.
+
+    Args:
+        pairs: Number of pairs of real and inserted objects.
+        hard_paste: AUC of the logistic classifier on hard pastes.
+        person_floor: AUC of the logistic classifier on people's real control.
+    """
     why = []
-    if facts["n"] < LEAST_PAIRS:
-        why.append(f"{facts['n']} pairs of real and inserted objects; at least {LEAST_PAIRS} are needed")
-    hard = facts["hard_paste_logistic"]
-    if hard is None or hard < HARD_AT_LEAST:
-        why.append(f"the AUC of hard pastes against real objects is {_show(hard)}; at least {HARD_AT_LEAST} is needed")
+    if pairs < LEAST_PAIRS:
+        why.append(f"{pairs} pairs of real and inserted objects; at least {LEAST_PAIRS} are needed")
+    if hard_paste is None or hard_paste < HARD_AT_LEAST:
+        found = _show(hard_paste)
+        why.append(f"the AUC of hard pastes against real objects is {found}; at least {HARD_AT_LEAST} is needed")
     low, high = FLOOR_RANGE
     if person_floor is None or not low <= person_floor <= high:
         why.append(f"the AUC of people's real control is {_show(person_floor)}; expected {low:.2f} to {high:.2f}")
     return {"valid": not why, "invalid_because": why}
 
 
-def contrast_ratio(cars: Mapping[str, Any], people: Mapping[str, Any]) -> dict[str, float | None]:
+def contrast_ratio(cars: ClassFacts, people: ClassFacts) -> dict[str, float | None]:
     """Return the ratio of cars' to people's median contrast, by population; it does not depend on the gain."""
     found = {}
     for population in ("real", "inserted"):
@@ -152,13 +191,9 @@ def _show(value: float | None) -> str:
     return "unknown" if value is None else f"{value:.3f}"
 
 
-def _both_scores(pairs: Pairs) -> tuple[Score | None, Score | None]:
-    """Return the scores of both classifiers; None where there are too few pairs or backgrounds for the folds."""
-    if _too_few(pairs):
-        return None, None
-    real = [r for r, _ in pairs]
-    other = [o for _, o in pairs]
-    return score(real, other, "logistic"), score(real, other, "boosting")
+def _score(pairs: Pairs, kind: Kind) -> Score | None:
+    """Return the score of a classifier; None with too few pairs or backgrounds for the folds."""
+    return None if _too_few(pairs) else score([r for r, _ in pairs], [o for _, o in pairs], kind)
 
 
 def _too_few(pairs: Pairs) -> str | None:
@@ -171,13 +206,8 @@ def _interval(s: Score | None) -> list[float] | None:
     return None if s is None else [round(v, 4) for v in s.interval]
 
 
-def _scores(name: str, logistic: Score | None, boosting: Score | None) -> dict[str, Any]:
-    return {
-        f"{name}_logistic": None if logistic is None else round(logistic.auc, 4),
-        f"{name}_boosting": None if boosting is None else round(boosting.auc, 4),
-        f"{name}_ci": _interval(logistic),
-        f"{name}_boosting_ci": _interval(boosting),
-    }
+def _auc(s: Score | None) -> float | None:
+    return None if s is None else round(s.auc, 4)
 
 
 def _medians(objects: Sequence[Measured]) -> dict[str, float | None]:
@@ -189,42 +219,50 @@ def _medians(objects: Sequence[Measured]) -> dict[str, float | None]:
     return found
 
 
-def _box_measures(objects: Sequence[Measured]) -> dict[str, Any]:
+def _box_measures(objects: Sequence[Measured]) -> BoxMeasures:
     """Return contrasts and levels of objects of all sizes; these need no outline."""
-    contrast = {
-        name: [float(m.measures[k]) for m in objects if not math.isnan(m.measures[k])]
-        for k, name in enumerate(MEASURES[:2])
-    }
     histogram = np.sum([m.histogram for m in objects], axis=0) if objects else np.zeros(64, np.int64)
     pixels = [m.histogram.sum() for m in objects]
     above = sum(float(m.measures[MEASURES.index("share_above_245")]) * n for m, n in zip(objects, pixels, strict=True))
     return {
-        **{
-            name: None if not v else [round(float(q), 2) for q in np.percentile(v, [5, 25, 50, 75, 95])]
-            for name, v in contrast.items()
-        },
+        "p95_minus_ring": _quantiles(objects, "p95_minus_ring"),
+        "centre_minus_ring": _quantiles(objects, "centre_minus_ring"),
         "share_pixels_above_245": round(above / sum(pixels), 7) if objects else None,
         "level_histogram": [int(n) for n in histogram],
         "flaws": {f: sum(m.flaw == f for m in objects) for f in sorted({m.flaw for m in objects} - {""})},
     }
 
 
-def _sizes(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for a in sorted({m.altitude_m for m in (*real, *inserted) if m.altitude_m is not None}):
-        at_height = found[f"{a:g}"] = {}
-        for name, objects in (("real", real), ("inserted", inserted)):
-            sides = [float((m.box_xyxy[2:] - m.box_xyxy[:2]).max()) for m in objects if m.altitude_m == a]
-            at_height[f"{name}_n"] = len(sides)
-            at_height[f"{name}_long_side_px"] = round(float(np.median(sides)), 2) if sides else None
+def _quantiles(objects: Sequence[Measured], measure: str) -> list[float] | None:
+    of = [float(m.measures[MEASURES.index(measure)]) for m in objects]
+    known = [v for v in of if not math.isnan(v)]
+    return [round(float(q), 2) for q in np.percentile(known, [5, 25, 50, 75, 95])] if known else None
+
+
+def _sizes(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, dict[str, float | None]]:
+    """Return numbers of objects and medians of their longer sides by altitude."""
+    found: dict[str, dict[str, float | None]] = {}
+    for altitude_m in sorted({m.altitude_m for m in (*real, *inserted) if m.altitude_m is not None}):
+        of_real = _long_sides_px(real, altitude_m)
+        of_inserted = _long_sides_px(inserted, altitude_m)
+        found[f"{altitude_m:g}"] = {
+            "real_n": len(of_real),
+            "real_long_side_px": round(float(np.median(of_real)), 2) if of_real else None,
+            "inserted_n": len(of_inserted),
+            "inserted_long_side_px": round(float(np.median(of_inserted)), 2) if of_inserted else None,
+        }
     return found
 
 
-def _separating_features(real: Sequence[Measured], other: Sequence[Measured]) -> list[dict[str, Any]]:
+def _long_sides_px(objects: Sequence[Measured], altitude_m: float) -> list[float]:
+    return [float((m.box_xyxy[2:] - m.box_xyxy[:2]).max()) for m in objects if m.altitude_m == altitude_m]
+
+
+def _separating_features(real: Sequence[Measured], other: Sequence[Measured]) -> list[SeparatingFeature]:
     a, b = (np.array([m.features for m in objects], np.float64) for objects in (real, other))
     y = np.repeat([0, 1], [len(a), len(b)])
     by_weight = weights(real, other)
-    found = []
+    found: list[SeparatingFeature] = []
     for k, name in enumerate(FEATURES):
         alone = auc(y, np.concatenate([a[:, k], b[:, k]]))
         found.append(
@@ -240,25 +278,26 @@ def _separating_features(real: Sequence[Measured], other: Sequence[Measured]) ->
     return sorted(found, key=lambda f: (-f["auc"], f["feature"]))
 
 
-def _cnn(pairs: Pairs, floor: Sequence[Measured]) -> dict[str, Any]:
+def _cnn(pairs: Pairs, floor: Sequence[Measured]) -> CropScores:
     if reason := missing("torch") or _too_few(pairs):
         return {"skipped": reason}
     s = score_crops([r for r, _ in pairs], [i for _, i in pairs])
-    facts: dict[str, Any] = {"auc": round(s.auc, 4), "ci": _interval(s)}
+    facts: CropScores = {"auc": round(s.auc, 4), "ci": _interval(s)}
     usable = _with_partners(floor, {r.key: r for r, _ in pairs})
     if not _too_few(usable):
         s = score_crops([r for r, _ in usable], [m for _, m in usable])
-        facts |= {"floor": round(s.auc, 4), "floor_ci": _interval(s)}
+        facts["floor"] = round(s.auc, 4)
+        facts["floor_ci"] = _interval(s)
     return facts
 
 
-def _kid(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
+def _kid(real: Sequence[Measured], inserted: Sequence[Measured]) -> FeatureDistance:
     if reason := no_inception(min(len(real), len(inserted))):
         return {"skipped": reason}
     return _feature_distance(real, inception_features(real), inception_features(inserted))
 
 
-def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[str, Any]:
+def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> FeatureDistance:
     """Return the MMD on cosine coefficients of the crops."""
     if min(len(real) // 2, len(inserted)) < SUBSET:
         return {"skipped": f"{len(real)} pairs; {2 * SUBSET} are needed"}
@@ -266,9 +305,9 @@ def _distances(real: Sequence[Measured], inserted: Sequence[Measured]) -> dict[s
     return _feature_distance(real, standardised(a, a), standardised(b, a))
 
 
-def _feature_distance(real: Sequence[Measured], a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
+def _feature_distance(real: Sequence[Measured], a: NDArray[np.float64], b: NDArray[np.float64]) -> FeatureDistance:
     """Return the distance of the inserted features `b` from the real `a`, and that of two halves of the real ones."""
-    facts = {"inserted": [round(v, 6) for v in mmd(a, b)]}
+    facts: FeatureDistance = {"inserted": [round(v, 6) for v in mmd(a, b)]}
     half = group_numbers(real) % 2 == 0
     if min(half.sum(), (~half).sum()) >= SUBSET:
         facts["real_halves"] = [round(v, 6) for v in mmd(a[half], a[~half])]

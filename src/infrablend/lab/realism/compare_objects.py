@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from infrablend.annotation.classes import rename_classes
 from infrablend.annotation.measured_looseness import looseness, looseness_against
@@ -35,7 +35,7 @@ from infrablend.lab.pages.realism_report import CropSheet, html_report, sheets_o
 from infrablend.lab.realism.class_comparison import (
     ClassComparison,
     compare_class,
-    compare_control,
+    compare_floor,
     contrast_ratio,
     pair_by_size,
     validity,
@@ -45,6 +45,7 @@ from infrablend.lab.realism.contrasts import compare_contrasts
 from infrablend.lab.realism.controls import SENSOR_STEPS
 from infrablend.lab.realism.features import Measured
 from infrablend.lab.realism.measure_objects import Measurements, MeasuringSettings, PictureJob, image_key
+from infrablend.lab.realism.realism_record import ComparedRun, FloorScores, RealismRecord
 from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.pipeline.execution.serial import Serial
 from infrablend.pipeline.plans.models import ready_model
@@ -313,14 +314,14 @@ class RealismReport:
     """
 
     out: Path
-    facts: Mapping[str, Any]
+    facts: RealismRecord
 
     @property
     def valid(self) -> bool:
         """Whether the figures of every class are valid."""
         return all(c["valid"] for c in self.facts["classes"].values())
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the content of `realism.json`, and the folder."""
         return {**self.facts, "out": str(self.out)}
 
@@ -346,7 +347,7 @@ def compare(
     with workspace(out, "comparison", RECORD, "overwrite") as space:
         material = measure_populations(run, dataset, request, on_progress)
         comparisons, people = _compare_classes(material)
-        facts: dict[str, Any] = {
+        facts: RealismRecord = {
             "version": 1,
             "time_of_day": request.time_of_day,
             "most_pairs": request.most_pairs,
@@ -368,7 +369,7 @@ def compare(
     return RealismReport(out, facts)
 
 
-def _compare_classes(material: Material) -> tuple[list[ClassComparison], dict[str, Any]]:
+def _compare_classes(material: Material) -> tuple[list[ClassComparison], FloorScores]:
     found = material.found
     redone = ("floor", "hard_paste", *(SENSOR_STEPS if material.sensor else ()))
     comparisons = [
@@ -384,7 +385,9 @@ def _compare_classes(material: Material) -> tuple[list[ClassComparison], dict[st
     people = _people(material, comparisons)
     for v in comparisons:
         real = found.contrasts_of("real", v.category)
-        v.facts.update(validity(v.facts, people["floor_logistic"]))
+        valid = validity(v.facts["n"], v.facts["hard_paste_logistic"], people["floor_logistic"])
+        v.facts["valid"] = valid["valid"]
+        v.facts["invalid_because"] = valid["invalid_because"]
         v.facts["contrast"] = compare_contrasts(real, found.contrasts_of("inserted", v.category))
         if written := found.contrasts_of("as_written", v.category):
             v.facts["contrast_as_written"] = compare_contrasts(real, written)
@@ -401,7 +404,7 @@ def _compare_classes(material: Material) -> tuple[list[ClassComparison], dict[st
     return comparisons, people
 
 
-def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[str, Any]:
+def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> ComparedRun:
     about = RunFolder(run).read_run()
     real = dataset if request.real is None else request.real
     with RunFolder(run).ledger() as ledger:
@@ -418,12 +421,17 @@ def _run_facts(run: Path, dataset: Dataset, request: ComparisonRequest) -> dict[
     }
 
 
-def _people(material: Material, comparisons: Sequence[ClassComparison]) -> dict[str, Any]:
+def _people(material: Material, comparisons: Sequence[ClassComparison]) -> FloorScores:
     """Return the real control of people, which decides on the method's validity, even where none were inserted."""
     for v in comparisons:
         if known_class(v.category) == _REFERENCE:
-            return {k: v.facts[k] for k in ("floor_n", "floor_logistic", "floor_boosting", "floor_ci")}
+            return {
+                "floor_n": v.facts["floor_n"],
+                "floor_logistic": v.facts["floor_logistic"],
+                "floor_boosting": v.facts["floor_boosting"],
+                "floor_ci": v.facts["floor_ci"],
+            }
     people = named_as(_REFERENCE, material.controlled)
     if people is None:
-        return compare_control("floor", (), ())
-    return compare_control("floor", material.controlled[people], material.found.of("floor", people))
+        return compare_floor((), ())
+    return compare_floor(material.controlled[people], material.found.of("floor", people))

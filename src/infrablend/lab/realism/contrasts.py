@@ -6,7 +6,6 @@ Quantiles show whether objects stand out as much as real ones; `compositing.obje
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from infrablend.compositing.object_contrast import (
     is_enough,
     slope_within_images,
 )
+from infrablend.lab.realism.realism_record import ContrastCheck, ContrastFigures, TimeContrast
 
 QUANTILES = (1, 5, 25, 50, 75, 95)
 MAX_SLOPE_DIFFERENCE = 0.15
@@ -26,9 +26,7 @@ MIN_LEAST_RATIO = 0.8
 MAX_QUARTILE_DIFFERENCE = 0.25
 
 
-def compare_contrasts(
-    real: Sequence[ObjectContrast], inserted: Sequence[ObjectContrast]
-) -> dict[str, dict[str, dict[str, Any]]]:
+def compare_contrasts(real: Sequence[ObjectContrast], inserted: Sequence[ObjectContrast]) -> dict[str, TimeContrast]:
     """Return the contrast of real and inserted objects of one class by time of day, and the verdicts on them.
 
     Returns:
@@ -40,7 +38,7 @@ def compare_contrasts(
         `found` (the difference or the ratio), its `ci` if known, `limit` and `holds`, which is None with fewer than 30
         objects on either side. As plain JSON values; times without inserted objects are left out.
     """
-    found = {}
+    found: dict[str, TimeContrast] = {}
     for time in TIMES:
         sides = [[o for o in side if o.time_of_day == time] for side in (real, inserted)]
         if sides[1]:
@@ -51,7 +49,7 @@ def compare_contrasts(
     return found
 
 
-def _figures(objects: Sequence[ObjectContrast], slopes: Slopes) -> dict[str, Any]:
+def _figures(objects: Sequence[ObjectContrast], slopes: Slopes) -> ContrastFigures:
     return {
         "n": len(objects),
         "images": len({o.image for o in objects}),
@@ -68,8 +66,8 @@ def _figures(objects: Sequence[ObjectContrast], slopes: Slopes) -> dict[str, Any
 
 def _checks(
     real: Sequence[ObjectContrast], inserted: Sequence[ObjectContrast], real_slopes: Slopes, inserted_slopes: Slopes
-) -> dict[str, dict[str, Any]]:
-    checks: dict[str, dict[str, Any]] = {}
+) -> dict[str, ContrastCheck]:
+    checks: dict[str, ContrastCheck] = {}
     enough = min(len(real), len(inserted)) >= MIN_COMPARED
     for level in LEVELS:
         a, b = real_slopes[level], inserted_slopes[level]
@@ -103,7 +101,7 @@ def _checks(
     return checks
 
 
-def _ratio_check(values: Sequence[float], limits: tuple[float, float | None], enough: bool) -> dict[str, Any]:
+def _ratio_check(values: Sequence[float], limits: tuple[float, float | None], enough: bool) -> ContrastCheck:
     real, inserted = values
     ratio = inserted / real if real else None
     low, high = limits

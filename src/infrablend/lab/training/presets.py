@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from infrablend.core.machine import has_matrix_units, usable_cores
 from infrablend.detection.detections import Task
@@ -43,7 +43,7 @@ class Preset:
     patience: int = 0
     tile: int = 0
     tiles: int = 0
-    arguments: Mapping[str, Any] = field(default_factory=dict)
+    arguments: Mapping[str, object] = field(default_factory=dict)
 
     def epochs_for(self, images: int) -> tuple[int, int]:
         """Return the number of epochs, and of images (or tiles) shown per epoch, for a number of images.

@@ -19,6 +19,7 @@ from infrablend.core.user_folders import weights_folder
 from infrablend.detection.detections import TASKS, Task
 from infrablend.errors import FetchError, ModelError
 from infrablend.lab.training.presets import SUFFIX, Preset
+from infrablend.lab.training.training_record import StartFacts
 
 SCRATCH = "scratch"
 AUTO = "auto"
@@ -45,6 +46,10 @@ class StartWeights:
     kind: str
     why: str = ""
     network: str = ""
+
+    def facts(self) -> StartFacts:
+        """Return the fields as `train.json` has them."""
+        return {"model": self.model, "kind": self.kind, "why": self.why, "network": self.network}
 
 
 def find_start(wanted: str, preset: Preset, task: Task, cache: Path | None = None) -> StartWeights:

@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from infrablend import __version__
 from infrablend.core.dataset import Dataset
@@ -17,7 +17,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object, require_free_space, write_json
 from infrablend.core.machine import describe_machine
 from infrablend.core.tasks import OnProgress
-from infrablend.core.typed_command import command_facts
+from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Existing, workspace
 from infrablend.detection.training_folder import RECORD, WEIGHTS, WORKING_FILES
 from infrablend.detection.ultralytics_environment import require_ultralytics
@@ -31,6 +31,7 @@ from infrablend.lab.training.training_data import (
 )
 from infrablend.lab.training.training_plan import choose_device, plan_of, require_arguments
 from infrablend.lab.training.training_process import run_trainer
+from infrablend.lab.training.training_record import TrainingRecord
 from infrablend.pipeline.datasets.content import content_digest
 
 log = logging.getLogger(__name__)
@@ -48,9 +49,9 @@ class TrainReport:
 
     out: Path
     weights: Path
-    record: Mapping[str, Any]
+    record: TrainingRecord
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Plain JSON values."""
         return {"out": str(self.out), "weights": str(self.weights), **self.record}
 
@@ -86,7 +87,7 @@ def train_dataset(
     require_arguments(preset)
     wanted, left_out = select_training_data(dataset, request)
     start_asked, digest = start_weights.identify(request.weights)
-    asked = {
+    asked: TrainingRecord = {
         "preset": preset.name, "task": request.task, "seed": request.seed, "settings": dataclasses.asdict(preset),
         "classes": [c.name for c in wanted.categories], "data": str(real_path(dataset.root)),
         "start_asked": start_asked, "weights_sha256": digest, "content": content_digest(wanted),
@@ -95,7 +96,7 @@ def train_dataset(
         asked["agc"] = request.agc.model_dump()
     with workspace(out, "training", RECORD, existing, keep=True) as space:
         folder = space.folder
-        record = None if space.state == "new" else read_object(folder / RECORD)
+        record = None if space.state == "new" else cast("TrainingRecord | None", read_object(folder / RECORD))
         if record is not None:
             require_same(out, record, asked)
         if space.state == "complete":
@@ -107,12 +108,16 @@ def train_dataset(
                 log.warning("%s: was not prepared to the end; the training starts again", out)
             _remove_working_files(folder)
             require_free_space(folder, 1.2 * plan_of(wanted, device, request).disk_bytes, "the training")
-            start = start_weights.find_start(request.weights, preset, request.task)
             record = {
-                "infrablend": __version__, **command_facts(), **asked,
-                "left_out": left_out, "sessions": [],
-                "machine": _machine_facts(device), "start": dataclasses.asdict(start),
-            }  # fmt: skip
+                "infrablend": __version__,
+                **asked,
+                "left_out": left_out,
+                "sessions": [],
+                "machine": _machine_facts(device),
+                "start": start_weights.find_start(request.weights, preset, request.task).facts(),
+            }
+            if command := command_facts():
+                record["command"] = command[COMMAND]
             write_json(folder / RECORD, record, durable=True)
             record["prepared"] = write_training_data(wanted, folder, request)
             write_json(folder / RECORD, record, durable=True)
@@ -132,7 +137,7 @@ def _remove_working_files(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any]) -> None:
+def require_same(out: Path, record: Mapping[str, object], asked: Mapping[str, object]) -> None:
     """Raise OtherSettingsError if a training to resume was started with other data or settings."""
     now = _flat(json.loads(json.dumps(asked)))
     record = _flat(record)
@@ -146,7 +151,7 @@ def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any])
     other = [k for k in [*now, *more] if record.get(k) != now.get(k)]
     if other:
         problems = [
-            Problem(asked["data"], "resume-other",
+            Problem(str(asked["data"]), "resume-other",
                     "other labels or pictures", f"those it was started with, then in {record.get('data')}")
             if k == "content"
             else Problem(k, "resume-other", str(now.get(k)), f"{record.get(k)}, as at the start")
@@ -155,17 +160,20 @@ def require_same(out: Path, record: Mapping[str, Any], asked: Mapping[str, Any])
         raise OtherSettingsError(f"{out}: was started with other settings; use the same, or another folder", problems)
 
 
-def _flat(record: Mapping[str, Any]) -> dict[str, Any]:
+def _flat(record: Mapping[str, object]) -> dict[str, object]:
     """Return a record with flattened settings (`settings.passes`, `settings.arguments.lr0`), without their summary."""
     flat = dict(record)
-    settings = dict(flat.pop("settings", {}))
-    settings.pop("summary", None)  # prose, which may be reworded
-    settings |= {f"arguments.{k}": v for k, v in settings.pop("arguments", {}).items()}
-    return flat | {f"settings.{k}": v for k, v in settings.items()}
+    settings: Any = flat.pop("settings", {})
+    for name, value in settings.items():
+        if name == "arguments":
+            flat |= {f"settings.arguments.{k}": v for k, v in value.items()}
+        elif name != "summary":  # prose, which may be reworded
+            flat[f"settings.{name}"] = value
+    return flat
 
 
-def _machine_facts(device: str) -> dict[str, Any]:
-    found: dict[str, Any] = {k: describe_machine()[k] for k in ("processor", "cores", "system")}
+def _machine_facts(device: str) -> dict[str, object]:
+    found: dict[str, object] = {k: describe_machine()[k] for k in ("processor", "cores", "system")}
     if device != "cpu":
         import torch
 

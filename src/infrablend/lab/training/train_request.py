@@ -57,7 +57,7 @@ class TrainRequest:
 DEFAULT_TRAINING = TrainRequest()
 
 
-def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
+def choose_preset(name: str, settings: Mapping[str, object]) -> Preset:
     """Return the preset with these fields and arguments of Ultralytics changed.
 
     Raises:
@@ -66,7 +66,7 @@ def choose_preset(name: str, settings: Mapping[str, Any]) -> Preset:
     if name not in PRESETS:
         raise OutputError(f"--preset {name}: no such preset; expected one of {', '.join(PRESETS)}")
     preset = PRESETS[name]
-    fields = {k: v for k, v in settings.items() if k in PRESET_FIELDS}
+    fields: dict[str, Any] = {k: v for k, v in settings.items() if k in PRESET_FIELDS}
     arguments = {k: v for k, v in settings.items() if k not in PRESET_FIELDS}
     problems = [
         Problem(

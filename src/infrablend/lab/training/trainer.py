@@ -17,7 +17,7 @@ import random
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -73,11 +73,11 @@ class Job:
     images: int
     labels: int
     shown: int
-    arguments: dict[str, Any] = field(default_factory=dict)
+    arguments: dict[str, object] = field(default_factory=dict)
     val_images: int = 0
     val_labels: int = 0
     tile: int = 0
-    agc: dict[str, Any] | None = None
+    agc: Mapping[str, object] | None = None
 
 
 @dataclass(frozen=True)
@@ -326,8 +326,8 @@ def _train(job: Job, say: Any) -> None:
         versions={"ultralytics": ultralytics.__version__, "torch": torch.__version__})  # fmt: skip
 
 
-def _overrides(job: Job, out: Path, resumed: Path | None) -> dict[str, Any]:
-    overrides: dict[str, Any] = {
+def _overrides(job: Job, out: Path, resumed: Path | None) -> dict[str, object]:
+    overrides: dict[str, object] = {
         "mode": "train", "task": job.task, "model": job.model, "data": job.data, "epochs": job.epochs,
         "batch": job.batch, "imgsz": job.image_size, "device": job.device, "patience": job.patience or 10**6,
         "seed": job.seed, "val": job.patience > 0, "plots": False, "project": str(out), "name": RUN,

@@ -6,10 +6,9 @@ import logging
 import shlex
 import shutil
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from infrablend.annotation.classes import drop_classes
 from infrablend.config.agc import Agc
@@ -25,6 +24,7 @@ from infrablend.formats.pictures.listing import read_size
 from infrablend.formats.pictures.temperature_scale import deep_mode, is_deep
 from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.train_request import TrainRequest
+from infrablend.lab.training.training_record import PreparedCounts
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 
 # Losses of the written format that would hide labels from the trainer.
@@ -187,30 +187,26 @@ def most_tiles(preset: Preset, split: str) -> int:
     return preset.tiles if split == "train" else min(preset.tiles or 256, 256)
 
 
-def write_training_data(dataset: Dataset, out: Path, request: TrainRequest) -> dict[str, Any]:
+def write_training_data(dataset: Dataset, out: Path, request: TrainRequest) -> PreparedCounts:
     """Write the data for the trainer to the folder `data` of a training, and return their counts."""
     preset = request.chosen_preset()
     images = [i for i in dataset.images if i.split in ("train", "val")]
     if has_deep_pictures(dataset):
         images = [*eight_bit_copies(images, out / EIGHT_BIT, request.agc)[0]]
-    objects = {s: _objects_of(images, s) for s in ("train", "val")}
-    counts: dict[str, Any] = {
-        "pictures": dict(Counter(i.split for i in images)),
-        "objects": {s: dict(sorted(of_split.items())) for s, of_split in objects.items()},
-    }
+    pictures = images
+    tiled: dict[str, Mapping[str, int]] = {}
     if preset.tile:
-        cut: list[ImageRecord] = []
+        images = []
         for split in ("train", "val"):
-            part = [i for i in images if i.split == split]
+            part = [i for i in pictures if i.split == split]
             planned = tiles.plan_tiles(part, preset.tile, seed=request.seed, most=most_tiles(preset, split))
             records, found = tiles.write_tiles(planned, out / TILES)
-            cut += records
-            counts["tiles" if split == "train" else "tiles_val"] = {"tiles": len(records), **found}
-        images = cut
-    if not any(i.split == "val" for i in images):
+            images += records
+            tiled[split] = {"tiles": len(records), **found}
+    without_val = not any(i.split == "val" for i in images)
+    if without_val:
         # Ultralytics requires a val split; with fixed passes nothing depends on it.
-        images += [replace(i, split="val") for i in images[:8]]
-        counts["val"] = "the first pictures of train: there is no val split, and nothing depends on it"
+        images = [*images, *(replace(i, split="val") for i in images[:8])]
     categories = [replace(c, id=n) for n, c in enumerate(dataset.categories)]
     name = writer_for_task(request.task).name
     written = writing.write(name, out / DATA, images, categories)
@@ -221,8 +217,22 @@ def write_training_data(dataset: Dataset, out: Path, request: TrainRequest) -> d
         problems = [Problem(name, k, f"{n} labels would be lost", "none",
                             "infrablend check lists them") for k, n in fatal.items()]  # fmt: skip
         raise DatasetError(f"{dataset.root}: the trainer would not see some labels", problems)
-    for split, suffix in (("train", ""), ("val", "_val")):
-        files = sorted((out / DATA / "labels" / split).rglob("*.txt"))
-        counts[f"images{suffix}"] = sum(i.split == split for i in images)
-        counts[f"labels{suffix}"] = sum(len(read_regular(p).splitlines()) for p in files)
-    return {**counts, "losses": dict(written.losses)}
+    counts: PreparedCounts = {
+        "pictures": dict(Counter(i.split for i in pictures)),
+        "objects": {s: dict(sorted(_objects_of(pictures, s).items())) for s in ("train", "val")},
+        "images": sum(i.split == "train" for i in images),
+        "labels": _written_labels(out / DATA, "train"),
+        "images_val": sum(i.split == "val" for i in images),
+        "labels_val": _written_labels(out / DATA, "val"),
+        "losses": dict(written.losses),
+    }
+    if tiled:
+        counts["tiles"] = tiled["train"]
+        counts["tiles_val"] = tiled["val"]
+    if without_val:
+        counts["val"] = "the first pictures of train: there is no val split, and nothing depends on it"
+    return counts
+
+
+def _written_labels(data: Path, split: str) -> int:
+    return sum(len(read_regular(p).splitlines()) for p in (data / "labels" / split).rglob("*.txt"))

@@ -9,10 +9,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, write_json
@@ -21,18 +21,98 @@ from infrablend.detection.training_folder import DATA, JOB, LOG, RECORD
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
 from infrablend.lab.training import trainer
 from infrablend.lab.training.presets import Preset
+from infrablend.lab.training.training_record import SessionFacts, TrainerEvent, TrainingRecord
 from infrablend.pipeline.execution.interrupt import Interruption
 
 log = logging.getLogger(__name__)
 
 
+class _Session:
+    """One sitting of a training: it follows the events of the process and keeps the record up to date."""
+
+    def __init__(self, out: Path, record: TrainingRecord, images: int, on_progress: OnProgress | None) -> None:
+        self._out = out
+        self._record = record
+        self._images = images
+        self._on_progress = on_progress
+        self._earlier = list(record["sessions"])
+        self._began = time.monotonic()
+        self._epoch = 0
+        self._damage: str | None = None
+        self._first_step: tuple[int, float] | None = None
+        self.end: TrainerEvent | None = None
+        self.error: TrainerEvent | None = None
+
+    def take(self, event: TrainerEvent) -> None:
+        """Note what the process says."""
+        match event["event"]:
+            case "damaged":
+                self._damage = event["message"]
+                log.warning("%s: %s", self._out, event["message"])
+            case "epoch":
+                self._epoch = int(event["epoch"])
+                self.note("killed")  # the record must count this session even if it is killed
+                write_json(self._out / RECORD, self._record, durable=True)
+            case "step":
+                self._report(event)
+            case "error":
+                self.error = event
+            case "end":
+                self.end = event
+
+    def note(self, end: str) -> None:
+        """Put this session into the record."""
+        session: SessionFacts = {
+            "seconds": round(time.monotonic() - self._began, 1),
+            "end": end,
+            "epoch": self._epoch,
+        }
+        if self._damage is not None:
+            session["restarted"] = self._damage
+        self._record["sessions"] = [*self._earlier, session]
+
+    def _report(self, event: TrainerEvent) -> None:
+        if self._on_progress is None:
+            return
+        seconds = max(time.monotonic() - self._began, 1e-6)
+        done = int(event["images"])
+        if self._first_step is None:
+            self._first_step = (done, seconds)
+        first_done, first_s = self._first_step
+        pace = (done - first_done) / max(seconds - first_s, 1e-6)
+        eta = (self._images - done) / pace if pace > 0 else None
+        self._on_progress(Progress(done, self._images, pace, eta, {"epoch": event["epoch"]}))
+
+
 def run_trainer(
-    out: Path, record: dict[str, Any], preset: Preset, device: str, on_progress: OnProgress | None
-) -> dict[str, Any]:
+    out: Path, record: TrainingRecord, preset: Preset, device: str, on_progress: OnProgress | None
+) -> TrainingRecord:
     """Run the training process from the start or its last checkpoint, and return the finished record."""
+    epochs, shown = preset.epochs_for(record["prepared"]["images"])
+    write_json(out / JOB, asdict(_job(out, record, preset, device)))
+    record["epochs"] = epochs
+    record["device"] = device
+    write_json(out / RECORD, record, durable=True)
+    session = _Session(out, record, epochs * shown, on_progress)
+    command = [sys.executable, "-W", "ignore", "-m", trainer.__name__, str(os.getpid()), str(out / JOB)]
+    code, stopped = watch(command, out / LOG, session.take)
+    # After the event `end` the weights are complete, and a stop has no effect.
+    done = session.end is not None and (code == 0 or stopped)
+    session.note("end" if done else "stopped" if stopped else "failed")
+    if session.end is not None and done:
+        _note_end(record, session.end, preset, shown)
+    write_json(out / RECORD, record, durable=True)
+    if stopped and not done:
+        raise _stopped(record["sessions"], epochs)
+    if not done:
+        raise _failure(out, code, session.error, preset)
+    return record
+
+
+def _job(out: Path, record: TrainingRecord, preset: Preset, device: str) -> trainer.Job:
     prepared = record["prepared"]
     epochs, shown = preset.epochs_for(prepared["images"])
-    job = trainer.Job(
+    return trainer.Job(
         data=str(real_path(out / DATA / "data.yaml")), out=str(real_path(out)), task=record["task"],
         model=record["start"]["model"], device=device, epochs=epochs, batch=preset.batch,
         image_size=preset.image_size, tile=preset.tile, patience=preset.patience, seed=record["seed"],
@@ -40,62 +120,25 @@ def run_trainer(
         val_images=prepared.get("images_val", 0) if preset.patience else 0,
         val_labels=prepared.get("labels_val", 0) if preset.patience else 0, agc=record.get("agc"),
     )  # fmt: skip
-    write_json(out / JOB, asdict(job))
-    record |= {"epochs": epochs, "device": device}
-    write_json(out / RECORD, record, durable=True)
-    began = time.monotonic()
-    last: dict[str, dict[str, Any]] = {}
-    before = list(record["sessions"])
-
-    def note_session(end: str) -> None:
-        session = {"seconds": round(time.monotonic() - began, 1), "end": end,
-                   "epoch": int(last.get("epoch", {}).get("epoch", 0))}  # fmt: skip
-        if "damaged" in last:
-            session["restarted"] = last["damaged"]["message"]
-        record["sessions"] = [*before, session]
-
-    def take(event: dict[str, Any]) -> None:
-        last[event["event"]] = event
-        if event["event"] == "damaged":
-            log.warning("%s: %s", out, event["message"])
-        if event["event"] == "epoch":  # the record must count this session even if it is killed
-            note_session("killed")
-            write_json(out / RECORD, record, durable=True)
-        if event["event"] == "step" and on_progress is not None:
-            seconds = max(time.monotonic() - began, 1e-6)
-            done, total = int(event["images"]), epochs * shown
-            first = last.setdefault("first", {"images": done, "at": seconds})
-            pace = (done - first["images"]) / max(seconds - first["at"], 1e-6)
-            eta = (total - done) / pace if pace > 0 else None
-            on_progress(Progress(done, total, pace, eta, {"epoch": event["epoch"]}))
-
-    command = [sys.executable, "-W", "ignore", "-m", trainer.__name__, str(os.getpid()), str(out / JOB)]
-    code, stopped = watch(command, out / LOG, take)
-    # After the event `end` the weights are complete, and a stop has no effect.
-    done = "end" in last and (code == 0 or stopped)
-    note_session("end" if done else "stopped" if stopped else "failed")
-    if done:
-        end = last["end"]
-        record |= {k: end[k] for k in ("precision", "threads", "versions", "batch")}
-        record |= {
-            "epochs_done": end["epochs"],
-            "passes": end["epochs"] * shown,
-            "seconds": round(sum(s["seconds"] for s in record["sessions"]), 1),
-            "losses": end["losses"],
-            "gate": end["gate"],
-        }
-        if end["batch"] != preset.batch:
-            why = "memory was short" if end["short_of_memory"] else f"there are {prepared['images']} images"
-            record["note"] = f"batch {end['batch']} rather than {preset.batch}: {why}"
-    write_json(out / RECORD, record, durable=True)
-    if stopped and not done:
-        raise _stopped(record["sessions"], epochs)
-    if not done:
-        raise _failure(out, code, last.get("error"), preset)
-    return record
 
 
-def _stopped(sessions: list[dict[str, Any]], epochs: int) -> Interrupted:
+def _note_end(record: TrainingRecord, end: TrainerEvent, preset: Preset, shown: int) -> None:
+    """Put what a finished training has done into its record."""
+    record["precision"] = end["precision"]
+    record["threads"] = end["threads"]
+    record["versions"] = end["versions"]
+    record["batch"] = end["batch"]
+    record["epochs_done"] = end["epochs"]
+    record["passes"] = end["epochs"] * shown
+    record["seconds"] = round(sum(s["seconds"] for s in record["sessions"]), 1)
+    record["losses"] = end["losses"]
+    record["gate"] = end["gate"]
+    if end["batch"] != preset.batch:
+        why = "memory was short" if end["short_of_memory"] else f"there are {record['prepared']['images']} images"
+        record["note"] = f"batch {end['batch']} rather than {preset.batch}: {why}"
+
+
+def _stopped(sessions: Sequence[SessionFacts], epochs: int) -> Interrupted:
     reached = 0  # each session continued the one before or started again
     for s in sessions:
         reached = max(0 if "restarted" in s else reached, s["epoch"])
@@ -107,7 +150,7 @@ def _stopped(sessions: list[dict[str, Any]], epochs: int) -> Interrupted:
     return Interrupted(f"Stopped {at}; the same command with --resume {then}.")
 
 
-def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None]) -> tuple[int, bool]:
+def watch(command: list[str], log: Path, take: Callable[[TrainerEvent], None]) -> tuple[int, bool]:
     """Run the process and pass on its events; return its exit code and whether a stop was requested."""
     with Interruption() as interruption:
         try:
@@ -135,7 +178,7 @@ def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None])
                     except ValueError:
                         continue
                     if isinstance(event, dict) and "event" in event:
-                        take(event)
+                        take(cast("TrainerEvent", event))
                 code = process.wait()
             except BaseException:
                 process.kill()
@@ -143,7 +186,7 @@ def watch(command: list[str], log: Path, take: Callable[[dict[str, Any]], None])
         return code, interruption.requested
 
 
-def _failure(out: Path, code: int, event: Mapping[str, Any] | None, preset: Preset) -> InfraBlendError:
+def _failure(out: Path, code: int, event: TrainerEvent | None, preset: Preset) -> InfraBlendError:
     if event is not None and event["code"] == "labels-dropped":
         return DatasetError(f"{out}: the trainer would drop labels: {event['message']}")
     if code == -9 or (event is not None and event["code"] == "out-of-memory"):

@@ -20,10 +20,10 @@ from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.files import write_bytes
 from infrablend.core.rng import stream
 from infrablend.core.temperature import Radiometry, TemperatureScale
-from infrablend.formats.cameras.rjpeg_writing import PLANCK, Shot, radiometric_jpeg
 from infrablend.formats.pictures.images import png_bytes
 from infrablend.formats.published import monet
 from infrablend.lab.world.draw_plan import sample_world
+from infrablend.lab.world.rjpeg_writing import PLANCK, Shot, radiometric_jpeg
 from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.thermal_image import (
     CENTIKELVIN,

@@ -15,10 +15,10 @@ from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import link_or_copy
 from infrablend.core.workspace import WORLD_FILE, replacing, workspace
-from infrablend.formats.cameras.rjpeg_writing import MAKERS
 from infrablend.formats.labels import coco, mot
 from infrablend.formats.published import hit_uav, monet
 from infrablend.lab.world.frame_files import FinishedFrame
+from infrablend.lab.world.rjpeg_writing import MAKERS
 from infrablend.lab.world.world_frames import MONET_CATEGORIES, FrameFacts, Layout, plan_frames
 
 # Renders the given frames, writes their images below the given folder, and yields them in any order.

@@ -13,7 +13,7 @@ from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import SPLITS, Category, Split
 from infrablend.core.rng import stream
 from infrablend.errors import Problem, RecipeError
-from infrablend.formats.cameras.rjpeg_writing import MAKERS, Maker
+from infrablend.lab.world.rjpeg_writing import MAKERS, Maker
 from infrablend.lab.world.scene_plan import PlaceKind
 from infrablend.lab.world.setting import SIZE_WH
 

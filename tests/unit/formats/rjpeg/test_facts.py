@@ -12,8 +12,8 @@ import pytest
 from infrablend.errors import DatasetError
 from infrablend.formats.cameras.header_facts import DJI, CameraFacts, fov_of_35mm, read_facts, zoomed
 from infrablend.formats.cameras.jpeg_segments import APP1, read_header
-from infrablend.formats.cameras.rjpeg_writing import Maker, segment_bytes
 from infrablend.formats.cameras.xmp import EXTENDED, MAX_BYTES, STANDARD, read_xmp
+from infrablend.lab.world.rjpeg_writing import Maker, segment_bytes
 from tests.flights import plain_jpeg, shot, with_xmp
 
 HEAD = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'

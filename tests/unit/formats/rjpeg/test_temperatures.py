@@ -16,7 +16,7 @@ from infrablend.errors import DatasetError
 from infrablend.formats.cameras import flir_block
 from infrablend.formats.cameras.jpeg_segments import APP3, APP4, read_header
 from infrablend.formats.cameras.raw_temperatures import fit_scale, read_converted, read_temperatures
-from infrablend.formats.cameras.rjpeg_writing import PLANCK, Maker, segment_bytes
+from infrablend.lab.world.rjpeg_writing import PLANCK, Maker, segment_bytes
 from infrablend.thermal.flir import ObjectSettings
 from tests.flights import SIZE_WH, counts, plain_jpeg, shot
 

@@ -1,4 +1,4 @@
-"""Average precision by pycocotools, for the tables and to check our own matching."""
+"""Average precision by pycocotools: the oracle of our own matching and precision."""
 
 from __future__ import annotations
 
