@@ -358,7 +358,7 @@ def test_the_ground_preview_compares_only_what_stands_on_the_ground(tmp_path, re
     assert comparable([original, *inserted], record.scene) == [original, *(inserted if stands else [])]
 
 
-@pytest.mark.parametrize(("width", "rows"), [(160, 4), (320, 2), (640, 1), (2560, 1)])
+@pytest.mark.parametrize(("width", "rows"), [(200, 4), (320, 2), (640, 1), (2560, 1)])
 def test_the_legend_of_the_ground_preview_is_not_cut(width, rows):
     from infrablend.report.ground_preview import LEGEND
     from infrablend.report.preview import TITLE_PX, legend, strip
