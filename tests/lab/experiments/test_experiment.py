@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-import infrablend.config
+import infrablend.lab.experiments
 from infrablend import api
 from infrablend.cli import main
 from infrablend.config.loading import load_recipe
@@ -51,7 +51,7 @@ from tests.weights_files import write_weights
 
 RUN = {"scale": "smoke", "renderer": "flat", "workers": 1}
 HEAD = "name: few\ntitle: t\ndescription: d\nsources: {hit-uav: {format: hit-uav, title: H}}\n"
-SHIPPED = Path(infrablend.config.__file__).parent / "experiments"
+SHIPPED = Path(infrablend.lab.experiments.__file__).parent / "shipped"
 
 
 class Bench:
