@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +24,7 @@ from infrablend.report.figures import human_seconds
 if TYPE_CHECKING:
     from infrablend.config.agc import Agc
     from infrablend.lab.evaluation.evaluate import EvaluationReport
+    from infrablend.lab.training.training_record import TrainingRecord
     from infrablend.report.page import Table
 
 
@@ -61,7 +61,7 @@ def train(
             "tiles" if p.tiled else "images": str(p.images),
             "labels of the split": str(p.labels),
             "epochs": f"{p.epochs} of {p.shown} images shown",
-            "start weights": start_text(asdict(p)),
+            "start weights": start_text(p.weights, p.network),
             "device": p.device if p.device in ("cpu", "mps") else f"GPU {p.device}",
             "time, about": human_seconds(p.seconds),
             "disk, about": human_bytes(p.disk_bytes),
@@ -73,13 +73,13 @@ def train(
     show_result(session, report.to_json(), lambda: f"{table(_training(report.record))}\n{report.weights}")
 
 
-def start_text(plan: Mapping[str, Any]) -> str:
-    """Return start weights and network of a planned training."""
-    own = "" if plan["weights"] in ("auto", "scratch") else "their "
-    return f"{plan['weights']}, {own}network {plan['network'] or 'unknown before their download'}"
+def start_text(weights: str, network: str) -> str:
+    """Return a text on start weights and network of a planned training."""
+    own = "" if weights in ("auto", "scratch") else "their "
+    return f"{weights}, {own}network {network or 'unknown before their download'}"
 
 
-def _training(record: Mapping[str, Any]) -> dict[str, str]:
+def _training(record: TrainingRecord) -> dict[str, str]:
     """Return the rows on a finished training; an object counts once per tile that contains it."""
     start = record["start"]
     prepared = record["prepared"]
