@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from infrablend.lab.evaluation.evaluation_record import Curves
+from infrablend.lab.experiments.result_record import ComparisonFigures, ExperimentRecord, TableRow
 from infrablend.lab.pages.experiment_page import METRICS, class_order
 from infrablend.report.charts import (
     BLUE,
@@ -31,7 +32,7 @@ CHARTS = ("bars", "differences", "pr")
 """Names of all charts of a page."""
 
 
-def draw_plots(facts: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
+def draw_plots(facts: ExperimentRecord) -> list[tuple[str, str, bytes]]:
     """Return (name, title, SVG) of every chart that there are figures for."""
     rows = [(t["title"], r) for t in facts["tables"] for r in t["rows"] if r["ours"] is not None]
     found = {n: e["curves"] for n, e in facts["evaluations"].items() if e.get("curves")}
@@ -43,20 +44,21 @@ def draw_plots(facts: Mapping[str, Any]) -> list[tuple[str, str, bytes]]:
     return [(name, title, draw(figures)) for name, title, draw, figures in charts if figures]
 
 
-def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
+def _bars(rows: Sequence[tuple[str, TableRow]]) -> bytes:
     several = len({t for t, _ in rows}) > 1
     names = [f"{r['evaluation']}: {r['title']}" if several else r["title"] for _, r in rows]
     figure, axes, places = pair_of_panels(names, 0.34)
     for ax, metric in zip(axes, _SHOWN, strict=True):
         for at, (_, r) in zip(places, rows, strict=True):
-            value = r["ours"][metric]
-            ci = (r["ours"].get("ci") or {}).get(metric)
-            if value is not None:
-                ax.barh(at, value, height=0.6, color=BLUE, alpha=0.75)
+            ours: Mapping[str, Any] = r["ours"] or {}
+            ci = (ours.get("ci") or {}).get(metric)
+            paper = r["paper"][metric]
+            if ours[metric] is not None:
+                ax.barh(at, ours[metric], height=0.6, color=BLUE, alpha=0.75)
             if ci:
                 ax.plot(ci, [at, at], color=INK, lw=1.4)
-            if r["paper"][metric] is not None:
-                ax.plot(r["paper"][metric], at, marker="x", color=ORANGE, ms=7, mew=1.8, ls="")
+            if paper is not None:
+                ax.plot(paper, at, marker="x", color=ORANGE, ms=7, mew=1.8, ls="")
         ax.set(xlim=(0, 1.02), xlabel=METRICS[metric])
     if any(r["paper"][metric] is not None for _, r in rows for metric in _SHOWN):
         axes[1].plot([], [], marker="x", color=ORANGE, ls="", mew=1.8, label="paper")
@@ -65,7 +67,7 @@ def _bars(rows: Sequence[tuple[str, Mapping[str, Any]]]) -> bytes:
     return svg_bytes(figure)
 
 
-def _forest(comparisons: Mapping[str, Mapping[str, Any]]) -> bytes:
+def _forest(comparisons: Mapping[str, ComparisonFigures]) -> bytes:
     rows = [
         (f"{c['title']}, {name}", c["classes"][name])
         for c in comparisons.values()
