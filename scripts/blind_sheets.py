@@ -30,7 +30,8 @@ from infrablend.core.output_checks import require_outside_datasets
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, InfraBlendError
-from infrablend.report.figures import decimals, interval, markdown_table
+from infrablend.report.figures import decimals, interval
+from infrablend.report.page import Table
 from infrablend.report.preview import (
     INK,
     INSERTED,
@@ -170,7 +171,7 @@ def table(answers: Answers, key: Mapping[str, Any]) -> str:
         wrong = ", ".join(f"{p} {places[p]}" for p in PLACES[1:-1] if places[p]) or "-"
         heading = f"{headings['yes']} of {headings['yes'] + headings['no']}"
         rows.append([name, str(judged), str(places[UNCLEAR]), str(right), share, wrong, heading])
-    return markdown_table(["run", "judged", "unclear", "right", "share (95 %)", "wrong", "heading right"], rows)
+    return Table(["run", "judged", "unclear", "right", "share (95 %)", "wrong", "heading right"], rows).markdown()
 
 
 def agreement(first: Answers, second: Answers) -> tuple[int, float | None, float | None]:

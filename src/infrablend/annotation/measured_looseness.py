@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +102,20 @@ def box_extent(
     return None if extent is None else BoxExtent(of.category, of.image, of.time_of_day, (x1 - x0, y1 - y0), extent)
 
 
-def looseness(boxes: Sequence[BoxExtent]) -> dict[str, Any] | None:
+class BoxFactor(TypedDict):
+    """How much larger boxes are than visible extents, see `looseness` and `looseness_against`."""
+
+    n: int
+    factor: float
+    ci: list[float]
+    margin_px: float
+    width: NotRequired[float]
+    height: NotRequired[float]
+    spread: NotRequired[dict[str, float]]
+    better: NotRequired[str]
+
+
+def looseness(boxes: Sequence[BoxExtent]) -> BoxFactor | None:
     """Return how much larger boxes of one class are than the visible extent.
 
     Returns:
@@ -125,7 +138,7 @@ def looseness(boxes: Sequence[BoxExtent]) -> dict[str, Any] | None:
     }
 
 
-def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) -> dict[str, Any] | None:
+def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) -> BoxFactor | None:
     """Return how much larger drawn boxes are than exact ones around objects that look the same size.
 
     The factor of each drawn box is divided by the median factor of the exact boxes around objects of the same extent,

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeGuard, get_args
+from typing import Any, Literal, TypedDict, TypeGuard, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,6 +89,15 @@ def object_contrast(picture: Picture, instance: Instance, labels: Sequence[Insta
     return measure_contrast(picture, instance.box_xyxy, [i.box_xyxy for i in labels if i is not instance])
 
 
+class SlopeFigures(TypedDict):
+    """The figures of a slope with its 95 % interval, rounded."""
+
+    slope: float
+    ci: list[float]
+    objects: int
+    images: int
+
+
 @dataclass(frozen=True, eq=False)
 class Slope:
     """Slope of the objects' level over the level of their rings, within images.
@@ -111,7 +120,7 @@ class Slope:
         low, high = np.percentile(self.draws, [2.5, 97.5])
         return float(low), float(high)
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> SlopeFigures:
         """Return plain JSON values."""
         low, high = self.interval
         return {

@@ -39,7 +39,7 @@ from infrablend.formats.published.sources import (
     Licence,
     find_source,
 )
-from infrablend.report.figures import markdown_table
+from infrablend.report.page import Table, bullets
 
 CARD_FILE = "README.md"
 LICENCE_COPY = "LICENSE-source.txt"
@@ -294,7 +294,7 @@ def _provenance_of(data: Any, stated_by: str) -> Provenance | None:
     )
 
 
-def _inserts_of(entry: Mapping[str, Any]) -> Inserts:
+def _inserts_of(entry: Mapping[str, object]) -> Inserts:
     labels = entry.get("labels")
     seed = entry.get("seed")
     return Inserts(
@@ -306,7 +306,7 @@ def _inserts_of(entry: Mapping[str, Any]) -> Inserts:
     )
 
 
-def _licence_of(stated: Mapping[str, Any]) -> Licence:
+def _licence_of(stated: Mapping[str, object]) -> Licence:
     identifier = _text(stated, "id")
     name = _text(stated, "name")
     if not identifier and not name:
@@ -315,15 +315,15 @@ def _licence_of(stated: Mapping[str, Any]) -> Licence:
     return Licence(known, name or identifier, _text(stated, "url"))
 
 
-def _listed(value: Any, kind: type) -> list[Any]:
+def _listed(value: object, kind: type) -> list[Any]:
     return [v for v in value if isinstance(v, kind)] if isinstance(value, list) else []
 
 
-def _texts(value: Any) -> tuple[str, ...]:
+def _texts(value: object) -> tuple[str, ...]:
     return tuple(" ".join(text.split()) for text in _listed(value, str))
 
 
-def _text(data: Mapping[str, Any], key: str, *, lines: bool = False) -> str:
+def _text(data: Mapping[str, object], key: str, *, lines: bool = False) -> str:
     value = data.get(key)
     if not isinstance(value, str):
         return ""
@@ -342,11 +342,11 @@ def card_text(card: Card) -> str:
         f"# {card.name}",
         card.summary,
         "## Intended use",
-        _bullets(_uses(card)),
+        bullets(_uses(card)),
         "## Source and licence",
         *_source(card),
         "## What was changed",
-        _bullets(card.changes),
+        bullets(card.changes),
         "## Classes and counts",
         _table(card),
         "Some formats hold less: the next section lists their losses.",
@@ -355,12 +355,12 @@ def card_text(card: Card) -> str:
         *_formats(card),
         *_loading(card),
         "## How it was made",
-        "\n".join(f"* {what}: {value}" for what, value in (*card.made, ("InfraBlend", __version__))),
+        bullets(f"{what}: {value}" for what, value in (*card.made, ("InfraBlend", __version__))),
         *_recipes(card.inserts),
         "## How to cite",
         *_citations(card),
-        *(["## Known limits", _bullets(limits)] if limits else []),
-        *(["## Known failures", _bullets(card.failures)] if card.failures else []),
+        *(["## Known limits", bullets(limits)] if limits else []),
+        *(["## Known failures", bullets(card.failures)] if card.failures else []),
     ]
     text = "\n\n".join([head, *(_without_markup(p) for p in parts if p)]) + "\n"
     return f"{text}\n{_OWN.format(digest=_digest(text))}\n"
@@ -409,7 +409,7 @@ def _loading(card: Card) -> list[str]:
     return [f"With Hugging Face's `datasets`, from this folder:\n\n```python\n{code}\n```"]
 
 
-def _front_matter(card: Card) -> dict[str, Any]:
+def _front_matter(card: Card) -> dict[str, object]:
     images = sum(card.images_per_split.values())
     licence = card.source.licence
     named = {}
@@ -427,7 +427,7 @@ def _front_matter(card: Card) -> dict[str, Any]:
     }
 
 
-def _configs(card: Card) -> dict[str, Any]:
+def _configs(card: Card) -> dict[str, object]:
     """Return the hub's viewer settings: each picture once, not again from every format."""
     splits = [s for s in SPLITS if card.images_per_split.get(s)]
     if not card.images or not splits:
@@ -460,12 +460,8 @@ def _source(card: Card) -> list[str]:
             + (f" The licence's text is in `{LICENCE_COPY}`." if s.licence_text is not None else "")
         )
     if s.changes:
-        texts.append("Earlier changes to the source:\n\n" + _bullets(s.changes))
+        texts.append("Earlier changes to the source:\n\n" + bullets(s.changes))
     return texts
-
-
-def _bullets(items: Iterable[str]) -> str:
-    return "\n".join(f"* {i}" for i in items)
 
 
 def _table(card: Card) -> str:
@@ -482,7 +478,7 @@ def _table(card: Card) -> str:
             rows[-1].append(str(card.inserted.get(c.name, 0)))
     if card.inserted:
         rows[0].append("")
-    return markdown_table(head, rows, ["---", *["---:"] * (len(head) - 1)])
+    return Table(head, rows).markdown(["---", *["---:"] * (len(head) - 1)])
 
 
 def _tree(card: Card) -> str:
@@ -507,7 +503,7 @@ def _formats(card: Card) -> list[str]:
             lacks = ", ".join(words for key, (words, _) in FIELDS.items() if key in writer.lacks)
             text = writer.title + (f"; it cannot hold {lacks}" if lacks else "")
         lines.append(f"`{name}`: {text}." + (f" Here: {counted}." if counted else " Nothing was lost."))
-    return [_bullets(lines)] if lines else []
+    return [bullets(lines)] if lines else []
 
 
 def _citations(card: Card) -> list[str]:
@@ -564,14 +560,14 @@ def write_card(folder: Path, card: Card) -> list[Problem]:
     return problems
 
 
-def shard_source(source: Provenance, inserts: Inserts) -> dict[str, Any]:
+def shard_source(source: Provenance, inserts: Inserts) -> dict[str, object]:
     """Return the origin of the pictures of a packed shard for its record, which is its only file besides the data."""
     facts = _source_facts(replace(source, inserts=(*source.inserts, inserts)))
     text = source.licence_text
     return facts if text is None else {**facts, _LICENCE_TEXT: text.decode("utf-8", "replace")}
 
 
-def _source_facts(source: Provenance) -> dict[str, Any]:
+def _source_facts(source: Provenance) -> dict[str, object]:
     """Return the content of a `SOURCE.json`, as plain JSON values."""
     return {k: v for k, v in asdict(source).items() if k not in ("how", "licence_text", "limits")}
 

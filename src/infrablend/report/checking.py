@@ -62,7 +62,7 @@ class CheckReport:
         """Return the number of problems per code, errors first."""
         return dict(Counter(p.code for p in self.problems))
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "root": str(self.root),

@@ -1,26 +1,9 @@
-"""Numbers and tables as text, and charts as files: the same form in pages, cards and on the command line."""
+"""Numbers as text: the same form in pages, cards and on the command line."""
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-def plot_text(text: str) -> str:
-    """Return a text from data for a plot, where dollars would start a formula."""
-    return text.replace("$", r"\$")
-
-
-def png_bytes(figure: Figure) -> bytes:
-    """Return a chart as a PNG file; the same chart gives the same bytes."""
-    out = io.BytesIO()
-    figure.savefig(out, format="png", metadata={"Software": None})
-    return out.getvalue()
 
 
 def stratum_order(name: str) -> tuple[float, bool, str]:
@@ -45,12 +28,6 @@ def interval(ends: Sequence[float] | None, *, signed: bool = False) -> str:
         return "-"
     form = "+.3f" if signed else ".3f"
     return f"{ends[0]:{form}} to {ends[1]:{form}}"
-
-
-def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]], align: Sequence[str] | None = None) -> str:
-    """Return a Markdown table; `align` holds a column's rule, such as `---:`."""
-    lines = [head, align or ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
 
 
 def human_seconds(s: float) -> str:

@@ -22,18 +22,16 @@ from infrablend.core.run_folder import RunFolder
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
 from infrablend.report.preview import (
-    INK,
-    TITLE_PX,
     PreviewFrame,
     Rgb,
     draw_polygon,
-    font_of,
     grid,
+    legend,
     load_frames,
+    titled,
     to_rgb,
     write_sheet,
 )
-from infrablend.report.preview import strip as text_strip
 
 # Plurals of the classes whose size in the scene is known.
 _MANY = {"person": "people", "car": "cars"}
@@ -44,14 +42,12 @@ _GRID = (74, 150, 170)
 _PERSON = (255, 196, 0)
 _CAR = (255, 64, 160)
 _LABELLED = (112, 158, 120)
-_LEGEND = {
+LEGEND = {
     "the ground, as a grid": _GRID,
     "a person of 1.7 m": _PERSON,
     "a car of 4.6 m": _CAR,
     "labels, to compare in size": _LABELLED,
 }
-_LEGEND_PX = 14
-_LEGEND_MARGIN_PX = 4
 _SPACINGS_M = (1, 2, 5, 10, 20, 50, 100, 200)
 _MAX_REFERENCES = 12
 _STANDING_WITHIN_M = 0.5  # simulated motion may move an object a little off the ground
@@ -80,8 +76,7 @@ def ground_sheet(run: Path, out_png: Path, count: int = 6) -> Path:
             )
         cells.append(_cell(frame, scene))
     sheet = grid(cells, min(len(cells), 2))
-    sheet = np.concatenate([_legend(sheet.shape[1]), sheet])
-    return write_sheet(out_png, sheet)
+    return write_sheet(out_png, np.concatenate([legend(sheet.shape[1], LEGEND), sheet]))
 
 
 def comparable(instances: Sequence[Instance], scene: SceneSpec) -> list[Instance]:
@@ -93,20 +88,6 @@ def comparable(instances: Sequence[Instance], scene: SceneSpec) -> list[Instance
     ground_m = scene.view.ground_z_m
     flying = {o.category for o in scene.objects if abs(o.position_m[2] - ground_m) > _STANDING_WITHIN_M}
     return [i for i in instances if not (i.inserted and i.category in flying)]
-
-
-def _legend(width: int) -> Rgb:
-    """Return the legend in one row, or in two or four if the sheet is too narrow for it."""
-    longest = max(font_of(_LEGEND_PX).getlength(text) for text in _LEGEND)
-    columns = next((n for n in (4, 2) if longest <= width // n - _LEGEND_MARGIN_PX), 1)
-    widths = np.diff(np.linspace(0, width, columns + 1).astype(int))
-    rows = []
-    texts = list(_LEGEND.items())
-    for first in range(0, len(texts), columns):
-        strips = zip(widths, texts[first : first + columns], strict=True)
-        parts = [text_strip(int(w), TITLE_PX, text, _LEGEND_PX, colour) for w, (text, colour) in strips]
-        rows.append(np.concatenate(parts, axis=1))
-    return np.concatenate(rows)
 
 
 def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
@@ -121,7 +102,7 @@ def _cell(frame: PreviewFrame, scene: SceneSpec) -> Rgb:
         f"{frame.frame_id}   pitch {pitch:.0f}\u00b0   stated {view.stated_height_m:.0f} m, "
         f"used {view.camera_height_m:.0f} m ({source})   grid {spacing} m"
     )
-    return np.concatenate([text_strip(canvas.shape[1], TITLE_PX, title, 14, INK), canvas])
+    return titled(canvas, title)
 
 
 def draw_ground(plain: Rgb, labels: Sequence[Instance], scene: SceneSpec) -> tuple[Rgb, int]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.capture import TimeOfDay
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, boxes_of
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Instance, boxes_of
 from infrablend.core.files import write_bytes
 from infrablend.core.format_table import FORMATS
 from infrablend.errors import DatasetError, Problem
@@ -22,7 +22,7 @@ from infrablend.formats.pictures.images import load_background
 from infrablend.formats.pictures.listing import read_size
 from infrablend.formats.pictures.temperature_scale import describe_scales
 from infrablend.imaging.surfaces import find_surfaces
-from infrablend.report.figures import plot_text, png_bytes
+from infrablend.report.charts import legend, matrix, panels, plot_text, png_bytes, stacked_bars
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 # More distinct values than this are grouped into bins.
@@ -77,13 +77,13 @@ class Inspection:
     tracks: Mapping[str, int]
     picture_sizes: Mapping[str, int]
     temperatures: Mapping[str, int]
-    decoded: Mapping[str, Any]
+    decoded: Mapping[str, Mapping[str, float]]
     leakage: tuple[Leakage, ...]
     remarks: tuple[str, ...]
     problems: tuple[Problem, ...]
     notes: Mapping[str, Any] = field(default_factory=dict)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "root": str(self.root),
@@ -212,7 +212,7 @@ def _binned(values: Sequence[float | None], unit: str) -> tuple[list[str], tuple
 
 def _label_kinds(images: Sequence[ImageRecord]) -> dict[str, int]:
     objects = [o for i in images for o in i.instances]
-    kinds: dict[str, Callable[[Any], bool]] = {
+    kinds: dict[str, Callable[[Instance], bool]] = {
         "boxes": lambda o: True,
         "oriented_boxes": lambda o: o.corners_xy is not None,
         "masks": lambda o: o.mask is not None,
@@ -233,7 +233,7 @@ def _size(image: ImageRecord, problems: list[Problem]) -> tuple[int, int] | None
     return size_wh
 
 
-def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Any], list[Problem]]:
+def _decode(images: Sequence[ImageRecord]) -> tuple[dict[str, Mapping[str, float]], list[Problem]]:
     """Return figures on the pixels; one picture is in memory at a time."""
     kinds: Counter[str] = Counter()
     levels: list[tuple[int, int]] = []
@@ -271,54 +271,33 @@ def write_charts(facts: Inspection, path: Path) -> Path:
     Raises:
         OutputError: The file cannot be written.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 9), dpi=100, layout="constrained")
-    counts, sizes, coverage, times = figure.subplots(2, 2).ravel()
+    figure, (counts, sizes, coverage, times) = panels(2, 2, (13, 9))
     names = list(facts.classes)
     splits = list(facts.splits)
-
-    _stacked_bars(counts, _plain(names), {s: [facts.classes[n][s] for n in names] for s in splits})
+    stacked_bars(counts, _plain(names), {s: [facts.classes[n][s] for n in names] for s in splits})
     counts.set(title="Objects by class", xlabel="objects")
-    if splits and names:
-        counts.legend()
+    legend(counts)
 
     with_boxes = [n for n in names if len(facts.sizes_px[n])]
     if with_boxes:
         sizes.boxplot([facts.sizes_px[n] for n in with_boxes], whis=(5, 95), showfliers=False, widths=0.6)
-        sizes.set_xticks(range(1, len(with_boxes) + 1), _plain(with_boxes), rotation=45, ha="right")
+        sizes.set_xticks(
+            range(1, len(with_boxes) + 1), [plot_text(n) for n in _plain(with_boxes)], rotation=45, ha="right"
+        )
         sizes.set_yscale("log")
     sizes.set(title="Box size by class (5, 25, 50, 75, 95 %)", ylabel="square root of area, px")
 
-    grid = np.array([[facts.coverage.get((p, a), 0) for a in facts.altitudes] for p in facts.pitches], np.float64)
+    grid = np.array([[facts.coverage.get((p, a), 0) for a in facts.altitudes] for p in facts.pitches])
     if grid.size:
-        coverage.imshow(np.where(grid > 0, grid, np.nan), cmap="viridis", aspect="auto")
-        coverage.set_xticks(range(len(facts.altitudes)), facts.altitudes, rotation=45, ha="right")
-        coverage.set_yticks(range(len(facts.pitches)), facts.pitches)
-        middle = grid.max() / 2
-        for y, x in np.argwhere(grid > 0):
-            colour = "white" if grid[y, x] < middle else "black"
-            coverage.text(x, y, f"{grid[y, x]:.0f}", ha="center", va="center", fontsize=8, color=colour)
+        texts = [str(n or "") for n in grid.flat]
+        matrix(coverage, grid / max(grid.max(), 1), texts, facts.pitches, facts.altitudes)
     coverage.set(title="Images by pitch and altitude", xlabel="altitude", ylabel="pitch below the horizon")
 
     kinds = [k for k in (*get_args(TimeOfDay), UNKNOWN) if any(k in of for of in facts.time_of_day.values())]
-    _stacked_bars(times, kinds, {s: [facts.time_of_day[s].get(k, 0) for k in kinds] for s in splits})
+    stacked_bars(times, kinds, {s: [facts.time_of_day[s].get(k, 0) for k in kinds] for s in splits})
     times.set(title="Images by time of day", xlabel="images")
-
     return write_bytes(path, png_bytes(figure))
 
 
-def _stacked_bars(axis: Any, names: Sequence[str], counts: Mapping[str, Sequence[int]]) -> None:
-    """Draw a bar per name, from the top; `counts` holds the number of each name by split."""
-    colours: dict[str, str] = dict(zip(SPLITS, ("#30638e", "#edae49", "#b23a48"), strict=True))
-    left = np.zeros(len(names))
-    for split, found in counts.items():
-        values = np.array(found, np.float64)
-        axis.barh(range(len(names)), values, left=left, label=split, color=colours[split])
-        left = left + values
-    axis.set_yticks(range(len(names)), names)
-    axis.invert_yaxis()
-
-
 def _plain(names: Sequence[str]) -> list[str]:
-    return [plot_text(n[:40]) for n in names]
+    return [n[:40] for n in names]

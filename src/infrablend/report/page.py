@@ -1,14 +1,43 @@
-"""HTML pages that need no other file: templates, styles and pictures are all inside the page."""
+"""The parts of a page: tables, numbers and pictures, the same in HTML, in Markdown and on the command line.
+
+HTML pages need no other file: templates, styles and pictures are all inside the page.
+"""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-from infrablend.report.figures import compact, decimals, human_seconds, interval
+from infrablend.report.figures import decimals
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of text: its head, its rows, and what it shows, in words."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    title: str = ""
+
+    def markdown(self, align: Sequence[str] | None = None) -> str:
+        """Return the table in Markdown; `align` holds a column's rule, such as `---:`."""
+        lines = [self.head, align or ["---"] * len(self.head), *self.rows]
+        return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in lines)
+
+
+def bullets(items: Iterable[str]) -> str:
+    """Return a list in Markdown."""
+    return "\n".join(f"* {item}" for item in items)
+
+
+def markdown_page(blocks: Iterable[str]) -> str:
+    """Return a page in Markdown of its headings, paragraphs and tables; empty ones are left out."""
+    return "\n\n".join(block for block in blocks if block) + "\n"
 
 
 def render_page(name: str, package: str = __package__, /, **content: Any) -> str:
@@ -24,6 +53,11 @@ def page_part(name: str) -> str:
     return _environment(__package__).get_template(f"{name}.jinja").render()
 
 
+def data_uri(data: bytes, kind: str = "png") -> str:
+    """Return a picture as an address that contains it."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+
+
 @cache
 def _environment(package: str) -> Environment:
     environment = Environment(
@@ -34,15 +68,5 @@ def _environment(package: str) -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters |= {
-        "compact": compact,
-        "data_uri": _data_uri,
-        "decimals": decimals,
-        "interval": interval,
-        "seconds": human_seconds,
-    }
+    environment.filters |= {"data_uri": data_uri, "decimals": decimals}
     return environment
-
-
-def _data_uri(png: bytes) -> str:
-    return f"data:image/png;base64,{base64.b64encode(png).decode('ascii')}"

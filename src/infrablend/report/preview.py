@@ -44,10 +44,12 @@ FAINT: Colour = (150, 156, 166)
 # Inserted objects: one colour per kind of label, distinct for most colour-blind readers too.
 INSERTED: dict[Draw, Colour] = {"boxes": (255, 196, 0), "obb": (0, 214, 255), "masks": (255, 64, 160)}
 ORIGINAL: dict[Draw, Colour] = {"boxes": (112, 158, 120), "obb": (96, 128, 172), "masks": (112, 158, 120)}
+_ORIGINAL_NAME: Colour = (168, 204, 174)
 FILL = 0.22  # opacity of the mask's colour
 
 GAP_PX = 12
 TITLE_PX = 26
+TITLE_FONT_PX = 14
 INSET_WH = (310, 240)
 INSET_CAPTION_PX = 18
 INSET_MARGIN_PX = 8
@@ -189,6 +191,7 @@ def _with_names(
 ) -> Rgb:
     image = Image.fromarray(canvas)
     pen = ImageDraw.Draw(image)
+    of_inserted = next((INSERTED[d] for d in ALL_DRAWN if d in draw), INK)
     for i in instances:
         font = font_of(13 if i.inserted else 11)
         text = i.category
@@ -201,13 +204,15 @@ def _with_names(
         y = round(y0) - h - 2
         if y < 0:  # no room above: below, or inside at the top
             y = round(y1) + 2 if round(y1) + 2 + h <= canvas.shape[0] else max(0, round(y0) + 2)
-        at = (x + 2 - left, y + 2 - top)
-        if i.inserted:
-            pen.rectangle([x, y, x + w - 1, y + h - 1], fill=PAPER)
-            colour = next((INSERTED[d] for d in ALL_DRAWN if d in draw), INK)
-            pen.text(at, text, fill=colour, font=font)
-        else:
-            pen.text(at, text, fill=(168, 204, 174), font=font, stroke_width=1, stroke_fill=PAPER)
+        colour = of_inserted if i.inserted else _ORIGINAL_NAME
+        pen.text(
+            (x + 2 - left, y + 2 - top),
+            text,
+            fill=colour,
+            font=font,
+            stroke_width=2 if i.inserted else 1,
+            stroke_fill=PAPER,
+        )
     return np.asarray(image)
 
 
@@ -222,8 +227,7 @@ def _cell(frame: PreviewFrame, draw: Sequence[Draw]) -> Rgb:
         more = f"and {len(inserted) - MAX_INSETS} more inserted object(s)"
         rows.append(strip(plain.shape[1], INSET_CAPTION_PX, more, 12, FAINT))
     width = max(r.shape[1] for r in rows)
-    rows.insert(0, strip(width, TITLE_PX, frame.title, 14, INK))
-    return np.concatenate([_pad(r, r.shape[0], width) for r in rows])
+    return titled(np.concatenate([_pad(r, r.shape[0], width) for r in rows]), frame.title)
 
 
 def inset_window(instance: Instance, frame_wh: tuple[int, int]) -> tuple[tuple[int, int, int, int], int]:
@@ -270,23 +274,33 @@ def _inset_pair(plain: Rgb, instances: Sequence[Instance], instance: Instance, d
 
 def _legend(width: int, draw: Sequence[Draw]) -> Rgb:
     words: dict[Draw, str] = {"boxes": "box", "obb": "oriented box", "masks": "mask"}
-    image = Image.new("RGB", (width, TITLE_PX + GAP_PX), PAPER)
+    entries = {f"inserted: {words[kind]}": INSERTED[kind] for kind in ALL_DRAWN if kind in draw}
+    # Original masks have the colour of original boxes.
+    entries |= {f"original: {words[kind]}": ORIGINAL[kind] for kind in ("boxes", "obb") if kind in draw}
+    return legend(width, {**entries, "96%: visible share of the object": FAINT})
+
+
+def legend(width: int, entries: Mapping[str, Colour]) -> Rgb:
+    """Return a strip with words in their colours, in as many rows as they need."""
+    font = font_of(TITLE_FONT_PX)
+    places = []
+    x, y = GAP_PX, 0
+    for text in entries:
+        text_px = math.ceil(font.getlength(text))
+        if x > GAP_PX and x + text_px > width:
+            x, y = GAP_PX, y + TITLE_PX
+        places.append((x, y + (TITLE_PX - TITLE_FONT_PX) // 2))
+        x += text_px + 2 * GAP_PX
+    image = Image.new("RGB", (width, y + TITLE_PX), PAPER)
     pen = ImageDraw.Draw(image)
-    x, y = GAP_PX, GAP_PX // 2 + 4
-    for group, colours in (("inserted:", INSERTED), ("original:", ORIGINAL)):
-        pen.text((x, y), group, fill=INK, font=font_of(14))
-        x += round(pen.textlength(group, font=font_of(14))) + 10
-        for kind in ALL_DRAWN:
-            if kind not in draw or (colours is ORIGINAL and kind == "masks"):
-                continue
-            pen.rectangle([x, y + 3, x + 16, y + 13], outline=colours[kind], width=2)
-            pen.text((x + 22, y), words[kind], fill=FAINT, font=font_of(14))
-            x += 22 + round(pen.textlength(words[kind], font=font_of(14))) + 16
-        x += 14
-    share = "96%: visible share of the object"
-    if x + pen.textlength(share, font=font_of(14)) <= width:
-        pen.text((x, y), share, fill=FAINT, font=font_of(14))
+    for place, (text, colour) in zip(places, entries.items(), strict=True):
+        pen.text(place, text, fill=colour, font=font)
     return np.asarray(image)
+
+
+def titled(picture: Rgb, title: str) -> Rgb:
+    """Return a picture under a line of text."""
+    return np.concatenate([strip(picture.shape[1], TITLE_PX, title, TITLE_FONT_PX, INK), picture])
 
 
 def grid(cells: Sequence[Rgb], columns: int) -> Rgb:

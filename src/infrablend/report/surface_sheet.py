@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.surface_kinds import SURFACES, SurfaceKind
-from infrablend.report.preview import INK, TITLE_PX, Rgb, grid, strip, to_rgb, write_sheet
+from infrablend.report.preview import Rgb, grid, legend, titled, to_rgb, write_sheet
 
 COLOURS: dict[SurfaceKind, tuple[int, int, int]] = {
     "road": (150, 150, 160),
@@ -41,14 +41,10 @@ def place_cell(title: str, pixels: NDArray[np.uint8] | NDArray[np.uint16], kinds
     size = (_CELL_WIDTH_PX, max(1, round(h * _CELL_WIDTH_PX / w)))
     plain = cv2.resize(to_rgb(pixels), size, interpolation=cv2.INTER_AREA)
     map_ = cv2.resize(coloured(kinds), size, interpolation=cv2.INTER_NEAREST)
-    pair = np.hstack([plain, map_])
-    return np.vstack([strip(pair.shape[1], TITLE_PX, title, 14, INK), pair])
+    return titled(np.hstack([plain, map_]), title)
 
 
 def write_place_sheet(path: Path, cells: Iterable[Rgb]) -> Path:
     """Write cells with a legend of the colours as a PNG; return its path."""
     body = grid(list(cells), _COLUMNS)
-    names = [strip(body.shape[1] // len(SURFACES), TITLE_PX, kind, 14, COLOURS[kind]) for kind in SURFACES]
-    legend = np.hstack(names)
-    legend = np.pad(legend, ((0, 0), (0, body.shape[1] - legend.shape[1]), (0, 0)), mode="edge")
-    return write_sheet(path, np.vstack([legend, body]))
+    return write_sheet(path, np.vstack([legend(body.shape[1], {kind: COLOURS[kind] for kind in SURFACES}), body]))

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-import infrablend.config
+import infrablend.lab.experiments
 from infrablend import api
 from infrablend.cli import main
 from infrablend.config.loading import load_recipe
@@ -51,7 +51,7 @@ from tests.weights_files import write_weights
 
 RUN = {"scale": "smoke", "renderer": "flat", "workers": 1}
 HEAD = "name: few\ntitle: t\ndescription: d\nsources: {hit-uav: {format: hit-uav, title: H}}\n"
-SHIPPED = Path(infrablend.config.__file__).parent / "experiments"
+SHIPPED = Path(infrablend.lab.experiments.__file__).parent / "shipped"
 
 
 class Bench:
@@ -1022,7 +1022,7 @@ def ratio_check(ratio: Any, least: float, **more: Any) -> Check:
 
 
 def test_ratio_is_compared_with_its_minimum() -> None:
-    figures = {n: {"classes": {"Person": {"map50": v}}} for n, v in (("a", 0.35), ("b", 0.5))}
+    figures: Any = {n: {"classes": {"Person": {"map50": v}}} for n, v in (("a", 0.35), ("b", 0.5))}
     check = ratio_check((("a",), ("b",)), 0.7)
     found = check_claim(check, figures, {}, {})
     assert found["ratio"] == 0.7 and found["holds"] is True
@@ -1037,7 +1037,7 @@ def test_ratio_is_compared_with_its_minimum() -> None:
 
 
 def test_claim_about_a_time_of_day_uses_the_figures_of_its_images_alone():
-    def evaluation(by_day: float) -> dict[str, Any]:
+    def evaluation(by_day: float) -> Any:
         return {
             "classes": {"Person": {"map50": 0.7}},
             "strata": {"time": {"day": {"classes": {"Person": {"map50": by_day}}}}},
@@ -1052,7 +1052,7 @@ def test_claim_about_a_time_of_day_uses_the_figures_of_its_images_alone():
 
 def test_ratio_of_several_seeds_is_that_of_their_means() -> None:
     values = {"a": 0.3, "a-1": 0.5, "b": 0.4, "b-1": 0.6}
-    figures = {n: {"classes": {"Person": {"map50": v}}} for n, v in values.items()}
+    figures: Any = {n: {"classes": {"Person": {"map50": v}}} for n, v in values.items()}
     check = ratio_check((("a", "a-1"), ("b", "b-1")), 0.8)
     found = check_claim(check, figures, {}, {})
     assert found["values"] == [0.4, 0.5] and found["ratio"] == 0.8 and found["holds"] is True

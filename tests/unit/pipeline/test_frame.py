@@ -358,16 +358,16 @@ def test_the_ground_preview_compares_only_what_stands_on_the_ground(tmp_path, re
     assert comparable([original, *inserted], record.scene) == [original, *(inserted if stands else [])]
 
 
-@pytest.mark.parametrize(("width", "rows"), [(320, 4), (640, 2), (1280, 1), (2560, 1)])
+@pytest.mark.parametrize(("width", "rows"), [(200, 4), (320, 2), (640, 1), (2560, 1)])
 def test_the_legend_of_the_ground_preview_is_not_cut(width, rows):
-    from infrablend.report import ground_preview
-    from infrablend.report.preview import TITLE_PX, strip
+    from infrablend.report.ground_preview import LEGEND
+    from infrablend.report.preview import TITLE_PX, legend, strip
 
-    legend = ground_preview._legend(width)
-    assert legend.shape == (rows * TITLE_PX, width, 3)
-    for text, colour in ground_preview._LEGEND.items():
+    shown = legend(width, LEGEND)
+    assert shown.shape == (rows * TITLE_PX, width, 3)
+    for text, colour in LEGEND.items():
         whole = strip(2560, TITLE_PX, text, 14, colour)
-        assert (legend == colour).all(axis=2).sum() == (whole == colour).all(axis=2).sum() > 0
+        assert (shown == colour).all(axis=2).sum() == (whole == colour).all(axis=2).sum() > 0
 
 
 def sky_folder(root: Path, count: int = 4) -> Path:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +24,8 @@ from infrablend.report.figures import human_seconds
 if TYPE_CHECKING:
     from infrablend.config.agc import Agc
     from infrablend.lab.evaluation.evaluate import EvaluationReport
+    from infrablend.lab.training.training_record import TrainingRecord
+    from infrablend.report.page import Table
 
 
 def _agc(text: str) -> Agc:
@@ -60,7 +61,7 @@ def train(
             "tiles" if p.tiled else "images": str(p.images),
             "labels of the split": str(p.labels),
             "epochs": f"{p.epochs} of {p.shown} images shown",
-            "start weights": start_text(asdict(p)),
+            "start weights": start_text(p.weights, p.network),
             "device": p.device if p.device in ("cpu", "mps") else f"GPU {p.device}",
             "time, about": human_seconds(p.seconds),
             "disk, about": human_bytes(p.disk_bytes),
@@ -72,13 +73,13 @@ def train(
     show_result(session, report.to_json(), lambda: f"{table(_training(report.record))}\n{report.weights}")
 
 
-def start_text(plan: Mapping[str, Any]) -> str:
-    """Return start weights and network of a planned training."""
-    own = "" if plan["weights"] in ("auto", "scratch") else "their "
-    return f"{plan['weights']}, {own}network {plan['network'] or 'unknown before their download'}"
+def start_text(weights: str, network: str) -> str:
+    """Return a text on start weights and network of a planned training."""
+    own = "" if weights in ("auto", "scratch") else "their "
+    return f"{weights}, {own}network {network or 'unknown before their download'}"
 
 
-def _training(record: Mapping[str, Any]) -> dict[str, str]:
+def _training(record: TrainingRecord) -> dict[str, str]:
     """Return the rows on a finished training; an object counts once per tile that contains it."""
     start = record["start"]
     prepared = record["prepared"]
@@ -143,20 +144,17 @@ def _evaluation(report: EvaluationReport) -> list[str]:
 
     metrics = report.metrics
     classes = metrics["classes"]
-    rows = [[*row, page.class_interval(classes[row[0]]["ci"], "map50_95")] for row in page.table_rows(classes)]
-    blocks = [grid([*page.HEAD, "interval"], rows)]
-    targets = metrics["targets"]
-    alarms = metrics["false_alarms"]
-    blocks.append(page.as_one_text(classes["all"]))
-    blocks.append(f"{page.target_title(targets)}:\n" + grid(page.TARGET_HEAD, page.target_rows(metrics)))
-    blocks.append(grid(["size or visible share", "objects", "found"], page.kind_rows(targets)))
-    if alarms["pictures"]:
-        blocks.append(f"{page.alarm_title(alarms)}:\n" + grid(*page.alarm_table(alarms)))
+    targets = page.target_table(metrics["targets"], classes)
+    found_by = page.kind_table(metrics["targets"], "size or visible share")
+    by_class = page.class_table(classes, {"map50_95": "interval"})
+    blocks = [grid(by_class.head, by_class.rows), page.as_one_text(classes["all"]), _titled(targets)]
+    blocks.append(grid(found_by.head, found_by.rows))
+    if metrics["false_alarms"]["pictures"]:
+        blocks.append(_titled(page.alarm_table(metrics["false_alarms"])))
     if tracks := metrics.get("tracks"):
-        rows = page.track_rows(tracks, measures=["hota"])
-        blocks.append(f"{page.track_title(tracks)}:\n" + grid([*page.TRACK_HEAD, "HOTA, interval"], rows))
+        blocks.append(_titled(page.track_table(tracks, ["hota"])))
     if metrics["ultralytics"]:
-        blocks.append("by Ultralytics' own code:\n" + grid(page.HEAD, page.table_rows(metrics["ultralytics"])))
+        blocks.append(_titled(page.class_table(metrics["ultralytics"]), "by Ultralytics' own code"))
     if metrics["paired"]:
         lines = []
         for name, of in metrics["paired"]["classes"].items():
@@ -167,9 +165,13 @@ def _evaluation(report: EvaluationReport) -> list[str]:
         head = ["class", "this", metrics["paired"]["against"]["name"], "difference", "interval"]
         blocks.append("mAP50-95 on the same images:\n" + grid(head, lines))
     if listed := metrics.get("first_detections"):
-        blocks.append(f"{page.found_title(listed)}:\n" + grid(page.FOUND_HEAD, page.found_rows(listed)))
+        blocks.append(_titled(page.found_table(listed)))
     detector = metrics["detector"]
     if "image_size" in detector:
         size = f"a longer side of {detector['image_size']} px" if detector["image_size"] else "their own size"
         blocks.append(f"pictures at {size}: {detector.get('image_size_from', 'as saved')}")
     return [*blocks, str(report.out / "evaluation.html")]
+
+
+def _titled(found: Table, title: str = "") -> str:
+    return f"{title or found.title}:\n{grid(found.head, found.rows)}"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,9 @@ from infrablend.cli.output import grid, human_bytes, show_result, shown_progress
 from infrablend.lab.commands.detector_commands import start_text
 from infrablend.lab.experiments.scales import EXPERIMENTS
 from infrablend.report.figures import human_seconds
+
+if TYPE_CHECKING:
+    from infrablend.lab.experiments.result_record import Claim, DatasetRow, ExperimentRecord, PlanFacts, ResultTable
 
 _EVENTS = {
     "found": "already finished", "started": "started", "waiting": "another command is making it", "done": "done",
@@ -65,8 +68,8 @@ def experiment(
         raise typer.BadParameter("which experiment? --list shows the shipped ones", param_hint="NAME")
     request = api.ExperimentRequest(name, **options)
     if plan:
-        planned = api.plan_experiment(request).to_json()
-        show_result(session, planned, lambda: "\n\n".join(_plan_blocks(planned)))
+        planned = api.plan_experiment(request)
+        show_result(session, planned.to_json(), lambda: "\n\n".join(_plan_blocks(planned.facts)))
         return
 
     def show_stage(stage: str, event: str, number: int, total: int) -> None:
@@ -86,12 +89,12 @@ def experiment(
     show_result(session, report.to_json(), lambda: "\n\n".join(blocks))
 
 
-def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
+def _plan_blocks(plan: PlanFacts) -> list[str]:
     from infrablend.lab.experiments.experiment_forecast import NO_WORK
 
     rows = []
     for s in plan["stages"]:
-        preset = s.get("training", {})
+        preset: Any = s.get("training", {})
         passes = preset.get("passes") and f"{preset['passes']:,} passes"
         epochs = preset.get("epochs") and f"at most {preset['epochs']} epochs"
         todo = s["status"] not in NO_WORK
@@ -111,7 +114,7 @@ def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
         "time, about": f"{human_seconds(plan['about_s'])} on {plan['device']}",
         "disk, about": f"{human_bytes(plan['disk_bytes'])}, {human_bytes(plan['disk_free_bytes'])} free",
     }
-    if starts := dict.fromkeys(start_text(s) for s in plan["stages"] if "training" in s):
+    if starts := dict.fromkeys(start_text(s["weights"], s["network"]) for s in plan["stages"] if "training" in s):
         total["start weights"] = "; ".join(starts)
     if plan["stand_ins"]:
         total["stand-ins"] = f"a virtual world for {', '.join(plan['stand_ins'])}"
@@ -120,14 +123,14 @@ def _plan_blocks(plan: Mapping[str, Any]) -> list[str]:
     return [grid(["stage", "status", "images", "training", "time", "disk"], rows), table(total)]
 
 
-def _result_blocks(facts: Mapping[str, Any]) -> list[str]:
+def _result_blocks(facts: ExperimentRecord) -> list[str]:
     blocks = [_table_block(t) for t in facts["tables"]]
     if facts["datasets"]:
         blocks.append(_datasets_block(facts["datasets"]))
     return [*blocks, *(_claim_block(c) for c in facts["checks"])]
 
 
-def _table_block(table: Mapping[str, Any]) -> str:
+def _table_block(table: ResultTable) -> str:
     rows = []
     for r in table["rows"]:
         ours = r["ours"] or {}
@@ -139,15 +142,18 @@ def _table_block(table: Mapping[str, Any]) -> str:
     return f"{table['title']}\n{grid(head, rows)}"
 
 
-def _datasets_block(datasets: Sequence[Mapping[str, Any]]) -> str:
-    rows = [
-        [d["title"], *(f"{d['paper'][k]} / {d['ours'][k] if d['ours'] else '-'}" for k in ("images", "classes"))]
-        for d in datasets
-    ]
+def _datasets_block(datasets: Sequence[DatasetRow]) -> str:
+    rows = []
+    for d in datasets:
+        paper = d["paper"]
+        ours = d["ours"]
+        images = ours["images"] if ours else "-"
+        classes = ours["classes"] if ours else "-"
+        rows.append([d["title"], f"{paper['images']} / {images}", f"{paper['classes']} / {classes}"])
     return grid(["paper / ours", "images", "classes"], rows)
 
 
-def _claim_block(claim: Mapping[str, Any]) -> str:
+def _claim_block(claim: Claim) -> str:
     verdict = {True: "yes", False: "no", None: claim.get("missing", "no verdict")}[claim["holds"]]
     if "ci" in claim:
         found = f"{claim['difference']:+.3f} [{claim['ci'][0]:+.3f}, {claim['ci'][1]:+.3f}]"
@@ -156,5 +162,5 @@ def _claim_block(claim: Mapping[str, Any]) -> str:
     return f"{claim['text']}: {verdict} ({found})"
 
 
-def _figure(x: float | None, form: str = ".3f") -> str:
+def _figure(x: object, form: str = ".3f") -> str:
     return "-" if x is None else format(x, form)

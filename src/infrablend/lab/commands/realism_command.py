@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from infrablend import api
 from infrablend.cli.options import JsonSession, ReadingOfAllSplits, RunArgument, WorkersOption, comma_list, split_list
 from infrablend.cli.output import show_result, shown_progress, table
+
+if TYPE_CHECKING:
+    from infrablend.lab.realism.realism_record import ClassFacts
 
 
 def realism(
@@ -59,33 +61,32 @@ def realism(
 
 
 def _realism_lines(compared: api.RealismReport) -> list[str]:
-    from infrablend.lab.pages.realism_report import check_rows
+    from infrablend.lab.pages.realism_report import check_table
 
     lines = []
     for name, facts in compared.facts["classes"].items():
         lines.append(table({name: "", **_class_rows(facts)}))
         lines += [
             f"  {contrast}: real {real}, inserted {inserted}, {found} ({required}): {holds}"
-            for contrast, real, inserted, found, required, holds in check_rows(facts["contrast"])
+            for contrast, real, inserted, found, required, holds in check_table(
+                [("", *of) for of in facts["contrast"].items()]
+            ).rows
         ]
     return [*lines, str(compared.out / "realism.html")]
 
 
-def _class_rows(facts: Mapping[str, Any]) -> dict[str, str]:
+def _class_rows(facts: ClassFacts) -> dict[str, str]:
     from infrablend.report.figures import decimals, interval
-
-    def show(key: str) -> str:
-        return decimals(facts.get(key))
 
     ends = "" if facts["ci"] is None else f" ({interval(facts['ci'])})"
     return {
         "  pairs": str(facts["n"]),
-        "  AUC, logistic": show("auc_logistic") + ends,
-        "  AUC, boosting": show("auc_boosting"),
-        "  floor, logistic": show("floor_logistic"),
-        "  floor, boosting": show("floor_boosting"),
-        "  hard paste, logistic": show("hard_paste_logistic"),
-        "  chain off, logistic": show("chain_off_logistic"),
+        "  AUC, logistic": decimals(facts["auc_logistic"]) + ends,
+        "  AUC, boosting": decimals(facts["auc_boosting"]),
+        "  floor, logistic": decimals(facts["floor_logistic"]),
+        "  floor, boosting": decimals(facts["floor_boosting"]),
+        "  hard paste, logistic": decimals(facts["hard_paste_logistic"]),
+        "  chain off, logistic": decimals(facts.get("chain_off_logistic")),
         "  valid": "yes" if facts["valid"] else "no: " + "; ".join(facts["invalid_because"]),
         "  separated by": ", ".join(f["feature"] for f in facts["separating_features"][:5]),
     }

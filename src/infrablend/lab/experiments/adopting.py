@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from infrablend import __version__
 from infrablend.config.loading import read_recipe
@@ -16,11 +16,13 @@ from infrablend.core.file_names import leaves_folder
 from infrablend.core.files import LINK_OUT, link_or_copy, load_json
 from infrablend.core.run_folder import RUN_FILE, RunFolder
 from infrablend.errors import DatasetError, Problem
-from infrablend.lab.experiments.dataset_facts import dataset_facts, read_dataset
+from infrablend.lab.experiments.dataset_facts import data_result, read_dataset
 from infrablend.lab.experiments.definition import Generate
 from infrablend.lab.experiments.graph import deciding_fields
+from infrablend.lab.experiments.result_record import DataResult, TrainResult
 from infrablend.lab.experiments.stage import StageJob
 from infrablend.lab.training.presets import Preset
+from infrablend.lab.training.training_record import TrainingRecord
 from infrablend.pipeline.plans.planning import make_plan
 from infrablend.pipeline.runs.recorded import RecordedRun
 
@@ -28,7 +30,7 @@ ADOPTABLE = ("train", "generate", "convert")
 """Kinds of stages that can be adopted."""
 
 
-def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
+def adopt_result(job: StageJob, folder: Path) -> DataResult | TrainResult:
     """Return the result of a stage from a folder that `train`, `generate` or `convert` has written.
 
     A training must have the settings, seed, classes, images and labels of the stage; a run its recipe, seed, version
@@ -43,20 +45,19 @@ def adopt_result(job: StageJob, folder: Path) -> dict[str, Any]:
     shutil.copytree(folder, job.out, copy_function=lambda a, b: _adopt_file(folder, Path(a), Path(b)))
     if training is not None:
         weights = "out/weights.pt"
-        return {"record": {**training, "adopted": True}, "adopted": "checked", "weights": weights, "there": [weights]}
+        training["adopted"] = True
+        return {"record": training, "adopted": "checked", "weights": weights, "there": [weights]}
     checked = job.stage.kind == "generate"
     root = job.out / "coco" if checked else job.out
-    return {
-        **dataset_facts(read_dataset(root, splits=job.stage.spec.splits)),
-        "adopted": "checked" if checked else "unchecked",
-        "dataset": job.relative(root),
-        "there": ["out"],
-    }
+    result = data_result(read_dataset(root, splits=job.stage.spec.splits), job.relative(root))
+    result["there"] = ["out"]
+    result["adopted"] = "checked" if checked else "unchecked"
+    return result
 
 
-def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
+def _checked_training(job: StageJob, folder: Path) -> TrainingRecord:
     inputs = job.stage.inputs
-    data = job.needs["data"].result
+    data = job.needs["data"].data
     path = folder / "train.json"
     try:
         found = load_json(path)
@@ -64,7 +65,7 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
         expected = "a folder written by `infrablend train`"
         problem = Problem(str(path), "adopt-record", f"cannot be read ({error})", expected)
         raise DatasetError("nothing to adopt", [problem]) from error
-    record = found if isinstance(found, dict) else {}
+    record: Any = found if isinstance(found, dict) else {}
     prepared = record.get("prepared") or {}
     asked = dict(inputs["preset"])
     settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
@@ -86,7 +87,7 @@ def _checked_training(job: StageJob, folder: Path) -> dict[str, Any]:
     if "weights_sha256" in record:  # earlier versions recorded the path alone
         pairs["SHA-256 of the weights"] = (record["weights_sha256"], inputs.get("weights_sha256"))
     _require_equal(job.stage.id, folder, pairs)
-    return record
+    return cast("TrainingRecord", record)
 
 
 def _check_run(job: StageJob, folder: Path) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import cast
 
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
+from infrablend.annotation.looseness import loosened_counts
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.formats import detection
 from infrablend.formats.reading import Reading
+from infrablend.lab.experiments.result_record import DataResult, DatasetFacts
 
 
 def read_dataset(
@@ -19,11 +21,11 @@ def read_dataset(
     return detection.read(folder, Reading(splits=splits, options=options or {}))
 
 
-def dataset_facts(dataset: Dataset) -> dict[str, Any]:
+def dataset_facts(dataset: Dataset) -> DatasetFacts:
     """Return images and labels per split, classes and kinds of labels. Regions to ignore are not a class."""
     ignored = {c.name for c in dataset.categories if c.ignore}
     objects = [o for i in dataset.images for o in i.instances if o.category not in ignored]
-    labels: dict[Split, dict[str, int]] = {}
+    labels: dict[str, dict[str, int]] = {}
     for split in SPLITS:
         found = Counter(o.category for i in dataset.images if i.split == split for o in i.instances)
         labels[split] = {n: k for n, k in sorted(found.items()) if n not in ignored}
@@ -39,6 +41,19 @@ def dataset_facts(dataset: Dataset) -> dict[str, Any]:
         "label_kinds": [k for k, present in kinds.items() if present],
         "format": dataset.format,
     }
+
+
+def data_result(dataset: Dataset, folder: str = "out", counts: Mapping[str, object] | None = None) -> DataResult:
+    """Return the result of a stage that makes data.
+
+    Args:
+        dataset: The data.
+        folder: Where they are, relative to the stage's folder.
+        counts: What was counted on the way; those of loosened boxes are recorded.
+    """
+    facts = dataset_facts(dataset)
+    result = {**facts, **loosened_counts(counts or {}), "dataset": folder, "there": [folder]}
+    return cast("DataResult", result)
 
 
 def spread_images(dataset: Dataset, limits: Mapping[str, int]) -> Iterator[ImageRecord]:

@@ -23,10 +23,12 @@ from infrablend.lab.experiments.definition import Generate
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.experiments.graph import OTHER_SCALES, preset_of
 from infrablend.lab.experiments.prepare import PreparedExperiment
+from infrablend.lab.experiments.result_record import PlanFacts, PlannedStage
 from infrablend.lab.experiments.stage import RECORD, Stage, stage_folder
 from infrablend.lab.training.presets import cpu_threads, estimate_seconds
 from infrablend.lab.training.start_weights import AUTO, SCRATCH, network_of, require_known
 from infrablend.lab.training.training_plan import require_arguments
+from infrablend.lab.training.training_record import TrainingRecord
 
 LEARNING = ("train", "evaluate")
 """Kinds of stages that need the trainer."""
@@ -71,7 +73,7 @@ def measured_rates(work: Path, device: str = "cpu") -> Rates:
     return {k: seconds / images for k, (seconds, images) in sums.items()}
 
 
-def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
+def _seconds_and_images(record: Any) -> tuple[float, int]:
     result = record["result"]
     seconds = float(record["seconds"])
     match record["kind"]:
@@ -84,7 +86,7 @@ def _seconds_and_images(record: Mapping[str, Any]) -> tuple[float, int]:
     return seconds, 0  # no basis for estimates
 
 
-def _trained_on(record: Mapping[str, Any]) -> str | int:
+def _trained_on(record: TrainingRecord) -> str | int:
     return int(record["threads"]) if record["device"] == "cpu" else "gpu"
 
 
@@ -160,10 +162,11 @@ def require_training_settings(stages: Iterable[Stage], request: ExperimentReques
             require_known(stage.spec.weights, stage.spec.task)
 
 
-def _training(stage: Stage, request: ExperimentRequest) -> dict[str, Any]:
+def _add_training(row: PlannedStage, stage: Stage, request: ExperimentRequest) -> None:
     spec = stage.spec
-    network = network_of(spec.weights, preset_of(request, spec), spec.task)
-    return {"training": dict(stage.inputs["preset"]), "weights": stage.inputs["weights"], "network": network}
+    row["training"] = dict(stage.inputs["preset"])
+    row["weights"] = stage.inputs["weights"]
+    row["network"] = network_of(spec.weights, preset_of(request, spec), spec.task)
 
 
 def _mean_objects(spec: Generate) -> float:
@@ -195,9 +198,9 @@ class ExperimentPlan:
         facts: Stages with images, seconds and bytes, and their sums, as plain JSON.
     """
 
-    facts: Mapping[str, Any]
+    facts: PlanFacts
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the plan as plain JSON values."""
         return dict(self.facts)
 
@@ -224,7 +227,7 @@ def plan_experiment(prepared: PreparedExperiment) -> ExperimentPlan:
     require_training_settings(todo, request)
     # The kind of device is asked of torch, which takes seconds to import.
     rates = measured_rates(request.work, request.device if any(s.kind in LEARNING for s in todo) else "cpu")
-    rows: list[dict[str, Any]] = []
+    rows: list[PlannedStage] = []
     for s in graph.stages:
         if s.id not in chosen:
             continue
@@ -233,19 +236,19 @@ def plan_experiment(prepared: PreparedExperiment) -> ExperimentPlan:
             begun = partial_of(stage_folder(request.work, s, graph.keys[s.id])).is_dir()
             status = "interrupted" if begun else "to do"
         work = status not in NO_WORK
-        rows.append(
-            {
-                "stage": s.id,
-                "key": graph.keys[s.id],
-                "images": sum(s.images.values()),
-                "status": status,
-                "needs": sorted(s.needs.values()),
-                **(_training(s, request) if s.kind == "train" else {}),
-                "about_s": round(stage_seconds(s, rates, request), 1) if work else 0.0,
-                "disk_bytes": estimate_bytes(s) if work else 0,
-            }
-        )
-    facts = {
+        row: PlannedStage = {
+            "stage": s.id,
+            "key": graph.keys[s.id],
+            "images": sum(s.images.values()),
+            "status": status,
+            "needs": sorted(s.needs.values()),
+            "about_s": round(stage_seconds(s, rates, request), 1) if work else 0.0,
+            "disk_bytes": estimate_bytes(s) if work else 0,
+        }
+        if s.kind == "train":
+            _add_training(row, s, request)
+        rows.append(row)
+    facts: PlanFacts = {
         "experiment": prepared.experiment.name,
         "scale": request.scale,
         "device": request.device,

@@ -175,7 +175,7 @@ class _Builder:
     def _add_stand_in(self, name: str, source: Source) -> None:
         limits = _at_scale(source.limits, self.request)
         count = source.stand_in_images.get(self.request.scale, STAND_IN_IMAGES)
-        inputs: dict[str, Any] = {
+        inputs: dict[str, object] = {
             "layout": source.stand_in,
             "images": count,
             "seed": self.request.seed,
@@ -257,7 +257,7 @@ class _Builder:
         training = self.experiment.trainings[spec.training]
         if self.skips(name, [spec.training, spec.data, training.data]):
             return
-        inputs: dict[str, Any] = {
+        inputs: dict[str, object] = {
             "split": spec.split,
             "classes": spec.classes,
             "group": spec.group,
@@ -302,7 +302,7 @@ def _limited(images: Mapping[str, int], limits: Mapping[str, int]) -> dict[str, 
 
 ImagesByRole = Mapping[str, Mapping[str, int]]
 """About how many images per split the items have that a data item is made from, by role."""
-DataInputs = tuple[dict[str, Any], dict[str, int]]
+DataInputs = tuple[Mapping[str, Any], dict[str, int]]
 """Inputs of a data stage, and about how many images it makes per split."""
 
 
@@ -330,7 +330,7 @@ def _convert_inputs(spec: Convert, images: ImagesByRole, request: ExperimentRequ
 
 
 def _split_inputs(spec: Resplit, images: ImagesByRole, request: ExperimentRequest) -> DataInputs:
-    inputs: dict[str, Any] = {"by": spec.by, "gap": spec.gap, "shares": list(spec.shares), "seed": request.seed}
+    inputs: dict[str, object] = {"by": spec.by, "gap": spec.gap, "shares": list(spec.shares), "seed": request.seed}
     inputs |= {"test": list(spec.test)} if spec.test else {}
     total = sum(images["of"].values())
     shares = sum(spec.shares)
@@ -368,18 +368,18 @@ def preset_of(request: ExperimentRequest, spec: Training) -> Preset:
     return choose_preset(request.scale, {**spec.settings, **request.training})
 
 
-def preset_inputs(preset: Preset) -> dict[str, Any]:
+def preset_inputs(preset: Preset) -> dict[str, object]:
     """Return everything of a preset that decides a training, as plain JSON."""
     return {k: v for k, v in asdict(preset).items() if k != "summary"}
 
 
-def deciding_fields(recipe: Recipe) -> dict[str, Any]:
+def deciding_fields(recipe: Recipe) -> dict[str, object]:
     """Return the fields that decide frames and labels, defaults left out.
 
     Because defaults are left out, a field that a later version adds does not invalidate finished stages.
     """
     left_out: Any = {"description": True, "name": True, "output": NOT_IN_KEY}
-    found: dict[str, Any] = json.loads(recipe.model_dump_json(exclude=left_out, exclude_defaults=True))
+    found: dict[str, object] = json.loads(recipe.model_dump_json(exclude=left_out, exclude_defaults=True))
     return {k: v for k, v in found.items() if v != {}}
 
 

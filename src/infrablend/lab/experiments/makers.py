@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import cast
 
-from infrablend.annotation.looseness import Looseness, loosened_counts
+from infrablend.annotation.looseness import Looseness
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Split
 from infrablend.core.tasks import paced
+from infrablend.detection.detections import Task
 from infrablend.detection.truth import class_key
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.formats.base import sort_images
@@ -16,9 +17,10 @@ from infrablend.formats.reading import Reading
 from infrablend.lab.evaluation.evaluate import evaluate_detector
 from infrablend.lab.evaluation.evaluation_comparison import compare_evaluations
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
-from infrablend.lab.experiments.dataset_facts import dataset_facts, read_dataset, spread_images
+from infrablend.lab.experiments.dataset_facts import data_result, read_dataset, spread_images
 from infrablend.lab.experiments.definition import Convert, Evaluation, Generate, Merge, Resplit, Training
 from infrablend.lab.experiments.pasting import make_paste
+from infrablend.lab.experiments.result_record import CompareResult, DataResult, EvaluateResult, TrainResult
 from infrablend.lab.experiments.stage import StageJob
 from infrablend.lab.training.train import train_dataset
 from infrablend.lab.training.train_request import TrainRequest
@@ -33,23 +35,27 @@ from infrablend.pipeline.plans.run_request import Execution, RunRequest
 from infrablend.pipeline.runs.generate import run_request
 
 
-def _make_source(job: StageJob) -> dict[str, Any]:
+def _make_source(job: StageJob) -> DataResult:
     """Record the user's folder as it is, or write a part of it."""
     stage = job.stage
     path = stage.path or job.needs["of"].dataset
     dataset = read_dataset(path, options=stage.inputs.get("options"))
     limits = stage.inputs.get("limits") or {}
-    facts = dataset_facts(dataset)
-    if all(facts["images"].get(s, 0) <= n for s, n in limits.items()):
-        folder = job.relative(path)
-        stand_in = {} if stage.path else {"dataset": folder, "there": [folder]}
-        return {**facts, "whole": facts["images"], **stand_in}
-    part = replace(dataset, images=tuple(spread_images(dataset, limits)))
-    convert_dataset(part, "coco", job.out)
-    return {**dataset_facts(part), "whole": facts["images"], "dataset": "out", "there": ["out"]}
+    whole = data_result(dataset, job.relative(path))
+    if all(whole["images"].get(s, 0) <= n for s, n in limits.items()):
+        result = whole
+        if stage.path:  # the user's folder may move
+            del result["dataset"]
+            del result["there"]
+    else:
+        part = replace(dataset, images=tuple(spread_images(dataset, limits)))
+        convert_dataset(part, "coco", job.out)
+        result = data_result(part)
+    result["whole"] = whole["images"]
+    return result
 
 
-def _make_world(job: StageJob) -> dict[str, Any]:
+def _make_world(job: StageJob) -> DataResult:
     inputs = job.stage.inputs
     out = job.out
     if inputs["layout"] == "sky":
@@ -57,10 +63,10 @@ def _make_world(job: StageJob) -> dict[str, Any]:
     else:
         workers = Execution(job.request.workers).worker_count()
         make_world(out, WorldRequest(inputs["images"], inputs["seed"], inputs["layout"]), workers, job.on_progress)
-    return {**dataset_facts(read_dataset(out)), "dataset": "out", "there": ["out"]}
+    return data_result(read_dataset(out))
 
 
-def _make_run(job: StageJob) -> dict[str, Any]:
+def _make_run(job: StageJob) -> DataResult:
     """Insert objects by a recipe; frames that failed are tried a second time."""
     spec: Generate = job.stage.spec
     source = job.needs["of"]
@@ -82,13 +88,14 @@ def _make_run(job: StageJob) -> dict[str, Any]:
     else:
         problems = [p for p in report.problems if p.code.startswith("frame-")]
         raise RenderError(f"{job.stage.id}: frames failed twice; run the same command to try them again", problems)
-    made = read_dataset(job.out / "coco")
-    counts = {k: report.counts[k] for k in ("frames", "objects_inserted", "skipped_backgrounds") if k in report.counts}
-    facts = {**dataset_facts(made), **loosened_counts(report.counts)}
-    return {**facts, "run": counts, "dataset": "out/coco", "there": ["out/coco", "out/images"]}
+    result = data_result(read_dataset(job.out / "coco"), "out/coco", report.counts)
+    result["there"] = ["out/coco", "out/images"]
+    counted = ("frames", "objects_inserted", "skipped_backgrounds")
+    result["run"] = {k: report.counts[k] for k in counted if k in report.counts}
+    return result
 
 
-def _make_part(job: StageJob) -> dict[str, Any]:
+def _make_part(job: StageJob) -> DataResult:
     """Write a part of a dataset with its classes renamed or dropped."""
     spec: Convert = job.stage.spec
     source = job.needs["of"]
@@ -99,7 +106,7 @@ def _make_part(job: StageJob) -> dict[str, Any]:
     known = {c.name for c in dataset.categories}
     classes = ClassChanges({old: new for old, new in spec.rename.items() if old in known}, spec.drop, spec.only)
     report = convert_dataset(dataset, "coco", out, classes=classes, looseness=Looseness.of_labels(spec))
-    return {**dataset_facts(read_dataset(out)), **loosened_counts(report.counts), "dataset": "out", "there": ["out"]}
+    return data_result(read_dataset(out), counts=report.counts)
 
 
 def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[ImageRecord]:
@@ -116,8 +123,8 @@ def _chosen_images(job: StageJob, dataset: Dataset, split: str) -> Sequence[Imag
     if split != "train" and (wanted.images == 0 or spec.with_class not in shown):
         return ()  # a training can do without val
     if (match := job.needs.get("match")) is not None:
-        n = match.result["images"].get(split, 0)
-        objects = match.result["labels"].get(split, {}).get(spec.with_class, 0)
+        n = match.data["images"].get(split, 0)
+        objects = match.data["labels"].get(split, {}).get(spec.with_class or "", 0)
         wanted = replace(wanted, images=n, objects=objects)
         if not n:
             return ()
@@ -131,7 +138,7 @@ def _matchable_images(part: Dataset, like: str, without: Sequence[str]) -> int:
     return min(sum(not c & set(without) for c in classes), sum(like in c and not c & others for c in classes))
 
 
-def _make_merge(job: StageJob) -> dict[str, Any]:
+def _make_merge(job: StageJob) -> DataResult:
     spec: Merge = job.stage.spec
     parts = []
     for k, (part, asked) in enumerate(zip(spec.parts, job.stage.inputs["parts"], strict=True)):
@@ -146,7 +153,7 @@ def _make_merge(job: StageJob) -> dict[str, Any]:
         problem = Problem(job.stage.id, "split-empty", f"no image in the splits taken from {names}", "at least one")
         raise DatasetError(f"{job.stage.id}: cannot be used", [problem])
     convert_dataset(merged, "coco", job.out)
-    return {**dataset_facts(merged), "dataset": "out", "there": ["out"]}
+    return data_result(merged)
 
 
 def draw_images(dataset: Dataset, limits: Mapping[str, int], seed: int) -> Dataset:
@@ -192,31 +199,27 @@ def merge_datasets(parts: Sequence[tuple[str, Dataset]]) -> Dataset:
     return Dataset(first.root, first.format, tuple(categories.values()), sort_images(images), problems)
 
 
-def _make_split(job: StageJob) -> dict[str, Any]:
+def _make_split(job: StageJob) -> DataResult:
     spec: Resplit = job.stage.spec
     source = job.needs["of"]
     out = job.out
     dataset = read_dataset(source.dataset, options=source.reader_options)
     rule = SplitRule(spec.by, spec.gap, spec.shares, job.request.seed, spec.test)
     report = split_dataset(dataset, out, rule, to="coco")
-    facts = dataset_facts(read_dataset(out))
+    result = data_result(read_dataset(out))
     wanted = [s for s, share in zip(SPLITS, spec.shares, strict=True) if share or (s == "test" and spec.test)]
-    empty = [s for s in wanted if not facts["images"].get(s)]
+    empty = [s for s in wanted if not result["images"].get(s)]
     if empty:
         found = f"no image in {', '.join(empty)}: {len(report.groups)} group(s) by {spec.by}"
         expected = f"a group for each of {', '.join(wanted)}"
         problem = Problem(job.stage.id, "split-empty", found, expected, "use a dataset with more groups")
         raise DatasetError(f"{job.stage.id}: cannot be used", [problem])
-    return {
-        **facts,
-        "leakage_before": [one.to_json() for one in report.before],
-        "leakage_after": [one.to_json() for one in report.after],
-        "dataset": "out",
-        "there": ["out"],
-    }
+    result["leakage_before"] = [one.to_json() for one in report.before]
+    result["leakage_after"] = [one.to_json() for one in report.after]
+    return result
 
 
-def _make_training(job: StageJob) -> dict[str, Any]:
+def _make_training(job: StageJob) -> TrainResult:
     spec: Training = job.stage.spec
     data = job.needs["data"]
     request = TrainRequest(
@@ -233,21 +236,21 @@ def _make_training(job: StageJob) -> dict[str, Any]:
         lambda existing: train_dataset(dataset, job.out, request, existing=existing, on_progress=job.on_progress)
     )
     weights = job.relative(report.weights)
-    return {"record": dict(report.record), "weights": weights, "there": [weights]}
+    return {"record": report.record, "weights": weights, "there": [weights]}
 
 
-def _make_evaluation(job: StageJob) -> dict[str, Any]:
+def _make_evaluation(job: StageJob) -> EvaluateResult:
     spec: Evaluation = job.stage.spec
     training = job.needs["training"]
     data = job.needs["data"]
     report = evaluate_detector(
-        training.folder / training.result["weights"],
+        training.folder / training.trained["weights"],
         read_dataset(data.dataset, options=data.reader_options),
         job.out,
         EvaluationSettings(
             split=spec.split,
-            task=training.record["inputs"]["task"],
-            classes=_evaluated_classes(spec, training.result["record"], data.result, job.stage.id),
+            task=cast("Task", training.record["inputs"]["task"]),
+            classes=_evaluated_classes(spec, training.trained["record"]["classes"], data.data, job.stage.id),
             bootstrap=job.stage.inputs["bootstrap"],
             group=spec.group,
             seed=job.request.seed,
@@ -259,32 +262,32 @@ def _make_evaluation(job: StageJob) -> dict[str, Any]:
         device=job.request.device,
         on_image=paced(job.on_progress),
     )
-    return {"metrics": dict(report.metrics), "there": ["out/evaluation.json", "out/predictions.json"]}
+    return {"metrics": report.metrics, "there": ["out/evaluation.json", "out/predictions.json"]}
 
 
 def _evaluated_classes(
-    spec: Evaluation, trained: Mapping[str, Any], data: Mapping[str, Any], stage_id: str
+    spec: Evaluation, trained: Sequence[str], data: DataResult, stage_id: str
 ) -> tuple[str, ...] | None:
     """Return the classes to evaluate: those listed, or those that both detector and images have."""
     if spec.classes != "joint":
         return spec.classes
-    known = {class_key(c) for c in trained["classes"]}
+    known = {class_key(c) for c in trained}
     labels = data["labels"].get(spec.split, {})
     joint = tuple(c for c in data["classes"] if class_key(c) in known and labels.get(c))
     if not joint:
-        found = f"the detector has {', '.join(trained['classes'])}, the images have {', '.join(labels) or 'no labels'}"
+        found = f"the detector has {', '.join(trained)}, the images have {', '.join(labels) or 'no labels'}"
         problem = Problem(stage_id, "class-none", found, "at least one class that both have")
         raise DatasetError(f"{stage_id}: no joint class", [problem])
     return joint
 
 
-def _make_comparison(job: StageJob) -> dict[str, Any]:
+def _make_comparison(job: StageJob) -> CompareResult:
     a, b = ([made.folder / "out" for role, made in job.needs.items() if role.startswith(side)] for side in "ab")
     found = compare_evaluations(a, b, bootstrap=job.stage.inputs["bootstrap"], seed=job.request.seed)
     return {"classes": found["classes"], "left_out": found["left_out"]}
 
 
-MAKERS: Mapping[str, Callable[[StageJob], dict[str, Any]]] = {
+MAKERS: Mapping[str, Callable[[StageJob], Mapping[str, object]]] = {
     "source": _make_source,
     "world": _make_world,
     "generate": _make_run,

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +24,9 @@ from infrablend.formats.pictures.images import Background, load_background, save
 from infrablend.imaging.burnt_in import find_burnt_in
 from infrablend.imaging.skyline import find_skyline
 from infrablend.lab.experiments.cut_outs import FEATHER_PX, CutOut, cut_out, fits, offset_at, paste, placed_box
-from infrablend.lab.experiments.dataset_facts import dataset_facts, read_dataset
+from infrablend.lab.experiments.dataset_facts import data_result, read_dataset
 from infrablend.lab.experiments.definition import Paste
+from infrablend.lab.experiments.result_record import DataResult
 from infrablend.lab.experiments.stage import StageJob
 
 # Cut-outs tried at the place of an insert, then elsewhere in the sky, and places in the sky tried for each.
@@ -37,7 +37,7 @@ _PLACES = 40
 _APART_PX = 2
 
 
-def make_paste(job: StageJob) -> dict[str, Any]:
+def make_paste(job: StageJob) -> DataResult:
     """Write the frames of a run with cut-outs of real objects in place of the inserted ones."""
     spec: Paste = job.stage.spec
     objects = job.needs["of"]
@@ -65,8 +65,9 @@ def make_paste(job: StageJob) -> dict[str, Any]:
     if all(c.name != spec.category for c in categories):
         categories.append(Category(max((c.id for c in categories), default=0) + 1, spec.category))
     coco.write(out, images, categories)
-    pasted = {"cut_outs": len(cuts), "unusable": dict(unusable), **paster.counts}
-    return {**dataset_facts(read_dataset(out)), "pasted": pasted, "dataset": "out", "there": ["out"]}
+    result = data_result(read_dataset(out))
+    result["pasted"] = {"cut_outs": len(cuts), "unusable": dict(unusable), **paster.counts}
+    return result
 
 
 def cut_objects(dataset: Dataset, category: str) -> tuple[list[CutOut], Counter[str]]:

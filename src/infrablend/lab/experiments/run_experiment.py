@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, cast
 
 from infrablend import __version__
 from infrablend.core.files import read_object, require_free_space
@@ -23,6 +23,7 @@ from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.experiments.graph import OTHER_SCALES
 from infrablend.lab.experiments.makers import MAKERS
 from infrablend.lab.experiments.prepare import PreparedExperiment
+from infrablend.lab.experiments.result_record import ExperimentRecord, StageRecord
 from infrablend.lab.experiments.results import collect_results
 from infrablend.lab.experiments.stage import RECORD, FinishedStage, Stage, StageJob, find_finished, stage_folder
 from infrablend.lab.pages.write_results import write_page
@@ -62,7 +63,7 @@ class ExperimentReport:
     made: tuple[str, ...]
     reused: tuple[str, ...]
     page: Path
-    facts: Mapping[str, Any]
+    facts: ExperimentRecord
     problems: tuple[Problem, ...] = ()
 
     @property
@@ -70,7 +71,7 @@ class ExperimentReport:
         """Whether the page is complete."""
         return self.status == "complete"
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return the content of the page's JSON, and what this call did."""
         return {
             **self.facts,
@@ -263,4 +264,5 @@ def make_stage(
         started = time.monotonic()
         result = MAKERS[stage.kind](job) if adopt is None else adopt_result(job, adopt)
         space.finish({**head, "seconds": round(time.monotonic() - started, 3), "result": result})
-    return FinishedStage.of(stage, folder, read_object(folder / RECORD) or {})  # exactly as a later run reads it
+    record = cast("StageRecord", read_object(folder / RECORD) or {})  # exactly as a later run reads it
+    return FinishedStage.of(stage, folder, record)

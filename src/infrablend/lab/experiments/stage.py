@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from infrablend.core.file_names import leaves_folder, real_path
 from infrablend.core.files import read_object
@@ -19,6 +19,13 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import OtherSettingsError
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
+from infrablend.lab.experiments.result_record import (
+    CompareResult,
+    DataResult,
+    EvaluateResult,
+    StageRecord,
+    TrainResult,
+)
 from infrablend.pipeline.datasets.content import json_digest
 
 RECORD = "stage.json"
@@ -72,30 +79,45 @@ class FinishedStage:
     """
 
     folder: Path
-    record: Mapping[str, Any]
+    record: StageRecord
     path: Path | None = None
 
     @classmethod
-    def of(cls, stage: Stage, folder: Path, record: Mapping[str, Any]) -> FinishedStage:
+    def of(cls, stage: Stage, folder: Path, record: StageRecord) -> FinishedStage:
         """Return the finished stage with that record."""
         as_given = stage.kind == "source" and not record["result"].get("dataset")
         return cls(folder, record, stage.path if as_given else None)
 
     @property
-    def result(self) -> Mapping[str, Any]:
-        """Result that the stage's kind recorded."""
-        found: Mapping[str, Any] = self.record["result"]
-        return found
+    def data(self) -> DataResult:
+        """Result of a stage that makes data."""
+        return cast("DataResult", self.record["result"])
+
+    @property
+    def trained(self) -> TrainResult:
+        """Result of a training."""
+        return cast("TrainResult", self.record["result"])
+
+    @property
+    def evaluated(self) -> EvaluateResult:
+        """Result of an evaluation."""
+        return cast("EvaluateResult", self.record["result"])
+
+    @property
+    def compared(self) -> CompareResult:
+        """Result of a comparison."""
+        return cast("CompareResult", self.record["result"])
 
     @property
     def dataset(self) -> Path:
         """Folder to read the dataset from; for stages that make data."""
-        return self.path if self.path is not None else self.folder / self.result["dataset"]
+        return self.path if self.path is not None else self.folder / self.data["dataset"]
 
     @property
     def reader_options(self) -> dict[str, str]:
         """Options of the dataset's reader: those of a source used as it is; our own output needs none."""
-        return {} if self.path is None else dict(self.record["inputs"].get("options", {}))
+        options: Any = self.record["inputs"].get("options", {})
+        return {} if self.path is None else dict(options)
 
 
 def stage_keys(stages: Sequence[Stage]) -> dict[str, str]:
@@ -118,8 +140,8 @@ def find_finished(work: Path, stage: Stage, key: str) -> FinishedStage | None:
     record = read_object(folder / RECORD)
     if record is None or not isinstance(record.get("result"), dict):
         return None
-    found = FinishedStage.of(stage, folder, record)
-    there = [folder / p for p in found.result.get("there", [])]
+    found = FinishedStage.of(stage, folder, cast("StageRecord", record))
+    there = [folder / p for p in record["result"].get("there", [])]
     return found if all(p.exists() and not leaves_folder(p, folder) for p in there) else None
 
 

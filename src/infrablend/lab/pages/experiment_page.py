@@ -11,8 +11,19 @@ from typing import Any
 
 from infrablend.annotation.looseness import looseness_text
 from infrablend.core.dataset import SPLITS
-from infrablend.lab.pages.evaluation_page import FOUND_HEAD, found_rows, found_title
-from infrablend.report.figures import markdown_table, stratum_order
+from infrablend.lab.evaluation.evaluation_record import ClassRow
+from infrablend.lab.experiments.result_record import (
+    Claim,
+    ComparisonFigures,
+    DatasetRow,
+    EvaluationFigures,
+    ExperimentRecord,
+    ResultTable,
+    TableRow,
+)
+from infrablend.lab.pages.evaluation_page import found_table
+from infrablend.report.figures import stratum_order
+from infrablend.report.page import Table, bullets, markdown_page
 
 _STRATA = {
     "size": "longer side, px", "body": "longer side of the body, px", "pitch": "camera pitch, °",
@@ -48,7 +59,7 @@ METRICS = {
 }  # fmt: skip
 
 
-def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), stem: str | None = None) -> str:
+def page_text(facts: ExperimentRecord, plots: Sequence[tuple[str, str]] = (), stem: str | None = None) -> str:
     """Return the page as Markdown.
 
     Args:
@@ -58,7 +69,7 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
     """
     stem = stem or page_name(facts["experiment"], facts["scale"])
     evaluations = facts["evaluations"]
-    left_out = "\n".join(f"* `{name}`: {why}." for name, why in facts["left_out"].items())
+    left_out = bullets(f"`{name}`: {why}." for name, why in facts["left_out"].items())
     elsewhere = ", ".join(f"`{n}`" for n in facts["at_other_scales"])
     blocks = [
         f"# {facts['title']}",
@@ -84,21 +95,21 @@ def page_text(facts: Mapping[str, Any], plots: Sequence[tuple[str, str]] = (), s
         _SMOKE if facts["checks"] and facts["scale"] == "smoke" else "",
         *(["## Paired differences", *_comparisons(facts["comparisons"])] if facts["comparisons"] else []),
         "## What differs from the paper",
-        "\n".join(f"* {line}" for line in list_differences(facts)),
+        bullets(list_differences(facts)),
         *(["## Plots", *(f"![{title}]({name})" for name, title in plots)] if plots else []),
         *_ultralytics(evaluations),
         *_found_by(facts["tables"], evaluations),
-        *_strata(evaluations, facts["strata_class"]),
+        *_strata(evaluations, facts["strata_class"] or "all"),
         "## Stages",
         _stages_table(facts["stages"]),
         "## Hardware and versions",
         _provenance(facts),
         f"All figures: [{stem}.json]({stem}.json). All experiments: [index]({INDEX_FILE}).",
     ]
-    return "\n\n".join(block for block in blocks if block) + "\n"
+    return markdown_page(blocks)
 
 
-def _unfinished(facts: Mapping[str, Any]) -> str:
+def _unfinished(facts: ExperimentRecord) -> str:
     reason = f" It stopped: {facts['stopped']}." if facts["stopped"] else ""
     return (
         f"**This run is not finished.**{reason} Missing: {', '.join(f'`{m}`' for m in facts['missing'])}. "
@@ -106,7 +117,7 @@ def _unfinished(facts: Mapping[str, Any]) -> str:
     )
 
 
-def _figures_table(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str]) -> str:
+def _figures_table(rows: Sequence[TableRow], metrics: Sequence[str]) -> str:
     """Return a table with paper, ours and difference in each cell, without columns that have no figures."""
     shown = [
         k
@@ -115,7 +126,7 @@ def _figures_table(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str]) ->
     ]
     lines = []
     for r in rows:
-        ours = r["ours"] or {}
+        ours: Mapping[str, Any] = r["ours"] or {}
         cells = [r["title"], *(paper_and_ours(r["paper"][k], ours.get(k), ",") for k in shown)]
         for k in metrics:
             cell = paper_and_ours(r["paper"].get(k), ours.get(k), ".3f")
@@ -127,35 +138,39 @@ def _figures_table(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str]) ->
                 cell += f" ({extent[0]:.3f} to {extent[1]:.3f})"
             cells.append(cell)
         lines.append(cells)
-    text = markdown_table(["", *(k.capitalize() for k in shown), *(METRICS[k] for k in metrics)], lines)
+    text = Table(["", *(k.capitalize() for k in shown), *(METRICS[k] for k in metrics)], lines).markdown()
     if several := max((len(r.get("means_of", ())) for r in rows), default=0):
         text += f"\n\nRows with a range in round brackets show means of {several} trainings, smallest to largest."
     why = sorted({f"{r['title']}: {r['missing']}" for r in rows if r["missing"]})
     return text + ("\n\nRows without our figures: " + "; ".join(why) + "." if why else "")
 
 
-def _found_lists(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+def _found_lists(evaluations: Mapping[str, EvaluationFigures]) -> Iterator[str]:
     """Yield a section per evaluation that lists its objects one by one."""
     for name, evaluation in evaluations.items():
         if listed := evaluation.get("first_detections"):
             yield f"## Found and missed: `{name}`"
-            yield f"{found_title(listed)}."
-            yield markdown_table(FOUND_HEAD, found_rows(listed))
+            table = found_table(listed)
+            yield f"{table.title}."
+            yield table.markdown()
 
 
-def _datasets_table(rows: Sequence[Mapping[str, Any]]) -> str:
+def _datasets_table(rows: Sequence[DatasetRow]) -> str:
     lines = []
     for r in rows:
         paper = r["paper"]
-        ours = r["ours"] or {}
-        cells = [paper_and_ours(paper[k], ours.get(k), ",") for k in ("images", "classes")]
-        cells.append(paper_and_ours(", ".join(paper["labels"]), ", ".join(ours.get("labels", ())), "s"))
+        ours = r["ours"]
+        cells = [
+            paper_and_ours(paper["images"], ours and ours["images"], ","),
+            paper_and_ours(paper["classes"], ours and ours["classes"], ","),
+            paper_and_ours(", ".join(paper["labels"]), ours and ", ".join(ours["labels"]), "s"),
+        ]
         objects = f"{ours['instances']:,} of {', '.join(ours['names'])}" if ours else f"- ({r['missing']})"
         lines.append([r["title"], *cells, objects])
-    return markdown_table(["Dataset", "Images", "Classes", "Labels", "Objects (ours)"], lines)
+    return Table(["Dataset", "Images", "Classes", "Labels", "Objects (ours)"], lines).markdown()
 
 
-def _claims_table(checks: Sequence[Mapping[str, Any]]) -> str:
+def _claims_table(checks: Sequence[Claim]) -> str:
     lines = []
     for c in checks:
         verdict = {True: "**yes**", False: "**no**", None: "-"}[c["holds"]]
@@ -164,26 +179,20 @@ def _claims_table(checks: Sequence[Mapping[str, Any]]) -> str:
         elif "ratio" in c:
             found = f"{c['ratio']:.3f} = {c['values'][0]:.3f} / {c['values'][1]:.3f}"
         else:
-            found = f"{c['difference']:+.3f} [{c['ci'][0]:+.3f}, {c['ci'][1]:+.3f}]"
-            if c.get("same_sign") is not None:
-                found += f", sign kept in {100 * c['same_sign']:.0f} % of the draws"
+            found = _difference(c["difference"], c["ci"])
+            sign = c.get("same_sign")
+            found += "" if sign is None else f", sign kept in {100 * sign:.0f} % of the draws"
         expected = _EXPECTED[c["expect"]].format(least=c.get("least") or 0)
         lines.append([c["text"], f"{c['class']}, {METRICS[c['metric']]}", expected, found, verdict])
-    return markdown_table(["Claim", "Class and metric", "Expected", "Found", "Holds"], lines)
+    return Table(["Claim", "Class and metric", "Expected", "Found", "Holds"], lines).markdown()
 
 
-def _comparisons(comparisons: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _comparisons(comparisons: Mapping[str, ComparisonFigures]) -> list[str]:
     lines = []
     for c in comparisons.values():
         for name in sorted(c["classes"], key=class_order):
-            of_class = c["classes"][name]
-            cells = []
-            for k in ("map50", "map50_95"):
-                d = of_class.get(k)
-                ci = d.get("ci") if d else None
-                interval = f" [{ci[0]:+.3f}, {ci[1]:+.3f}]" if ci else ""
-                cells.append("-" if d is None else f"{d['difference']:+.3f}{interval}")
-            lines.append([c["title"], name, *cells])
+            found = [c["classes"][name].get(k) for k in ("map50", "map50_95")]
+            lines.append([c["title"], name, *(_difference(d["difference"], d.get("ci")) if d else "-" for d in found)])
     note = (
         "Both detectors are evaluated on the same images and the same bootstrap draws; in brackets the 95 % interval."
     )
@@ -194,25 +203,30 @@ def _comparisons(comparisons: Mapping[str, Mapping[str, Any]]) -> list[str]:
         )
     else:
         note += " It does not include the spread between training seeds."
-    return [markdown_table(["Difference", "Class", "mAP50", "mAP50-95"], lines), note]
+    return [Table(["Difference", "Class", "mAP50", "mAP50-95"], lines).markdown(), note]
 
 
-def _ultralytics(evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
-    tables = {n: e["ultralytics"] for n, e in evaluations.items() if e.get("ultralytics")}
-    classes = sorted({c for t in tables.values() for c in t if isinstance(t[c], Mapping)}, key=class_order)
+def _difference(value: float, ci: Sequence[float] | None) -> str:
+    """Return a difference and, in brackets, its interval, if there is one."""
+    return f"{value:+.3f} [{ci[0]:+.3f}, {ci[1]:+.3f}]" if ci else f"{value:+.3f}"
+
+
+def _ultralytics(evaluations: Mapping[str, EvaluationFigures]) -> Iterator[str]:
+    tables = {n: found for n, e in evaluations.items() if (found := e.get("ultralytics"))}
+    classes = sorted({c for t in tables.values() for c in t}, key=class_order)
     lines = [[c, *(_ap_pair(t.get(c)) for t in tables.values())] for c in classes]
     if tables:
         yield "## The same figures from Ultralytics' own validation"
-        yield markdown_table(["mAP50 / mAP50-95", *tables], lines)
+        yield Table(["mAP50 / mAP50-95", *tables], lines).markdown()
 
 
-def _ap_pair(figures: Mapping[str, Any] | None) -> str:
+def _ap_pair(figures: ClassRow | None) -> str:
     if figures is None or figures["map50"] is None:
         return "-"
     return f"{figures['map50']:.3f} / {figures['map50_95']:.3f}"
 
 
-def _found_by(tables: Sequence[Mapping[str, Any]], evaluations: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+def _found_by(tables: Sequence[ResultTable], evaluations: Mapping[str, EvaluationFigures]) -> Iterator[str]:
     """Yield the section on objects found by size and visible share, if some were partly hidden.
 
     The trainings of an evaluation are counted together.
@@ -222,13 +236,13 @@ def _found_by(tables: Sequence[Mapping[str, Any]], evaluations: Mapping[str, Map
     for evaluation, names in trainings.items():
         of_row = counts.setdefault(f"`{evaluation}`", {})
         for name in names:
-            by = (evaluations.get(name, {}).get("targets") or {}).get("by", {})
-            if "visibility" not in by:
-                continue
-            for kind, stratum in ((k, s) for k in by for s in by[k]):
-                found = of_row.setdefault((kind, stratum), [0, 0])
-                found[0] += by[kind][stratum]["found"]
-                found[1] += by[kind][stratum]["objects"]
+            targets = evaluations[name].get("targets") if name in evaluations else None
+            by = targets.get("by", {}) if targets else {}
+            for kind, ranges in by.items() if "visibility" in by else ():
+                for stratum, of in ranges.items():
+                    found = of_row.setdefault((kind, stratum), [0, 0])
+                    found[0] += of["found"]
+                    found[1] += of["objects"]
     columns = sorted({c for of in counts.values() for c in of}, key=lambda c: (c[0], stratum_order(c[1])))
     if columns:
         words = [f"{s} {'px' if k == 'size' else 'visible'}" for k, s in columns]
@@ -236,22 +250,22 @@ def _found_by(tables: Sequence[Mapping[str, Any]], evaluations: Mapping[str, Map
         lines = [[t, *(f"{a / n:.2f} of {n:,}" if n else "-" for a, n in row)] for t, row in cells.items()]
         yield "## Found, by size and visible share"
         yield "Share of the objects that any detection overlaps, at the confidence of the best F1, over all trainings."
-        yield markdown_table(["", *words], lines)
+        yield Table(["", *words], lines).markdown()
 
 
-def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iterator[str]:
+def _strata(evaluations: Mapping[str, EvaluationFigures], category: str) -> Iterator[str]:
     """Yield the section on AP by size, pitch, altitude and time, of one class or all."""
     tables = []
     for kind, words in _STRATA.items():
         found = {n: of for n, e in evaluations.items() if (of := (e.get("strata") or {}).get(kind))}
         lines = []
         for stratum in sorted({s for of in found.values() for s in of}, key=stratum_order):
-            every = [of.get(stratum, {}).get("classes", {}).items() for of in found.values()]
+            every = [of[stratum]["classes"].items() if stratum in of else () for of in found.values()]
             rows = [next((f for n, f in of if n.casefold() == category.casefold()), None) for of in every]
             if any(r and r["instances"] for r in rows):
                 lines.append([stratum, *(f"{_ap_pair(r)} of {r['instances']:,}" if r else "-" for r in rows)])
         if lines:
-            tables.append(markdown_table([words, *found], lines))
+            tables.append(Table([words, *found], lines).markdown())
     if tables:
         yield f"## By size, pitch, altitude and time: {'all classes' if category == 'all' else category}"
         yield "mAP50 / mAP50-95, and the number of objects."
@@ -261,7 +275,7 @@ def _strata(evaluations: Mapping[str, Mapping[str, Any]], category: str) -> Iter
 def _stages_table(stages: Sequence[Mapping[str, Any]]) -> str:
     lines = [[f"`{s['stage']}`", f"`{s['key']}`", paper_and_ours(None, s["images"], ","), _status(s)] for s in stages]
     total = sum(s["seconds"] or 0 for s in stages)
-    return markdown_table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", _duration(total)]])
+    return Table(["Stage", "Key", "Images", "Time"], [*lines, ["all", "", "", _duration(total)]]).markdown()
 
 
 def _status(stage: Mapping[str, Any]) -> str:
@@ -273,12 +287,11 @@ def _status(stage: Mapping[str, Any]) -> str:
     return "adopted and checked" if stage["adopted"] else _duration(stage["seconds"])
 
 
-def _provenance(facts: Mapping[str, Any]) -> str:
-    lines = [f"* {k.replace('_', ' ')}: {', '.join(str(v) for v in values)}" for k, values in facts["hardware"].items()]
-    versions = ", ".join(f"{k} {'/'.join(v)}" for k, v in facts["versions"].items())
-    lines += [f"* versions: {versions}"] if versions else []
-    lines += [f"* seed: {facts['seed']}", f"* commit: {', '.join(facts['commits']) or 'not a checkout'}"]
-    return "\n".join(lines)
+def _provenance(facts: ExperimentRecord) -> str:
+    lines = [f"{k.replace('_', ' ')}: {', '.join(map(str, values))}" for k, values in facts["hardware"].items()]
+    versions = ", ".join(f"{k} {'/'.join(map(str, v))}" for k, v in facts["versions"].items())
+    lines += [f"versions: {versions}"] if versions else []
+    return bullets([*lines, f"seed: {facts['seed']}", f"commit: {', '.join(facts['commits']) or 'not a checkout'}"])
 
 
 def page_name(experiment: str, scale: str) -> str:
@@ -286,13 +299,13 @@ def page_name(experiment: str, scale: str) -> str:
     return experiment if scale == "small" else f"{experiment}-{scale}"
 
 
-def run_state(facts: Mapping[str, Any]) -> str:
+def run_state(facts: ExperimentRecord) -> str:
     """Return the state of a run; if some datasets were not given, it is complete only for the others."""
     some_left_out = facts["status"] == "complete" and facts["left_out"]
     return "complete for the data at hand" if some_left_out else str(facts["status"])
 
 
-def paper_and_ours(paper: float | str | None, ours: float | str | None, form: str) -> str:
+def paper_and_ours(paper: object, ours: object, form: str) -> str:
     """Return `paper → ours`, or ours alone where the paper has no figure; `form` is the format of both."""
     first, second = ("-" if value in (None, "") else f"{value:{form}}" for value in (paper, ours))
     return second if first == "-" else f"{first} → {second}"
@@ -310,12 +323,12 @@ def class_order(name: str) -> tuple[bool, str]:
     return name != "all", name.casefold()
 
 
-def list_differences(facts: Mapping[str, Any]) -> list[str]:
+def list_differences(facts: ExperimentRecord) -> list[str]:
     """Return the differences from the paper, one line each."""
-    return [*_sources(facts), *_trainings(facts), *_boxes(facts), *_scale(facts)]
+    return [*_sources(facts), *_trainings(facts), *_boxes(facts["stages"]), *_scale(facts)]
 
 
-def _sources(facts: Mapping[str, Any]) -> Iterator[str]:
+def _sources(facts: ExperimentRecord) -> Iterator[str]:
     for s in facts["sources"].values():
         paper = s["paper_images"]
         ours = s["images"]
@@ -333,21 +346,22 @@ def _sources(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"Objects are drawn by the renderer `{facts['renderer']}` as flat shapes: this is a test run."
 
 
-def _trainings(facts: Mapping[str, Any]) -> Iterator[str]:
+def _trainings(facts: ExperimentRecord) -> Iterator[str]:
     alike: dict[str, list[str]] = {}
-    for name, t in facts["trainings"].items():
+    trainings: Mapping[str, Mapping[str, Any]] = facts["trainings"]
+    for name, t in trainings.items():
         alike.setdefault(_training(t), []).append(name)
     for text, names in alike.items():
         yield f"Detector {', '.join(names)}: {text}"
-    starts = {n: (t.get("start") or {}).get("kind") for n, t in facts["trainings"].items()}
+    starts = {n: (t.get("start") or {}).get("kind") for n, t in trainings.items()}
     if len(set(starts.values())) > 1:
         which = ", ".join(f"{n} {kind}" for n, kind in sorted(starts.items()))
         yield f"**The detectors started from different weights, so their differences mean little**: {which}."
 
 
-def _boxes(facts: Mapping[str, Any]) -> Iterator[str]:
+def _boxes(stages: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     loosened: dict[str, int] = {}
-    for s in facts["stages"]:
+    for s in stages:
         # A later step that only hands the boxes on does not repeat how they were changed.
         if s.get("boxes_loosened") and (text := looseness_text(s)):
             loosened[text] = loosened.get(text, 0) + s["boxes_loosened"]
@@ -358,7 +372,7 @@ def _boxes(facts: Mapping[str, Any]) -> Iterator[str]:
         )
 
 
-def _scale(facts: Mapping[str, Any]) -> Iterator[str]:
+def _scale(facts: ExperimentRecord) -> Iterator[str]:
     if not facts["trainings"]:
         return
     yield (

@@ -3,33 +3,42 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
+from infrablend.annotation.measured_looseness import BoxFactor
+from infrablend.compositing.object_contrast import SlopeFigures
 from infrablend.core.rng import stream
 from infrablend.lab.realism.class_comparison import ClassComparison
 from infrablend.lab.realism.contrasts import QUANTILES
 from infrablend.lab.realism.features import FEATURES, MEASURES, Measured
-from infrablend.report.figures import compact, interval, png_bytes
-from infrablend.report.page import render_page
-from infrablend.report.preview import FAINT, INK, PAPER
+from infrablend.lab.realism.realism_record import (
+    ClassFacts,
+    Medians,
+    Quantity,
+    RealismRecord,
+    ScoreName,
+    SeparatingFeature,
+    Side,
+    StepScores,
+    TimeContrast,
+)
+from infrablend.report.charts import COLOURS, curves, histogram, legend, panels, png_bytes
+from infrablend.report.figures import compact, interval
+from infrablend.report.page import Table, render_page
+from infrablend.report.preview import FAINT, INK, grid, strip, to_rgb
 
 ZOOM = 4
 ON_A_SHEET = 24
 COLUMNS = 4
-_GAP = 8
-_CAPTION = 16
-_REAL, _INSERTED = "#3b6ea5", "#d1495b"
-Contrasts = Mapping[str, Mapping[str, Any]]
-"""What `lab.realism.contrasts.compare_contrasts` returns: time of day to real, inserted, checks."""
-
-QUANTILE_HEAD = ["", "objects", *(f"{q} %" for q in QUANTILES), "SCR, 1 %", "5 %", "median"]
-CHECK_HEAD = ["", "real", "inserted", "found", "required", "holds"]
+_CAPTION_PX = 16
+SIDES: Final[tuple[Side, ...]] = ("real", "inserted")
+LEVELS = ("high", "middle")
 _CHECKS = {
     "slope_high": "slope of the 95 % quantile",
     "slope_middle": "slope of the middle",
@@ -39,20 +48,25 @@ _CHECKS = {
     "signed_p50": "contrast, median",
     "signed_p75": "contrast, upper quartile",
 }
-_QUANTITIES = {
+_QUANTITIES: Final[Mapping[Quantity, str]] = {
     "signed": "contrast",
     "change": "largest change",
     "ground_level": "ground, level above the picture's median",
     "ground_clutter": "ground, standard deviation",
 }
-_SCORES = ("auc_boosting", "floor_logistic", "floor_boosting", "hard_paste_logistic", "chain_off_logistic")
+_SCORES: Final[Mapping[ScoreName, str]] = {
+    "auc_boosting": "boosting",
+    "floor_logistic": "floor",
+    "floor_boosting": "floor, boosting",
+    "hard_paste_logistic": "hard paste",
+    "chain_off_logistic": "chain off",
+}
+_PLOTTED = ("p95_minus_ring", "centre_minus_ring", "edge_width_px", "height_px")
 AS_WRITTEN = (
     "Contrast is measured in a box: a wider one shows less of it, one around what is visible more. Where a run draws "
     "the boxes of inserted objects as people do (`labels.fit`, `labels.loosen`, `labels.loosen_px`), this is the "
     "contrast in those. The number of objects that are large enough to be measured changes, too."
 )
-LOOSENESS_HEAD = ["", "real", "boxes", "inserted", "boxes", "real against inserted", "boxes"]
-SLOPE_HEAD = ["", "95 % quantile", "95 % interval", "objects", "middle", "95 % interval", "objects"]
 
 
 @dataclass(frozen=True)
@@ -99,50 +113,52 @@ def _nearest(real: Sequence[Measured], inserted: Sequence[Measured]) -> NDArray[
 
 
 def _sheet(rows: Sequence[tuple[Measured, Measured, float]]) -> bytes:
-    side = 48 * ZOOM
-    width, height = 2 * side + 3 * _GAP, side + _CAPTION + _GAP
-    columns = min(COLUMNS, len(rows))
-    sheet = Image.new("RGB", (columns * width, -(-len(rows) // columns) * height + _GAP), PAPER)
-    pen = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(11)
-    for k, (real, inserted, score) in enumerate(rows):
-        x, y = k % columns * width + _GAP, k // columns * height + _GAP
-        for n, m in enumerate((real, inserted)):
-            sheet.paste(Image.fromarray(m.patch).resize((side, side), Image.Resampling.NEAREST), (x + n * side, y))
-        pen.text((x, y + side + 1), f"real {real.key.rsplit('/')[-1]}"[:32], fill=FAINT, font=font)
-        pen.text((x + side, y + side + 1), f"inserted, log odds {score:+.1f}", fill=INK, font=font)
+    cells = []
+    for real, inserted, score in rows:
+        crops = np.repeat(np.repeat(np.hstack([real.patch, inserted.patch]), ZOOM, axis=0), ZOOM, axis=1)
+        width = crops.shape[1] // 2
+        of_real = strip(width, _CAPTION_PX, f"real {real.key.rsplit('/')[-1]}", 11, FAINT)
+        of_inserted = strip(width, _CAPTION_PX, f"inserted, log odds {score:+.1f}", 11, INK)
+        cells.append(np.vstack([to_rgb(crops), np.hstack([of_real, of_inserted])]))
     data = io.BytesIO()
-    sheet.save(data, "PNG", compress_level=6)
+    Image.fromarray(grid(cells, min(COLUMNS, len(cells)))).save(data, "PNG")
     return data.getvalue()
 
 
 # ---- the page
 
 
-def html_report(facts: Mapping[str, Any], comparisons: Sequence[ClassComparison], sheets: Sequence[CropSheet]) -> str:
+def html_report(facts: RealismRecord, comparisons: Sequence[ClassComparison], sheets: Sequence[CropSheet]) -> str:
     """Return the HTML page; the same facts give the same bytes."""
     return render_page(
         "realism",
         __package__,
         title="Realism",
-        recipe=facts["run"]["recipe"],
-        seed=facts["run"]["seed"],
-        time_of_day=facts["time_of_day"],
-        rows=[[category, *score_cells(f, *_SCORES)] for category, f in facts["classes"].items()],
+        facts=facts,
+        scores=score_table("class", facts["classes"], _SCORES),
+        as_written=AS_WRITTEN.replace("`", ""),
         sections=[
             _class_section(v, [s for s in sheets if s.name.startswith(v.category.lower() + "_")]) for v in comparisons
         ],
     )
 
 
-def score_cells(f: Mapping[str, Any], *further: str) -> list[str]:
-    """Return number of pairs, AUC and interval of the logistic classifier, and further figures of a class."""
-    return [str(f["n"]), compact(f["auc_logistic"]), interval(f["ci"]), *(compact(f.get(key)) for key in further)]
+def score_table(head: str, rows: Mapping[str, ClassFacts], scores: Mapping[ScoreName, str]) -> Table:
+    """Return number of pairs, AUC and interval of the logistic classifier, and further figures of classes."""
+    return Table(
+        [head, "pairs", "logistic", "95 %", *scores.values()],
+        [
+            [name, str(f["n"]), compact(f["auc_logistic"]), interval(f["ci"]), *(compact(f.get(key)) for key in scores)]
+            for name, f in rows.items()
+        ],
+    )
 
 
-def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str, Any]:
+def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str, object]:
+    """Return what the template shows of a class."""
     f = v.facts
-    populations = {**f["medians"], **{s: a["medians"] for s, a in v.ablation.items()}}
+    contrasts = [("", time, sides) for time, sides in f["contrast"].items()]
+    as_written = [("", time, sides) for time, sides in f.get("contrast_as_written", {}).items()]
     return {
         "category": v.category,
         "facts": f,
@@ -150,150 +166,160 @@ def _class_section(v: ClassComparison, sheets: Sequence[CropSheet]) -> dict[str,
             f"{name} {', '.join(f'{reason} {n}' for reason, n in reasons.items()) or 'none'}"
             for name, reasons in f["left_out"].items()
         ),
-        "crop_rows": _crop_rows(f),
-        "slope_head": SLOPE_HEAD,
-        "slope_rows": slope_rows(f["contrast"]),
-        "quantile_head": QUANTILE_HEAD,
-        "quantile_rows": quantile_rows(f["contrast"]),
-        "looseness_head": LOOSENESS_HEAD,
-        "looseness_rows": [["factor", *looseness_cells(f["box_looseness"])]],
-        "check_head": CHECK_HEAD,
-        "check_rows": check_rows(f["contrast"]),
-        "as_written": AS_WRITTEN.replace("`", ""),
-        "as_written_rows": check_rows(f.get("contrast_as_written", {})),
-        "cue_rows": [
-            [
-                t["feature"],
-                compact(t["auc"]),
-                t["inserted_is"],
-                *(" / ".join(map(compact, t[side])) for side in ("real", "inserted")),
-                t["weight"],
-            ]
-            for t in f["separating_features"]
-        ],
-        "ablation_rows": [[step, *score_cells(a, "auc_boosting")] for step, a in v.ablation.items()],
-        "median_head": ["", *populations],
-        "median_rows": [[name, *(compact(m[name]) for m in populations.values())] for name in (*FEATURES, *MEASURES)],
+        "crops": _crop_table(f),
+        "slopes": slope_table(contrasts),
+        "quantiles": quantile_table(contrasts),
+        "looseness": looseness_table({"factor": f["box_looseness"]}),
+        "checks": check_table(contrasts),
+        "checks_as_written": check_table(as_written),
+        "cues": _cue_table(f["separating_features"]),
+        "steps": _step_table(v.ablation),
+        "medians": _median_table({**f["medians"], **{step: a["medians"] for step, a in v.ablation.items()}}),
         "plots": _plots(v),
         "sheets": sheets,
     }
 
 
-def _crop_rows(f: Mapping[str, Any]) -> list[list[str]]:
+def _step_table(steps: Mapping[str, StepScores]) -> Table:
+    rows = []
+    for step, a in steps.items():
+        rows.append([step, str(a["n"]), compact(a["auc_logistic"]), interval(a["ci"]), compact(a["auc_boosting"])])
+    return Table(["up to", "pairs", "logistic", "95 %", "boosting"], rows)
+
+
+def _crop_table(f: ClassFacts) -> Table:
     """Return a row for the network and each distance, or the reason why it was skipped."""
-    kinds = (
-        (f["cnn"], "small network, AUC", "auc", "floor"),
-        (f["kid"], "KID", "inserted", "real_halves"),
-        (f["mmd_dct"], "MMD on cosine frequencies", "inserted", "real_halves"),
-    )
-    return [
-        [name, f"skipped: {found['skipped']}", "-"]
-        if "skipped" in found
-        else [name, _mean_sd(found[inserted]), _mean_sd(found.get(floor))]
-        for found, name, inserted, floor in kinds
-    ]
+    network = f["cnn"]
+    rows = [_crop_row("small network, AUC", network.get("skipped"), network.get("auc"), network.get("floor"))]
+    for name, found in (("KID", f["kid"]), ("MMD on cosine frequencies", f["mmd_dct"])):
+        rows.append(_crop_row(name, found.get("skipped"), found.get("inserted"), found.get("real_halves")))
+    return Table(["", "inserted", "floor"], rows)
 
 
-def _mean_sd(value: Any) -> str:
-    return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, list) else compact(value)
+def _crop_row(name: str, skipped: str | None, *values: float | Sequence[float] | None) -> list[str]:
+    return [name, *map(_mean_sd, values)] if skipped is None else [name, f"skipped: {skipped}", "-"]
+
+
+def _mean_sd(value: float | Sequence[float] | None) -> str:
+    return f"{value[0]:.4f} ± {value[1]:.4f}" if isinstance(value, Sequence) else compact(value)
+
+
+def _cue_table(features: Sequence[SeparatingFeature]) -> Table:
+    rows = []
+    for t in features:
+        quartiles = [" / ".join(map(compact, t[side])) for side in SIDES]
+        rows.append([t["feature"], compact(t["auc"]), t["inserted_is"], *quartiles, str(t["weight"])])
+    return Table(["feature", "alone", "inserted is", "real 25/50/75 %", "inserted 25/50/75 %", "weight"], rows)
+
+
+def _median_table(populations: Mapping[str, Medians]) -> Table:
+    rows = [[name, *(compact(m[name]) for m in populations.values())] for name in (*FEATURES, *MEASURES)]
+    return Table(["", *populations], rows)
 
 
 def _plots(v: ClassComparison) -> bytes:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 13), dpi=80, layout="constrained")
-    axes = figure.subplots(5, 4).ravel()
-    real, inserted = [r for r, _ in v.pairs], [i for _, i in v.pairs]
-    columns = [
-        (name, [m.features[k] for m in real], [m.features[k] for m in inserted]) for k, name in enumerate(FEATURES)
-    ]
-    columns += [
-        (name, [m.measures[k] for m in real], [m.measures[k] for m in inserted])
-        for k, name in enumerate(MEASURES)
-        if name in ("p95_minus_ring", "centre_minus_ring", "edge_width_px", "height_px")
-    ]
-    titles = [*(name for name, _, _ in columns), "levels in boxes, share", "longer side by altitude label, px"]
-    for axis, title in zip((*axes[: len(columns)], *axes[18:]), titles, strict=True):
-        axis.set_title(title, fontsize=9)
-        axis.tick_params(labelsize=7)
-    for axis, (_, a, b) in zip(axes, columns, strict=False):
-        a, b = [x for x in a if not np.isnan(x)], [x for x in b if not np.isnan(x)]
-        if not a or not b:
-            continue
-        low, high = np.percentile([*a, *b], [1, 99])
-        bins = np.linspace(low, max(float(high), float(low) + 1e-6), 31)
-        axis.hist(np.clip(a, bins[0], bins[-1]), bins, color=_REAL, alpha=0.55, label="real")
-        axis.hist(np.clip(b, bins[0], bins[-1]), bins, color=_INSERTED, alpha=0.55, label="inserted")
-    for name, colour in (("real", _REAL), ("inserted", _INSERTED)):
-        counts = np.array(v.facts["all_sizes"][name]["level_histogram"], np.float64)
-        axes[18].step(np.arange(64) * 4 + 2, counts / max(counts.sum(), 1), color=colour, where="mid", label=name)
-        sizes = {float(a): s[f"{name}_long_side_px"] for a, s in v.facts["size_by_altitude"].items()}
-        known = {a: s for a, s in sizes.items() if s is not None}
-        axes[19].plot([*known], [*known.values()], "o-", color=colour, label=name)
-    axes[0].legend(fontsize=8)
+    figure, axes = panels(5, 4, (13, 13))
+    *of_features, of_levels, of_sizes = axes
+    for ax, (name, real, inserted) in zip(of_features, _measured(v), strict=False):
+        ax.set_title(name)
+        known = {side: [x for x in of if not np.isnan(x)] for side, of in zip(SIDES, (real, inserted), strict=True)}
+        if all(known.values()):
+            histogram(ax, known)
+    of_levels.set_title("levels in boxes, share")
+    of_sizes.set_title("longer side by altitude label, px")
+    for side, colour in zip(SIDES, COLOURS, strict=False):
+        counts = np.array(v.facts["all_sizes"][side]["level_histogram"], np.float64)
+        curves(
+            of_levels, np.arange(64) * 4 + 2, {side: counts / max(counts.sum(), 1)}, color=colour, drawstyle="steps-mid"
+        )
+        sizes = {float(a): s[f"{side}_long_side_px"] for a, s in v.facts["size_by_altitude"].items()}
+        known_px = {a: px for a, px in sizes.items() if px is not None}
+        curves(of_sizes, [*known_px], {side: [*known_px.values()]}, color=colour, marker="o")
+    for ax in axes:
+        ax.tick_params(labelsize=7)
+        ax.title.set_fontsize(9)
+    legend(axes[0])
     return png_bytes(figure)
 
 
-def slope_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
-    """Return one row of slopes per time of day and population; none where no image has enough objects."""
-    slopes = {
-        _label(prefix, side, time): [sides[side]["slope"][level] for level in ("high", "middle")]
-        for time, sides in contrasts.items()
-        for side in ("real", "inserted")
-    }
-    return [[label, *(cell for s in of for cell in _slope_cells(s))] for label, of in slopes.items() if any(of)]
+def _measured(v: ClassComparison) -> Iterator[tuple[str, list[float], list[float]]]:
+    """Yield the name of each plotted feature and measure, and its values of the real and inserted objects."""
+    for k, name in enumerate(FEATURES):
+        yield name, [r.features[k] for r, _ in v.pairs], [i.features[k] for _, i in v.pairs]
+    for k, name in enumerate(MEASURES):
+        if name in _PLOTTED:
+            yield name, [r.measures[k] for r, _ in v.pairs], [i.measures[k] for _, i in v.pairs]
 
 
-def quantile_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
-    """Return rows of quantiles per time of day and population: of contrast, and of the ground around the objects."""
+# ---- tables of contrast
+
+TimedContrasts = Sequence[tuple[str, str, TimeContrast]]
+"""Class, or "" where there is only one, time of day, and the contrast of both populations."""
+
+
+def slope_table(contrasts: TimedContrasts) -> Table:
+    """Return one row of slopes per class, time of day and population; none where no image has enough objects."""
     rows = []
-    for time, sides in contrasts.items():
+    for category, time, sides in contrasts:
+        for side in SIDES:
+            high, middle = (sides[side]["slope"][level] for level in LEVELS)
+            if high or middle:
+                rows.append([_label(category, side, time), *_slope_cells(high), *_slope_cells(middle)])
+    return Table(["", "95 % quantile", "95 % interval", "objects", "middle", "95 % interval", "objects"], rows)
+
+
+def _slope_cells(slope: SlopeFigures | None) -> list[str]:
+    if slope is None:
+        return ["-", "-", "0"]
+    return [f"{slope['slope']:.2f}", f"{slope['ci'][0]:.2f} to {slope['ci'][1]:.2f}", f"{slope['objects']:,}"]
+
+
+def quantile_table(contrasts: TimedContrasts) -> Table:
+    """Return rows of quantiles per class, time and population: of contrast, and of the ground around the objects."""
+    rows = []
+    for category, time, sides in contrasts:
         for key, name in _QUANTITIES.items():
-            for side in ("real", "inserted"):
+            for side in SIDES:
                 found = sides[side]
                 scr = [compact(found["scr"].get(f"p{q}")) for q in (1, 5, 50)] if key == "change" else [""] * 3
                 values = [found[key].get(f"p{q}") for q in QUANTILES]
                 quantiles = ["-" if v is None else f"{v:.0f}" for v in values]
-                rows.append([f"{_label(prefix, side, time)}: {name}", f"{found['n']:,}", *quantiles, *scr])
-    return rows
+                rows.append([f"{_label(category, side, time)}: {name}", f"{found['n']:,}", *quantiles, *scr])
+    return Table(["", "objects", *(f"{q} %" for q in QUANTILES), "SCR, 1 %", "5 %", "median"], rows)
 
 
-def check_rows(contrasts: Contrasts, prefix: str = "") -> list[list[str]]:
+def check_table(contrasts: TimedContrasts) -> Table:
     """Return one row per check: the figures, what is required, and whether it holds."""
     rows = []
-    for time, sides in contrasts.items():
+    for category, time, sides in contrasts:
         for name, check in sides["checks"].items():
             found = compact(check["found"])
             if "ci" in check:
                 found = f"{check['found']:+.3f} ({interval(check['ci'], signed=True)})"
             holds = {True: "yes", False: "no", None: "-"}[check["holds"]]  # none where there are too few objects
-            cells = [compact(check["real"]), compact(check["inserted"]), found, _required(name, check["limit"]), holds]
-            rows.append([f"{_label(prefix, time=time)}: {_CHECKS[name]}", *cells])
-    return rows
+            figures = [compact(check["real"]), compact(check["inserted"]), found]
+            label = f"{_label(category, time=time)}: {_CHECKS[name]}"
+            rows.append([label, *figures, _required(name, check["limit"]), holds])
+    return Table(["", "real", "inserted", "found", "required", "holds"], rows)
 
 
-def looseness_cells(boxes: Mapping[str, Any]) -> list[str]:
+def looseness_table(rows: Mapping[str, Mapping[str, BoxFactor | None]]) -> Table:
     """Return the factors of real and inserted boxes, and of real against inserted ones, each with its number."""
-    cells = []
-    for key in ("real", "inserted", "real_against_inserted"):
-        found = boxes[key]
-        if found is None:
-            cells += ["-", "-"]
-            continue
-        ends = f"{found['ci'][0]:.2f} to {found['ci'][1]:.2f}"
-        cells += [f"{found['factor']:.2f} ({ends}), {found['margin_px']:.1f} px", f"{found['n']:,}"]
-    return cells
+    keys = (*SIDES, "real_against_inserted")
+    cells = [[name, *(cell for key in keys for cell in _factor_cells(boxes[key]))] for name, boxes in rows.items()]
+    return Table(["", "real", "boxes", "inserted", "boxes", "real against inserted", "boxes"], cells)
+
+
+def _factor_cells(found: BoxFactor | None) -> list[str]:
+    if found is None:
+        return ["-", "-"]
+    ends = f"{found['ci'][0]:.2f} to {found['ci'][1]:.2f}"
+    return [f"{found['factor']:.2f} ({ends}), {found['margin_px']:.1f} px", f"{found['n']:,}"]
 
 
 def _label(prefix: str, side: str = "", time: str = "") -> str:
     words = [prefix, side, "" if time == "unknown" else f"by {time}"]
     return " ".join(w for w in words if w).strip() or "all"
-
-
-def _slope_cells(slope: Mapping[str, Any] | None) -> list[str]:
-    if slope is None:
-        return ["-", "-", "0"]
-    return [f"{slope['slope']:.2f}", f"{slope['ci'][0]:.2f} to {slope['ci'][1]:.2f}", f"{slope['objects']:,}"]
 
 
 def _required(name: str, limit: float | Sequence[float]) -> str:

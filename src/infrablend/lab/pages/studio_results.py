@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from infrablend.detection.detections import RECORD
-from infrablend.lab.pages.evaluation_page import HEAD, STRATA, table_rows
-from infrablend.lab.pages.realism_report import score_cells
+from infrablend.lab.pages.evaluation_page import HEAD, STRATA, class_table
+from infrablend.lab.pages.realism_report import score_table
+from infrablend.lab.realism.realism_record import ScoreName
 from infrablend.report.figures import decimals, stratum_order
+from infrablend.report.page import Table
 from infrablend.studio.results import ResultReport, ResultTable
 
 REALISM = "realism.json"
 _PICTURES = (".png", ".svg")
-_SCORES = ("auc_boosting", "floor_logistic", "hard_paste_logistic")
+_SCORES: Final[Mapping[ScoreName, str]] = {
+    "auc_boosting": "boosting",
+    "floor_logistic": "floor",
+    "hard_paste_logistic": "hard paste",
+}
 _MEASURED = ("instances", "map50", "map50_95")
 
 
@@ -32,6 +38,10 @@ def _pictures(folder: Path, pattern: str) -> tuple[Path, ...]:
     return tuple(sorted(path for path in folder.glob(pattern) if path.suffix in _PICTURES and path.is_file()))
 
 
+def _shown(title: str, table: Table) -> ResultTable:
+    return ResultTable(title, tuple(table.head), tuple(map(tuple, table.rows)))
+
+
 def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
     dataset = record["dataset"]
     detector = record["detector"]
@@ -41,7 +51,7 @@ def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
         f"confidence of the best mean F1: {decimals(record['confidence'])}",
         *(f"{p['severity']}: {p['where']}: {p['found']}" for p in record["problems"]),
     ]
-    tables = [ResultTable("By class", HEAD, tuple(tuple(row) for row in table_rows(record["classes"])))]
+    tables = [_shown("By class", class_table(record["classes"]))]
     for kind, title in STRATA.items():
         strata = record["strata"].get(kind, {})
         rows = [
@@ -49,7 +59,7 @@ def _evaluation(record: Mapping[str, Any], path: Path) -> ResultReport:
             for name in sorted(strata, key=stratum_order)
         ]
         if len(rows) > 1:
-            tables.append(ResultTable(f"By {title}", (title, "instances", "mAP50", "mAP50-95"), tuple(rows)))
+            tables.append(_shown(f"By {title}", Table([title, "instances", "mAP50", "mAP50-95"], rows)))
     name = f"Evaluation: {path.parent.name}"
     return ResultReport(name, path.parent, tuple(lines), tuple(tables), _pictures(path.parent, "plots/*.png"))
 
@@ -59,7 +69,6 @@ def _realism(record: Mapping[str, Any], path: Path) -> ResultReport | None:
         return None
     run = record["run"]
     classes = record["classes"]
-    rows = [(name, *score_cells(of, *_SCORES)) for name, of in classes.items()]
     lines = [
         f"recipe {run['recipe']}, seed {run['seed']}, time of day: {record['time_of_day']}",
         "An AUC of 0.5: a classifier cannot distinguish inserted objects from real ones; 1: it always can.",
@@ -69,8 +78,7 @@ def _realism(record: Mapping[str, Any], path: Path) -> ResultReport | None:
             if not of["valid"]
         ),
     ]
-    head = ("class", "pairs", "logistic", "95 %", "boosting", "floor", "hard paste")
-    tables = (ResultTable("AUC of classifiers", head, tuple(rows)),)
+    tables = (_shown("AUC of classifiers", score_table("class", classes, _SCORES)),)
     title = f"Realism: {path.parent.name}"
     return ResultReport(title, path.parent, tuple(lines), tables, _pictures(path.parent, "*.png"))
 
@@ -78,8 +86,8 @@ def _realism(record: Mapping[str, Any], path: Path) -> ResultReport | None:
 def _experiment(record: Mapping[str, Any], path: Path) -> ResultReport | None:
     if not isinstance(record, dict) or "experiment" not in record:
         return None
-    rows = [(name, *row) for name, of in record["evaluations"].items() for row in table_rows(of["classes"])]
+    rows = [[name, *row] for name, of in record["evaluations"].items() for row in class_table(of["classes"]).rows]
     lines = [str(record.get("title") or record["experiment"]), f"scale {record['scale']}, status {record['status']}"]
-    tables = (ResultTable("Evaluations", ("evaluation", *HEAD), tuple(tuple(r) for r in rows)),) if rows else ()
+    tables = (_shown("Evaluations", Table(["evaluation", *HEAD], rows)),) if rows else ()
     pictures = _pictures(path.parent, f"{path.stem}_*.svg")
     return ResultReport(f"Experiment: {path.stem}", path.parent, tuple(lines), tables, pictures)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.files import load_json, read_object, read_regular, write_bytes, write_json, write_text
 from infrablend.core.output_checks import require_no_foreign
+from infrablend.lab.experiments.result_record import ExperimentRecord
 from infrablend.lab.pages.experiment_charts import CHARTS, draw_plots
 from infrablend.lab.pages.experiment_page import (
     INDEX_FILE,
@@ -20,7 +19,7 @@ from infrablend.lab.pages.experiment_page import (
     paper_and_ours,
     run_state,
 )
-from infrablend.report.figures import markdown_table
+from infrablend.report.page import Table, markdown_page
 
 # Figures of the charts that the JSON does not keep.
 _NOT_KEPT = ("curves", "confusion")
@@ -61,7 +60,7 @@ def _says(path: Path, words: str) -> bool:
         return False
 
 
-def write_page(facts: Mapping[str, Any], out: Path) -> Path:
+def write_page(facts: ExperimentRecord, out: Path) -> Path:
     """Write `<name>.md`, `<name>.json`, charts `<name>_*.svg` and the index to a folder; return the path of the page.
 
     An unfinished run does not replace a complete page: its files are named `<name>-unfinished`.
@@ -105,10 +104,10 @@ def index_text(out: Path) -> str:
     if (out / _REALISM).is_file():
         intro += f" `infrablend realism` writes the page on [inserted and real objects side by side]({_REALISM})."
     head = ["Experiment", "Scale", "Status", "First row, mAP50: paper → ours", "Conclusions that hold"]
-    return "\n\n".join(["# Results", intro, markdown_table(head, rows) if rows else "No results yet."]) + "\n"
+    return markdown_page(["# Results", intro, Table(head, rows).markdown() if rows else "No results yet."])
 
 
-def _row(facts: Mapping[str, Any], stem: str) -> list[str]:
+def _row(facts: ExperimentRecord, stem: str) -> list[str]:
     verdicts = [c["holds"] for c in facts["checks"] if c["holds"] is not None]
     rows = [r for table in facts["tables"] for r in table["rows"]]
     first = next((r for r in rows if r["ours"]), rows[0] if rows else None)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NotRequired, TypedDict
+from typing import Literal, NotRequired, TypedDict
+
+from infrablend.annotation.measured_looseness import BoxFactor
+from infrablend.compositing.object_contrast import SlopeFigures
 
 Medians = Mapping[str, float | None]
 """Median of each feature and measure of some objects; None without any."""
 Interval = Sequence[float]
 """The two ends of a 95 % interval."""
+Side = Literal["real", "inserted"]
+Quantity = Literal["signed", "change", "ground_level", "ground_clutter"]
+ScoreName = Literal["auc_boosting", "floor_logistic", "floor_boosting", "hard_paste_logistic", "chain_off_logistic"]
 
 
 class Validity(TypedDict):
@@ -100,7 +106,7 @@ class ContrastFigures(TypedDict):
     ground_level: Mapping[str, float]
     ground_clutter: Mapping[str, float]
     scr: Mapping[str, float]
-    slope: Mapping[str, Mapping[str, object] | None]
+    slope: Mapping[str, SlopeFigures | None]
 
 
 class TimeContrast(TypedDict):
@@ -109,6 +115,7 @@ class TimeContrast(TypedDict):
     real: ContrastFigures
     inserted: ContrastFigures
     checks: Mapping[str, ContrastCheck]
+    run: NotRequired[ComparedRun]
 
 
 class ClassFacts(FloorScores):
@@ -139,7 +146,7 @@ class ClassFacts(FloorScores):
     invalid_because: NotRequired[Sequence[str]]
     contrast: NotRequired[Mapping[str, TimeContrast]]
     contrast_as_written: NotRequired[Mapping[str, TimeContrast]]
-    box_looseness: NotRequired[Mapping[str, Mapping[str, object] | None]]
+    box_looseness: NotRequired[Mapping[str, BoxFactor | None]]
     left_out: NotRequired[Mapping[str, Mapping[str, int]]]
 
 
@@ -167,3 +174,16 @@ class RealismRecord(TypedDict):
     classes: Mapping[str, ClassFacts]
     ablation: Mapping[str, Mapping[str, StepScores]]
     car_to_person_contrast: NotRequired[Mapping[str, float | None]]
+
+
+class TimedFacts(ClassFacts):
+    """The figures of one class at one time of day, and the run that they are of."""
+
+    run: ComparedRun
+
+
+class CollectedClass(ClassFacts):
+    """The figures of one class from several comparisons: those of the first time of day, and of each."""
+
+    time_of_day: str
+    by_time: Mapping[str, TimedFacts]

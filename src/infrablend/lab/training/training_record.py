@@ -55,6 +55,7 @@ class TrainingRecord(TypedDict, total=False):
 
     Settings are those of the preset, `content` is the digest of the data, `left_out` counts labels that were not
     trained on, and `agc` is there for 16-bit pictures. From `epochs_done` on, fields are of a finished training.
+    `adopted` stands only in the records of experiments that took the training from elsewhere.
     """
 
     infrablend: str
@@ -86,6 +87,7 @@ class TrainingRecord(TypedDict, total=False):
     versions: Mapping[str, str]
     batch: int
     note: str
+    adopted: bool
 
 
 class TrainerEvent(TypedDict, total=False):

@@ -104,9 +104,9 @@ class WorldRenderer:
         frame = kelvin.reshape(h, OVERSAMPLE, w, OVERSAMPLE).mean(axis=(1, 3), dtype=np.float32)
         return np.asarray(frame, np.float32), ids, labelled
 
-    def _trees(self, plan: WorldPlan) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    def _trees(self, plan: WorldPlan) -> tuple[dict[str, object], list[dict[str, object]]]:
         """Return the prototypes that Blender does not have yet, and the trees, which are copies of prototypes."""
-        prototypes: dict[str, Any] = {}
+        prototypes: dict[str, object] = {}
         copies = []
         for t in plan.trees:
             number = t.prototype % TREE_KINDS[t.kind]
@@ -120,7 +120,7 @@ class WorldRenderer:
         return prototypes, copies
 
 
-def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, Any]]]:
+def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, object]]]:
     """Return class, world vertices and triangles of the labelled things, in id order from 1; and all as messages.
 
     The number of each of the others is `_OTHERS` and that of its kind of surface.
@@ -142,7 +142,7 @@ def _things(plan: WorldPlan) -> tuple[list[_Labelled], list[dict[str, Any]]]:
     return labelled, messages
 
 
-def _message(surface: Surface, vertices_m: FloatArray) -> dict[str, Any]:
+def _message(surface: Surface, vertices_m: FloatArray) -> dict[str, object]:
     values = {name: np.asarray(getattr(surface, name), np.float32) for name in ATTRIBUTES}
     return {"vertices_m": np.asarray(vertices_m, np.float32), "triangles": surface.triangles, **values}
 

@@ -206,13 +206,20 @@ def athletics(site: Site) -> str:
             if offset < radius + track:
                 site.patches.append(Patch("rect", *at(0, side * offset), h, straight, 0.06, None, lanes, 0.03))
     _jumpers_and_walkers(site, at, h, straight, (radius, track))
-    x, y = at(0, draws.one_of((-1, 1)) * (radius + track + u(8, 16)))
+    _add_surroundings(site, at, h, radius + track)
+    return base
+
+
+def _add_surroundings(site: Site, at: At, h: float, reach_m: float) -> None:
+    """Add a path with trees beside a running track, which reaches that far from its middle, and perhaps stands."""
+    draws = site.draws
+    u = draws.uniform
+    x, y = at(0, draws.one_of((-1, 1)) * (reach_m + u(8, 16)))
     edge = Road(x, y, h, 0.0, u(1.5, 4.0), u(0, 1.5), 2, "concrete", False)
     site.roads.append(edge)
     tree_row(site, edge, u(4, 8) * draws.one_of((-1, 1)), u(4, 8), ("crown", "bare", "shrub"))
     if draws.chance(0.4):
-        site.add_building(*at(u(-15, 15), radius + track + u(14, 22)), h, u(30, 60), u(8, 14), u(3, 8))
-    return base
+        site.add_building(*at(u(-15, 15), reach_m + u(14, 22)), h, u(30, 60), u(8, 14), u(3, 8))
 
 
 def _jumpers_and_walkers(site: Site, at: At, h: float, straight: float, across_m: tuple[float, float]) -> None:

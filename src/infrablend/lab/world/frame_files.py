@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ class FinishedFrame:
 
     number: int
     image: ImageRecord
-    facts: dict[str, Any]
+    facts: dict[str, object]
 
 
 def make_frame(frame: FrameFacts, seed: int, renderer: PlanRenderer, folder: Path) -> FinishedFrame:
@@ -148,7 +148,7 @@ def _monet_record(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label], p
     )
 
 
-def _facts(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label]) -> dict[str, Any]:
+def _facts(frame: FrameFacts, plan: WorldPlan, labels: Sequence[Label]) -> dict[str, object]:
     """Return the camera, the place, and every object that has a class with its visibility."""
     return {
         "name": frame.name,

@@ -60,6 +60,27 @@ def draw_person(draws: Draws, weather: Weather, x: float, y: float, heading: flo
     )  # fmt: skip
 
 
+def _arm(
+    q: Person, side: int, swing: float, fwd: float, chest: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Return elbow and hand, in heights: arms swing against the legs; `spread` lifts them, "reach" above the head."""
+    if q.pose == "reach":
+        elbow = (fwd + 0.12, (0.26 + 0.1 * q.spread) * side, chest + 0.28 * (q.spread - 0.5))
+        return elbow, (elbow[0] + 0.12, elbow[1], elbow[2] + 0.26 * q.spread)
+    if q.pose == "ride":
+        return (fwd + 0.2, 0.27 * side, chest - 0.22), (fwd + 0.42, 0.27 * side, chest - 0.3)
+    b = -0.8 * swing * side
+    out = math.sin(q.spread)
+    elbow = (
+        fwd + 0.28 * math.sin(b),
+        (0.235 * q.girth + 0.26 * out) * side,
+        chest - 0.28 * math.cos(b) * (1 - 0.4 * out),
+    )
+    bend = 1.1 if q.pose == "run" else 0.25
+    hand = (elbow[0] + 0.25 * math.sin(b + bend), elbow[1] + 0.03 * side, elbow[2] - 0.25 * math.cos(b + bend))
+    return elbow, hand
+
+
 def person(q: Person, seat_m: float | None = None) -> Surface:
     """Return a clothed person with bare head and hands; `seat_m` is the height of the saddle of a rider."""
     p = SurfaceBuilder()
@@ -101,24 +122,8 @@ def person(q: Person, seat_m: float | None = None) -> Surface:
             CLOTH,
             q.solar_k,
         )
-        # Arms swing against the legs; `spread` lifts them sideways, "reach" above the head.
         shoulder = (fwd, 0.215 * g * side, chest)
-        if q.pose == "reach":
-            elbow = (fwd + 0.12, (0.26 + 0.1 * q.spread) * side, chest + 0.28 * (q.spread - 0.5))
-            hand = (elbow[0] + 0.12, elbow[1], elbow[2] + 0.26 * q.spread)
-        elif q.pose == "ride":
-            elbow = (fwd + 0.2, 0.27 * side, chest - 0.22)
-            hand = (fwd + 0.42, 0.27 * side, chest - 0.3)
-        else:
-            b = -0.8 * swing * side
-            out = math.sin(q.spread)
-            elbow = (
-                fwd + 0.28 * math.sin(b),
-                (0.235 * g + 0.26 * out) * side,
-                chest - 0.28 * math.cos(b) * (1 - 0.4 * out),
-            )
-            bend = 1.1 if q.pose == "run" else 0.25
-            hand = (elbow[0] + 0.25 * math.sin(b + bend), elbow[1] + 0.03 * side, elbow[2] - 0.25 * math.cos(b + bend))
+        elbow, hand = _arm(q, side, swing, fwd, chest)
         p.bar(at(*shoulder), at(*elbow), (arm * h, 0.052 * g * h), q.top_k - 0.8, CLOTH, q.solar_k, 0.4)
         p.bar(at(*elbow), at(*hand), (0.05 * g * h, 0.04 * h), q.top_k - 1.0, CLOTH, q.solar_k, 0.4)
         p.add(shapes.moved(shapes.ellipsoid((0.052 * h, 0.045 * h, 0.052 * h), 6, 4), at(*hand)), q.skin_k - 1.5, SKIN)

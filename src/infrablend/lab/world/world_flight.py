@@ -12,7 +12,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -186,7 +185,7 @@ def flight_frame(flight: Flight, frame: FrameFacts, folder: Path) -> FinishedFra
         ),
         file_name=frame.name,
     )
-    facts: dict[str, Any] = {
+    facts: dict[str, object] = {
         "name": frame.name,
         "split": frame.split,
         "kind": flight.plan.kind,

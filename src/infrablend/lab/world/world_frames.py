@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
-from typing import Any, Literal
+from typing import Literal
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import SPLITS, Category, Split
@@ -158,7 +158,7 @@ def _of_flight(number: int, seed: int) -> FrameFacts:
     return FrameFacts(number, "train", 90, FLIGHT_ALTITUDE_M, of_day, kind, sequence=name, index=number, flight=True)
 
 
-def telemetry_of(frame: FrameFacts, seed: int) -> dict[str, Any]:
+def telemetry_of(frame: FrameFacts, seed: int) -> dict[str, object]:
     """Return the telemetry of a frame in MONET's terms (gimbal pitch negative downwards); empty if it was lost."""
     if not frame.telemetry:
         return {}

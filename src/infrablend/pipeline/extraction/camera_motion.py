@@ -71,7 +71,8 @@ def write_motion(
             motion = find_motion(sequence, images, on_frame=read)
             facts = motion.to_json()
             write_json(space.folder / f"{name}.json", facts)
-            write_text(space.folder / f"{name}.html", motion_page(facts))
+            page = motion_page(facts, motion.size_wh, motion.frames, motion.moments)
+            write_text(space.folder / f"{name}.html", page)
             states[sequence] = facts["states"]
             problems += motion_problems(motion)
         report = MotionReport(out, states, tuple(problems))

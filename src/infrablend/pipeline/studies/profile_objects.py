@@ -114,6 +114,6 @@ def _looseness(
         for of in (annotated, rendered)
     )
     figures = looseness(drawn)
-    if figures is not None and rendered is not None:
-        figures["against_rendered"] = looseness_against(drawn, exact)
-    return figures
+    if figures is None or rendered is None:
+        return None if figures is None else {**figures}
+    return {**figures, "against_rendered": looseness_against(drawn, exact)}

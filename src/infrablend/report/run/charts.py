@@ -1,4 +1,4 @@
-"""Charts of a run as numbers that a template draws: histograms, a map of positions and shares."""
+"""Charts of a run whose parts lead to frames, for the template to draw: histograms, a map of positions and shares."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import pairwise
 
 from infrablend.core.frame_row import FrameRow
 from infrablend.report.figures import compact
@@ -14,50 +14,45 @@ from infrablend.report.run.run_facts import Filters
 
 BINS = 12
 MAP_WH = (8, 6)
-WIDTH, HEIGHT = 420, 190
-_LEFT = 16
-_RIGHT = 16
-_TOP = 20
-_BOTTOM = 24
 # Values that spread over more than this factor are shown in bins of growing width.
 _WIDE = 8.0
 _GROWING = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
 
 
 @dataclass(frozen=True)
-class Bar:
-    """A bar of a chart, or a cell of a map: its place, and the count, words and anchor of the frames behind it.
+class Part:
+    """A bar of a chart, a cell of a map, or a row of shares: some of the frames of a run.
 
-    `share` is the count as a share of the largest one; `link` is empty without frames.
+    Attributes:
+        label: Which ones, in words.
+        text: Their number, or another value, as shown.
+        share: The value as a share of the largest one.
+        link: Anchor of the list of these frames; empty without frames.
     """
 
-    x: float
-    y: float
-    width: float
-    height: float
-    count: int
     label: str
-    link: str
+    text: str
     share: float
+    link: str = ""
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart of bars, or a map of cells.
+    """A histogram, or a map of cells, row by row.
 
     Attributes:
         title: Quantity and unit.
         summary: Its most important numbers in words.
-        ticks: Numbers below the axis, (place, text).
-        kind: `bars` or `map`.
+        parts: Bars or cells.
+        ticks: Numbers between the bars, empty where there is no room for one.
+        columns: Number of columns of a map; 0 for a histogram.
     """
 
     title: str
     summary: str
-    size_wh: tuple[float, float]
-    bars: tuple[Bar, ...]
-    ticks: tuple[tuple[float, str], ...] = ()
-    kind: str = "bars"
+    parts: Sequence[Part]
+    ticks: Sequence[str] = ()
+    columns: int = 0
 
 
 def histogram(
@@ -78,36 +73,21 @@ def histogram(
         noun: What has the values, in the plural.
         edges: Ends of the bins; round numbers by default.
     """
-    known = [(v, k) for v, k in values if v is not None and math.isfinite(v)]
+    known = sorted((v, k) for v, k in values if v is not None and math.isfinite(v))
     if not known:
         return None
-    numbers = sorted(v for v, _ in known)
+    numbers = [v for v, _ in known]
     edges = edges or bin_edges(numbers[0], numbers[-1])
-    found: list[list[int]] = [[] for _ in edges[1:]]
+    found = [(f"{compact(low)} to {compact(high)}{unit}", list[int]()) for low, high in pairwise(edges)]
     for v, k in known:
-        found[min(max(bisect_right(edges, v) - 1, 0), len(found) - 1)].append(k)
-    most = max(len(f) for f in found)
-    step = (WIDTH - _LEFT - _RIGHT) / len(found)
-    room = HEIGHT - _TOP - _BOTTOM
-    bars = []
-    for n, frames in enumerate(found):
-        label = f"{compact(edges[n])} to {compact(edges[n + 1])}{unit}"
-        height = room * len(frames) / most
-        name = f"{title}: {label}"
-        bars.append(
-            Bar(
-                round(_LEFT + n * step + 1, 2), round(HEIGHT - _BOTTOM - height, 2), round(step - 2, 2),
-                round(height, 2), len(frames), f"{label}: {_counted(len(frames), noun)}", filters.add(name, frames),
-                round(len(frames) / most, 3),
-            )
-        )  # fmt: skip
+        found[min(max(bisect_right(edges, v) - 1, 0), len(found) - 1)][1].append(k)
     # Numbers side by side must not touch.
     every = 1 if len(edges) <= 10 else 2
-    ticks = tuple((round(_LEFT + n * step, 2), compact(e)) for n, e in enumerate(edges) if n % every == 0)
+    ticks = [compact(e) if n % every == 0 else "" for n, e in enumerate(edges)]
     quantiles = (numbers[min(len(numbers) - 1, int(q * len(numbers)))] for q in (0.05, 0.5, 0.95))
     low, half, high = (compact(float(f"{q:.3g}")) for q in quantiles)
     summary = f"{_counted(len(numbers), noun)}; median {half}{unit}, 5 to 95 %: {low} to {high}{unit}"
-    return Chart(title, summary, (WIDTH, HEIGHT), tuple(bars), ticks)
+    return Chart(title, summary, frame_counts(found, title, filters, noun), ticks)
 
 
 def bin_edges(low: float, high: float, bins: int = BINS) -> list[float]:
@@ -138,38 +118,27 @@ def position_map(frames: Sequence[FrameRow], filters: Filters) -> Chart | None:
             column = min(max(int((x0 + x1) / 2 / frame.size_wh[0] * columns), 0), columns - 1)
             row = min(max(int((y0 + y1) / 2 / frame.size_wh[1] * rows), 0), rows - 1)
             cells[row * columns + column].append(k)
-    if not (most := max(len(c) for c in cells)):
+    if not any(cells):
         return None
-    width, height = WIDTH / columns, 46.0
-    bars = []
-    for n, found in enumerate(cells):
-        row, column = divmod(n, columns)
-        place = f"row {row + 1} of {rows} from the top, column {column + 1} of {columns} from the left"
-        link = filters.add(f"Position: {place}", found)
-        bars.append(
-            Bar(
-                round(column * width + 1, 2), row * height + 1, round(width - 2, 2), height - 2, len(found),
-                f"{place}: {_counted(len(found), 'objects')}", link, round(len(found) / most, 3),
-            )
-        )  # fmt: skip
+    found = [
+        (f"row {n // columns + 1} of {rows} from the top, column {n % columns + 1} of {columns} from the left", cell)
+        for n, cell in enumerate(cells)
+    ]
+    parts = frame_counts(found, "Position", filters, "objects")
     summary = f"centres of the boxes; {sum(not c for c in cells)} of {len(cells)} cells are empty"
-    return Chart("Position in the frame", summary, (WIDTH, rows * height), tuple(bars), kind="map")
+    return Chart("Position in the frame", summary, parts, columns=columns)
 
 
-@dataclass(frozen=True)
-class Share:
-    """One row of a chart of shares: label, count, anchor of its frames, and share of the largest one in percent."""
-
-    label: str
-    count: Any
-    link: str
-    percent: float
-
-
-def shares(counts: Sequence[tuple[str, float, str, str]]) -> list[Share]:
-    """Return the rows of a chart of shares from (label, value, text, link)."""
-    most = max((value for _, value, _, _ in counts), default=0) or 1
-    return [Share(label, text, link, round(100 * value / most, 1)) for label, value, text, link in counts]
+def frame_counts(found: Iterable[tuple[str, Sequence[int]]], what: str, filters: Filters, noun: str = "") -> list[Part]:
+    """Return a part for each label and its frames, which may be listed several times; `noun` counts them in words."""
+    counted = list(found)
+    most = max((len(frames) for _, frames in counted), default=0) or 1
+    parts = []
+    for label, frames in counted:
+        words = f"{label}: {_counted(len(frames), noun)}" if noun else label
+        link = filters.add(f"{what}: {label}", frames)
+        parts.append(Part(words, str(len(frames)), len(frames) / most, link))
+    return parts
 
 
 def _counted(count: int, plural: str) -> str:

@@ -19,7 +19,7 @@ from infrablend.errors import Problem
 from infrablend.report.figures import compact, human_seconds
 from infrablend.report.page import page_part, render_page
 from infrablend.report.preview import spread
-from infrablend.report.run.charts import Chart, Share, histogram, position_map, shares
+from infrablend.report.run.charts import Chart, Part, frame_counts, histogram, position_map
 from infrablend.report.run.run_facts import Filters, RemovedCrop, RunFacts, removed_crops
 from infrablend.report.run.run_pictures import Crop, crop, read_levels, thumbnail
 from infrablend.report.run.run_warnings import warning_codes
@@ -83,7 +83,7 @@ def run_page(run: RunFacts) -> str:
     listed = sorted({*spread(len(frames), LISTED), *(k for k, _ in boxes)})
     thumbnails, crops = _pictures(run, listed, boxes)
 
-    def entries(found: Sequence[tuple[int, InsertRow]]) -> list[dict[str, Any]]:
+    def entries(found: Sequence[tuple[int, InsertRow]]) -> list[dict[str, object]]:
         return [_insert_entry(k, frames[k], i, crops.get((k, i.box_xyxy))) for k, i in found]
 
     members = filters.classes(len(frames))
@@ -166,19 +166,22 @@ def _charts(frames: Sequence[FrameRow], filters: Filters) -> list[Chart]:
     return [c for c in found if c is not None]
 
 
-def _share_groups(run: RunFacts, filters: Filters) -> list[tuple[str, list[Share]]]:
-    def rows(key: Callable[[FrameRow], str], what: str) -> list[Share]:
+def _share_groups(run: RunFacts, filters: Filters) -> list[tuple[str, list[Part]]]:
+    found = []
+    for title, what, key in _SHARED:
         members = _grouped((key(f), k) for k, f in enumerate(run.frames))
-        return shares([(name, len(m), f"{len(m)}", filters.add(f"{what}: {name}", m)) for name, m in members.items()])
-
-    return [
-        ("Frames by time of day", rows(lambda f: f.time_text or "unknown", "Time of day")),
-        ("Frames by split", rows(lambda f: f.id.partition("/")[0], "Split")),
-        ("Frames by number of inserted objects", rows(lambda f: str(len(f.inserts)), "Inserted objects per frame")),
-    ]
+        found.append((title, frame_counts(members.items(), what, filters)))
+    return found
 
 
-def _class_rows(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
+_SHARED: tuple[tuple[str, str, Callable[[FrameRow], str]], ...] = (
+    ("Frames by time of day", "Time of day", lambda f: f.time_text or "unknown"),
+    ("Frames by split", "Split", lambda f: f.id.partition("/")[0]),
+    ("Frames by number of inserted objects", "Inserted objects per frame", lambda f: str(len(f.inserts))),
+)
+
+
+def _class_rows(run: RunFacts, filters: Filters) -> list[dict[str, object]]:
     after = run.counts.get("labels", {})
     inserted = _grouped((i.category, k) for k, f in enumerate(run.frames) for i in f.inserts)
     removed = _grouped((r.category, k) for k, f in enumerate(run.frames) for r in f.removed if not r.inserted)
@@ -197,7 +200,7 @@ def _class_rows(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
     ]
 
 
-def _removed_rows(frames: Sequence[FrameRow], filters: Filters) -> list[dict[str, Any]]:
+def _removed_rows(frames: Sequence[FrameRow], filters: Filters) -> list[dict[str, object]]:
     members = _grouped(((r.reason, r.category), k) for k, f in enumerate(frames) for r in f.removed)
     return [
         {
@@ -210,15 +213,13 @@ def _removed_rows(frames: Sequence[FrameRow], filters: Filters) -> list[dict[str
     ]
 
 
-def _dropped_rows(frames: Sequence[FrameRow], filters: Filters) -> list[Share]:
+def _dropped_rows(frames: Sequence[FrameRow], filters: Filters) -> list[Part]:
     members = _grouped((reason, k) for k, f in enumerate(frames) for reason in f.missing)
     most_first = sorted(members.items(), key=lambda m: -len(m[1]))
-    return shares(
-        [(_why(r), len(m), str(len(m)), filters.add(f"Dropped objects: {_why(r)}", m)) for r, m in most_first]
-    )
+    return frame_counts(((_why(reason), found) for reason, found in most_first), "Dropped objects", filters)
 
 
-def _problem_groups(run: RunFacts, filters: Filters) -> list[dict[str, Any]]:
+def _problem_groups(run: RunFacts, filters: Filters) -> list[dict[str, object]]:
     """Return the problems by code, each with its meaning, the first ones in words, and the frames behind them."""
     of_name = _grouped((name, k) for k, f in enumerate(run.frames) for name in (f.id, *f.background_names))
     of_code = _grouped((code, k) for k, f in enumerate(run.frames) for code in warning_codes(f))
@@ -253,11 +254,10 @@ def _time_text(timing: Mapping[str, Any]) -> str:
     return "; ".join(parts) + "." if parts else "The record of the run has no times."
 
 
-def _time_rows(timing: Mapping[str, Any]) -> list[Share]:
-    stages = timing.get("worker_seconds", {})
-    return shares(
-        [(str(name), float(s), human_seconds(float(s)), "") for name, s in sorted(stages.items(), key=lambda s: -s[1])]
-    )
+def _time_rows(timing: Mapping[str, Any]) -> list[Part]:
+    stages = sorted(timing.get("worker_seconds", {}).items(), key=lambda s: -s[1])
+    most = float(stages[0][1]) or 1.0 if stages else 1.0
+    return [Part(str(name), human_seconds(float(s)), float(s) / most) for name, s in stages]
 
 
 # ---- frames and crops
@@ -326,13 +326,13 @@ def _pictures(
     return thumbnails, crops
 
 
-def _insert_entry(number: int, frame: FrameRow, insert: InsertRow, picture: Crop | None) -> dict[str, Any]:
+def _insert_entry(number: int, frame: FrameRow, insert: InsertRow, picture: Crop | None) -> dict[str, object]:
     boxes = [("", _rectangle(insert.box_xyxy))]
     text = _describe(insert)
     return {"number": number, "frame_id": frame.id, "picture": picture, "boxes": boxes, "text": text}
 
 
-def _removed_entry(shown: RemovedCrop, frame: FrameRow, picture: Crop | None) -> dict[str, Any]:
+def _removed_entry(shown: RemovedCrop, frame: FrameRow, picture: Crop | None) -> dict[str, object]:
     boxes = [("lost", _rectangle(shown.box_xyxy))]
     _, _, width, height = boxes[0][1]
     text = f"{shown.label.category} {width:.0f} x {height:.0f} px, {100 * shown.label.covered_share:.0f} % covered"
@@ -342,7 +342,7 @@ def _removed_entry(shown: RemovedCrop, frame: FrameRow, picture: Crop | None) ->
     return {"number": shown.frame, "frame_id": frame.id, "picture": picture, "boxes": boxes, "text": text}
 
 
-def _frame_entry(number: int, frame: FrameRow, picture: str | None, members: Sequence[str]) -> dict[str, Any]:
+def _frame_entry(number: int, frame: FrameRow, picture: str | None, members: Sequence[str]) -> dict[str, object]:
     facts = [
         *([] if frame.camera_pitch_deg is None else [f"pitch {compact(round(frame.camera_pitch_deg, 1))}°"]),
         *([] if frame.camera_height_m is None else [f"altitude {compact(frame.camera_height_m)} m"]),
