@@ -10,6 +10,30 @@ from typing import Any
 from infrablend.core.dataset import Instance
 from infrablend.core.rle_masks import Mask
 from infrablend.core.scene import SceneSpec
+from infrablend.errors import Problem
+
+
+@dataclass(frozen=True)
+class Remains:
+    """What is still visible of a label of the background that inserted objects cover in part.
+
+    Attributes:
+        visibility: Visible share.
+        mask: Visible pixels; None if unknown.
+    """
+
+    visibility: float | None
+    mask: Mask | None = None
+
+    def to_json(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        return {"visibility": self.visibility, **({} if self.mask is None else {"mask": self.mask.to_coco()})}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Remains:
+        """Return what `to_json` wrote."""
+        mask = data.get("mask")
+        return cls(data["visibility"], None if mask is None else Mask.from_coco(mask, tuple(mask["size"])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +54,7 @@ class FrameRecord:
         facts: Special cases of labelling (see `annotation.labels.LabelReport`), and values estimated from the
             background: `matching`, and `sensor` and `camera`, which were applied to the picture.
         warnings: Problems that did not stop the frame.
-        covered: Visible remains of kept labels that inserted objects partly cover, by index: `visibility`, and `mask`
-            where known.
+        covered: Visible remains of kept labels that inserted objects partly cover, by index.
         run: Identity of the run, see `RunPlan.run`.
     """
 
@@ -40,16 +63,16 @@ class FrameRecord:
     image_sha256: str
     background: Mapping[str, Any]
     scene: SceneSpec | None
-    mapping: Mapping[str, Any] | None
+    mapping: Mapping[str, object] | None
     kept: tuple[int, ...]
     inserted: tuple[Instance, ...]
-    removed: tuple[Mapping[str, Any], ...] = ()
+    removed: tuple[Mapping[str, object], ...] = ()
     facts: Mapping[str, Any] = field(default_factory=dict)
-    warnings: tuple[Mapping[str, Any], ...] = ()
-    covered: Mapping[int, Mapping[str, Any]] = field(default_factory=dict)
+    warnings: tuple[Problem, ...] = ()
+    covered: Mapping[int, Remains] = field(default_factory=dict)
     run: str = ""
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "run": self.run,
@@ -60,11 +83,11 @@ class FrameRecord:
             "scene": None if self.scene is None else self.scene.to_json(),
             "mapping": None if self.mapping is None else dict(self.mapping),
             "kept": list(self.kept),
-            **({"covered": {str(n): dict(c) for n, c in self.covered.items()}} if self.covered else {}),
+            **({"covered": {str(n): c.to_json() for n, c in self.covered.items()}} if self.covered else {}),
             "inserted": [i.to_json() for i in self.inserted],
             "removed": [dict(r) for r in self.removed],
             "facts": dict(self.facts),
-            "warnings": [dict(w) for w in self.warnings],
+            "warnings": [w.to_json() for w in self.warnings],
         }
 
     def to_text(self) -> str:
@@ -79,11 +102,8 @@ class FrameRecord:
             if seen is None:
                 found.append(background[n])
                 continue
-            mask = background[n].mask
-            if "mask" in seen:
-                height, width = seen["mask"]["size"]
-                mask = Mask.from_coco(seen["mask"], (height, width))
-            found.append(replace(background[n], visibility=seen["visibility"], mask=mask))
+            mask = background[n].mask if seen.mask is None else seen.mask
+            found.append(replace(background[n], visibility=seen.visibility, mask=mask))
         return tuple(found)
 
     @classmethod
@@ -109,7 +129,7 @@ class FrameRecord:
             inserted=tuple(Instance.from_json(i) for i in data["inserted"]),
             removed=tuple(data["removed"]),
             facts=data["facts"],
-            warnings=tuple(data["warnings"]),
-            covered={int(n): c for n, c in data.get("covered", {}).items()},
+            warnings=tuple(Problem(**w) for w in data["warnings"]),
+            covered={int(n): Remains.from_json(c) for n, c in data.get("covered", {}).items()},
             run=data["run"],
         )

@@ -257,7 +257,7 @@ class FrameRow:
             removed=tuple(_removed(r) for r in record["removed"]),
             covered=len(record.get("covered", ())),
             drops=tuple(str(d["reason"]) for d in facts.get("drops", ())),
-            warnings=tuple(Problem(**{"severity": "warning", **w}) for w in record["warnings"]),
+            warnings=tuple(Problem(**w) for w in record["warnings"]),
             changes_grey=tuple(_change(c) for c in contrasts),
             first_changes_grey=tuple(_change(c) for c in facts.get("contrast_first", contrasts)),
             hidden=tuple("window" in o for o in facts.get("occlusion", ())),
@@ -383,7 +383,7 @@ def _removed(label: Mapping[str, Any]) -> RemovedLabel:
     )
 
 
-def _change(contrast: Mapping[str, Any]) -> float:
+def _change(contrast: Mapping[str, float]) -> float:
     """Return the smaller of the change of an object's pixels and that of its box against the ring, if it has one."""
     return float(min(contrast["changed"], contrast.get("change", contrast["changed"])))
 

@@ -25,6 +25,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import DAMAGED, output_error, replace_atomically, sha256_of
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.frame_row import FrameRow
+from infrablend.core.run_record import RunRecord
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError
 
@@ -105,7 +106,7 @@ class Ledger:
         self._closed = False
 
     @classmethod
-    def create(cls, folder: Path, record: Mapping[str, Any]) -> Ledger:
+    def create(cls, folder: Path, record: RunRecord) -> Ledger:
         """Start the ledger of a run with what is known before its first frame."""
         # Under its name once it has all of that: a kill or a full disk leaves nothing that cannot be resumed.
         file = folder / LEDGER
@@ -164,16 +165,16 @@ class Ledger:
 
     # -- the run -----------------------------------------------------------------------------------------------------
 
-    def write_run(self, record: Mapping[str, Any]) -> None:
+    def write_run(self, record: RunRecord) -> None:
         """Keep the record of the run: its settings, and after its end its counts and problems."""
         self._write("INSERT OR REPLACE INTO facts VALUES ('run', ?)", json.dumps(record, allow_nan=False))
         self.commit()
 
-    def read_run(self) -> dict[str, Any]:
+    def read_run(self) -> RunRecord:
         """Return the record of the run."""
         with _reported(self.file):
             (text,) = self._db.execute("SELECT value FROM facts WHERE name = 'run'").fetchone()
-            record: dict[str, Any] = json.loads(text)
+            record: RunRecord = json.loads(text)
         return record
 
     # -- frames ------------------------------------------------------------------------------------------------------

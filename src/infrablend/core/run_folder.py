@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import join_inside
 from infrablend.core.files import has_size
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
+from infrablend.core.run_record import RunRecord
 from infrablend.core.workspace import unfinished
 from infrablend.errors import OutputError
 
@@ -85,7 +85,7 @@ class RunFolder:
             raise OutputError(f"{self.root}: {self._what_it_is()}")
         return Ledger.open(self.root)
 
-    def read_run(self) -> Mapping[str, Any]:
+    def read_run(self) -> RunRecord:
         """Return the record of the run."""
         with self.ledger() as ledger:
             return ledger.read_run()

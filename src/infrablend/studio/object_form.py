@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 from infrablend.assets.catalogue import load_model
 from infrablend.config.recipe import ALL_PARTS, Recipe
@@ -22,6 +22,13 @@ from infrablend.errors import ModelError, Problem
 _END = re.compile(r"[;:]|,? (?:a list|or a list|or each|or both)\b")
 _VALUE = re.compile(r"[\w.-]+")
 _GROUP = re.compile(r"[\w-]+: ")
+
+
+class Count(TypedDict):
+    """Numbers of objects that a recipe draws from, with their weights; None for equal ones."""
+
+    values: list[int]
+    weights: list[float] | None
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ def fits_choice(option: OptionField, given: Any) -> bool:
     return all(isinstance(v, str | int | float) and json.dumps(v) in known for v in chosen)
 
 
-def weights_of(count: Mapping[str, Any]) -> dict[int, float]:
+def weights_of(count: Count) -> dict[int, float]:
     """Return the numbers of objects that a recipe draws from with their weights, and two larger ones of weight 0."""
     weights = count["weights"] or [1.0] * len(count["values"])
     found = dict.fromkeys(range(max(count["values"]) + 3), 0.0)
@@ -99,7 +106,7 @@ def weights_of(count: Mapping[str, Any]) -> dict[int, float]:
     return found
 
 
-def count_of(weights: Mapping[int, float | None]) -> dict[str, Any]:
+def count_of(weights: Mapping[int, float | None]) -> Count:
     """Return what a recipe gives to `count` for numbers of objects with their weights; None counts as 0."""
     given = {value: weight for value, weight in weights.items() if weight} or {0: 0.0}
     return {"values": list(given), "weights": list(given.values())}
@@ -126,7 +133,7 @@ def parts_of(model: str) -> list[PartField]:
     return found + [PartField(n, r.delta_t_k, r.what) for n, r in sorted(load_model(model).parts.items())]
 
 
-def with_value(values: Mapping[str, Any], name: str, value: Any) -> dict[str, Any]:
+def with_value(values: Mapping[str, object], name: str, value: object) -> dict[str, object]:
     """Return a mapping with a value, or without it if the value is None."""
     return {**{k: v for k, v in values.items() if k != name}, **({} if value is None else {name: value})}
 

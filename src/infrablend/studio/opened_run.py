@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import TRACKS, RunFolder
@@ -49,7 +49,7 @@ class RunFrames:
         """
         self.layout = RunFolder(folder)
         with self.layout.ledger() as ledger:
-            self.record: Mapping[str, Any] = ledger.read_run()
+            self.record = ledger.read_run()
             if not ledger.frame_ids():
                 raise DatasetError(f"{folder}: a run without frames; expected at least one. Choose another run")
         self.thumbnails = Thumbnails(self.layout)

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def form_of(recipe: Recipe) -> dict[str, list[FormField]]:
     return found
 
 
-def fitting(settings: Mapping[str, Any], modes: Modes) -> dict[str, Any]:
+def fitting(settings: Mapping[str, object], modes: Modes) -> dict[str, object]:
     """Return the settings whose fields exist in these modes."""
     known = fields_of(modes)
 
@@ -110,6 +110,26 @@ Point = dict[str, Any]
 """A point of a path by hand, as in the recipe: `x_px`, `y_px`, `time_s`, and `range_m` where it is stated."""
 
 
+class PlacedObjects(TypedDict):
+    """What a recipe's field `frames` says of one frame: places of objects by their numbers, empty where drawn."""
+
+    objects: Sequence[Mapping[str, float]]
+
+
+class FieldSchema(TypedDict, total=False):
+    """JSON schema of a field, as far as its input follows from it."""
+
+    description: str
+    type: str
+    enum: Sequence[str]
+    anyOf: Sequence[FieldSchema]
+    prefixItems: Sequence[FieldSchema]
+    minimum: float
+    exclusiveMinimum: float
+    maximum: float
+    exclusiveMaximum: float
+
+
 def path_of(motion: Any) -> list[Point]:
     """Return the path in an object's `motion` as the recipe has it; empty if it has none in the picture."""
     points = motion.get("path") if isinstance(motion, Mapping) else None
@@ -118,11 +138,11 @@ def path_of(motion: Any) -> list[Point]:
     return [dict(p) for p in points]
 
 
-def _is_in_picture(point: Mapping[str, Any]) -> bool:
+def _is_in_picture(point: Mapping[str, object]) -> bool:
     return all(isinstance(point.get(k), int | float) for k in ("time_s", "x_px", "y_px"))
 
 
-def with_path(motion: Any, points: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def with_path(motion: Any, points: Sequence[Point]) -> dict[str, Any] | None:
     """Return an object's `motion` with this path, its points in the order of their times; None for no motion left."""
     rest = {k: v for k, v in motion.items() if k != "path"} if isinstance(motion, Mapping) else {}
     path = sorted(({k: v for k, v in p.items() if v is not None} for p in points), key=lambda p: float(p["time_s"]))
@@ -136,7 +156,7 @@ def with_point(points: Sequence[Point], x_px: float, y_px: float) -> list[Point]
     return [*points, {"time_s": last["time_s"] + 1.0, "x_px": round(x_px, 1), "y_px": round(y_px, 1), **range_m}]
 
 
-def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormField:
+def _field(key: str, name: str, about: FieldSchema, value: Any) -> FormField:
     help_text = " ".join(str(about.get("description", "")).split())
     title = name.replace("_", " ")
     end = max((e for e in _UNITS if name.endswith(f"_{e}")), key=len, default="")
@@ -146,9 +166,7 @@ def _field(key: str, name: str, about: Mapping[str, Any], value: Any) -> FormFie
     return FormField(key, title, kind, value, help_text, _UNITS.get(end, ""), low, high, choices)
 
 
-def _kind(
-    key: str, about: Mapping[str, Any], value: Any
-) -> tuple[Kind, float | None, float | None, tuple[str | None, ...]]:
+def _kind(key: str, about: FieldSchema, value: Any) -> tuple[Kind, float | None, float | None, tuple[str | None, ...]]:
     section, _, last = key.partition(".")
     if section == "objects" and (own := _OF_MODELS.get(last.partition(".")[2])) is not None:
         return own, None, None, ()
@@ -163,14 +181,14 @@ def _kind(
         return "choice", None, None, tuple(about["enum"])
     if kind in ("number", "integer"):
         return "whole" if kind == "integer" else "number", *_limits(about), ()
-    items: Sequence[Mapping[str, Any]] = about.get("prefixItems", ())
+    items = about.get("prefixItems", ())
     if len(items) == 2 and all(item.get("type") == "number" for item in items):
         return "range", *_limits(items[0]), ()
     return "yaml", None, None, ()
 
 
 def _kind_of_several(
-    key: str, options: Sequence[Mapping[str, Any]], value: Any
+    key: str, options: Sequence[FieldSchema], value: Any
 ) -> tuple[Kind, float | None, float | None, tuple[str | None, ...]]:
     """Return the input of a field that takes values of several types, by the value that the recipe has."""
     kinds = {option.get("type"): option for option in options}
@@ -188,7 +206,7 @@ def _kind_of_several(
     return "yaml", None, None, ()
 
 
-def _limits(about: Mapping[str, Any]) -> tuple[float | None, float | None]:
+def _limits(about: FieldSchema) -> tuple[float | None, float | None]:
     return about.get("minimum", about.get("exclusiveMinimum")), about.get("maximum", about.get("exclusiveMaximum"))
 
 
@@ -208,7 +226,9 @@ def origin_px(scene: SceneSpec, number: int) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def moved(frames: Mapping[str, Any], scene: SceneSpec, number: int, move: Move, *, stands: bool) -> dict[str, Any]:
+def moved(
+    frames: Mapping[str, PlacedObjects], scene: SceneSpec, number: int, move: Move, *, stands: bool
+) -> dict[str, PlacedObjects]:
     """Return the recipe's field `frames` with one object of a scene, which has a number, moved from where it is shown.
 
     The distance of an object that `stands` on real ground follows from its place.
@@ -224,17 +244,17 @@ def moved(frames: Mapping[str, Any], scene: SceneSpec, number: int, move: Move, 
     return with_place(frames, scene.frame_id, o.number, entry)
 
 
-def released(frames: Mapping[str, Any], scene: SceneSpec, number: int) -> dict[str, Any]:
+def released(frames: Mapping[str, PlacedObjects], scene: SceneSpec, number: int) -> dict[str, PlacedObjects]:
     """Return the recipe's field `frames` with one object of a scene as drawn again."""
     return with_place(frames, scene.frame_id, scene.objects[number].number, {})
 
 
 def with_place(
-    frames: Mapping[str, Any], frame_id: str, number: int | None, entry: Mapping[str, float]
-) -> dict[str, Any]:
+    frames: Mapping[str, PlacedObjects], frame_id: str, number: int | None, entry: Mapping[str, float]
+) -> dict[str, PlacedObjects]:
     """Return the recipe's field `frames` with this place of an object, by its number among the drawn ones."""
     assert number is not None, "only objects of single pictures are placed by hand"
-    entries = list((frames.get(frame_id) or {}).get("objects", ()))
+    entries = list(frames[frame_id]["objects"]) if frames.get(frame_id) else []
     entries += [{}] * (number + 1 - len(entries))
     entries[number] = entry
     while entries and not entries[-1]:

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from ruamel.yaml import YAML
 
@@ -193,7 +192,7 @@ class Tuning:
             raise DatasetError(f"background {number}: no such picture; the dataset has {len(self.backgrounds)}")
         return self.backgrounds[number]
 
-    def read(self, recipe: str, settings: Mapping[str, Any]) -> Recipe:
+    def read(self, recipe: str, settings: Mapping[str, object]) -> Recipe:
         """Return a recipe with settings.
 
         Raises:
@@ -230,7 +229,7 @@ class Tuning:
         return cached_thumbnail(path, lambda: decode_picture(path, "a background"))
 
     def compose(
-        self, recipe: str, settings: Mapping[str, Any], background: ImageRecord, configuration: int = 0
+        self, recipe: str, settings: Mapping[str, object], background: ImageRecord, configuration: int = 0
     ) -> Tuned:
         """Return a frame of a background.
 

@@ -8,11 +8,13 @@ import re
 import shlex
 import shutil
 from pathlib import Path
+from typing import cast
 
 import pytest
 from click.testing import Result
 
 from infrablend.core.ledger import Ledger
+from infrablend.core.run_record import RunRecord
 from infrablend.core.workspace import Workspace, partial_of
 from tests.clips import write_detections
 from tests.command_line import done, run
@@ -268,7 +270,7 @@ def test_fields_of_a_run_record_of_another_type_are_named(
     words: list[object], made: Path, values: dict[str, object]
 ) -> None:
     with Ledger.open(made, write=True) as ledger:
-        ledger.write_run({**ledger.read_run(), **values})
+        ledger.write_run(cast(RunRecord, {**ledger.read_run(), **values}))
     frame = frame_ids(made)[0]
     for reader in (["exclude", made, frame], ["rerender", made, frame]):
         ended = run(*reader)

@@ -15,6 +15,7 @@ from infrablend import api
 from infrablend.config.loading import load_recipe
 from infrablend.core.dataset import SEEN_BOX, SEEN_OBB
 from infrablend.core.frame_row import FrameRow
+from infrablend.core.run_record import DrawStatistics
 from infrablend.core.scene import Sun, View, Weather
 from infrablend.core.tasks import Progress
 from infrablend.core.workspace import partial_of
@@ -678,7 +679,7 @@ def test_frames_for_which_the_recipe_drew_no_object_are_empty_by_recipe(dataset,
 
 
 def test_pictures_that_look_down_have_no_place_for_a_recipe_of_the_sky():
-    draws = {"wanted": 8, "absent": {"no_place": 8}, "rejected": {"beyond_ground": 1200, "overlap": 3}}
+    draws: DrawStatistics = {"wanted": 8, "absent": {"no_place": 8}, "rejected": {"beyond_ground": 1200, "overlap": 3}}
     (found,) = absent_warnings(draws)
     assert "use a recipe for cameras that look down" in found.todo
     (other,) = absent_warnings({**draws, "rejected": {"overlap": 1200, "beyond_ground": 3}})

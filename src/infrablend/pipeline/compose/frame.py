@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, fo
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import MetricRecipe
 from infrablend.core.dataset import Instance
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_record import FrameRecord, Remains
 from infrablend.core.placed import PlacedScene
 from infrablend.core.render import Renderer, RenderResult
 from infrablend.core.rle_masks import Mask
@@ -105,7 +105,7 @@ class Picture:
     report: LabelReport
     sensor: Sensor | None
     occluders: Mapping[int, Occluder]
-    facts: Mapping[str, Any]
+    facts: Mapping[str, object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ class Unseen:
     scene: PlacedScene
     numbers: Sequence[int] = ()
     hidden: Sequence[int] = ()
-    matching: Mapping[str, Any] = field(default_factory=dict)
+    matching: Mapping[str, object] = field(default_factory=dict)
     sensor: Sensor | None = None
 
 
@@ -162,9 +162,12 @@ class FrameComposer:
         labels = self._labels(picture, canvas)
         pixels, camera = self._retaken(picture.pixels, canvas.background, frame)
         image_bytes = encode_image(pixels, canvas.background, self._recipe.output.image)
-        made = {"scene": picture.scene.spec, "mapping": picture.match.mapping.to_json()}
-        made["facts"] = {**picture.facts, **camera}
-        record = self._record(frame, canvas.background, labels, image_bytes, made)
+        record = replace(
+            self._record(frame, canvas.background, labels, image_bytes),
+            scene=picture.scene.spec,
+            mapping=picture.match.mapping.to_json(),
+            facts={**picture.facts, **camera},
+        )
         return ComposedFrame(record, image_bytes, dict(picture.rendered.seconds))
 
     def _picture(self, frame: PlannedFrame) -> tuple[Canvas, Picture]:
@@ -218,7 +221,7 @@ class FrameComposer:
             DatasetError: The background cannot be used.
         """
         canvas, scene = self._arrange(frame)
-        return self._record(frame, canvas.background, annotate(scene)[0], b"", {"scene": scene.spec, "mapping": None})
+        return replace(self._record(frame, canvas.background, annotate(scene)[0], b""), scene=scene.spec)
 
     def _arrange(self, frame: PlannedFrame) -> tuple[Canvas, PlacedScene]:
         """Return what is known of a frame's background, and the scene whose objects have places there."""
@@ -242,12 +245,12 @@ class FrameComposer:
             image_bytes = encode_image(pixels, background, kind)
         else:
             image_bytes = path.read_bytes()
-        record = self._record(frame, background, (), image_bytes, {"scene": None, "mapping": None, "facts": camera})
+        record = replace(self._record(frame, background, (), image_bytes), facts=camera)
         return ComposedFrame(record, image_bytes, {})
 
     def _retaken(
         self, pixels: GreyImage, background: Background, frame: PlannedFrame
-    ) -> tuple[GreyImage, dict[str, Mapping[str, Any]]]:
+    ) -> tuple[GreyImage, dict[str, object]]:
         """Return a picture as another camera shows it, and that camera for the record; as it is without one."""
         rules = self._recipe.sensor.randomise
         if rules is None:
@@ -398,14 +401,9 @@ class FrameComposer:
         return tuple(i.labelled() for i in picture.inserts)
 
     def _record(
-        self,
-        frame: PlannedFrame,
-        background: Background,
-        labels: Sequence[Instance],
-        image_bytes: bytes,
-        made: Mapping[str, Any],
+        self, frame: PlannedFrame, background: Background, labels: Sequence[Instance], image_bytes: bytes
     ) -> FrameRecord:
-        """Return the record of a frame with the labels of its inserts, and the fields of what was `made`."""
+        """Return the record of a frame with the labels of its inserts, without its scene and what was estimated."""
         source = frame.background
         output = self._recipe.output
         wanted = self._recipe.labels
@@ -420,13 +418,11 @@ class FrameComposer:
             kept=merged.kept,
             inserted=merged.inserted,
             removed=tuple(r.to_json() for r in merged.removed),
-            warnings=tuple(p.to_json() for p in background.problems),
-            covered={
-                n: {"visibility": i.visibility, **({} if i.mask is None else {"mask": i.mask.to_coco()})}
-                for n, i in merged.partly_covered.items()
-            },
+            warnings=tuple(background.problems),
+            covered={n: Remains(i.visibility, i.mask) for n, i in merged.partly_covered.items()},
             run=self._settings.run,
-            **made,
+            scene=None,
+            mapping=None,
         )
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -36,14 +35,14 @@ class MeasuredInsert:
     changed_grey: float
     contrast: Contrast | None
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         measured = {} if self.contrast is None else self.contrast.to_json()
         return {"object": self.number, "changed": round(self.changed_grey, 2), **measured}
 
     def labelled(self) -> Instance:
         """Return the label with the object's contrast among its further fields."""
-        found: dict[str, Any] = {"changed_grey": round(self.changed_grey, 2)}
+        found: dict[str, object] = {"changed_grey": round(self.changed_grey, 2)}
         if self.contrast is not None:
             found |= {"contrast_grey": round(self.contrast.signed, 2), "scr": round(self.contrast.scr, 3)}
         return replace(self.label, extra={**self.label.extra, **found})
@@ -119,9 +118,9 @@ class FirstContrasts:
 
     def __init__(self, scene: PlacedScene) -> None:
         self._unknown = list(scene.objects)
-        self.found: list[dict[str, Any]] = []
+        self.found: list[dict[str, object]] = []
 
-    def add(self, scene: PlacedScene, contrasts: Mapping[int, Mapping[str, Any]]) -> None:
+    def add(self, scene: PlacedScene, contrasts: Mapping[int, Mapping[str, object]]) -> None:
         """Add contrasts by number of the object in the scene, of those that still have their first place."""
         for number, contrast in contrasts.items():
             placed = scene.objects[number]

@@ -51,7 +51,7 @@ class Match:
 
     scene: PlacedScene
     mapping: GreyMapping
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, object] = field(default_factory=dict)
     faint: Mapping[int, float] = field(default_factory=dict)
     settled: Settled | None = None
 

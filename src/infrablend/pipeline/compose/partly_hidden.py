@@ -192,9 +192,9 @@ def too_hidden(
     return [k for k in sorted(occluded) if visible.get(k, 0.0) < max(rules.visible[0], min_visibility)]
 
 
-def occlusion_facts(scene: PlacedScene, occluders: Mapping[int, Occluder]) -> list[dict[str, Any]]:
+def occlusion_facts(scene: PlacedScene, occluders: Mapping[int, Occluder]) -> list[dict[str, object]]:
     """Return what the record of a frame says about the objects that were to be hidden."""
-    facts: list[dict[str, Any]] = []
+    facts: list[dict[str, object]] = []
     for k, placed in enumerate(scene.objects):
         if (aim := placed.spec.visible_aim) is not None:
             found = occluders[k].to_json() if k in occluders else {"reason": "no_occluder"}

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
@@ -46,7 +45,7 @@ class FrameSettings:
     ignored: tuple[str, ...] = ()
     extensions: Extensions = NO_EXTENSIONS
     run: str = ""
-    models: Mapping[str, Any] = field(default_factory=dict)
+    models: Mapping[str, str] = field(default_factory=dict)
     labelled_ground: LabelledGround = field(default_factory=dict)
     sequences: Mapping[str, PlannedSequence] = field(default_factory=dict)
 

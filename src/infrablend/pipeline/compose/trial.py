@@ -98,7 +98,7 @@ class Trial:
         shown = PreviewFrame(title, self.frame.pixels, self.frame.labels, self.frame.id)
         return contact_sheet([shown], Path(out), compress_level=1)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         record = self.frame.record
         return {
@@ -181,7 +181,7 @@ class Trials:
         settings = settings_for(plan, self._levels_of(plan, dataset), request.execution)
         composed = self._workers.compose_one(planned, settings)
         frame = as_frame(planned, composed, plan.recipe)
-        warnings = tuple(Problem(**{"severity": "warning", **w}) for w in composed.record.warnings)
+        warnings = composed.record.warnings
         seconds = time.perf_counter() - started
         return Trial(frame, (*loaded.warnings, *warnings), seconds, settings.labelled_ground)
 

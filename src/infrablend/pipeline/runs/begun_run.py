@@ -7,10 +7,10 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
 from infrablend.core.run_folder import EXCLUDED, RunFolder
+from infrablend.core.run_record import RunRecord
 from infrablend.core.typed_command import COMMAND, command_facts
 from infrablend.core.workspace import Workspace
 from infrablend.errors import OtherSettingsError
@@ -20,7 +20,7 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.exports import lost_exports, require_nothing_added
 from infrablend.pipeline.runs.key import require_same_key
-from infrablend.pipeline.runs.record import RUN, RunState, recorded_versions
+from infrablend.pipeline.runs.record import RunState, recorded_versions
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +55,7 @@ class EarlierRun:
     """
 
     plan: RunPlan
-    record: Mapping[str, Any]
+    record: RunRecord
     done: Mapping[str, DoneFrame]
     excluded: Mapping[str, str]
     todo: Sequence[PlannedFrame]
@@ -79,7 +79,7 @@ class BegunRun:
     plan: RunPlan
     folder: RunFolder
     ledger: Ledger
-    header: Mapping[str, Any]
+    header: RunRecord
     todo: Sequence[PlannedFrame]
     state: RunState
     is_new: bool
@@ -103,7 +103,7 @@ def find_earlier(space: Workspace, plan: RunPlan, execution: Execution, choice: 
     with Ledger.open(folder.root) as ledger:
         record = ledger.read_run()
         _require_same_run(record, plan, space.out, execution)
-        plan = replace(plan, run=str(record[RUN]), levels=recorded_levels(record.get("levels")))
+        plan = replace(plan, run=str(record["run"]), levels=recorded_levels(record.get("levels")))
         done = ledger.done()
         before = ledger.excluded()
         excluded = dict(before if choice is None else choice.choose(before))
@@ -121,14 +121,14 @@ def find_earlier(space: Workspace, plan: RunPlan, execution: Execution, choice: 
     return EarlierRun(plan, record, done, excluded, todo, is_same)
 
 
-def begin_run(space: Workspace, plan: RunPlan, header: Mapping[str, Any]) -> BegunRun:
+def begin_run(space: Workspace, plan: RunPlan, header: RunRecord) -> BegunRun:
     """Begin a run in an empty workspace; `header` is what its record says before its first frame."""
-    header = {**header, **command_facts()}
+    header = {**header, **_command({}, choosing=False)}
     ledger = Ledger.create(space.folder, header)
     return BegunRun(plan, RunFolder(space.folder), ledger, header, plan.frames, RunState(), is_new=True)
 
 
-def go_on(space: Workspace, earlier: EarlierRun, header: Mapping[str, Any], choice: Choice | None) -> BegunRun:
+def go_on(space: Workspace, earlier: EarlierRun, header: RunRecord, choice: Choice | None) -> BegunRun:
     """Open the ledger of an earlier call again, with the frames that are left out from now on put aside."""
     space.reopen()
     folder = RunFolder(space.folder)
@@ -162,11 +162,12 @@ def with_levels(plan: RunPlan) -> RunPlan:
     return plan
 
 
-def _command(previous: Mapping[str, Any], choosing: bool) -> dict[str, Any]:
+def _command(previous: RunRecord, choosing: bool) -> RunRecord:
     """Return the command line for the record of an unfinished run; a choice of frames keeps that of the run."""
-    if not choosing and (facts := command_facts()):
-        return facts
-    return {k: v for k, v in previous.items() if k == COMMAND}
+    facts = {} if choosing else command_facts()
+    if facts:
+        return {"command": facts[COMMAND]}
+    return {"command": previous["command"]} if "command" in previous else {}
 
 
 def _remaining(
@@ -216,7 +217,7 @@ def _place_excluded(
             path.rmdir()
 
 
-def _require_same_run(previous: Mapping[str, Any], plan: RunPlan, out: Path, execution: Execution) -> None:
+def _require_same_run(previous: RunRecord, plan: RunPlan, out: Path, execution: Execution) -> None:
     """Refuse to resume if frames would differ; warn if they might."""
     machine = previous["machine"]
     renderer = execution.renderer

@@ -66,7 +66,7 @@ class ChoiceReport:
     problems: tuple[Problem, ...] = ()
     ok: bool = True
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "out": str(self.out),

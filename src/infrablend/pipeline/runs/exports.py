@@ -19,6 +19,7 @@ from infrablend.core.frame_record import FrameRecord
 from infrablend.core.frame_row import FrameRow
 from infrablend.core.ledger import LEDGER, Ledger
 from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
+from infrablend.core.run_record import DrawStatistics
 from infrablend.core.spool import Spool, store_images
 from infrablend.core.workspace import NOTE, Workspace
 from infrablend.errors import OutputError, Problem
@@ -61,8 +62,8 @@ class LabelSummary:
     """
 
     counts: Mapping[str, Any] = field(default_factory=dict)
-    draws: Mapping[str, Any] = field(default_factory=dict)
-    removed: tuple[Mapping[str, Any], ...] = ()
+    draws: DrawStatistics = field(default_factory=DrawStatistics)
+    removed: tuple[Mapping[str, object], ...] = ()
     losses: Mapping[str, int] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
 
@@ -75,7 +76,7 @@ def export_run(plan: RunPlan, folder: RunFolder, ledger: Ledger, frames: Sequenc
     """
     records: Spool[FrameRecord] = Spool(folder.root)  # on disk, see `Spool`
     rows: Spool[FrameRow] = Spool(folder.root)
-    removed: list[Mapping[str, Any]] = []
+    removed: list[Mapping[str, object]] = []
     for record in ledger.records(f.frame_id for f in frames):
         records.append(record)
         rows.append(FrameRow.of(record))
@@ -344,7 +345,7 @@ def contrast_statistics(rows: Iterable[FrameRow]) -> dict[str, str]:
     return found
 
 
-def draw_statistics(rows: Iterable[FrameRow]) -> dict[str, Any]:
+def draw_statistics(rows: Iterable[FrameRow]) -> DrawStatistics:
     """Return how often scenes were redrawn, by reason, and how redrawing shifted the camera distances."""
     first = array("d")
     last = array("d")

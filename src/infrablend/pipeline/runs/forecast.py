@@ -6,7 +6,6 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ _FRAMES = (2, 40)
 _PERCENT = (5, 50, 95)
 
 
-def forecast_objects(plan: RunPlan) -> tuple[dict[str, Any], list[Problem]]:
+def forecast_objects(plan: RunPlan) -> tuple[dict[str, object], list[Problem]]:
     """Place the objects of some frames, and return what they tell of the whole run, and warnings.
 
     Returns:
@@ -89,7 +88,9 @@ def _sizes(rows: Sequence[FrameRow]) -> dict[str, dict[str, float]]:
     return {name: _spread(values) for name, values in sizes.items()}
 
 
-def _cameras(plan: RunPlan, placed: Iterable[tuple[PlannedFrame, FrameRecord]]) -> dict[str, Mapping[str, Any]]:
+def _cameras(
+    plan: RunPlan, placed: Iterable[tuple[PlannedFrame, FrameRecord]]
+) -> dict[str, dict[str, dict[str, float]]]:
     """Return the spread of pitch, height or distance, and field of view, each by where it came from."""
     of = plan.recipe.camera
     found = defaultdict[str, dict[str, list[float]]](dict)

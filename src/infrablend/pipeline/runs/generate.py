@@ -134,7 +134,7 @@ def plan_request(request: RunRequest) -> RunPlan:
     return replace(plan, request=_recorded(request, loaded.warnings))
 
 
-def _recorded(request: RunRequest, warnings: Sequence[Problem]) -> dict[str, Any]:
+def _recorded(request: RunRequest, warnings: Sequence[Problem]) -> dict[str, object]:
     """Return how a request reads and chooses, where it is not the default, and the recipe's warnings; JSON values."""
     reading = {k: v for k, v in asdict(request.reading).items() if v}
     if request.reading.metadata is not None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from infrablend.config.recipe import Recipe
 from infrablend.core.frame_row import FrameRow
+from infrablend.core.run_record import DrawStatistics
 from infrablend.errors import Problem
 from infrablend.report.run.run_warnings import absent_warnings
 
@@ -40,9 +41,7 @@ def count_objects(recipe: Recipe, rows: Iterable[FrameRow]) -> dict[str, Any]:
     }
 
 
-def nothing_inserted(
-    recipe: Recipe, counts: Mapping[str, Any], draws: Mapping[str, Any] | None = None
-) -> list[Problem]:
+def nothing_inserted(recipe: Recipe, counts: Mapping[str, Any], draws: DrawStatistics | None = None) -> list[Problem]:
     """Return what a run was asked for and has not inserted at all: any object, or any of an entry of `objects`.
 
     Args:
@@ -50,7 +49,7 @@ def nothing_inserted(
         counts: Its counts, with those of `count_objects`.
         draws: Statistics of its draws, for the next step; unknown for runs in packed shards.
     """
-    by_kind: Mapping[str, Any] = counts.get("objects_by_kind", {})
+    by_kind: Mapping[str, Mapping[str, int]] = counts.get("objects_by_kind", {})
     missing = {where: n["asked"] for where, n in by_kind.items() if n["asked"] and not n["inserted"]}
     if not missing:
         return []

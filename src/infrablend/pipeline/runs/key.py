@@ -15,10 +15,10 @@ _SHOWN = 3
 
 
 def differences(
-    earlier: Mapping[str, Any],
-    key: Mapping[str, Any],
-    asked_earlier: Mapping[str, Any] | None = None,
-    asked: Mapping[str, Any] | None = None,
+    earlier: Mapping[str, object],
+    key: Mapping[str, object],
+    asked_earlier: Mapping[str, object] | None = None,
+    asked: Mapping[str, object] | None = None,
 ) -> list[str]:
     """Return a text per field in which the key of a run differs from an earlier one; empty if they are equal.
 
@@ -56,7 +56,7 @@ def require_same_key(previous: Mapping[str, Any], plan: RunPlan, out: Path | str
         )
 
 
-def _asked_differences(earlier: Mapping[str, Any] | None, asked: Mapping[str, Any] | None) -> list[str]:
+def _asked_differences(earlier: Mapping[str, object] | None, asked: Mapping[str, object] | None) -> list[str]:
     if earlier is None or asked is None:
         return []
     return [
@@ -78,10 +78,11 @@ def _short(value: Any) -> str:
     return ", ".join(map(str, value)) if isinstance(value, list) else repr(value)
 
 
-def _comparable(key: Mapping[str, Any]) -> dict[str, Any]:
+def _comparable(key: Mapping[str, object]) -> dict[str, object]:
     comparable = dict(key)
-    if isinstance(key.get("recipe"), Mapping):
-        comparable["recipe"] = {k: v for k, v in key["recipe"].items() if k != "description"}
+    recipe = key.get("recipe")
+    if isinstance(recipe, Mapping):
+        comparable["recipe"] = {k: v for k, v in recipe.items() if k != "description"}
     return comparable
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import time
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,6 +12,7 @@ from infrablend import __version__
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG
 from infrablend.core.machine import describe_machine, installed_versions
+from infrablend.core.run_record import RunRecord, RunTiming
 from infrablend.core.tasks import TaskResult
 from infrablend.errors import Problem
 from infrablend.pipeline.compose.composed import MadeFrame
@@ -26,8 +26,6 @@ from infrablend.rendering.engine.programs import blender_version
 
 log = logging.getLogger(__name__)
 
-RUN = "run"
-"""Field of a run record with the identity that the records of its frames name."""
 _PACKAGES = ("numpy", "opencv-python-headless", "Pillow", "pycocotools", "OpenEXR")
 
 # Reader problems that leave out a whole image, or an annotation file with many.
@@ -118,7 +116,7 @@ class RunState:
         # At level info: the ledger keeps it, too.
         log.info("traceback of frame %s:\n%s", result.key, failure.traceback)
 
-    def timing(self, started: float, made: float) -> dict[str, Any]:
+    def timing(self, started: float, made: float) -> RunTiming:
         """Return the times of a call that `started`, and had `made` its frames, monotonic clock; now its labels are."""
         now = time.monotonic()
         return {
@@ -157,14 +155,14 @@ class RunState:
         }
 
 
-def record_header(plan: RunPlan, execution: Execution) -> dict[str, Any]:
+def record_header(plan: RunPlan, execution: Execution) -> RunRecord:
     """Return the part of the run record that is known before the first frame."""
     return {
         "infrablend": __version__,
         "recipe": plan.key["recipe"],
         "formats": list(plan.recipe.output.formats),
         "seed": plan.seed,
-        RUN: plan.run,
+        "run": plan.run,
         "key": dict(plan.key),
         "data": {
             "root": origin_of(plan.dataset.root) or str(real_path(plan.dataset.root)),
@@ -197,12 +195,12 @@ def recorded_versions(execution: Execution) -> dict[str, str]:
 
 
 def run_record(
-    header: Mapping[str, Any],
+    header: RunRecord,
     plan: RunPlan,
     state: RunState,
     labels: LabelSummary,
-    timing: Mapping[str, Any],
-) -> dict[str, Any]:
+    timing: RunTiming,
+) -> RunRecord:
     """Return the record of a run whose frames have been made; times are apart, as they differ between equal runs."""
     return {
         **header,
@@ -211,5 +209,5 @@ def run_record(
         "removed": list(labels.removed),
         "losses": dict(labels.losses),
         "problems": [p.to_json() for p in sorted(set(state.problems(plan, labels)))],
-        "timing": dict(timing),
+        "timing": timing,
     }

@@ -40,7 +40,7 @@ class Rerender:
     """Job of the worker process.
 
     Attributes:
-        record: Record of the frame, as JSON values.
+        record: Record of the frame.
         recipe_json: Recipe of the run, as JSON.
         background: File of the background.
         out: File to write.
@@ -49,7 +49,7 @@ class Rerender:
         overwrite: Replace another file.
     """
 
-    record: dict[str, Any]
+    record: FrameRecord
     recipe_json: str
     background: Path
     out: Path
@@ -94,7 +94,7 @@ def rerender_frame(
     for o in recorded.recipe.objects:
         ready_model(o.model)
     job = Rerender(
-        record.to_json(),
+        record,
         recorded.recipe.model_dump_json(),
         background,
         target,
@@ -126,7 +126,7 @@ def make_rerenderer(_settings: Any) -> Callable[[Task], str]:
     def run(task: Task) -> str:
         job: Rerender = task.payload
         recipe = recipe_from_json(job.recipe_json)
-        record = FrameRecord.from_json(job.record)
+        record = job.record
         background = load_background(job.background)
         models = {o.model: ready_model(o.model) for o in recipe.objects}
         assert record.scene is not None and record.mapping is not None, "no unchanged original"

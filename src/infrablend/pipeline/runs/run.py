@@ -11,8 +11,8 @@ from typing import Any
 
 from infrablend.core.addresses import shown
 from infrablend.core.run_folder import DERIVED, RUN_FILE, WORKERS_LOG, RunFolder
+from infrablend.core.run_record import RunRecord
 from infrablend.core.tasks import Executor, OnProgress, Progress, Task, TaskResult, WorkerSpec
-from infrablend.core.typed_command import COMMAND
 from infrablend.core.workspace import Existing, Workspace, workspace
 from infrablend.errors import Interrupted, MissingDependencyError, Problem, RenderError
 from infrablend.pipeline.compose.composed import MadeFrame
@@ -62,7 +62,7 @@ class RunReport:
         nothing = any(p.code == NOTHING_INSERTED for p in self.problems)
         return not (self.counts.get("skipped_backgrounds") or self.counts.get("failed_frames") or nothing)
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
         return {
             "out": shown(self.out),
@@ -88,10 +88,10 @@ class FrameSource:
     executor: Callable[[RunFolder], Executor]
     levels: tuple[float, float] | None
     machine: Mapping[str, Any]
-    packages: Mapping[str, Any]
+    packages: Mapping[str, str]
 
 
-Finish = Callable[[Workspace, Mapping[str, Any]], None]
+Finish = Callable[[Workspace, RunRecord], None]
 """Finishes the folder of a run whose labels are written, from the record of the run."""
 
 
@@ -196,7 +196,7 @@ def _keep(result: TaskResult, frame: PlannedFrame, run: BegunRun) -> None:
     run.state.add(result, frame)
 
 
-def _finish_labels(space: Workspace, run: BegunRun, started: float) -> tuple[RunReport, dict[str, Any]]:
+def _finish_labels(space: Workspace, run: BegunRun, started: float) -> tuple[RunReport, RunRecord]:
     """Export a run whose frames are made; return its report and its record.
 
     Raises:
@@ -209,7 +209,7 @@ def _finish_labels(space: Workspace, run: BegunRun, started: float) -> tuple[Run
         if run.plan.shard is None:
             from infrablend.pipeline.runs.run_report import write_report
 
-            record.pop(COMMAND, None)  # finished runs are equal, whatever their folders
+            record.pop("command", None)  # finished runs are equal, whatever their folders
             rows = run.ledger.rows(f.frame_id for f in run.finished_frames)
             write_report(run.folder, record, rows, run.ledger.excluded())
         run.ledger.write_exports(list_exports(run.folder, run.ledger, space.foreign))
@@ -236,9 +236,9 @@ def _export(space: Workspace, run: BegunRun) -> LabelSummary:
     return LabelSummary(count_objects(run.plan.recipe, rows))
 
 
-def _header(plan: RunPlan, execution: Execution, source: FrameSource | None) -> dict[str, Any]:
+def _header(plan: RunPlan, execution: Execution, source: FrameSource | None) -> RunRecord:
     header = record_header(plan, execution)
     if source is not None:
-        header |= {"machine": dict(source.machine), "packages": dict(source.packages)}
+        header = {**header, "machine": dict(source.machine), "packages": dict(source.packages)}
     levels = plan.levels if source is None else source.levels
     return header if levels is None else {**header, "levels": list(levels)}

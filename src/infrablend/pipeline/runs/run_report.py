@@ -5,11 +5,11 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.files import write_bytes
 from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import RunFolder
+from infrablend.core.run_record import RunRecord
 from infrablend.core.typed_command import run_command
 from infrablend.errors import Problem
 from infrablend.pipeline.datasets.origin import recipe_yaml
@@ -29,9 +29,7 @@ def report_run(run: Path) -> Path:
         return write_report(folder, ledger.read_run(), ledger.rows(), ledger.excluded())
 
 
-def write_report(
-    layout: RunFolder, record: Mapping[str, Any], frames: Iterable[FrameRow], excluded: Mapping[str, str]
-) -> Path:
+def write_report(layout: RunFolder, record: RunRecord, frames: Iterable[FrameRow], excluded: Mapping[str, str]) -> Path:
     """Write the report of a run and return its path."""
     rows = sorted(frames, key=lambda f: f.id)
     page = run_page(_run_facts(layout.root, record, rows, excluded))
@@ -39,9 +37,7 @@ def write_report(
     return write_bytes(layout.report_file, page.encode("utf-8", "replace"))
 
 
-def _run_facts(
-    root: Path, record: Mapping[str, Any], frames: Sequence[FrameRow], excluded: Mapping[str, str]
-) -> RunFacts:
+def _run_facts(root: Path, record: RunRecord, frames: Sequence[FrameRow], excluded: Mapping[str, str]) -> RunFacts:
     recipe = dict(record["recipe"])
     data = record.get("data", {})
     return RunFacts(

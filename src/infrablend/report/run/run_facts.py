@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.frame_row import Box, FrameRow, InsertRow, RemovedLabel
+from infrablend.core.run_record import RunTiming
 from infrablend.errors import Problem
 
 _NEAR = 2.0
@@ -44,7 +45,7 @@ class RunFacts:
     counts: Mapping[str, Any]
     problems: Sequence[Problem]
     excluded: Mapping[str, str]
-    timing: Mapping[str, Any]
+    timing: RunTiming
     machine: Mapping[str, Any]
     frames: Sequence[FrameRow]
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from infrablend.compositing.gain import Doubt
 from infrablend.core.frame_row import FrameRow
+from infrablend.core.run_record import DrawStatistics
 from infrablend.errors import Problem
 
 _HEIGHT = "height-at-limit"
@@ -106,7 +107,7 @@ _TOO_SMALL = (
 )
 
 
-def absent_warnings(draws: Mapping[str, Any]) -> list[Problem]:
+def absent_warnings(draws: DrawStatistics) -> list[Problem]:
     """Return a warning per reason why objects were not inserted, with its own remedy.
 
     Missing places are a warning if at least half of the requested objects have none.

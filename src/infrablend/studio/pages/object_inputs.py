@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from infrablend.assets.catalogue import list_models
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError
 from infrablend.studio.object_form import (
+    Count,
     OptionField,
     choice_of,
     chosen_of,
@@ -66,7 +67,7 @@ def show_models(title: str, value: str, on_choice: Callable[[str], None]) -> lis
     return [made]
 
 
-def show_counts(title: str, value: Mapping[str, Any], on_change: Change) -> list[Any]:
+def show_counts(title: str, value: Count, on_change: Change) -> list[Any]:
     """Show the numbers of objects that are drawn for a frame, each with its weight."""
     weights: dict[int, float | None] = {**weights_of(value)}
     boxes = []

@@ -26,7 +26,7 @@ from infrablend.studio.pages.generation_panel import show_generation
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
 from infrablend.studio.pages.object_inputs import Input, show_counts, show_ends, show_models, show_options, show_parts
 from infrablend.studio.pages.path_editor import PathEditor
-from infrablend.studio.pages.picture_stage import Stage
+from infrablend.studio.pages.picture_stage import Mark, Stage
 from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.recipe_form import (
     FormField,
@@ -264,12 +264,12 @@ class TunePage:
         self._show_picture()
         self._request()
 
-    def _marks(self) -> list[dict[str, Any]]:
+    def _marks(self) -> list[Mark]:
         """Return the handles."""
         frame = None if self._tuned is None else self._tuned.trial.frame
         if frame is None or frame.scene is None:
             return []
-        found = []
+        found: list[Mark] = []
         for label in sorted(frame.inserted, key=lambda i: int(i.extra.get("object", 0))):
             number = int(label.extra.get("object", 0))
             box = [round(float(v), 1) for v in label.box_xyxy]
