@@ -443,7 +443,8 @@ def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems
     """Return the text of `seqinfo.ini`; what one sequence cannot state of several pictures is a warning."""
     sizes = Counter(require_size(image) for image in sequence)
     suffixes = Counter(PurePosixPath(image.name).suffix for image in sequence)
-    (size_wh, _), (suffix, _) = sizes.most_common(1)[0], suffixes.most_common(1)[0]
+    (width, height), _ = sizes.most_common(1)[0]
+    suffix, _ = suffixes.most_common(1)[0]
     where = f"{folder}/{_INFO}"
     if len(sizes) > 1 or len(suffixes) > 1:
         kinds = sorted([*(f"{w}x{h} px" for w, h in sizes), *(suffixes if len(suffixes) > 1 else ())])
@@ -457,8 +458,8 @@ def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems
         "imDir": _PICTURES,
         "frameRate": number_text(rate or ASSUMED_RATE),
         "seqLength": last,
-        "imWidth": size_wh[0],
-        "imHeight": size_wh[1],
+        "imWidth": width,
+        "imHeight": height,
         "imExt": suffix,
         **({_ASSUMED: number_text(ASSUMED_RATE)} if rate is None else {}),
     }
