@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from infrablend.formats.pictures.listing import assign_ids, read_size
 from infrablend.formats.pictures.video import Video
 from infrablend.imaging.paint_out import How
 
+T = TypeVar("T")
 KEEP_OR_DROP = ("keep", "drop")
 LEFT_OUT = "left out"
 """How the problem of pictures without labels ends that a reader left out."""
@@ -116,6 +117,18 @@ class Findings:
         except csv.Error as error:
             self.add(name, "table-unreadable", str(error), "a CSV table")
             return []
+
+    def own_rows(self, name: str, columns: Sequence[str], read_row: Callable[[list[str]], T | None]) -> list[T]:
+        """Return what each row says of a table that our writer adds; rows that `read_row` cannot read are errors."""
+        said = []
+        for number, row in enumerate(self.own_table(name, columns)[1:], 2):
+            value = read_row(row) if len(row) == len(columns) else None
+            if value is None:
+                found = repr(",".join(row))[:80]
+                self.add(f"{name}: line {number}", "row-malformed", found, ",".join(columns), "correct the line")
+            else:
+                said.append(value)
+        return said
 
     def xml(self, path: Path) -> Any:
         """Return the root element of an XML file; None, with a problem, if it cannot be read."""

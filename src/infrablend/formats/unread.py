@@ -86,13 +86,7 @@ _LONGEST_LINE = 10_000
 # Files of one folder that are named one by one; more are one problem.
 _MOST_NAMED = 3
 _EMPTY = "an empty file"
-# What our own runs have for a sequence without objects.
-_NO_TRACKS = "/gt/gt.txt"
 _UNKNOWN = "labels in no known layout, which are not read"
-_NAMING = "a file that names pictures, and is not read"
-_CLOSED = "a file that may hold labels, and is not read"
-_PACKED = "an archive, which is not read"
-_UNPACK = "if it holds labels or pictures, unpack it; else move it out of the folder"
 _IF_LABELS = "if it holds labels, convert it, for example with CVAT or Datumaro, to a format of docs/formats"
 _RENAME = "rename it to .txt"
 _TODO = "convert it, for example with CVAT or Datumaro, to a format of docs/formats; or move it out of the folder"
@@ -207,7 +201,8 @@ class _Judge:
         path = self._root / name
         stem = fold_name(path.stem)
         if fault:
-            if self._ours and fault == _EMPTY and name.endswith(_NO_TRACKS):
+            # What our own runs have for a sequence without objects.
+            if self._ours and fault == _EMPTY and name.endswith("/gt/gt.txt"):
                 return None
             todo = LFS_TODO if fault == LFS_FOUND else "restore or remove the file"
             return _unread(fault, todo, "warning" if fault == _EMPTY and self._any else "error")
@@ -220,15 +215,18 @@ class _Judge:
         if self._plain and (stem in self.labelled or _is_annotation(path, name)):
             return _unread(_UNKNOWN, _TODO)
         says = _tells_of(path, self._pictures, alone=self.labelled.get(stem) is False)
-        if says is None:
-            return None
-        return _unread(_UNKNOWN, _TODO) if says == "error" else _unread(_NAMING, _IF_LABELS, says)
+        if says == "warning":
+            return _unread("a file that names pictures, and is not read", _IF_LABELS, says)
+        return None if says is None else _unread(_UNKNOWN, _TODO)
 
     def of_closed(self, name: str) -> Problem:
         """Return the remark on a file that cannot be searched as text."""
         lost = _OF_LABELS.search(PurePosixPath(name).stem) and not self._any
-        found, todo = (_PACKED, _UNPACK) if _suffix(name) in _ARCHIVES else (_CLOSED, _IF_LABELS)
-        return _unread(found, todo, "error" if lost else "warning")
+        severity: Severity = "error" if lost else "warning"
+        if _suffix(name) in _ARCHIVES:
+            todo = "if it holds labels or pictures, unpack it; else move it out of the folder"
+            return _unread("an archive, which is not read", todo, severity)
+        return _unread("a file that may hold labels, and is not read", _IF_LABELS, severity)
 
     def of_mask(self, picture: str) -> Problem:
         """Return the remark on the mask of a picture."""

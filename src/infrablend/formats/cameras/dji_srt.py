@@ -30,14 +30,13 @@ _TAG = re.compile(r"<[^<>\n]{0,100}>")
 # The decimal point may be a comma, and a height may be in feet.
 _FIELD = re.compile(
     r"(?<![A-Za-z_])([A-Za-z_]{1,40}(?:\(degrees\))?)\s{0,3}:\s{0,3}"
-    r"([-+]?\d{1,12}(?:[.,]\d{1,12})?)(\s?(?:ft|feet)\b)?", re.ASCII | re.IGNORECASE
-)  # fmt: skip
+    r"([-+]?\d{1,12}(?:[.,]\d{1,12})?)(\s?(?:ft|feet)\b)?",
+    re.ASCII | re.IGNORECASE,
+)
 _HEIGHT = re.compile(r"(?<![\w.])H\s{1,3}" + _NUMBER + r"\s?([mM]|ft)\b", re.ASCII)
 _FEET_M = 0.3048
 _GIMBAL = re.compile(rf"G\.PRY\s?\(\s?{_NUMBER}°?\s?,\s?{_NUMBER}°?\s?,\s?{_NUMBER}°?\s?\)", re.ASCII)
-_DATE = re.compile(
-    r"(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T](\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?", re.ASCII
-)  # fmt: skip
+_DATE = re.compile(r"(\d{4})[-./](\d{1,2})[-./](\d{1,2})[ T](\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,3}))?", re.ASCII)
 
 # Names of fields in the order in which they are preferred, lower case.
 _NAMES: Mapping[str, tuple[str, ...]] = {

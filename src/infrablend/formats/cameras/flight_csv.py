@@ -274,7 +274,7 @@ def _clock(text: str) -> float:
     seconds = _seconds_of_day(text[day.end() :] if day else text)
     if day is None:
         return math.nan
-    a, b, c = int(day[1]), int(day[2]), int(day[3])
+    a, b, c = map(int, day.groups()[:3])
     if a > 31:
         year = a
         month = b

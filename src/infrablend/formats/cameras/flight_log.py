@@ -209,7 +209,8 @@ def in_order(values: Sequence[float] | Values) -> NDArray[np.bool_]:
             ends.append(value)
             last.append(k)
         else:
-            ends[at], last[at] = value, k
+            ends[at] = value
+            last[at] = k
     mask = np.zeros(len(values), np.bool_)
     k = last[-1] if last else -1
     while k >= 0:

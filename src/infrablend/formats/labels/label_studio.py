@@ -52,7 +52,8 @@ from infrablend.formats.values import to_bool, to_floats, to_id, to_share, to_si
 
 NAME = "label-studio"
 CONFIG_FILE = "label_config.xml"
-BOXES, BRUSH = "boxes", "masks"
+BOXES = "boxes"
+BRUSH = "masks"
 """Names of the two controls in the labelling interface."""
 
 _SERVED = "/data/local-files/?d="
@@ -127,11 +128,14 @@ def _meta(i: Instance) -> dict[str, object]:
 
 def _rectangle(i: Instance, w: int, h: int, losses: Counter[str]) -> dict[str, float]:
     if i.corners_xy is None:
-        (x, y), (width, height), turn = i.box_xyxy[:2], i.box_xyxy[2:] - i.box_xyxy[:2], 0.0
+        x, y = i.box_xyxy[:2]
+        width, height = i.box_xyxy[2:] - i.box_xyxy[:2]
+        turn = 0.0
     else:
         cx, cy, width, height, angle = obb = obb_from_corners(i.corners_xy)
         losses["obb_not_rectangle"] += not is_rectangle(i.corners_xy, obb)
-        (x, y), turn = _first_corner(cx, cy, width, height, angle), math.degrees(angle)
+        x, y = _first_corner(cx, cy, width, height, angle)
+        turn = math.degrees(angle)
     percent = {"x": x / w, "y": y / h, "width": width / w, "height": height / h}
     return {**{k: round(100 * float(v), 10) for k, v in percent.items()}, "rotation": round(turn, 10)}
 
@@ -388,7 +392,8 @@ def _read_result(found: Findings, row: Mapping[str, object], where: str) -> Inst
         numbers = to_floats([value.get(k, 0) for k in ("x", "y", "width", "height", "rotation")], 5)
         if numbers is None or not is_near(numbers):
             raise ValueError(f"a rectangle {str(value)[:60]}")
-        (x, y), (w, h) = np.array(numbers[:2]) * scale, np.array(numbers[2:4]) * scale
+        x, y = np.array(numbers[:2]) * scale
+        w, h = np.array(numbers[2:4]) * scale
         edges: Sequence[float] = (x, y, x + w, y + h)
         if numbers[4] or meta.get("oriented") is True:  # also where the angle is 0
             angle = math.radians(numbers[4])
@@ -402,7 +407,8 @@ def _read_result(found: Findings, row: Mapping[str, object], where: str) -> Inst
         numbers = to_floats([value.get(k) for k in ("x", "y", "radiusX", "radiusY")] + [value.get("rotation", 0)], 5)
         if numbers is None:
             raise ValueError(f"an ellipse {str(value)[:60]}")
-        (x, y), (w, h) = np.array(numbers[:2]) * scale, np.array(numbers[2:4]) * scale * 2
+        x, y = np.array(numbers[:2]) * scale
+        w, h = np.array(numbers[2:4]) * scale * 2
         edges, mask = ellipse((x, y, w, h, math.radians(numbers[4])), size_wh)
     else:
         mask = _read_mask(row, value, size_wh)

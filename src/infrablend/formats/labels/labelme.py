@@ -213,7 +213,8 @@ def _instance(found: Findings, shape: object, size_wh: tuple[int, int], where: s
     if kind in _TURNED:
         corners = clockwise_corners(points)
     elif kind == "circle":
-        (x, y), radius = points[0].tolist(), math.dist(*points)
+        x, y = points[0].tolist()
+        radius = math.dist(*points)
         edges, mask = ellipse((x, y, 2 * radius, 2 * radius, 0), size_wh)
     elif kind == "polygon":
         mask = Mask.from_rings([points.ravel().tolist()], (size_wh[1], size_wh[0]))

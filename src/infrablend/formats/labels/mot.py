@@ -150,7 +150,7 @@ def read(
     )
     wanted = check_splits(splits)
     reading = _Reading(root, origin=int(origin), by_order=frames == "order", numbers={}, originals={})
-    reading.originals = _read_tracks(reading)
+    reading.originals = dict(reading.own_rows(_TRACKS_FILE, _TRACKS_COLUMNS, _read_track))
     records: list[ImageRecord] = []
     for folder in _sequences(root):
         split = _split_of(root, folder)
@@ -165,18 +165,10 @@ def read(
     return reading.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def _read_tracks(reading: _Reading) -> dict[tuple[str, int], int | str]:
-    """Return the tracks of `tracks.csv`, in which our writer lists those whose ids it changed."""
-    tracks: dict[tuple[str, int], int | str] = {}
-    for n, row in enumerate(reading.own_table(_TRACKS_FILE, _TRACKS_COLUMNS)[1:], 2):
-        number = to_int(row[1]) if len(row) == len(_TRACKS_COLUMNS) else None
-        if number is None:
-            found = repr(",".join(row))[:80]
-            expected = ",".join(_TRACKS_COLUMNS)
-            reading.add(f"{_TRACKS_FILE}: line {n}", "row-malformed", found, expected, "correct the line")
-        else:
-            tracks[row[0], number] = plain_id(row[3])
-    return tracks
+def _read_track(row: Sequence[str]) -> tuple[tuple[str, int], int | str] | None:
+    """Return sequence, id and track of a row of `tracks.csv`, in which our writer lists tracks whose ids it changed."""
+    number = to_int(row[1])
+    return None if number is None else ((row[0], number), plain_id(row[3]))
 
 
 def _read_sequence(reading: _Reading, folder: Path, split: Split, unlabelled: str) -> list[ImageRecord]:
@@ -443,7 +435,8 @@ def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems
     """Return the text of `seqinfo.ini`; what one sequence cannot state of several pictures is a warning."""
     sizes = Counter(require_size(image) for image in sequence)
     suffixes = Counter(PurePosixPath(image.name).suffix for image in sequence)
-    (size_wh, _), (suffix, _) = sizes.most_common(1)[0], suffixes.most_common(1)[0]
+    (width, height), _ = sizes.most_common(1)[0]
+    suffix, _ = suffixes.most_common(1)[0]
     where = f"{folder}/{_INFO}"
     if len(sizes) > 1 or len(suffixes) > 1:
         kinds = sorted([*(f"{w}x{h} px" for w, h in sizes), *(suffixes if len(suffixes) > 1 else ())])
@@ -457,8 +450,8 @@ def _info(folder: str, sequence: Frames, last: int, rate: float | None, problems
         "imDir": _PICTURES,
         "frameRate": number_text(rate or ASSUMED_RATE),
         "seqLength": last,
-        "imWidth": size_wh[0],
-        "imHeight": size_wh[1],
+        "imWidth": width,
+        "imHeight": height,
         "imExt": suffix,
         **({_ASSUMED: number_text(ASSUMED_RATE)} if rate is None else {}),
     }

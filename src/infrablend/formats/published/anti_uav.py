@@ -202,7 +202,7 @@ def read(
         modality = "both"  # of a video given alone, whatever it shows
     _name_unlabelled(found, sequences)
     views = _views(found, sequences)
-    targets = _read_targets(found)
+    targets = dict(found.own_rows(_TARGETS_FILE, _TARGETS_COLUMNS, _read_target))
     sequences = [replace(s, target=targets.get(found.place(s.folder), s.target)) for s in sequences]
     places: dict[tuple[str, int | None], int] = {}
     order = {folder: n for n, (folder, target) in enumerate(targets.items()) if target.of}
@@ -222,20 +222,13 @@ def read(
     return found.dataset(NAME, records, categories, notes, metadata=metadata, splits=wanted)
 
 
-def _read_targets(found: Findings) -> dict[str, _Target]:
-    """Return the targets of sequences by their folders, from the table that our writer adds."""
-    targets = {}
-    for n, row in enumerate(found.own_table(_TARGETS_FILE, _TARGETS_COLUMNS)[1:], 2):
-        first = to_int(row[2]) if len(row) == len(_TARGETS_COLUMNS) else None
-        if first is None or first < 0 or not row[3]:
-            text = repr(",".join(row))[:80]
-            expected = ",".join(_TARGETS_COLUMNS)
-            found.add(f"{_TARGETS_FILE}: line {n}", "row-malformed", text, expected, "correct the line")
-        else:
-            of = row[1] if row[1] != row[0] else ""
-            track = plain_id(row[4] or "0")
-            targets[row[0]] = _Target(of, first, row[3], track, row[5] == "1")
-    return targets
+def _read_target(row: Sequence[str]) -> tuple[str, _Target] | None:
+    """Return a folder and its target from a row of the table that our writer adds."""
+    first = to_int(row[2])
+    if first is None or first < 0 or not row[3]:
+        return None
+    of = row[1] if row[1] != row[0] else ""
+    return row[0], _Target(of, first, row[3], plain_id(row[4] or "0"), row[5] == "1")
 
 
 def _add(
