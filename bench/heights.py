@@ -19,8 +19,7 @@ import numpy as np
 from infrablend.config.loading import load_recipe
 from infrablend.config.recipe import MetricCamera
 from infrablend.core.camera import CameraSpec
-from infrablend.core.class_names import KnownClass, known_class
-from infrablend.core.dataset import ImageRecord
+from infrablend.core.dataset import ImageRecord, KnownClass, known_class
 from infrablend.core.ground_plane import at_height, ground_z_m
 from infrablend.formats import detection
 from infrablend.sampling.calibration import REFERENCES, size_ratio

@@ -19,7 +19,7 @@ from infrablend.core import spool
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
-from infrablend.core.json_stream import COMPACT, SPACED, Streamed, json_chunks
+from infrablend.core.json_records import COMPACT, SPACED, Streamed, json_chunks
 from infrablend.core.spool import Spool, store_images
 from infrablend.formats import writing
 

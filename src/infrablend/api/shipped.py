@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
@@ -12,7 +11,7 @@ from infrablend.config import loading
 from infrablend.pipeline.plans import add_model as adding
 from infrablend.pipeline.plans.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.plans.models import ready_model, run_once
-from infrablend.rendering.engine import shader
+from infrablend.rendering.engine import blender_files
 
 
 def list_models() -> dict[str, str]:
@@ -29,7 +28,7 @@ def describe_model(name: str) -> ObjectModel:
     return ready_model(name)
 
 
-def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, Any] | None = None) -> Path:
+def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, object] | None = None) -> Path:
     """Render a model from below, level and above onto one sheet, a PNG; return its path.
 
     The options are those of a recipe (`objects.N.options`).
@@ -61,4 +60,4 @@ def show_recipe(name: str) -> str:
 
 def write_infrared_effect(path: str | Path) -> Path:
     """Write the InfraredEffect node group as a .blend file to append from; return its path."""
-    return shader.write_infrared_effect(Path(path))
+    return blender_files.write_infrared_effect(Path(path))

@@ -27,7 +27,7 @@ from functools import lru_cache
 import numpy as np
 
 from infrablend.assets import warm_ground
-from infrablend.assets.anatomy import Piece, finished, joined, mirrored, smoothstep, unit
+from infrablend.assets.anatomy import Piece, above_water, finished, joined, mirrored, smoothstep, unit
 from infrablend.assets.implicit import Body, Primitive, concatenate, ellipsoid, surface, tube
 from infrablend.assets.model import (
     LOW_SUN,
@@ -68,7 +68,6 @@ from infrablend.assets.person_poses import (
 )
 from infrablend.assets.shapes import Solid, box, circle, loft, moved, sweep, turn_x, turn_y, turn_z
 from infrablend.assets.shapes import ellipsoid as ellipsoid_solid
-from infrablend.assets.wading import above_water
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.surface_kinds import Affinity
 

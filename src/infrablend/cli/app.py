@@ -16,7 +16,6 @@ from infrablend.cli import (
     camera_commands,
     dataset_commands,
     exits,
-    fetch_command,
     finished_run_commands,
     run_commands,
     shipped_commands,
@@ -66,7 +65,7 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "frames": camera_commands.frames,
     "temperatures": camera_commands.temperatures,
     "world": resolve(LAB_COMMANDS["world"]),
-    "fetch": fetch_command.fetch,
+    "fetch": dataset_commands.fetch,
     "studio": tuning_commands.studio,
     "doctor": shipped_commands.doctor,
 }

@@ -1,29 +1,42 @@
-"""Commands about datasets: `inspect`, `check`, `convert` and `split`."""
+"""Commands about datasets: `inspect`, `check`, `convert`, `split` and `fetch`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from infrablend import api
-from infrablend.cli.completion import complete_written_format
-from infrablend.cli.exits import PARTIAL, printable
+from infrablend.cli.completion import complete_source, complete_written_format
+from infrablend.cli.exits import PARTIAL, printable, problem_lines
 from infrablend.cli.options import (
     DatasetArgument,
     Fields,
     JsonSession,
     ReadingOfAllSplits,
     ReadingOptions,
+    comma_list,
     key_values,
     split_at_commas,
 )
-from infrablend.cli.output import facts, grid, loss_lines, show_report, show_result, shown_progress, table
+from infrablend.cli.output import (
+    facts,
+    grid,
+    loss_lines,
+    print_result,
+    show_report,
+    show_result,
+    shown_fetch,
+    shown_progress,
+    table,
+)
 from infrablend.errors import format_problems
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.datasets.requests import SelectionFacts
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
 
@@ -105,7 +118,7 @@ def _summed(counts: list[int]) -> list[int]:
 
 
 def _further(found: Inspection) -> dict[str, str]:
-    rows: dict[str, Any] = {"labels": _listed(found.labels)}
+    rows = {"labels": _listed(found.labels)}
     if found.sequences:
         mean = sum(found.sequences.values()) / len(found.sequences)
         rows["sequences"] = f"{len(found.sequences)}, {mean:.1f} images each on average, at most "
@@ -246,12 +259,13 @@ def convert(
 
 def _conversion_lines(report: api.ConvertReport) -> list[str]:
     rows = facts({k: v for k, v in report.counts.items() if k != "selection"})
-    if selection := report.counts.get("selection"):
+    selection: SelectionFacts | None = report.counts.get("selection")
+    if selection:
         rows["selection"] = _selection_text(selection)
     return [table(rows), *loss_lines(report.losses), str(report.out)]
 
 
-def _selection_text(selection: Mapping[str, Any]) -> str:
+def _selection_text(selection: SelectionFacts) -> str:
     named = selection["with_class"]
     parts = [f"pictures with {named}"] if named is not None else []
     parts += [f"no pictures with {' or '.join(selection['without'])}"] if selection["without"] else []
@@ -346,3 +360,53 @@ def _split_blocks(report: api.SplitReport) -> list[str]:
 
 def _near(near: int, images: int) -> str:
     return f"{near} of {images}"
+
+
+def fetch(
+    session: JsonSession,
+    *,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Dataset, see --list.", autocompletion=complete_source)
+    ] = None,
+    out: Annotated[Path | None, typer.Argument(metavar="DST", help="Output folder: new, or an earlier DST.")] = None,
+    part: Annotated[
+        Any, typer.Option(metavar="LIST", parser=comma_list, help="Parts to fetch, see --list [default: all].")
+    ] = None,
+    url: Annotated[str | None, typer.Option(metavar="URL", help="Fetch the file from this address instead.")] = None,
+    sha256: Annotated[str | None, typer.Option(metavar="HEX", help="Required SHA-256 of the file.")] = None,
+    archive: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Unpack this file instead of fetching it.")
+    ] = None,
+    keep_archive: Annotated[bool, typer.Option("--keep-archive", help="Keep the archive in DST.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="List the datasets and their licences.")] = False,
+) -> None:
+    """Fetch a public dataset; without DST, show its address and licence.
+
+    Repeat the command with another --part to add it to DST.
+    """
+    if listing:
+        sources = api.list_sources()
+        rows = {s.name: _line(s) for s in sources}
+        show_result(session, [asdict(s) for s in sources], lambda: table(rows))
+        return
+    if name is None:
+        raise typer.BadParameter("give the NAME of a dataset, or --list", param_hint="NAME")
+    if out is None:
+        print_result(api.describe_source(name))
+        return
+    typer.echo(api.describe_source(name, licence_only=True), err=True)
+    request = api.FetchRequest(part, url, sha256, archive, keep_archive)
+    with shown_fetch(session) as on_progress:
+        report = api.fetch(name, out, request, on_progress=on_progress)
+    if report.problems:
+        lines = problem_lines(report.problems, session.log_path)
+        typer.echo("\n".join([f"{len(report.problems)} warning(s):", *lines]), err=True)
+    wanted = ("fetched", "present", "files", "size_bytes")
+    brief = facts({k: v for k, v in report.to_json().items() if k in wanted})
+    show_result(session, report.to_json(), lambda: f"{table(brief)}\n{report.out}")
+
+
+def _line(source: api.SourceEntry) -> str:
+    how = "fetched" if source.fetched else "by hand"
+    several = f", parts {','.join(source.parts)}" if len(source.parts) > 1 else ""
+    return f"{how}, licence {source.licence}{several}  {source.page}"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
 from infrablend.core.capture import TimeOfDay
-from infrablend.core.class_names import known_class
+from infrablend.core.dataset import known_class
+from infrablend.core.outline import ring_levels
 from infrablend.core.quantiles import percentile
-from infrablend.core.rings import ring_levels
 
 # Boxes nearer to the frame's edge are not measured.
 EDGE_PX = 3
@@ -100,7 +99,7 @@ class Contrast:
 
     def to_json(self) -> dict[str, float]:
         """Return plain JSON values, rounded to a hundredth of a level."""
-        plain: dict[str, Any] = {k: round(v, 2) for k, v in asdict(self).items()}
+        plain: dict[str, float] = {k: round(v, 2) for k, v in asdict(self).items()}
         return {**plain, "change": round(self.change, 2), "scr": round(self.scr, 3)}
 
 

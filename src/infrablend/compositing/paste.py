@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from infrablend.compositing.mapping import GreyImage
 from infrablend.core.boxes import pixel_box
+from infrablend.core.outline import ring_levels
 from infrablend.core.quantiles import quantile
-from infrablend.core.rings import ring_levels
 
 # Pixels around the box in which the matte fades to nothing.
 FEATHER_PX = 2

@@ -23,7 +23,6 @@ from infrablend.config.camera_models import CameraModel
 from infrablend.config.sensor_profile import PROFILES, SensorProfile, find_profile
 from infrablend.core.capture import Capture, TimeOfDay
 from infrablend.core.format_table import WrittenName
-from infrablend.core.motion_kinds import MotionKind
 from infrablend.core.scene import LOW_EMISSIVITY
 from infrablend.core.strict_model import Strict, in_order, range_of
 from infrablend.core.surface_kinds import SurfaceKind
@@ -429,6 +428,24 @@ class PathPoint(Strict):
         if (self.x_px is None) != (self.y_px is None) or (self.x_px is None) == (self.offset_m is None):
             raise ValueError("x_px and y_px, or offset_m")
         return self
+
+
+MotionKind = Literal["still", "walk", "graze", "run", "drive", "hover", "fly", "flock", "followed"]
+ON_GROUND: tuple[MotionKind, ...] = ("still", "walk", "graze", "run", "drive")
+IN_AIR: tuple[MotionKind, ...] = ("still", "hover", "fly", "flock", "followed")
+SPEED_M_S: Mapping[MotionKind, tuple[float, float]] = {
+    "still": (0.0, 0.0),
+    "walk": (0.8, 1.6),
+    "graze": (0.1, 0.3),
+    "run": (2.0, 4.5),
+    "drive": (3.0, 12.0),
+    "hover": (0.1, 0.5),
+    "fly": (3.0, 12.0),
+    "flock": (6.0, 12.0),
+    "followed": (0.0, 0.0),
+}
+"""Default range of the speed, m/s: people's gaits, cars in towns, drones in wind and in cruise, birds. A followed drone
+is as fast as the camera turns."""
 
 
 class Motion(Strict):

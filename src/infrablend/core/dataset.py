@@ -1,8 +1,11 @@
-"""Datasets in memory: images with camera metadata and labelled instances, independent of the format on disk."""
+"""Datasets in memory: images with camera metadata and labelled instances, independent of the format on disk.
+
+Also what names of classes say: whether two mean the same, and which stand for classes of known size and warmth.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -209,3 +212,38 @@ class Dataset:
             if c.name == name:
                 return c
         raise KeyError(name)
+
+
+KnownClass = Literal["person", "car", "bicycle"]
+"""Classes of known size and warmth."""
+
+_KNOWN_CLASSES: Mapping[KnownClass, frozenset[str]] = {
+    "person": frozenset({"person", "people", "human", "pedestrian"}),
+    "car": frozenset({"car", "vehicle"}),
+    "bicycle": frozenset({"bicycle", "bike", "two-wheeler"}),
+}
+
+
+def known_class(category: str) -> KnownClass | None:
+    """Return the known class that a category's name stands for, whatever its case, or None."""
+    name = category.casefold()
+    return next((known for known, names in _KNOWN_CLASSES.items() if name in names), None)
+
+
+def differ_in_form(one: str, other: str) -> bool:
+    """Return whether two names are different, but the same word in another case, or its singular and plural."""
+    if one == other:
+        return False
+    a, b = one.casefold(), other.casefold()
+    return a == b or b in _plurals(a) or a in _plurals(b)
+
+
+def _plurals(word: str) -> set[str]:
+    irregular = {"person": "people", "man": "men", "woman": "women"}
+    found = {f"{word}s", f"{word}es", irregular.get(word, "")}
+    return found | {f"{word[:-1]}ies"} if word.endswith("y") else found
+
+
+def named_as(known: KnownClass, categories: Iterable[str]) -> str | None:
+    """Return the first of the names that stands for a known class, or None."""
+    return next((name for name in categories if known_class(name) == known), None)

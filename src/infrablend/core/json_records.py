@@ -1,4 +1,4 @@
-"""Reads JSON files that are larger than memory: one record at a time, decoded as `json.loads` decodes it.
+"""Reads and composes JSON that is larger than memory, one record at a time, as `json.loads` and `json.dumps` do it.
 
 A record is an item of a list, or a member of an object, at the top of the file or one level below.
 """
@@ -10,12 +10,13 @@ import functools
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn, TypeGuard
 
-from infrablend.core.files import open_regular
+from infrablend.core.files import finite, open_regular
 from infrablend.errors import DatasetError, Problem
 
 MAX_RECORD = 16_000_000
@@ -364,3 +365,60 @@ def _in(name: str, key: str | int | None) -> str:
 
 def _error(path: Path, code: str, found: str, expected: str, todo: str) -> DatasetError:
     return DatasetError(f"{path}: {found}", [Problem(path.name, code, found, expected, todo)])
+
+
+COMPACT = (",", ":")
+SPACED = (", ", ": ")
+"""Separators of items and of keys: without blanks, and those that `json.dumps` uses unless told otherwise."""
+
+
+@dataclass(frozen=True)
+class Streamed:
+    """List whose items are composed one at a time.
+
+    Attributes:
+        items: The items, iterated once.
+    """
+
+    items: Iterable[Any]
+
+
+def json_chunks(
+    value: Any, losses: Counter[str] | None, *, separators: tuple[str, str] = COMPACT, sort_keys: bool = True
+) -> Iterator[str]:
+    """Yield the text that `json.dumps` would return, in pieces of one item of a streamed list each.
+
+    Args:
+        value: JSON values, with `Streamed` lists at the top or as values of a top-level object.
+        losses: Counts non-finite numbers, which are written as null, see `finite`; None refuses them.
+        separators: Separators of items and of keys.
+        sort_keys: Whether to sort the keys of objects; otherwise they keep their order.
+
+    Raises:
+        ValueError: A number is not finite, and `losses` is None.
+    """
+
+    def text(part: Any) -> str:
+        try:
+            return json.dumps(part, sort_keys=sort_keys, allow_nan=False, separators=separators)
+        except ValueError:
+            if losses is None:
+                raise
+        return json.dumps(finite(part, losses), sort_keys=sort_keys, allow_nan=False, separators=separators)
+
+    if isinstance(value, Streamed):
+        yield "["
+        for n, item in enumerate(value.items):
+            yield (separators[0] if n else "") + text(item)
+        yield "]"
+    elif isinstance(value, Mapping):
+        yield "{"
+        for n, key in enumerate(sorted(value) if sort_keys else value):
+            yield (separators[0] if n else "") + json.dumps(key) + separators[1]
+            if isinstance(value[key], Streamed):
+                yield from json_chunks(value[key], losses, separators=separators, sort_keys=sort_keys)
+            else:
+                yield text(value[key])
+        yield "}"
+    else:
+        yield text(value)

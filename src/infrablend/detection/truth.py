@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import clockwise, corners_of_box, cxcywha_of_corners
-from infrablend.core.class_names import known_class
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, known_class
 from infrablend.core.rle_masks import Mask
 from infrablend.detection.detections import Detections, FloatArray, Task, detections
 from infrablend.errors import Problem

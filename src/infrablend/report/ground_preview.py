@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
-from infrablend.core.class_names import known_class
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Instance, known_class
 from infrablend.core.ground_plane import ground_point
 from infrablend.core.output_checks import require_outside_datasets
 from infrablend.core.run_folder import RunFolder

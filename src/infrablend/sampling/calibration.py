@@ -16,8 +16,7 @@ import numpy as np
 from infrablend.config.recipe import StatedHeights, of_flight
 from infrablend.core.camera import CameraSpec
 from infrablend.core.capture import Capture
-from infrablend.core.class_names import KnownClass, known_class
-from infrablend.core.dataset import Instance
+from infrablend.core.dataset import Instance, KnownClass, known_class
 from infrablend.core.ground_plane import ground_point, ground_z_m
 from infrablend.core.mesh import FloatArray
 

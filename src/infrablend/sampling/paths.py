@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from infrablend.config.recipe import MotionKind
 from infrablend.core.mesh import FloatArray
-from infrablend.core.motion_kinds import MotionKind
 
 STEP_S = 0.1
 _GRAVITY = 9.81

@@ -12,7 +12,7 @@ import numpy as np
 
 from infrablend.config.recipe import RealGround
 from infrablend.core.mesh import FloatArray
-from infrablend.core.rings import ring_levels
+from infrablend.core.outline import ring_levels
 from infrablend.sampling.site import Site
 
 # Shares of the real objects below each of a recipe's quantiles.

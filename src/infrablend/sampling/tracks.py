@@ -18,11 +18,10 @@ from functools import cached_property
 import numpy as np
 
 from infrablend.assets.model import ObjectModel, Params
-from infrablend.config.recipe import Motion, PathPoint
+from infrablend.config.recipe import SPEED_M_S, Motion, PathPoint
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
-from infrablend.core.motion_kinds import SPEED_M_S
 from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.scene import ObjectSpec, SceneSpec, View
 from infrablend.errors import Problem, RecipeError

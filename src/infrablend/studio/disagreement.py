@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_iou
-from infrablend.core.class_names import known_class
+from infrablend.core.dataset import known_class
 from infrablend.core.files import read_regular
 from infrablend.detection.detections import PREDICTIONS, RECORD, read_predictions
 from infrablend.errors import DatasetError

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from infrablend.core.motion_kinds import IN_AIR, ON_GROUND, SPEED_M_S
+from infrablend.config.recipe import IN_AIR, ON_GROUND, SPEED_M_S
 from infrablend.sampling.paths import STEP_S, find_path, sway
 
 START = (3.0, -2.0, 1.0, 0.7)

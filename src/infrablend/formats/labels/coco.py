@@ -31,8 +31,7 @@ from infrablend.core.dataset import (
 )
 from infrablend.core.file_names import real_path
 from infrablend.core.files import link_or_copy, write_chunks
-from infrablend.core.json_records import is_list
-from infrablend.core.json_stream import Streamed, json_chunks
+from infrablend.core.json_records import Streamed, is_list, json_chunks
 from infrablend.core.rle_masks import Mask
 from infrablend.core.temperature import Radiometry
 from infrablend.errors import DatasetError, Problem, Severity

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.files import link_or_copy, write_chunks, write_text
-from infrablend.core.json_records import is_list
-from infrablend.core.json_stream import Streamed, json_chunks
+from infrablend.core.json_records import Streamed, is_list, json_chunks
 from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import files_with, read_json

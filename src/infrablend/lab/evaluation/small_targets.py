@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.outline import find_body
-from infrablend.core.rings import Levels
+from infrablend.core.outline import Levels, find_body
 from infrablend.detection.detections import Detections, FloatArray, Task
 from infrablend.detection.matching import SIZE_BINS, ClassMatches, overlaps
 from infrablend.detection.truth import Case, Truth, long_sides

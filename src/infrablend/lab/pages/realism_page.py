@@ -14,7 +14,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from infrablend.compositing.object_contrast import MIN_COMPARED
-from infrablend.core.class_names import known_class
+from infrablend.core.dataset import known_class
 from infrablend.core.files import read_object, write_bytes, write_json, write_text
 from infrablend.core.output_checks import require_replaceable
 from infrablend.lab.pages.experiment_charts import FAINT, svg_bytes

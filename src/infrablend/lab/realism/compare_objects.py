@@ -19,8 +19,7 @@ from infrablend.annotation.classes import rename_classes
 from infrablend.annotation.measured_looseness import looseness, looseness_against
 from infrablend.compositing.mapping import measure_levels
 from infrablend.core.arguments import require_choice, require_names, require_whole
-from infrablend.core.class_names import KnownClass, known_class, named_as
-from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, KnownClass, known_class, named_as
 from infrablend.core.file_names import distinct_names, file_name, real_path
 from infrablend.core.files import write_bytes, write_text
 from infrablend.core.frame_record import FrameRecord

@@ -29,8 +29,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
-from infrablend.core.child_process import resident_bytes
-from infrablend.core.parent_process import die_with_parent
+from infrablend.core.child_process import die_with_parent, resident_bytes
 from infrablend.core.tasks import Failure, FailureKind, Task, WorkerSpec
 from infrablend.errors import InfraBlendError, RenderError
 

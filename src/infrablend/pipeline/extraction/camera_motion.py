@@ -238,7 +238,7 @@ def find_motion(
     return SequenceMotion(name, numbers, known, size_wh, other, levels, dict(saved["unread"]))
 
 
-def sequence_views(images: Sequence[ImageRecord], on_frame: Callable[[], None] = lambda: None) -> Iterator[View]:
+def sequence_views(images: Sequence[ImageRecord]) -> Iterator[View]:
     """Yield the pictures of a sequence as the estimate sees them: without labelled objects, text and reticle.
 
     Pictures that cannot be read are plain, so that nothing follows from them.
@@ -246,7 +246,7 @@ def sequence_views(images: Sequence[ImageRecord], on_frame: Callable[[], None] =
     Raises:
         DatasetError: No picture can be read.
     """
-    return iter(_Views(images, on_frame))
+    return iter(_Views(images, lambda: None))
 
 
 class _Views:

@@ -8,12 +8,10 @@ from pathlib import Path
 
 from infrablend.annotation.classes import unknown_classes
 from infrablend.assets.model import ObjectModel
-from infrablend.config.recipe import Object, Recipe
+from infrablend.config.recipe import IN_AIR, ON_GROUND, Object, Recipe
 from infrablend.core.camera import fov_of_width
-from infrablend.core.class_names import differ_in_form
-from infrablend.core.dataset import Dataset, ImageRecord
+from infrablend.core.dataset import Dataset, ImageRecord, differ_in_form
 from infrablend.core.format_table import NATIVE
-from infrablend.core.motion_kinds import IN_AIR, ON_GROUND
 from infrablend.core.rng import stream
 from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
 from infrablend.core.files import link_or_copy, write_chunks
-from infrablend.core.json_stream import SPACED, Streamed, json_chunks
+from infrablend.core.json_records import SPACED, Streamed, json_chunks
 from infrablend.formats.base import (
     Numbered,
     category_ids,

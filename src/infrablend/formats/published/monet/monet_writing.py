@@ -12,7 +12,7 @@ from typing import Any, Literal
 from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name
 from infrablend.core.files import link_or_copy, write_chunks
-from infrablend.core.json_stream import Streamed, json_chunks
+from infrablend.core.json_records import Streamed, json_chunks
 from infrablend.errors import Problem
 from infrablend.formats.base import Numbered, in_order, number_ids, require_size
 from infrablend.formats.labels import coco

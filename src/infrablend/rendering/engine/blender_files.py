@@ -1,4 +1,4 @@
-"""Has Blender read a user's 3D file into plain triangles, in a process of its own with limits of memory and time."""
+"""Files that Blender reads and writes: users' 3D files, in a process of its own with limits, and our node groups."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from infrablend.assets.model_files import NO_FILE, too_large
 from infrablend.assets.user_model import GroupFacts, ImportJob, write_geometry
+from infrablend.core.files import replace_atomically
 from infrablend.core.tasks import Task
 from infrablend.core.wire import ModelFileMessage
 from infrablend.errors import ModelError, Problem
@@ -51,3 +52,15 @@ def _unknown_libraries(shown: str, libraries: list[tuple[str, str]]) -> ModelErr
         for path, found in libraries
     ]
     return ModelError(f"model file {shown}: cannot use {len(problems)} of the files it refers to", problems)
+
+
+def write_infrared_effect(path: Path) -> Path:
+    """Write the node groups InfraredEffect and InfraredEffect Physical, with an example of each; return the path.
+
+    Raises:
+        MissingDependencyError: There is no Blender.
+        OutputError: The file cannot be written.
+    """
+    with replace_atomically(path) as temporary, blender_process() as blender:
+        blender.ask("write_infrared_effect", {"file": str(temporary.absolute())})
+    return path
