@@ -155,7 +155,7 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
         return self._open[1]
 
 
-def to_tensors(frame: Frame, categories: tuple[Category, ...]) -> tuple[Any, dict[str, Any]]:
+def to_tensors(frame: Frame, categories: tuple[Category, ...]) -> tuple[Any, dict[str, object]]:
     """Return a frame in the form of torchvision's detectors.
 
     Returns:

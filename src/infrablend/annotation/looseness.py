@@ -1,4 +1,7 @@
-"""Draws the boxes of inserted objects as people would: around what is visible, with a margin."""
+"""Draws the boxes of inserted objects as people would: around what is visible, with a margin.
+
+`annotation.measured_looseness` measures how large the margin of a dataset's boxes is.
+"""
 
 from __future__ import annotations
 
@@ -50,16 +53,16 @@ class Looseness:
         """Return whether boxes of some class change."""
         return bool(self.to_counts())
 
-    def to_counts(self) -> dict[str, Any]:
+    def to_counts(self) -> dict[str, object]:
         """Return `boxes_fit`, `loosened_by` and `loosened_by_px`, each where it changes boxes, as plain JSON values."""
-        counts: dict[str, Any] = {} if self.fit == "shape" else {"boxes_fit": self.fit}
+        counts: dict[str, object] = {} if self.fit == "shape" else {"boxes_fit": self.fit}
         if any(v > 1 for v in _values(self.loosen)):
             counts["loosened_by"] = self.loosen
         if any(v > 0 for v in _values(self.loosen_px)):
             counts["loosened_by_px"] = self.loosen_px
         return counts
 
-    def counted(self, changed: int) -> dict[str, Any]:
+    def counted(self, changed: int) -> dict[str, object]:
         """Return `boxes_loosened`, the number of changed boxes, and `to_counts`; nothing without a looseness."""
         return {LOOSENED: changed, **self.to_counts()} if self else {}
 
@@ -98,7 +101,7 @@ def loosen_image(image: ImageRecord, by: Looseness) -> tuple[ImageRecord, int]:
     return replace(image, instances=tuple(instances)), count
 
 
-def loosened_counts(counts: Mapping[str, Any]) -> dict[str, Any]:
+def loosened_counts(counts: Mapping[str, object]) -> dict[str, object]:
     """Return those of a step's counts that say how many boxes were changed, and how; see `Looseness.counted`."""
     return {k: counts[k] for k in COUNTS if k in counts}
 

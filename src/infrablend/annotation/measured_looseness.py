@@ -1,4 +1,6 @@
-"""Looseness of boxes: how much larger a box is than what can be seen of its object.
+"""Measures the looseness of boxes: how much larger a box is than what can be seen of its object.
+
+`annotation.looseness` draws boxes of inserted objects with a looseness that was found here.
 
 The visible extent is where a picture differs from the surroundings by more than half of the object's contrast. Blur
 and parts without contrast make it smaller or larger than the object itself. Inserted objects, whose boxes are exact,
@@ -68,6 +70,33 @@ class BoxExtent:
         return math.floor(2 * math.log2(max(self.extent_wh)))
 
 
+class FiguresAgainst(TypedDict):
+    """How much larger drawn boxes are than exact ones, as plain JSON values; see `looseness_against`."""
+
+    n: int
+    factor: float
+    ci: list[float]
+    margin_px: float
+    better: str
+
+
+class BoxFigures(TypedDict):
+    """How much larger boxes of one class are than the visible extent, as plain JSON values; see `looseness`.
+
+    `against_rendered` compares them with exact boxes, and `by_time` has the figures by time of day.
+    """
+
+    n: int
+    factor: float
+    ci: list[float]
+    width: float
+    height: float
+    margin_px: float
+    spread: dict[str, float]
+    against_rendered: NotRequired[FiguresAgainst | None]
+    by_time: NotRequired[dict[str, BoxFigures]]
+
+
 def visible_extent(
     picture: Picture, instance: Instance, labels: Sequence[Instance], contrast: Contrast
 ) -> tuple[float, float] | None:
@@ -102,20 +131,7 @@ def box_extent(
     return None if extent is None else BoxExtent(of.category, of.image, of.time_of_day, (x1 - x0, y1 - y0), extent)
 
 
-class BoxFactor(TypedDict):
-    """How much larger boxes are than visible extents, see `looseness` and `looseness_against`."""
-
-    n: int
-    factor: float
-    ci: list[float]
-    margin_px: float
-    width: NotRequired[float]
-    height: NotRequired[float]
-    spread: NotRequired[dict[str, float]]
-    better: NotRequired[str]
-
-
-def looseness(boxes: Sequence[BoxExtent]) -> BoxFactor | None:
+def looseness(boxes: Sequence[BoxExtent]) -> BoxFigures | None:
     """Return how much larger boxes of one class are than the visible extent.
 
     Returns:
@@ -138,7 +154,7 @@ def looseness(boxes: Sequence[BoxExtent]) -> BoxFactor | None:
     }
 
 
-def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) -> BoxFactor | None:
+def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) -> FiguresAgainst | None:
     """Return how much larger drawn boxes are than exact ones around objects that look the same size.
 
     The factor of each drawn box is divided by the median factor of the exact boxes around objects of the same extent,

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from infrablend.pipeline.extraction.camera_motion import MotionReport
     from infrablend.pipeline.extraction.clips import FlightFacts, FrameChoice
     from infrablend.pipeline.extraction.count_scale import CountScale
-    from infrablend.pipeline.extraction.extraction_report import FramesReport
     from infrablend.pipeline.extraction.temperature_pictures import TemperaturesReport
+    from infrablend.pipeline.extraction.video_frames import FramesReport
     from infrablend.pipeline.studies.profile import ProfileReport
     from infrablend.pipeline.studies.surface_maps import LearnedReport, PlacesReport
     from infrablend.report.checking import CheckReport

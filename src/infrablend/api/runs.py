@@ -152,7 +152,7 @@ def rerender(
     return rerender_frame(Path(run), frame_id, None if out is None else Path(out), folder, overwrite=overwrite)
 
 
-def show(run: str | Path, frame_id: str) -> dict[str, Any]:
+def show(run: str | Path, frame_id: str) -> dict[str, object]:
     """Return the record of a frame of a run as JSON values: scene, labels and decisions; or why it failed."""
     return show_frame(Path(run), frame_id)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from infrablend.assets import catalogue
 from infrablend.assets.model import ObjectModel
@@ -29,7 +28,7 @@ def describe_model(name: str) -> ObjectModel:
     return ready_model(name)
 
 
-def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, Any] | None = None) -> Path:
+def show_model(name: str, out: str | Path, seed: int = 0, options: Mapping[str, object] | None = None) -> Path:
     """Render a model from below, level and above onto one sheet, a PNG; return its path.
 
     The options are those of a recipe (`objects.N.options`).

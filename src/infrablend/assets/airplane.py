@@ -112,7 +112,10 @@ def _add_light(out: Pieces, p: Params) -> None:
         leg = shapes.capsule((*start, -0.7 * girth), (*wheel, gear_z), 0.007, n=8)
         tyre = shapes.ellipsoid((0.022, 0.01, 0.02), 12, 6)
         for solid in (leg, shapes.moved(tyre, (*wheel, gear_z))):
-            (out.add_both_sides if wheel[1] else out.add)("strut", solid)
+            if wheel[1]:
+                out.add_both_sides("strut", solid)
+            else:
+                out.add("strut", solid)
     _add_tail(out, -0.36 * length, 0.5 * girth, half=0.155, chord=0.085, sweep=0.02, fin=0.13, t=False)
 
 

@@ -471,7 +471,8 @@ def _shape(pose: _Pose, build_name: str) -> tuple[Piece, float]:
     uppers: list[Primitive] = []
     lowers: list[list[Primitive]] = []
     for i, leg in enumerate(pose.legs):
-        upper, lower = (_fore_leg if i < 2 else _hind_leg)(pose, leg, 1 if i % 2 == 0 else -1, lying)
+        grow = _fore_leg if i < 2 else _hind_leg
+        upper, lower = grow(pose, leg, 1 if i % 2 == 0 else -1, lying)
         uppers += upper
         lowers.append(lower)
     neck = _neck(poll, f, pose, lying, girth)

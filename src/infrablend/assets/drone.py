@@ -157,14 +157,15 @@ def sample_params(rng: np.random.Generator, options: Params) -> Params:
     dials = {name: float(rng.random()) for name in DRAWN if name != "propeller_angle_deg"}
     angles = rng.random(4)
 
-    params: dict[str, Any] = {}
+    params: dict[str, object] = {}
     low, high = _number_range("size_m", options)
     size = low * (high / low) ** dials["size_m"]
     params["size_m"] = float(min(max(size, low), high))
     big = float(np.clip(math.log(size / 0.3) / math.log(3.0), 0.0, 1.0))
     body_odds = tuple((1 - big) * s + big * b for s, b in zip(_BODY_ODDS_SMALL, _BODY_ODDS_LARGE, strict=True))
-    params["body"] = _CHECKS.choose("body", options, CHOICES["body"], body_odds, dice["body"])
-    odds = _ODDS[params["body"]]
+    body = _CHECKS.choose("body", options, CHOICES["body"], body_odds, dice["body"])
+    params["body"] = body
+    odds = _ODDS[body]
     for name in CHOICES:
         if name != "body":
             params[name] = _CHECKS.choose(name, options, CHOICES[name], odds[name], dice[name])

@@ -240,8 +240,8 @@ def read_geometry(cached: Path, where: str) -> tuple[list[GroupFacts], dict[str,
 
 def write_geometry(path: Path, groups: list[GroupFacts], arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write what `read_geometry` reads."""
+    content: dict[str, Any] = {"groups": np.array(json.dumps([asdict(g) for g in groups])), **arrays}
     with path.open("wb") as stream:
-        content: dict[str, Any] = {"groups": np.array(json.dumps([asdict(g) for g in groups])), **arrays}
         np.savez(stream, **content)
 
 
@@ -386,7 +386,7 @@ def upright(vertices: FloatArray, up: Axis) -> FloatArray:
     return vertices[:, order] * signs
 
 
-def _mesh(described: UserModel, data: Mapping[str, Any], part_of_group: list[str], where: str) -> Mesh:
+def _mesh(described: UserModel, data: Mapping[str, object], part_of_group: list[str], where: str) -> Mesh:
     order = sorted(set(part_of_group))
     group_part = np.array([order.index(n) for n in part_of_group], np.int32)
     part_of_triangle = group_part[np.asarray(data["group_of_triangle"], np.int64)]

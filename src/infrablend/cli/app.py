@@ -127,7 +127,8 @@ class _Command(TyperCommand):
             for value in found if isinstance(found, list | tuple) else (found,):
                 if isinstance(value, Path):
                     allowed = param.name in _ADDRESSES.get(self.name or "", ())
-                    (require_known if allowed else require_folder)(_named(param), value)
+                    require = require_known if allowed else require_folder
+                    require(_named(param), value)
         return super().invoke(ctx)
 
 

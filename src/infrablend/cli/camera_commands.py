@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -25,9 +24,10 @@ from infrablend.core.surface_kinds import SURFACES
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.extraction.extraction_report import Clip
     from infrablend.pipeline.extraction.temperature_pictures import TemperaturesReport
+    from infrablend.pipeline.extraction.video_frames import Clip
     from infrablend.pipeline.studies.profile import ProfileReport
+    from infrablend.pipeline.studies.profile_objects import ObjectFigures
     from infrablend.pipeline.studies.surface_maps import LearnedReport
 
 
@@ -190,7 +190,7 @@ def _profile_lines(report: ProfileReport) -> list[str]:
     return [fit, *_object_lines(report.objects), str(report.path), str(report.plot)]
 
 
-def _object_lines(objects: Mapping[str, Any]) -> list[str]:
+def _object_lines(objects: ObjectFigures) -> list[str]:
     lines = []
     for time, share in objects["local_share"].items():
         bound = f"at most {share['upper_bound']:.2f} ({share['ci'][0]:.2f} to {share['ci'][1]:.2f})"

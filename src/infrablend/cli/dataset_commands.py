@@ -36,6 +36,7 @@ from infrablend.cli.output import (
 from infrablend.errors import format_problems
 
 if TYPE_CHECKING:
+    from infrablend.pipeline.datasets.requests import SelectionFacts
     from infrablend.report.checking import CheckReport
     from infrablend.report.inspection import Inspection
 
@@ -117,7 +118,7 @@ def _summed(counts: list[int]) -> list[int]:
 
 
 def _further(found: Inspection) -> dict[str, str]:
-    rows: dict[str, Any] = {"labels": _listed(found.labels)}
+    rows = {"labels": _listed(found.labels)}
     if found.sequences:
         mean = sum(found.sequences.values()) / len(found.sequences)
         rows["sequences"] = f"{len(found.sequences)}, {mean:.1f} images each on average, at most "
@@ -258,12 +259,13 @@ def convert(
 
 def _conversion_lines(report: api.ConvertReport) -> list[str]:
     rows = facts({k: v for k, v in report.counts.items() if k != "selection"})
-    if selection := report.counts.get("selection"):
+    selection: SelectionFacts | None = report.counts.get("selection")
+    if selection:
         rows["selection"] = _selection_text(selection)
     return [table(rows), *loss_lines(report.losses), str(report.out)]
 
 
-def _selection_text(selection: Mapping[str, Any]) -> str:
+def _selection_text(selection: SelectionFacts) -> str:
     named = selection["with_class"]
     parts = [f"pictures with {named}"] if named is not None else []
     parts += [f"no pictures with {' or '.join(selection['without'])}"] if selection["without"] else []

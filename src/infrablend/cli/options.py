@@ -114,7 +114,7 @@ def _field_option(field: Field[Any], of: Any, text: str, given: Any) -> _FieldOp
         if get_origin(inner) is Mapping:
             kind = list[str] | None
             option.metavar = option.metavar or "KEY=VALUE"
-            convert = [partial(yaml_values if get_args(inner)[1] is Any else key_values, option=flag)]
+            convert = [partial(key_values if get_args(inner)[1] is str else yaml_values, option=flag)]
         elif get_origin(inner) is Sequence:
             kind = str | None
             option.metavar = option.metavar or "LIST"
@@ -188,7 +188,7 @@ def key_values(pairs: Sequence[str] | None, option: str) -> dict[str, str]:
     return found
 
 
-def yaml_values(pairs: Sequence[str] | None, option: str) -> dict[str, Any]:
+def yaml_values(pairs: Sequence[str] | None, option: str) -> dict[str, object]:
     """Parse `["a=1", "b=[2, 3]"]` into `{"a": 1, "b": [2, 3]}`; each key once."""
     from infrablend.core.yaml_text import read_yaml
 

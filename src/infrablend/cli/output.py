@@ -130,7 +130,7 @@ def loss_lines(losses: Mapping[str, int]) -> list[str]:
     return [f"lost: {kind} {', '.join(counts)}: {LOSSES[kind]}" for kind, counts in by_kind.items()]
 
 
-def facts(data: Mapping[str, Any]) -> dict[str, str]:
+def facts(data: Mapping[str, object]) -> dict[str, str]:
     """Return the rows for `table` of a mapping of plain values: units come from the names, lists become lengths.
 
     Nested mappings are joined into one line; None and empty values are left out.

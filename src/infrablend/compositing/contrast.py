@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -100,7 +99,7 @@ class Contrast:
 
     def to_json(self) -> dict[str, float]:
         """Return plain JSON values, rounded to a hundredth of a level."""
-        plain: dict[str, Any] = {k: round(v, 2) for k, v in asdict(self).items()}
+        plain: dict[str, float] = {k: round(v, 2) for k, v in asdict(self).items()}
         return {**plain, "change": round(self.change, 2), "scr": round(self.scr, 3)}
 
 

@@ -138,7 +138,7 @@ class SurveySummary:
 
     def to_json(self) -> dict[str, object]:
         """Return the rounded figures as plain JSON values."""
-        plain: dict[str, Any] = {
+        plain: dict[str, object] = {
             "edges": len(self.sigmas_px),
             "edge_sigma_px": _round(np.percentile(self.sigmas_px, [10, 20, 50]).tolist()),
             "overshoot": _round(self.overshoot),

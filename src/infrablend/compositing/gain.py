@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, NotRequired, TypedDict, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,21 @@ DOUBTS: tuple[Doubt, ...] = get_args(Doubt)
 _MOST_MISFIT = 4.0
 # Standard deviations of the mean level of all anchors, by the priors, beyond which weather or polarity are wrong.
 _MOST_OFF = 2.5
+
+
+class GainFacts(TypedDict):
+    """How a gain was estimated, as plain JSON values; see `draw_gain`.
+
+    `from_prior` is there, and True, where the doubts are those of anchors that were not used in the end.
+    """
+
+    grey_per_k: float
+    posterior: list[float]
+    bounds: list[float]
+    anchors_used: int
+    offset_grey: float
+    doubts: list[str]
+    from_prior: NotRequired[bool]
 
 
 def is_untrusted(doubts: Sequence[str]) -> bool:
@@ -210,7 +225,7 @@ def draw_share(
     prior: SharePrior,
     gain: GainPrior,
     rng: np.random.Generator,
-) -> tuple[float, dict[str, Any]]:
+) -> tuple[float, dict[str, object]]:
     """Draw the local share from its posterior, whatever gain and offset are.
 
     `reference` is the radiance of the ground, `scale` the number of levels per 8-bit level.
@@ -241,7 +256,7 @@ def draw_gain(
     warm: bool,
     rng: np.random.Generator,
     share: float = 1.0,
-) -> tuple[float, float, dict[str, Any]]:
+) -> tuple[float, float, GainFacts]:
     """Draw the gain, levels per W m^-2 sr^-1, from its posterior given the local share.
 
     `reference` is the radiance of the ground, `scale` the number of levels per 8-bit level. The gain is for inserts
@@ -273,20 +288,15 @@ def draw_gain(
     alike = np.linalg.inv(read.covariance + variance * np.outer(read.contrast, read.contrast))
     off = abs(float((alike @ (grey - expected)).sum())) / math.sqrt(max(float(alike.sum()), 1e-12))
     unit = slope / scale
-    return (
-        gain,
-        offset,
-        {
-            "grey_per_k": round(gain * unit, 4),
-            "posterior": [round(centre * unit, 4), round(sd * unit, 4)],
-            "bounds": [round(b * unit, 4) for b in bounds],
-            "anchors_used": len(grey),
-            "offset_grey": round(offset / scale, 3),
-            "doubts": _doubts(
-                centre, bounds, off, (grey - offset * read.of_ground - centre * read.contrast) / read.noise
-            ),
-        },
-    )
+    facts: GainFacts = {
+        "grey_per_k": round(gain * unit, 4),
+        "posterior": [round(centre * unit, 4), round(sd * unit, 4)],
+        "bounds": [round(b * unit, 4) for b in bounds],
+        "anchors_used": len(grey),
+        "offset_grey": round(offset / scale, 3),
+        "doubts": _doubts(centre, bounds, off, (grey - offset * read.of_ground - centre * read.contrast) / read.noise),
+    }
+    return gain, offset, facts
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Literal, TypedDict, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from infrablend.compositing.gain import (
     CLIP_MARGIN,
     Anchor,
     Backdrop,
+    GainFacts,
     GainPrior,
     SharePrior,
     draw_gain,
@@ -97,6 +98,19 @@ class Insert:
     warm: bool = True
 
 
+class MatchFacts(TypedDict):
+    """How a picture's levels were matched, as plain JSON values; lists have an item per object."""
+
+    ring_grey: list[float]
+    behind: list[Kind]
+    behind_grey: Mapping[str, float | None]
+    warm: list[bool]
+    local_share: Mapping[str, object]
+    gain: Mapping[Side, GainFacts]
+    anchors: Mapping[str, int]
+    levels: list[float]
+
+
 @dataclass(frozen=True, eq=False)
 class LocalMatch:
     """The result of matching one frame.
@@ -110,7 +124,7 @@ class LocalMatch:
     """
 
     mapping: GreyMapping
-    facts: dict[str, Any]
+    facts: MatchFacts
     contrasts: tuple[float, ...]
     settled: Settled
 
@@ -166,7 +180,7 @@ def local_mapping(
     rng: np.random.Generator,
     camera: CameraSpec | None = None,
     settled: Settled | None = None,
-) -> tuple[GreyMapping, dict[str, Any], Settled]:
+) -> tuple[GreyMapping, MatchFacts, Settled]:
     """Return the mapping for the inserts of one frame, the estimates behind it, and what other frames may share.
 
     Cameras apply different gains above and below the ground's temperature, so the gain of warm inserts comes mainly
@@ -202,19 +216,16 @@ def local_mapping(
     beyond = settings.headroom * (high - low)
     mapping = GreyMapping.around(places, (low - beyond, high + beyond))
 
-    def shown(level: float | None) -> float | None:
+    def shown(level: float) -> float:
         """Return a level as the picture has it, rounded."""
-        return None if level is None else round(low + high - level if black_hot else level, 3)
+        return round(low + high - level if black_hot else level, 3)
 
+    found_behind = {"ground": behind.ground_grey, "sky": behind.sky_grey, "skyline": behind.skyline_grey}
     used = {_side(insert, kind) for insert, (kind, _) in zip(inserts, around, strict=True)}
-    facts = {
+    facts: MatchFacts = {
         "ring_grey": [shown(ring) for _, ring in around],
         "behind": [kind for kind, _ in around],
-        "behind_grey": {
-            "ground": shown(behind.ground_grey),
-            "sky": shown(behind.sky_grey),
-            "skyline": shown(behind.skyline_grey),
-        },
+        "behind_grey": {what: None if level is None else shown(level) for what, level in found_behind.items()},
         "warm": [i.warm for i in inserts],
         "local_share": curve.share_facts,
         "gain": {side: curve.gain_facts[side] for side in SIDES if side in used},
@@ -266,8 +277,8 @@ class Curve:
     share: float
     gain: Mapping[Side, float]
     offset: Mapping[Side, float]
-    share_facts: Mapping[str, Any]
-    gain_facts: Mapping[Side, Mapping[str, Any]]
+    share_facts: Mapping[str, object]
+    gain_facts: Mapping[Side, GainFacts]
 
     def times(self, gain: float) -> Curve:
         """Return the map of a frame whose levels are this many times as far apart."""
@@ -306,14 +317,15 @@ def _estimate(
     share, share_facts = draw_share(on_ground, weather.air_k, of_ground, unit, settings.local_share, prior, rng)
     gains: dict[Side, float] = {}
     offsets: dict[Side, float] = {}
-    gain_facts: dict[Side, dict[str, Any]] = {}
+    gain_facts: dict[Side, GainFacts] = {}
     for side in SIDES:  # always draw both, so that no insert's gain depends on the others
         args = (weather.air_k, of_ground, unit, prior, side == "warm")
         gains[side], offsets[side], gain_facts[side] = draw_gain(anchors, *args, rng, share)
         if settings.on_untrusted == "prior" and is_untrusted(gain_facts[side]["doubts"]):
             doubts = gain_facts[side]["doubts"]
             gains[side], offsets[side], gain_facts[side] = draw_gain((), *args, rng, share)
-            gain_facts[side].update(doubts=doubts, from_prior=True)
+            gain_facts[side]["doubts"] = doubts
+            gain_facts[side]["from_prior"] = True
     if any(facts.get("from_prior") for facts in gain_facts.values()):
         # The share came from the same anchors.
         share, share_facts = draw_share((), weather.air_k, of_ground, unit, settings.local_share, prior, rng)

@@ -83,7 +83,7 @@ class GreyMapping:
 
     def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
-        plain: dict[str, Any] = {"dark": self.dark, "bright": self.bright}
+        plain: dict[str, object] = {"dark": self.dark, "bright": self.bright}
         if self.limits is not None:
             plain["limits"] = list(self.limits)
         if self.places:

@@ -131,6 +131,16 @@ class Slope:
         }
 
 
+class LocalShareBound(TypedDict):
+    """What annotated objects say of the local share, as plain JSON values; see `bound_local_share`."""
+
+    classes: dict[str, dict[str, object]]
+    upper_bound: float
+    ci: list[float]
+    recommended: float
+    recommended_ci: list[float]
+
+
 Slopes = Mapping[Level, Slope | None]
 
 
@@ -165,7 +175,7 @@ def slope_within_images(objects: Sequence[ObjectContrast], level: Level) -> Slop
     return Slope(float(both.sum() / squared.sum()), draws, count, len(sums))
 
 
-def bound_local_share(objects: Sequence[ObjectContrast]) -> dict[str, Any] | None:
+def bound_local_share(objects: Sequence[ObjectContrast]) -> LocalShareBound | None:
     """Return the upper bound that annotated objects of one time of day set on the camera's local share.
 
     Returns:
@@ -174,22 +184,24 @@ def bound_local_share(objects: Sequence[ObjectContrast]) -> dict[str, Any] | Non
         of all classes within 0 to 1. The latter includes what object and ground have in common, which inserted objects
         lack. As plain JSON values; None if no class has 30 unclipped objects.
     """
-    classes: dict[str, dict[str, Any]] = {}
+    classes: dict[str, dict[str, object]] = {}
+    found: list[Slope] = []
     for category in sorted({o.category for o in objects}):
         of_class = [o for o in objects if o.category == category]
         slopes = {level: slope_within_images(of_class, level) for level in LEVELS}
-        enough = {str(level): s.to_json() for level, s in slopes.items() if is_enough(s)}
+        enough = {str(level): s for level, s in slopes.items() if is_enough(s)}
         if enough:
-            classes[category] = enough
+            classes[category] = {level: s.to_json() for level, s in enough.items()}
+            found += enough.values()
     # Deviations from the means of each class in each image, so that differences between classes do not count.
     common = slope_within_images([replace(o, image=f"{o.category} {o.image}") for o in objects], "middle")
     if not classes or not is_enough(common):
         return None
-    least = min((s for of_class in classes.values() for s in of_class.values()), key=lambda s: s["slope"])
+    least = min(found, key=lambda s: round(s.value, 3))
     return {
         "classes": classes,
-        "upper_bound": least["slope"],
-        "ci": least["ci"],
+        "upper_bound": round(least.value, 3),
+        "ci": [round(v, 3) for v in least.interval],
         "recommended": round(min(max(common.value, 0.0), 1.0), 2),
         "recommended_ci": [round(v, 3) for v in common.interval],
     }

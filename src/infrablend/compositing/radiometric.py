@@ -14,7 +14,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +62,7 @@ def temperature_of(radiance: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def match_radiometric(
     scene: PlacedScene, counts: GreyImage, labels: Sequence[Instance], scale: TemperatureScale, air_source: str
-) -> tuple[PlacedScene, GreyMapping, dict[str, Any]]:
+) -> tuple[PlacedScene, GreyMapping, dict[str, object]]:
     """Give a scene the ground of its picture, and its objects the air in front of them.
 
     The scene has weather, a real camera and at least one object; labels are not ground.

@@ -165,7 +165,7 @@ MODES = ("linear", "plateau", "fixed")
 _ADAPTER: TypeAdapter[Agc] = TypeAdapter(Agc)
 
 
-def agc_from_json(data: Mapping[str, Any]) -> Agc:
+def agc_from_json(data: Mapping[str, object]) -> Agc:
     """Return the AGC that `model_dump` gave; a `ValidationError` for values that are none."""
     return _ADAPTER.validate_python(dict(data))
 

@@ -66,7 +66,7 @@ LENS = frozenset({"model", "pixel_pitch_um", "focal_length_mm", "sensor_width_mm
 """Fields of a recipe's camera that state its lens."""
 
 
-def with_optics(camera: Mapping[str, Any]) -> dict[str, Any]:
+def with_optics(camera: Mapping[str, object]) -> dict[str, object]:
     """Return a camera's plain data with the focal length and sensor width that its model, or pixel pitch, gives.
 
     Raises:
@@ -76,24 +76,25 @@ def with_optics(camera: Mapping[str, Any]) -> dict[str, Any]:
     model = found.get("model")
     pitch_um = found.get("pixel_pitch_um")
     size = found.get("size_px", (640, 512))
+    width_px = size[0] if isinstance(size, list | tuple) and size else None
     given: dict[str, float] = {}
     if isinstance(model, str) and model in OPTICS:
         optics = OPTICS[cast(CameraModel, model)]
         given = {"focal_length_mm": optics.focal_length_mm, "sensor_width_mm": optics.sensor_width_mm}
-    elif _is_number(pitch_um) and isinstance(size, list | tuple) and size and _is_number(size[0]):
-        given = {"sensor_width_mm": round(pitch_um * size[0] / 1000, 6)}
+    elif _is_number(pitch_um) and _is_number(width_px):
+        given = {"sensor_width_mm": round(pitch_um * width_px / 1000, 6)}
     if model is not None and pitch_um is not None:
         raise ValueError("found both model and pixel_pitch_um")
     for name, value in given.items():
         other = found.get(name, value)
         if _is_number(other) and not math.isclose(other, value, rel_tol=1e-6):
-            source = f"model {model}" if model is not None else f"pixel_pitch_um {pitch_um:g} on {size[0]} pixels"
+            source = f"model {model}" if model is not None else f"pixel_pitch_um {pitch_um:g} on {width_px} pixels"
             raise ValueError(f"found {name} {other:g}, but {source} gives {value:g}")
         found[name] = value
     return found
 
 
-def prefer_stated_optics(camera: dict[str, Any], stated: Set[str]) -> str | None:
+def prefer_stated_optics(camera: dict[str, object], stated: Set[str]) -> str | None:
     """Remove from a camera what its recipe's file says of the lens and the `stated` settings replace.
 
     Returns:

@@ -73,7 +73,7 @@ def read_text(shipped: ShippedFiles, named: str | Path) -> tuple[str, Path | Non
         ) from error
 
 
-def parse_mapping(text: str, what: str, docs: str) -> dict[str, Any]:
+def parse_mapping(text: str, what: str, docs: str) -> dict[str, object]:
     """Return the fields in the YAML text of a file; `docs` is the page that explains them.
 
     Raises:
@@ -171,7 +171,7 @@ def parse_recipe(text: str, where: str, settings: Settings = (), folder: Path | 
     return LoadedRecipe(found, tuple(dropped), tuple(kept))
 
 
-def _complete_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]], problems: list[Problem]) -> None:
+def _complete_lens(data: dict[str, object], pairs: Sequence[tuple[str, Any]], problems: list[Problem]) -> None:
     """Fill in the lens that a camera's model or pixel pitch means; one that settings state replaces that of the file.
 
     It also counts more than the field of view of the pictures' own files. A `field_of_view` of the recipe's file does
@@ -192,7 +192,7 @@ def _complete_lens(data: dict[str, Any], pairs: Sequence[tuple[str, Any]], probl
         problems.append(Problem("camera", "recipe-value", str(error), "one statement of the lens"))
 
 
-def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tuple[list[Problem], list[Problem]]:
+def _change_modes(data: dict[str, object], pairs: Sequence[tuple[str, Any]]) -> tuple[list[Problem], list[Problem]]:
     """Drop the fields that have no meaning in the modes that the settings choose; the settings' own stay, as errors.
 
     Returns:
@@ -207,7 +207,7 @@ def _change_modes(data: dict[str, Any], pairs: Sequence[tuple[str, Any]]) -> tup
     return drop_fields_of_other_modes(data, old, new), kept_camera_warnings(result, pairs, old, new)
 
 
-def _make_paths_whole(data: Mapping[str, Any], folder: Path) -> None:
+def _make_paths_whole(data: Mapping[str, object], folder: Path) -> None:
     """Replace paths of models, of a sensor profile and of masks, which are relative to a folder, by whole paths.
 
     The record of a run has the whole path, so that the run can be used from any folder.
@@ -231,7 +231,7 @@ def whole_path(folder: Path, named: str) -> str:
     return str(real_path(path.parent) / path.name)
 
 
-def _read_profile(data: dict[str, Any]) -> None:
+def _read_profile(data: dict[str, object]) -> None:
     """Replace the path of a sensor profile by the profile's fields, so that a run depends on no further file."""
     sensor = data.get("sensor")
     if not isinstance(sensor, dict):
@@ -272,7 +272,7 @@ def _pairs(settings: Settings, problems: list[Problem]) -> list[tuple[str, Any]]
     return pairs
 
 
-def _set(data: dict[str, Any], key: str, value: Any, problems: list[Problem]) -> None:
+def _set(data: dict[str, object], key: str, value: Any, problems: list[Problem]) -> None:
     """Put `value` at a dotted key and add mappings on the way; `objects.0.model` leads to the first item of a list."""
     node: Any = data
     *above, last = key.split(".")

@@ -81,7 +81,7 @@ _RECIPES: Mapping[tuple[str, str], type[Recipe]] = {
 }
 
 
-def modes_of(data: Mapping[str, Any]) -> Modes:
+def modes_of(data: Mapping[str, object]) -> Modes:
     """Return the modes of a recipe's plain data; an unknown mode counts as the default one."""
     words = []
     for key, choices in CHOICES.items():
@@ -94,7 +94,7 @@ def modes_of(data: Mapping[str, Any]) -> Modes:
     return Modes(words[0], words[1], "off" if off else "on", RADIOMETRIC if radiometric and fits else "grey")
 
 
-def wrong_modes(data: Mapping[str, Any]) -> list[Problem]:
+def wrong_modes(data: Mapping[str, object]) -> list[Problem]:
     """Return one problem per mode that is none of the choices."""
     found = []
     for key, choices in CHOICES.items():
@@ -148,7 +148,7 @@ def fields_of(modes: Modes) -> frozenset[Field]:
     return frozenset((section, field) for section, c in sections_of(modes).items() for field in c.model_fields)
 
 
-def drop_fields_of_other_modes(data: dict[str, Any], old: Modes, new: Modes) -> list[Problem]:
+def drop_fields_of_other_modes(data: dict[str, object], old: Modes, new: Modes) -> list[Problem]:
     """Remove the fields of `data` that have a meaning in the modes `old` and none in `new`.
 
     Returns:
@@ -171,7 +171,7 @@ def stated_camera_fields(settings: Iterable[tuple[str, Any]]) -> set[str]:
 
 
 def kept_camera_warnings(
-    data: Mapping[str, Any], settings: Iterable[tuple[str, Any]], old: Modes, new: Modes
+    data: Mapping[str, object], settings: Iterable[tuple[str, Any]], old: Modes, new: Modes
 ) -> list[Problem]:
     """Return warnings about the lens and the roll of a camera that was chosen for the other placement mode.
 
@@ -247,12 +247,12 @@ def all_modes() -> Iterator[Modes]:
         yield Modes(*RADIOMETRIC_NEEDS, sensor, RADIOMETRIC)
 
 
-def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+def _section(data: Mapping[str, object], name: str) -> Mapping[str, object]:
     section = data.get(name)
     return section if isinstance(section, Mapping) else {}
 
 
-def _sections(data: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _sections(data: dict[str, object]) -> Iterator[tuple[str, str, dict[str, object]]]:
     """Yield each mapping of fields with its section and its dotted name; each item of `objects` is one."""
     for section, values in data.items():
         if isinstance(values, dict):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from infrablend.core.capture import FACTS
 from infrablend.errors import UnknownFormatError
@@ -67,7 +67,7 @@ class Writer:
     name: str
     title: str
     lacks: frozenset[str] = frozenset()
-    fixed: Mapping[str, Any] = field(default_factory=dict)
+    fixed: Mapping[str, object] = field(default_factory=dict)
     takes: frozenset[str] = frozenset()
     layout: Layout = "nested"
     table: str = ""

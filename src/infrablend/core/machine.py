@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import psutil
 
@@ -26,7 +26,7 @@ _CORE_LOCKS: list[int] = []
 
 
 @cache
-def describe_machine() -> dict[str, Any]:
+def describe_machine() -> dict[str, object]:
     """Return processor, cores, memory, operating system and Python version as plain JSON values."""
     return {
         "processor": processor_name(),

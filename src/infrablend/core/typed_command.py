@@ -49,7 +49,7 @@ def set_typed_command(words: Sequence[str]) -> None:
     _typed.set(tuple(words))
 
 
-def command_facts() -> dict[str, Any]:
+def command_facts() -> dict[str, dict[str, object]]:
     """Return the part of a record that holds the command line of this call; empty if there is none, as in Python."""
     words = [w for w in _typed.get() if w not in _LEFT_OUT]
     if not words or words[0] not in _FLAGS:
@@ -62,7 +62,7 @@ def command_facts() -> dict[str, Any]:
     return {COMMAND: {"words": words, "folder": folder}}
 
 
-def recorded_command(record: Mapping[str, Any] | None, root: Path, shard: str | None = None) -> str | None:
+def recorded_command(record: Mapping[str, object] | None, root: Path, shard: str | None = None) -> str | None:
     """Return the command that finishes a folder, ready for a shell; None if its record does not hold one.
 
     Args:

@@ -166,12 +166,12 @@ def _errors_of_intended_member(
         return next(iter(members.values()))
     if not isinstance(value, Mapping):
         return None
-    fitting = [
-        m
-        for m in members.values()
-        if any(len(path) > len(at) for path, _ in m)
-        and not any(e["type"] in {"extra_forbidden", "missing"} for _, e in m)
-    ]
+    fitting = []
+    for errors in members.values():
+        reaches_inside = any(len(path) > len(at) for path, _ in errors)
+        has_other_fields = any(e["type"] in {"extra_forbidden", "missing"} for _, e in errors)
+        if reaches_inside and not has_other_fields:
+            fitting.append(errors)
     return fitting[0] if len(fitting) == 1 else None
 
 

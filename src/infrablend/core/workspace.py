@@ -27,7 +27,7 @@ import shutil
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from infrablend import __version__
 from infrablend.core.addresses import require_folder
@@ -88,7 +88,7 @@ class Workspace:
         """Folder to write in, whether it is there or not."""
         return partial_of(self.out)
 
-    def finish(self, facts: Mapping[str, Any]) -> None:
+    def finish(self, facts: Mapping[str, object]) -> None:
         """Write the record with these facts, the last file; the folder gets its name at the end of the `with` block."""
         (self.folder / self.record).unlink(missing_ok=True)
         left_out = {*_OWN, *self.foreign}

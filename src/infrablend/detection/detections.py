@@ -108,7 +108,7 @@ class Predictions:
     classes: tuple[str, ...]
     images: Mapping[str, Detections]
     sizes_wh: Mapping[str, tuple[int, int]]
-    facts: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, object] = field(default_factory=dict)
 
 
 def write_predictions(path: Path, predictions: Predictions) -> Path:
@@ -124,7 +124,7 @@ def write_predictions(path: Path, predictions: Predictions) -> Path:
         images.append({"id": number, "file_name": key, "width": width, "height": height})
         boxes = np.round(np.concatenate([one.boxes_xyxy[:, :2], one.boxes_xyxy[:, 2:] - one.boxes_xyxy[:, :2]], 1), 3)
         for k in range(len(one)):
-            row: dict[str, Any] = {
+            row: dict[str, object] = {
                 "image_id": number,
                 "category_id": int(one.classes[k]) + 1,
                 "bbox": boxes[k].tolist(),

@@ -62,7 +62,7 @@ class Detector:
     channels: int
     stride: int
     scale: Scale
-    facts: dict[str, Any]
+    facts: dict[str, object]
     agc: Agc | None = None
 
     def __call__(self, x: Any) -> Any:

@@ -69,7 +69,7 @@ def quiet_ultralytics() -> Iterator[None]:
         LOGGER.setLevel(before)
 
 
-def wrong_arguments(arguments: Mapping[str, Any]) -> str:
+def wrong_arguments(arguments: Mapping[str, object]) -> str:
     """Return Ultralytics' error message about training arguments; empty if they are valid or cannot be checked."""
     with quiet_ultralytics():
         try:

@@ -135,11 +135,17 @@ def _rows(glyphs: list[_Glyph]) -> list[list[_Glyph]]:
 
 def _text(grey: NDArray[np.float32]) -> list[_Box]:
     """Return the boxes around the rows of glyphs that are brighter than their surroundings."""
-    rows = [row for stroke in _STROKES_PX for glyphs in _glyphs(grey, stroke) for row in _rows(glyphs)]
-    return [
-        (min(g.x for g in row), min(g.y for g in row), max(g.x + g.w for g in row), max(g.y + g.h for g in row))
-        for row in rows
-    ]
+    rows: list[list[_Glyph]] = []
+    for stroke in _STROKES_PX:
+        for glyphs in _glyphs(grey, stroke):
+            rows += _rows(glyphs)
+    return [_box_around(row) for row in rows]
+
+
+def _box_around(glyphs: list[_Glyph]) -> _Box:
+    left, top = min(g.x for g in glyphs), min(g.y for g in glyphs)
+    right, bottom = max(g.x + g.w for g in glyphs), max(g.y + g.h for g in glyphs)
+    return left, top, right, bottom
 
 
 def _lines(grey: NDArray[np.float32]) -> list[NDArray[np.bool_]]:

@@ -264,7 +264,7 @@ def _step(a: Moment, b: Moment) -> float:
     return float(np.linalg.norm(moved(origin, a.to_first) - moved(origin, b.to_first)))
 
 
-def moment_to_json(moment: Moment) -> dict[str, Any]:
+def moment_to_json(moment: Moment) -> dict[str, object]:
     """Return plain JSON values, rounded to far less than their errors."""
     facts = asdict(moment)
     facts["to_first"] = [float(f"{v:.9g}") for v in moment.to_first.ravel().tolist()]

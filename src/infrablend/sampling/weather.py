@@ -111,5 +111,6 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
             source = "computed"
         elif frame.capture.time_from != "recipe":
             source = "contradicted"
-    direct, diffuse = (low_irradiance if is_low else irradiance)(elevation, cloud)
+    irradiance_of = low_irradiance if is_low else irradiance
+    direct, diffuse = irradiance_of(elevation, cloud)
     return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)

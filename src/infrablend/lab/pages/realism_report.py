@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from infrablend.annotation.measured_looseness import BoxFactor
+from infrablend.annotation.measured_looseness import BoxFigures, FiguresAgainst
 from infrablend.compositing.object_contrast import SlopeFigures
 from infrablend.core.rng import stream
 from infrablend.lab.realism.class_comparison import ClassComparison
@@ -303,14 +303,14 @@ def check_table(contrasts: TimedContrasts) -> Table:
     return Table(["", "real", "inserted", "found", "required", "holds"], rows)
 
 
-def looseness_table(rows: Mapping[str, Mapping[str, BoxFactor | None]]) -> Table:
+def looseness_table(rows: Mapping[str, Mapping[str, BoxFigures | FiguresAgainst | None]]) -> Table:
     """Return the factors of real and inserted boxes, and of real against inserted ones, each with its number."""
     keys = (*SIDES, "real_against_inserted")
     cells = [[name, *(cell for key in keys for cell in _factor_cells(boxes[key]))] for name, boxes in rows.items()]
     return Table(["", "real", "boxes", "inserted", "boxes", "real against inserted", "boxes"], cells)
 
 
-def _factor_cells(found: BoxFactor | None) -> list[str]:
+def _factor_cells(found: BoxFigures | FiguresAgainst | None) -> list[str]:
     if found is None:
         return ["-", "-"]
     ends = f"{found['ci'][0]:.2f} to {found['ci'][1]:.2f}"

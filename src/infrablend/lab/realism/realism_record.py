@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal, NotRequired, TypedDict
 
-from infrablend.annotation.measured_looseness import BoxFactor
+from infrablend.annotation.measured_looseness import BoxFigures, FiguresAgainst
 from infrablend.compositing.object_contrast import SlopeFigures
 
 Medians = Mapping[str, float | None]
@@ -146,7 +146,7 @@ class ClassFacts(FloorScores):
     invalid_because: NotRequired[Sequence[str]]
     contrast: NotRequired[Mapping[str, TimeContrast]]
     contrast_as_written: NotRequired[Mapping[str, TimeContrast]]
-    box_looseness: NotRequired[Mapping[str, BoxFactor | None]]
+    box_looseness: NotRequired[Mapping[str, BoxFigures | FiguresAgainst | None]]
     left_out: NotRequired[Mapping[str, Mapping[str, int]]]
 
 

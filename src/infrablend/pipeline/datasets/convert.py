@@ -23,7 +23,7 @@ from infrablend.formats.losses import by_class
 from infrablend.formats.pictures.listing import with_sizes
 from infrablend.formats.write_settings import WriteSettings
 from infrablend.pipeline.datasets.origin import AT_MOST, invalid_texts, loosened_before, origin_of, renamed_texts
-from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection
+from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SelectionFacts
 from infrablend.pipeline.datasets.select import select
 from infrablend.report.card import dataset_card, write_card, written_layout
 
@@ -110,7 +110,7 @@ def convert_dataset(
     fault = writing.unwritable(writer.name, images, settings)
     if fault is not None:
         raise DatasetError(f"{dataset.root}: the ids cannot be kept", [fault])
-    counts: dict[str, Any] = {
+    counts: dict[str, object] = {
         "images": len(images),
         "images_per_split": dict(Counter(i.split for i in images)),
         "labels": _per_class(images),
@@ -128,10 +128,12 @@ def convert_dataset(
         except ValueError as error:  # a label that the format does not allow
             raise DatasetError(f"{dataset.root}: cannot be written as {writer.name}: {error}") from error
         problems += written.problems
-        counts["labels"] = by_class(written.kept(images))
+        kept = by_class(written.kept(images))
+        counts["labels"] = kept
         if written.left_out:
-            counts["labels_lost"] = by_class(written.left_out)
-            problems += _lost_classes(dataset, writer.name, counts)
+            lost = by_class(written.left_out)
+            counts["labels_lost"] = lost
+            problems += _lost_classes(dataset, writer.name, lost, kept)
         changes = _changes(writer.name, classes.rename, chosen, problems)
         for name, n in earlier.items():
             up_to = "Up to " if name == AT_MOST else ""
@@ -166,10 +168,10 @@ def convert_dataset(
     return report
 
 
-def _lost_classes(dataset: Dataset, to: str, counts: Mapping[str, Any]) -> list[Problem]:
+def _lost_classes(dataset: Dataset, to: str, lost: Mapping[str, int], kept: Mapping[str, int]) -> list[Problem]:
     """Return an error for each class, except those to ignore, of which the files hold no object any more."""
     ignored = {c.name for c in dataset.categories if c.ignore}
-    gone = {c: n for c, n in counts["labels_lost"].items() if not counts["labels"].get(c) and c not in ignored}
+    gone = {c: n for c, n in lost.items() if not kept.get(c) and c not in ignored}
     expected = f"objects that {to} can hold"
     todo = "write another format, which holds them; see the losses"
     return [Problem(f"class {c}", "class-lost", f"all {n} object(s) left out", expected, todo) for c, n in gone.items()]
@@ -204,7 +206,7 @@ class _Chosen:
     wanted: Dataset
     drop: Sequence[str]
     dropped: Mapping[str, int]
-    selection: Mapping[str, Any] | None
+    selection: SelectionFacts | None
 
 
 def _choose(dataset: Dataset, classes: ClassChanges, selection: Selection) -> _Chosen:
@@ -221,7 +223,7 @@ def _choose(dataset: Dataset, classes: ClassChanges, selection: Selection) -> _C
     if classes.only is not None:
         _require_classes(renamed, [classes.only], "--only-class")
         drop = [c.name for c in renamed.categories if c.name != classes.only]
-    facts: Mapping[str, Any] | None = None
+    facts: SelectionFacts | None = None
     if selection:
         renamed, facts = select(renamed, selection)
     dropped = {k: n for k, n in _per_class(renamed.images).items() if k in set(drop)}

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Literal, NotRequired, TypedDict
 
 from infrablend.core.arguments import require_names
 
@@ -69,9 +69,31 @@ class Selection:
     def __bool__(self) -> bool:
         return self != Selection(seed=self.seed)
 
-    def to_json(self) -> dict[str, object]:
+    def to_json(self) -> SelectionFacts:
         """Return plain JSON values."""
-        return asdict(self) | {"without": sorted(self.without)}
+        return {
+            "with_class": self.with_class,
+            "without": sorted(self.without),
+            "images": self.images,
+            "objects": self.objects,
+            "like": self.like,
+            "seed": self.seed,
+        }
+
+
+class SelectionFacts(TypedDict):
+    """A selection, and what it took and left out, as plain JSON values."""
+
+    with_class: str | None
+    without: list[str]
+    images: int | None
+    objects: int | None
+    like: str | None
+    seed: int
+    left_out: NotRequired[dict[str, int]]
+    objects_taken: NotRequired[int]
+    pictures: NotRequired[int]
+    drawn_again: NotRequired[int]
 
 
 SELECT_ALL = Selection()

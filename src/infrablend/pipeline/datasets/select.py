@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +16,10 @@ from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import sort_images
 from infrablend.formats.pictures.images import load_background
-from infrablend.pipeline.datasets.requests import MOST_COPIES, Selection
+from infrablend.pipeline.datasets.requests import MOST_COPIES, Selection, SelectionFacts
 
 
-def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]]:
+def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, SelectionFacts]:
     """Return the selected part of a dataset, and the facts of the selection with counts of left-out pictures by reason.
 
     The same dataset and selection give the same pictures. Pictures keep their order, their splits and all their labels.
@@ -61,7 +60,7 @@ def select(dataset: Dataset, wanted: Selection) -> tuple[Dataset, dict[str, Any]
     kept = [pool[k] for k in sorted(int(k) for k in taken)]
     if size < len(pool):
         left_out["not drawn"] += len(pool) - size
-    facts: dict[str, Any] = {**wanted.to_json(), "left_out": dict(sorted(left_out.items()))}
+    facts: SelectionFacts = {**wanted.to_json(), "left_out": dict(sorted(left_out.items()))}
     if named is not None:
         facts["objects_taken"] = int(counts[taken].sum())
     return replace(dataset, images=tuple(kept)), facts
@@ -74,7 +73,7 @@ def _select_alike(
     size: int,
     wanted: Selection,
     left_out: Counter[str],
-) -> tuple[Dataset, dict[str, Any]]:
+) -> tuple[Dataset, SelectionFacts]:
     copies = copies_to_match([conditions(i) for i in pool], [conditions(i) for i in like], size, wanted.seed)
     kept = []
     for image, n in zip(pool, copies, strict=True):
@@ -86,7 +85,7 @@ def _select_alike(
             kept.append(replace(image, id=f"{image.id}_again{k}", file_name=again))
     if never := sum(n == 0 for n in copies):
         left_out["not drawn"] += never
-    facts = {
+    facts: SelectionFacts = {
         **wanted.to_json(),
         "left_out": dict(sorted(left_out.items())),
         "pictures": sum(n > 0 for n in copies),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -160,10 +160,7 @@ def split_dataset(
         seed,
         wanted,
         {s: sum(i.split == s for i in images) for s in SPLITS},
-        {
-            n: {s: sum(o.category == n for i in images if i.split == s for o in i.instances) for s in SPLITS}
-            for n in names
-        },
+        _objects_per_split(images, names),
         of_group,
         leakage(dataset.images),
         leakage(images),
@@ -181,6 +178,15 @@ def split_dataset(
             content["counts"] = {**loosened, "labels": dict(sorted(labels.items()))}
         space.finish(content)
     return report
+
+
+def _objects_per_split(images: Sequence[ImageRecord], names: Iterable[str]) -> dict[str, dict[str, int]]:
+    counts: dict[str, dict[str, int]] = {name: dict.fromkeys(SPLITS, 0) for name in names}
+    for image in images:
+        for instance in image.instances:
+            if instance.category in counts:
+                counts[instance.category][image.split] += 1
+    return counts
 
 
 def check_shares(shares: Sequence[float]) -> tuple[float, float, float]:

@@ -123,7 +123,11 @@ def _connected(settings: RaySettings) -> Iterator[tuple[Any, bool]]:
         # Tokens protect clusters from others on the network; this Ray listens to this machine, and ends with the run.
         os.environ.setdefault("RAY_AUTH_MODE", "disabled")
         # `local` also where somebody else has started a Ray on this machine.
-        options: dict[str, Any] = {"address": "local", "num_cpus": settings.workers, "object_store_memory": 100 * 2**20}
+        options: dict[str, object] = {
+            "address": "local",
+            "num_cpus": settings.workers,
+            "object_store_memory": 100 * 2**20,
+        }
         options |= {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
     else:
         options = {"address": address}
@@ -439,7 +443,7 @@ class RayWorker:
 
 
 def _actor_class(ray: Any, settings: RaySettings, own: bool) -> Any:
-    options: dict[str, Any] = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0}
+    options: dict[str, object] = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0}
     if not own:  # whoever started it may have set other variables; workers with an environment of theirs start later
         options["runtime_env"] = {"env_vars": dict(ONE_THREAD)}
     if settings.worker_bytes:

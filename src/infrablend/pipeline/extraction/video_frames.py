@@ -2,27 +2,253 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypedDict
 
 from infrablend.core.files import write_bytes, write_text
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import FRAMES_FILE, replacing, workspace
-from infrablend.errors import ArgumentError
-from infrablend.formats.cameras.flight_log import sample
+from infrablend.errors import ArgumentError, Problem
+from infrablend.formats.cameras.flight_headers import FOR_ALL
+from infrablend.formats.cameras.flight_log import FIELDS, Coverage, Sampled, sample
+from infrablend.formats.cameras.video_log import log_problems, rate_problems, telemetry_of, value_text
 from infrablend.formats.pictures.images import png_bytes
 from infrablend.formats.pictures.video import Frame
+from infrablend.formats.values import number_text
 from infrablend.pipeline.extraction.clips import ClipPlan, FlightFacts, FrameChoice, plan_clips
-from infrablend.pipeline.extraction.extraction_report import (
-    TABLE,
-    FramesReport,
-    WrittenFrame,
-    clip_problems,
-    clip_result,
-    missing_values,
-    table_text,
-    telemetry_rows,
+
+TABLE = "metadata.csv"
+COLUMNS = (
+    "file",
+    "sequence",
+    "captured",
+    "pitch_deg",
+    "altitude_m",
+    "altitude_from",
+    "hfov_deg",
+    "time_of_day",
+    "frame",
+    "time_s",
+    "roll_deg",
+    "yaw_deg",
+    "latitude_deg",
+    "longitude_deg",
 )
+_NEEDED = {
+    "pitch_deg": ("gimbal pitch", "camera.pitch='{fixed_deg: 90}'"),
+    "altitude_m": ("height", "camera.altitude='{fixed_m: 60}'"),
+    "hfov_deg": ("field of view", "camera.focal_length_mm=40"),
+}
+
+
+@dataclass(frozen=True)
+class WrittenFrame:
+    """A frame that has been written.
+
+    Attributes:
+        number: Number of the frame in its video, from 0.
+        time_s: Time in its video.
+        path: Path of the picture in the folder.
+        colour: Whether the picture is in colour.
+    """
+
+    number: int
+    time_s: float
+    path: str
+    colour: bool
+
+
+def telemetry_rows(
+    plan: ClipPlan, written: Sequence[WrittenFrame], sampled: Sampled | None, flight: FlightFacts
+) -> list[dict[str, str]]:
+    """Return the rows of the frames of one video, by column."""
+    rows = []
+    for k, frame in enumerate(written):
+        row = {
+            "file": frame.path,
+            "sequence": plan.sequence,
+            "time_of_day": flight.time_of_day or "",
+            "frame": str(frame.number),
+            "time_s": number_text(round(frame.time_s, 6)),
+            "hfov_deg": "" if flight.hfov_deg is None else f"{flight.hfov_deg:g}",
+        }
+        if sampled is not None:
+            stated = telemetry_of(sampled, k)
+            row |= stated | {"time_of_day": flight.time_of_day or stated["time_of_day"]}
+        rows.append(row)
+    return rows
+
+
+def table_text(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return the table as CSV."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+class VideoFacts(TypedDict):
+    """What a video's file says, as plain JSON values."""
+
+    size_wh: list[int]
+    codec: str
+    frames: int
+    duration_s: float
+    variable_rate: bool
+    shortest_step_s: float
+    longest_step_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """Result of one video.
+
+    Attributes:
+        video: The file.
+        sequence: Name of its sequence.
+        facts: Size, codec, frames and times.
+        frames: Number of frames extracted.
+        colour: Number of those in colour.
+        log: Name, kind and match of the log; empty without one.
+        coverage: How well the log covers the extracted frames; None without a log.
+        known: Number of frames with a value, per field.
+    """
+
+    video: Path
+    sequence: str
+    facts: VideoFacts
+    frames: int
+    colour: int
+    log: Mapping[str, str]
+    coverage: Coverage | None
+    known: Mapping[str, int]
+
+    def to_json(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        return {
+            "video": self.video.name,
+            "sequence": self.sequence,
+            **self.facts,
+            "extracted": self.frames,
+            "colour": self.colour,
+            "log": dict(self.log),
+            "coverage": None if self.coverage is None else self.coverage.to_json(),
+            "known": dict(self.known),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class FramesReport:
+    """Result of an extraction.
+
+    Attributes:
+        out: Folder that was written.
+        clips: Result per video.
+        problems: Faults of videos and logs, and missing values.
+    """
+
+    out: Path
+    clips: tuple[Clip, ...]
+    problems: tuple[Problem, ...] = field(default=())
+
+    @property
+    def ok(self) -> bool:
+        """True if every frame could be decoded."""
+        return not any(p.severity == "error" for p in self.problems)
+
+    def to_json(self) -> dict[str, object]:
+        """Return plain JSON values."""
+        return {
+            "ok": self.ok,
+            "frames": sum(c.frames for c in self.clips),
+            "clips": [c.to_json() for c in self.clips],
+            "problems": [p.to_json() for p in self.problems],
+        }
+
+
+def clip_result(
+    plan: ClipPlan, written: Sequence[WrittenFrame], sampled: Sampled | None, hfov_deg: float | None
+) -> Clip:
+    """Return the result of one video."""
+    video = plan.video
+    timeline = plan.video.timeline
+    shortest, longest = timeline.steps_s
+    facts: VideoFacts = {
+        "size_wh": list(video.size_wh),
+        "codec": video.codec,
+        "frames": len(timeline.times_s),
+        "duration_s": round(timeline.duration_s, 3),
+        "variable_rate": timeline.varies,
+        "shortest_step_s": round(shortest, 4),
+        "longest_step_s": round(longest, 4),
+    }
+    log: dict[str, str] = {}
+    known: dict[str, int] = {} if hfov_deg is None else {"hfov_deg": len(written)}
+    if plan.aligned is not None and sampled is not None:
+        log = {
+            "name": plan.aligned.log.name,
+            "kind": plan.aligned.log.dialect,
+            "matched_by": plan.aligned.by,
+            "height": plan.aligned.log.height,
+        }
+        for name in FIELDS:
+            column = sampled.values.get(name)
+            known[name] = 0 if column is None else sum(bool(value_text(name, float(v))) for v in column)
+        known["captured"] = sum(c is not None for c in sampled.captured)
+    colour = sum(f.colour for f in written)
+    coverage = None if sampled is None else sampled.coverage
+    return Clip(video.path, plan.sequence, facts, len(written), colour, log, coverage, known)
+
+
+def clip_problems(plan: ClipPlan, written: Sequence[WrittenFrame], sampled: Sampled | None) -> list[Problem]:
+    """Return the faults of one video and its log."""
+    where = plan.video.path.name
+    problems = [*plan.remarks, *plan.video.problems()]
+    lost = len(plan.numbers) - len(written)
+    if lost:
+        found = f"{lost} of {len(plan.numbers)} chosen frame(s) cannot be decoded"
+        problems.append(Problem(where, "frames-lost", found, "an intact video", "copy the file from the card again"))
+    colour = sum(f.colour for f in written)
+    if colour:
+        found = f"{colour} of {len(written)} frame(s) in colour, written as RGB"
+        todo = "record with a grey palette (white hot); colours of a palette are no temperatures"
+        problems.append(Problem(where, "image-colour", found, "a thermal video in grey", todo, "warning"))
+    problems += rate_problems(where, plan.video.timeline)
+    if plan.aligned is not None and sampled is not None:
+        todo = "check --offset and --log-start, or cut the video with --start and --end"
+        problems += log_problems(plan.aligned, sampled, todo)
+    return problems
+
+
+def _joined(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def missing_values(clips: Sequence[Clip]) -> list[Problem]:
+    """Return one warning per video that names all values that recipes need and the table lacks."""
+    problems = []
+    for clip in clips:
+        lacking = [name for name in _NEEDED if not clip.known.get(name)]
+        if not lacking:
+            continue
+        names = _joined([_NEEDED[name][0] for name in lacking])
+        source = f"no {names} in {clip.log['name']}" if clip.log else f"no log beside or in the video: no {names}"
+        options = []
+        if "hfov_deg" in lacking:
+            options.append("--hfov DEGREES")
+        if lacking != ["hfov_deg"]:
+            options.append("a log that has it (--log)")
+        settings = " ".join(f"--set {_NEEDED[name][1]}" for name in lacking)
+        todo = f"give {' and '.join(options)}, or set it in the recipe: {settings}"
+        if any(other.known.get(name) for other in clips for name in lacking):
+            todo += FOR_ALL
+        problems.append(Problem(clip.video.name, "telemetry-missing", source, names, todo, "warning"))
+    return problems
 
 
 def extract_frames(

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal, TypedDict, cast
 
 from infrablend.core.arguments import require_names
 from infrablend.core.file_names import real_path
@@ -142,7 +142,7 @@ class FetchRequest:
         return self.url is not None or self.archive is not None
 
 
-FETCH_ALL = FetchRequest()
+FETCH_ALL: FetchRequest = FetchRequest()
 """The default: every part, from its published address."""
 
 
@@ -216,7 +216,7 @@ def _wanted(source: Source, request: FetchRequest) -> list[Archive]:
     return wanted
 
 
-def _known(source: Source, out: Path) -> dict[str, Any]:
+def _known(source: Source, out: Path) -> dict[str, _PartFacts]:
     """Return the facts of the parts that an earlier call fetched to `out`, by part.
 
     Raises:
@@ -230,7 +230,7 @@ def _known(source: Source, out: Path) -> dict[str, Any]:
             f"{out}: holds {record.get('name') or 'something else'} (says its {SOURCE_FILE}), not {source.name}; give "
             "another folder"
         )
-    return {part: facts for part, facts in record["archives"].items() if isinstance(facts, dict)}
+    return {part: cast(_PartFacts, facts) for part, facts in record["archives"].items() if isinstance(facts, dict)}
 
 
 def _missing(source: Source, out: Path, wanted: Sequence[Archive]) -> list[Archive]:
@@ -262,9 +262,24 @@ def _link_tree(source: Path, target: Path) -> None:
         raise OutputError(f"{target}: cannot be written ({error}); expected a folder with free space") from error
 
 
+class _PartFacts(TypedDict):
+    """Provenance of a part, as plain JSON values; `places` are its files and folders at the top of the output."""
+
+    url: str | None
+    file: str
+    size_bytes: int
+    sha256: str
+    files: int
+    unpacked_bytes: int
+    commit: str | None
+    differs: list[str]
+    fetched: str
+    places: list[str]
+
+
 @dataclass(frozen=True)
 class _Part:
-    facts: dict[str, Any]
+    facts: _PartFacts
     problems: list[Problem]
 
 
@@ -288,7 +303,7 @@ def _fetch_part(
     unpacked = unpack(file, work / a.part, show("unpack"))
     content = without_wrapper(work / a.part)
     problems += _check_content(source, a, request, file.name, content, unpacked.commit)
-    facts = {
+    facts: _PartFacts = {
         "url": url,
         "file": file.name,
         "size_bytes": file.stat().st_size,

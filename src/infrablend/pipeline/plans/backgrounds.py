@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -83,7 +82,7 @@ def is_ground(source: ImageRecord, recipe: Recipe) -> bool:
     return recipe.camera.horizon is None and shows_ground(source)
 
 
-def background_facts(source: ImageRecord, background: Background, data_root: Path) -> dict[str, Any]:
+def background_facts(source: ImageRecord, background: Background, data_root: Path) -> dict[str, object]:
     """Return the facts about the background for a frame's record; without a file, the digest is that of its pixels."""
     if source.path.is_file():
         digest = sha256_of(real_path(source.path))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from typing import Any
 
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.sampling.scene_sampler import mean_objects
@@ -32,7 +31,7 @@ _BYTES_PER_OBJECT = 10_000
 
 def estimate_run(
     plan: RunPlan, workers: int, shards: int | None = None, price_per_core_hour: float | None = None
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Estimate frames, disk space, time and cost of a run on idle machines.
 
     Args:
@@ -59,7 +58,7 @@ def estimate_run(
     start_s = begin_s + READ_PICTURE_S * (len(plan.sample) if plan.needs_levels else 0)
     labels_s = frames * WRITE_LABELS_S * max(1, len(recipe.output.formats))
     core_hours = (workers * begin_s * (shards or 1) + frames * frame_cpu_s + labels_s) / 3600
-    found: dict[str, Any] = {
+    found: dict[str, object] = {
         "backgrounds": len(plan.dataset.images),
         "frames": frames,
         "frames_per_split": dict(Counter(f.background.split for f in plan.frames)),

@@ -115,7 +115,7 @@ class RunPlan:
     key: Mapping[str, Any]
     ignored: tuple[str, ...] = ()
     sample: tuple[ImageRecord, ...] = ()
-    request: Mapping[str, Any] = field(default_factory=dict)
+    request: Mapping[str, object] = field(default_factory=dict)
     levels: tuple[float, float] | None = None
     shard: Shard | None = None
     run: str = ""

@@ -30,7 +30,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import IN_COLOUR, Background, load_background
 from infrablend.pipeline.datasets.origin import count_loosened, loosened_before
 from infrablend.pipeline.plans.levels import require_one_depth
-from infrablend.pipeline.studies.profile_objects import annotated_pictures, object_figures, read_objects
+from infrablend.pipeline.studies.profile_objects import ObjectFigures, annotated_pictures, object_figures, read_objects
 from infrablend.report.profile_plots import draw_profile
 
 # Percentiles of the used range of levels without a few stray pixels, as in `compositing.mapping.measure_levels`.
@@ -62,7 +62,7 @@ class ProfileReport:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]
     problems: tuple[Problem, ...]
-    objects: Mapping[str, Any]
+    objects: ObjectFigures
 
     def to_json(self) -> dict[str, object]:
         """Return plain JSON values."""
@@ -296,7 +296,7 @@ def _require_exact(rendered: Dataset) -> None:
         raise DatasetError(f"{rendered.root}: the exact boxes of inserted objects are not known", [unknown])
 
 
-def _not_compared(rendered: Dataset, objects: Mapping[str, Any]) -> list[Problem]:
+def _not_compared(rendered: Dataset, objects: ObjectFigures) -> list[Problem]:
     """Return a warning if a run has too few inserted objects to correct the looseness of some annotated class."""
     given = Counter(o.category for i in rendered.images for o in i.instances if o.inserted)
     lacking = [c for c, boxes in objects["box_looseness"].items() if not boxes.get("against_rendered")]

@@ -5,13 +5,20 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TypedDict
 
 import numpy as np
 
 from infrablend.annotation.looseness import tighten_image
-from infrablend.annotation.measured_looseness import BoxExtent, box_extent, looseness, looseness_against
-from infrablend.compositing.object_contrast import TIMES, ObjectContrast, bound_local_share, eight_bit, object_contrast
+from infrablend.annotation.measured_looseness import BoxExtent, BoxFigures, box_extent, looseness, looseness_against
+from infrablend.compositing.object_contrast import (
+    TIMES,
+    LocalShareBound,
+    ObjectContrast,
+    bound_local_share,
+    eight_bit,
+    object_contrast,
+)
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.pictures.images import load_background
@@ -82,7 +89,14 @@ def read_objects(
     return found
 
 
-def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = None) -> dict[str, Any]:
+class ObjectFigures(TypedDict):
+    """Figures of a dataset's annotated objects, as plain JSON values; see `object_figures`."""
+
+    local_share: dict[str, LocalShareBound]
+    box_looseness: dict[str, BoxFigures]
+
+
+def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = None) -> ObjectFigures:
     """Return the figures of a dataset's annotated objects as plain JSON values.
 
     Args:
@@ -97,7 +111,7 @@ def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = 
     """
     by_daytime = {time: [c for c in annotated.contrasts if c.time_of_day == time] for time in TIMES}
     share = {time: bound for time, of in by_daytime.items() if (bound := bound_local_share(of)) is not None}
-    boxes = {}
+    boxes: dict[str, BoxFigures] = {}
     for category in sorted({e.category for e in annotated.extents}):
         by_time = {time: found for time in TIMES if (found := _looseness(annotated, rendered, category, time))}
         if by_time:
@@ -108,7 +122,7 @@ def object_figures(annotated: ObjectReadings, rendered: ObjectReadings | None = 
 
 def _looseness(
     annotated: ObjectReadings, rendered: ObjectReadings | None, category: str, time: str
-) -> dict[str, Any] | None:
+) -> BoxFigures | None:
     drawn, exact = (
         [e for e in (of.extents if of else ()) if (e.category, e.time_of_day) == (category, time)]
         for of in (annotated, rendered)

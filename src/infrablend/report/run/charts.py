@@ -90,19 +90,19 @@ def histogram(
     return Chart(title, summary, frame_counts(found, title, filters, noun), ticks)
 
 
-def bin_edges(low: float, high: float, bins: int = BINS) -> list[float]:
-    """Return round numbers from below `low` to above `high`, at most `bins` + 2 of them."""
+def bin_edges(low: float, high: float) -> list[float]:
+    """Return round numbers from below `low` to above `high`, at most `BINS` + 2 of them."""
     if low > 0 and high / low > _WIDE:
         exponents = range(math.floor(math.log10(low)), math.floor(math.log10(high)) + 2)
         steps = _GROWING if high / low < 100 else (1.0, 2.0, 5.0) if high / low < 10_000 else (1.0,)
         edges = [float(f"{m * 10.0**e:.6g}") for e in exponents for m in steps]
         first = max(n for n, e in enumerate(edges) if e <= low)
         last = next(n for n, e in enumerate(edges) if e > high)
-        if last - first <= 2 * bins:
+        if last - first <= 2 * BINS:
             return edges[first : last + 1]
     span = max(high - low, abs(low) * 1e-3, 1e-6)
-    power = 10.0 ** math.floor(math.log10(span / bins))
-    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0, 20.0) if m * power * bins >= span)
+    power = 10.0 ** math.floor(math.log10(span / BINS))
+    step = next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0, 20.0) if m * power * BINS >= span)
     start = math.floor(low / step)
     count = max(1, math.floor(high / step) - start + 1)
     return [float(f"{(start + n) * step:.12g}") for n in range(count + 1)]
