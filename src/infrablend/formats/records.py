@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance, Split
+from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.core.mesh import FloatArray
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.annotation_files import read_json, read_text, read_xml
