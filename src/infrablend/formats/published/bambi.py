@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -90,15 +90,6 @@ class _Reading(Findings):
     poses: Mapping[str, Mapping[int, bambi_tracks.Pose]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class _Flight:
-    """What a file says about all frames of its flight."""
-
-    key: str
-    split: Split
-    captured: str | None
-
-
 def read(
     root: Path,
     *,
@@ -160,24 +151,23 @@ def _read_flight(state: _Reading, path: Path) -> Iterator[ImageRecord]:
     # The first valid date in the folder names of the flight's origin.
     dates = (iso_date(*found.groups()) for found in _DATE.finditer(str(top.get("flight_info"))))
     key = str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:]))
-    flight = _Flight(key, split, next((d for d in dates if d), None))
+    flight = Capture(sequence=key, captured=next((d for d in dates if d), None))
     for number, frame in frames.items():
         state.counts["frames"] += 1
-        record = _frame_record(state, flight, frame, f"{path.name}: frame {number}")
+        record = _frame_record(state, split, flight, frame, f"{path.name}: frame {number}")
         if record is not None:
             yield record
 
 
-def _frame_record(state: _Reading, flight: _Flight, frame: object, where: str) -> ImageRecord | None:
-    """Return the record of a frame, or None with a problem if its entry or picture cannot be used."""
+def _frame_record(state: _Reading, split: Split, flight: Capture, frame: object, where: str) -> ImageRecord | None:
+    """Return the record of a frame of a flight; None, with a problem, if its entry or picture cannot be used."""
     entry: Mapping[str, object] = frame if isinstance(frame, dict) else {}
     annotations = entry.get("annotations")
     problem = check_name(entry.get("thermal_image"), where)
-    if problem is None and not isinstance(annotations, list):
-        expected = "a list of annotations"
-        problem = Problem(where, "annotation-layout", "no list of annotations", expected, "fetch the file again")
     if problem is not None or not isinstance(annotations, list):
-        state.problems += [problem] if problem else []
+        expected = "a list of annotations"
+        todo = "fetch the file again"
+        state.problems.append(problem or Problem(where, "annotation-layout", "no list of annotations", expected, todo))
         return None
     name, path, problem = state.pictures.find(str(entry["thermal_image"]), where)
     if problem is None and name in state.listed:
@@ -198,9 +188,9 @@ def _frame_record(state: _Reading, flight: _Flight, frame: object, where: str) -
     state.counts["no_animal"] += len(objects) - len(animals)
     state.counts["read"] -= len(objects) - len(animals)
     number = to_int(entry.get("frame_idx"))
-    pose = state.poses.get(flight.key, {}).get(-1 if number is None else number)
-    capture = bambi_tracks.capture_of(pose).over(Capture(sequence=flight.key, captured=flight.captured, frame=number))
-    return ImageRecord("", path, flight.split, size_wh, animals, capture, file_name=name)
+    pose = state.poses.get(flight.sequence or "", {}).get(-1 if number is None else number)
+    capture = bambi_tracks.capture_of(pose).over(replace(flight, frame=number))
+    return ImageRecord("", path, split, size_wh, animals, capture, file_name=name)
 
 
 def _stated(annotation: object) -> Stated:

@@ -136,7 +136,7 @@ def read_flights(found: Findings, wanted: Sequence[Split], *, key_frames: bool) 
 
 def _read_tracks(
     found: Findings, path: Path, poses: Mapping[str, Path], wanted: Sequence[Split], key_frames: bool
-) -> Iterator[ImageRecord]:  # fmt: skip
+) -> Iterator[ImageRecord]:
     flight = path.name.removesuffix(_TRACKS)
     split, start = _facts(found, path.with_name(flight + _METADATA))
     if split not in wanted:
@@ -279,9 +279,16 @@ def _seconds(start: datetime | None, when: datetime | None) -> float | None:
 
 
 def _record(
-    found: Findings, path: Path, split: Split, size_wh: tuple[int, int], flight: str, number: int,
-    objects: Iterable[Instance], pose: Pose | None, start: datetime | None,
-) -> ImageRecord:  # fmt: skip
+    found: Findings,
+    path: Path,
+    split: Split,
+    size_wh: tuple[int, int],
+    flight: str,
+    number: int,
+    objects: Iterable[Instance],
+    pose: Pose | None,
+    start: datetime | None,
+) -> ImageRecord:
     found.counts["frames"] += 1
     found.counts["without_pose"] += pose is None
     day = None if start is None else start.date().isoformat()

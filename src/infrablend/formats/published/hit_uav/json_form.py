@@ -100,9 +100,7 @@ def _read_json_images(
     return pictures
 
 
-def _json_facts(
-    data: FormData, record: Mapping[str, object], where: str
-) -> tuple[Capture, dict[str, object]]:  # fmt: skip
+def _json_facts(data: FormData, record: Mapping[str, object], where: str) -> tuple[Capture, dict[str, object]]:
     """Return when and how a picture was taken (strings in HIT-UAV's rotate_json), and fields to write back."""
     extra: dict[str, object] = {}
     date = record.get("date") or record.get("date_captured")
@@ -121,7 +119,7 @@ def _json_facts(
 
 def _number_in(
     data: FormData, record: Mapping[str, object], key: str, low: float, high: float, where: str
-) -> float | None:  # fmt: skip
+) -> float | None:
     """Return a number of a record in a range; None without it, or with a warning if it is something else."""
     raw = record.get(key)
     if raw in (None, ""):

@@ -212,7 +212,7 @@ def _pairs(ours: Sequence[FormObject], theirs: Sequence[FormObject]) -> list[tup
 
 def _unite_objects(
     united: United, ours: Sequence[FormObject], theirs: Sequence[FormObject], form: Form
-) -> list[FormObject]:  # fmt: skip
+) -> list[FormObject]:
     """Return the objects of two forms; those of the first take what only the other, `form`, states."""
     objects: list[FormObject] = []
     for i, k in _pairs(ours, theirs):

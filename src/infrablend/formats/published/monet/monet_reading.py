@@ -241,9 +241,11 @@ def _own_part(
 
 
 def _leave_out(
-    dataset: _Reading, frames: list[Frame], sequences: Collection[str | tuple[Split, str | None]],
+    dataset: _Reading,
+    frames: list[Frame],
+    sequences: Collection[str | tuple[Split, str | None]],
     option: Literal["exclude", "empty"],
-) -> dict[str, _Excluded]:  # fmt: skip
+) -> dict[str, _Excluded]:
     """Remove sequences (names, or pairs of split and name) from `frames`; report and count them."""
     why = "named in exclude" if option == "exclude" else "no telemetry in any frame"
     out = [f for f in frames if f.sequence in sequences or (f.record.split, f.sequence) in sequences]
