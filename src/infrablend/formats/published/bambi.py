@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
@@ -87,7 +86,7 @@ class _Reading(Findings):
 
     pictures: PictureFolder
     listed: set[str] = field(default_factory=set)
-    poses: Mapping[str, Mapping[int, bambi_tracks.Pose]] = field(default_factory=dict)
+    poses: Mapping[str, Mapping[int, Capture]] = field(default_factory=dict)
 
 
 def read(
@@ -124,8 +123,8 @@ def read(
         path = state.pictures.by_name[name]
         size_wh = state.size(path, f"{_PICTURES}/{name}")
         if size_wh is not None:
-            capture = Capture(pitch_deg=STRAIGHT_DOWN_DEG)
             unsaid = {"labelled": False}
+            capture = bambi_tracks.STRAIGHT_DOWN
             records.append(ImageRecord("", path, "train", size_wh, (), capture, extra=unsaid, file_name=name))
     species = names_of(listed)
     names = [n for n in SPECIES.values() if n in species]
@@ -188,8 +187,9 @@ def _frame_record(state: _Reading, split: Split, flight: Capture, frame: object,
     state.counts["no_animal"] += len(objects) - len(animals)
     state.counts["read"] -= len(objects) - len(animals)
     number = to_int(entry.get("frame_idx"))
-    pose = state.poses.get(flight.sequence or "", {}).get(-1 if number is None else number)
-    capture = bambi_tracks.capture_of(pose).over(replace(flight, frame=number))
+    poses = state.poses.get(flight.sequence or "", {})
+    pose = poses.get(-1 if number is None else number, bambi_tracks.STRAIGHT_DOWN)
+    capture = pose.over(replace(flight, frame=number))
     return ImageRecord("", path, split, size_wh, animals, capture, file_name=name)
 
 

@@ -11,6 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from infrablend.core.boxes import box_iou
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.formats.picture_facts import facts_from_name, pitch_note
@@ -185,21 +186,16 @@ def _pairs(ours: Sequence[FormObject], theirs: Sequence[FormObject]) -> list[tup
         a.category == b.category and _same_place(a, b) for a, b in zip(ours, theirs, strict=True)
     ):
         return [(i, i) for i in range(len(ours))]
-    ranked = []
-    touching = set()
-    for i, a in enumerate(ours):
-        x = a.bounds()
-        for k, b in enumerate(theirs):
-            y = b.bounds()
-            w, h = min(x[2], y[2]) - max(x[0], y[0]), min(x[3], y[3]) - max(x[1], y[1])
-            if i == k and len(ours) == len(theirs) and a.category == b.category and min(w, h) >= -1:
-                touching.add(i)
-            if w <= 0 or h <= 0:
-                continue
-            both = w * h
-            iou = both / ((x[2] - x[0]) * (x[3] - x[1]) + (y[2] - y[0]) * (y[3] - y[1]) - both)
-            if iou >= 0.5:
-                ranked.append((a.category != b.category, -iou, i, k))
+    x = np.array([o.bounds() for o in ours], np.float64).reshape(-1, 4)
+    y = np.array([o.bounds() for o in theirs], np.float64).reshape(-1, 4)
+    iou = box_iou(x, y)
+    ranked = [
+        (ours[i].category != theirs[k].category, -float(iou[i, k]), int(i), int(k)) for i, k in np.argwhere(iou >= 0.5)
+    ]
+    touching: list[int] = []
+    if len(ours) == len(theirs):
+        shared = np.minimum(x[:, 2:], y[:, 2:]) - np.maximum(x[:, :2], y[:, :2])
+        touching = [i for i, o in enumerate(ours) if shared[i].min() >= -1 and o.category == theirs[i].category]
     match: dict[int, int] = {}
     for _, _, i, k in sorted(ranked):
         if i not in match and k not in match.values():
