@@ -60,6 +60,11 @@ OPTIONS = {
 DATABASE = "InfraBlend VOC"
 """Value of `source/database` in our files, which makes HIT-UAV's reader ignore them."""
 
+BOX_FIELDS = ("xmin", "ymin", "xmax", "ymax")
+TURNED_FIELDS = ("cx", "cy", "w", "h", "angle")
+"""Fields of an object's box, upright and oriented."""
+SPLIT_LISTS: Mapping[str, Split] = {s: s for s in SPLITS}
+"""Split by the stem of the list of its pictures."""
 _LABELMAP = "labelmap.txt"
 # Below the root of a file, what tells of the picture, and what only an object has.
 _OF_PICTURE = {"folder", "filename", "path", "source", "owner", "size", "segmented"}
@@ -237,23 +242,31 @@ def _splits(found: Findings, stems: Collection[str]) -> dict[str, Split]:
     """Return the split per stem from the lists in `ImageSets/Main`; empty if there are none."""
     root = found.root
     aside = kept_aside(root)
-    lists = sorted(p for depth in ("", "*/", "*/*/") for p in root.glob(depth + "ImageSets/Main"))
-    folders = [p for p in lists if p.relative_to(root).parts[0] not in aside]
+    places = sorted(p for depth in ("", "*/", "*/*/") for p in root.glob(depth + "ImageSets/Main"))
+    folders = [p for p in places if p.relative_to(root).parts[0] not in aside]
+    if not folders:
+        return {}
+    lists = dict(SPLIT_LISTS)
+    if not (folders[0] / "train.txt").is_file():
+        lists["trainval"] = "train"
+    return read_lists(found, folders[0], stems, lists)
+
+
+def read_lists(
+    found: Findings, folder: Path, stems: Collection[str], lists: Mapping[str, Split] = SPLIT_LISTS
+) -> dict[str, Split]:
+    """Return the split per stem from the lists in a folder `ImageSets/Main`; a stem in two lists is a problem."""
     split_of: dict[str, Split] = {}
-    for folder in folders[:1]:
-        files: list[tuple[str, Split]] = [(s, s) for s in SPLITS]
-        if not (folder / "train.txt").is_file():
-            files.append(("trainval", "train"))
-        for stem, split in files:
-            path = folder / f"{stem}.txt"
-            text = found.text(path, "a list of stems") if path.is_file() else None
-            for line in (text or "").splitlines():
-                # Lists of a single class add 1, 0 or -1 to each stem; some tools do so in all lists.
-                listed = line if line in stems else line.strip()
-                listed = listed if listed in stems else re.sub(r"\s+(-1|0|1)$", "", listed)
-                if listed and split_of.setdefault(listed, split) != split and stem != "trainval":
-                    said = f"{listed!r} is also in {split_of[listed]}, which is used"
-                    found.warn(found.place(path), "split-twice", said, "each stem in one list")
+    for stem, split in lists.items():
+        path = folder / f"{stem}.txt"
+        text = found.text(path, "a list of stems") if path.is_file() else None
+        for line in (text or "").splitlines():
+            # Lists of a single class add 1, 0 or -1 to each stem; some tools do so in all lists.
+            listed = line if line in stems else line.strip()
+            listed = listed if listed in stems else re.sub(r"\s+(-1|0|1)$", "", listed)
+            if listed and split_of.setdefault(listed, split) != split and stem != "trainval":
+                said = f"{listed!r} is also in {split_of[listed]}, which is used"
+                found.warn(found.place(path), "split-twice", said, "each stem in one list")
     return split_of
 
 
@@ -301,11 +314,8 @@ def _object(
     found: Findings, element: Any, where: str, name: str, size_wh: tuple[int, int] | None, from_one: bool
 ) -> Instance | None:
     """Return an object with its box, any oriented box, and flags; None, with a problem, if the box is invalid."""
-    turned = element.find("robndbox")
     boxes = element.findall("bndbox")
-    keys = ("cx", "cy", "w", "h", "angle") if turned is not None else ("xmin", "ymin", "xmax", "ymax")
-    base = turned if turned is not None else next(iter(boxes), None)
-    said = None if base is None else [child_text(base, k) for k in keys]
+    keys, said = box_fields(element)
     values = to_floats(said, len(keys))
     if values is None:
         text = "no bndbox" if said is None else f"box {said}"[:120]
@@ -316,7 +326,7 @@ def _object(
     for _ in element.findall("polygon"):
         found.leave_out("polygon beside a box", where)
     corners = None
-    if turned is not None:
+    if keys == TURNED_FIELDS:
         if not all(math.isfinite(v) and abs(v) < 1e9 for v in values) or values[2] <= 0 or values[3] <= 0:
             code = "box-empty" if all(math.isfinite(v) for v in values) else "box-not-finite"
             expected = "finite numbers, with width and height above 0"
@@ -332,20 +342,40 @@ def _object(
     box = found.box(edges, size_wh, where)
     if box is None:
         return None
-    flags: dict[str, bool | None] = {}
-    for flag in ("truncated", "difficult", "occluded"):
-        value = child_text(element, flag)
-        flags[flag] = None if value is None else to_bool(value)
-        if value and flags[flag] is None:
-            found.warn(where, "flag-value", f"{flag} {value[:40]!r}, which is ignored", "0 or 1")
+    flags = {flag: read_flag(found, element, flag, where) for flag in ("truncated", "difficult", "occluded")}
     extra: dict[str, object] = {} if flags["occluded"] is None else {"occluded": flags["occluded"]}
-    pose = child_text(element, "pose")
-    if pose and pose != "Unspecified":
+    pose = read_pose(element)
+    if pose is not None:
         extra["pose"] = pose
     inserted = to_bool(child_text(element, "inserted")) is True
     return Instance(
         name, box, corners, truncated=flags["truncated"], difficult=flags["difficult"], inserted=inserted, extra=extra
     )
+
+
+def box_fields(element: Any) -> tuple[Sequence[str], list[str | None] | None]:
+    """Return the names of the numbers of an object's box, and what the file says for each; None without a box."""
+    turned = element.find("robndbox")
+    keys = BOX_FIELDS if turned is None else TURNED_FIELDS
+    box = element.find("bndbox") if turned is None else turned
+    return keys, None if box is None else [child_text(box, k) for k in keys]
+
+
+def read_flag(found: Findings, element: Any, flag: str, where: str) -> bool | None:
+    """Return a flag of an object; None without one, or with a warning if it is neither 0 nor 1."""
+    value = child_text(element, flag)
+    if not value:
+        return None
+    flagged = to_bool(value)
+    if flagged is None:
+        found.warn(where, "flag-value", f"{flag} {value[:40]!r}, which is ignored", "0 or 1")
+    return flagged
+
+
+def read_pose(element: Any) -> str | None:
+    """Return the pose of an object; None without one."""
+    pose = child_text(element, "pose")
+    return pose if pose and pose != "Unspecified" else None
 
 
 def _rotation_rad(element: Any) -> float:
@@ -413,9 +443,7 @@ def _xml(image: ImageRecord, known: Mapping[str, int], losses: Counter[str]) -> 
     require_known(image, known)
     for i in image.instances:
         count_dropped(i, losses, "obb", "mask", "visibility", "occlusion boxes")
-        box = "".join(
-            f"<{k}>{number_text(v)}</{k}>" for k, v in zip(("xmin", "ymin", "xmax", "ymax"), i.box_xyxy, strict=True)
-        )
+        box = "".join(f"<{k}>{number_text(v)}</{k}>" for k, v in zip(BOX_FIELDS, i.box_xyxy, strict=True))
         lines += [
             "  <object>",
             f"    <name>{escape(i.category)}</name>",

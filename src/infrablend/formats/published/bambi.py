@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from infrablend.core.camera import STRAIGHT_DOWN_DEG
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance, Split
 from infrablend.core.file_names import leaves_folder
@@ -87,16 +86,7 @@ class _Reading(Findings):
 
     pictures: PictureFolder
     listed: set[str] = field(default_factory=set)
-    poses: Mapping[str, Mapping[int, bambi_tracks.Pose]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _Flight:
-    """What a file says about all frames of its flight."""
-
-    key: str
-    split: Split
-    captured: str | None
+    poses: Mapping[str, Mapping[int, Capture]] = field(default_factory=dict)
 
 
 def read(
@@ -133,8 +123,8 @@ def read(
         path = state.pictures.by_name[name]
         size_wh = state.size(path, f"{_PICTURES}/{name}")
         if size_wh is not None:
-            capture = Capture(pitch_deg=STRAIGHT_DOWN_DEG)
             unsaid = {"labelled": False}
+            capture = bambi_tracks.STRAIGHT_DOWN
             records.append(ImageRecord("", path, "train", size_wh, (), capture, extra=unsaid, file_name=name))
     species = names_of(listed)
     names = [n for n in SPECIES.values() if n in species]
@@ -160,24 +150,23 @@ def _read_flight(state: _Reading, path: Path) -> Iterator[ImageRecord]:
     # The first valid date in the folder names of the flight's origin.
     dates = (iso_date(*found.groups()) for found in _DATE.finditer(str(top.get("flight_info"))))
     key = str(top.get("flight_key") or path.name.removesuffix(_PATTERN[1:]))
-    flight = _Flight(key, split, next((d for d in dates if d), None))
+    flight = Capture(sequence=key, captured=next((d for d in dates if d), None))
     for number, frame in frames.items():
         state.counts["frames"] += 1
-        record = _frame_record(state, flight, frame, f"{path.name}: frame {number}")
+        record = _frame_record(state, split, flight, frame, f"{path.name}: frame {number}")
         if record is not None:
             yield record
 
 
-def _frame_record(state: _Reading, flight: _Flight, frame: object, where: str) -> ImageRecord | None:
-    """Return the record of a frame, or None with a problem if its entry or picture cannot be used."""
+def _frame_record(state: _Reading, split: Split, flight: Capture, frame: object, where: str) -> ImageRecord | None:
+    """Return the record of a frame of a flight; None, with a problem, if its entry or picture cannot be used."""
     entry: Mapping[str, object] = frame if isinstance(frame, dict) else {}
     annotations = entry.get("annotations")
     problem = check_name(entry.get("thermal_image"), where)
-    if problem is None and not isinstance(annotations, list):
-        expected = "a list of annotations"
-        problem = Problem(where, "annotation-layout", "no list of annotations", expected, "fetch the file again")
     if problem is not None or not isinstance(annotations, list):
-        state.problems += [problem] if problem else []
+        expected = "a list of annotations"
+        todo = "fetch the file again"
+        state.problems.append(problem or Problem(where, "annotation-layout", "no list of annotations", expected, todo))
         return None
     name, path, problem = state.pictures.find(str(entry["thermal_image"]), where)
     if problem is None and name in state.listed:
@@ -198,9 +187,10 @@ def _frame_record(state: _Reading, flight: _Flight, frame: object, where: str) -
     state.counts["no_animal"] += len(objects) - len(animals)
     state.counts["read"] -= len(objects) - len(animals)
     number = to_int(entry.get("frame_idx"))
-    pose = state.poses.get(flight.key, {}).get(-1 if number is None else number)
-    capture = bambi_tracks.capture_of(pose).over(Capture(sequence=flight.key, captured=flight.captured, frame=number))
-    return ImageRecord("", path, flight.split, size_wh, animals, capture, file_name=name)
+    poses = state.poses.get(flight.sequence or "", {})
+    pose = poses.get(-1 if number is None else number, bambi_tracks.STRAIGHT_DOWN)
+    capture = pose.over(replace(flight, frame=number))
+    return ImageRecord("", path, split, size_wh, animals, capture, file_name=name)
 
 
 def _stated(annotation: object) -> Stated:

@@ -52,6 +52,8 @@ _METADATA = "_metadata.json"
 _VIDEO = "_matched_processed.mp4"
 _PICTURE = re.compile(r"(\d{1,6})(?:_matched_processed)?_(\d{1,9})", re.ASCII)
 _PICTURE_FOLDERS = ("thermal", "frames/thermal")
+STRAIGHT_DOWN = Capture(pitch_deg=STRAIGHT_DOWN_DEG)
+"""What is known of a frame without a pose."""
 COUNTS = ("flights", "frames", "objects", "read", "no_animal", "interpolated_frames", "without_pose")
 _COLUMNS = "frame, track_id, bb_left, bb_top, bb_width, bb_height, conf, class_id, visibility, species, ..."
 
@@ -97,22 +99,6 @@ def species_of(number: int) -> str | None:
     return next((name for end, name in CLASSES if 0 <= number < end), None)
 
 
-@dataclass(frozen=True)
-class Pose:
-    """Camera of one frame: degrees below the horizon, the local time, ISO 8601, and the second in the flight."""
-
-    pitch_deg: float
-    captured: str | None
-    time_s: float | None
-
-
-def capture_of(pose: Pose | None) -> Capture:
-    """Return what a pose says of its picture; without one, the camera looks straight down."""
-    if pose is None:
-        return Capture(pitch_deg=STRAIGHT_DOWN_DEG)
-    return Capture(pitch_deg=pose.pitch_deg, captured=pose.captured, time_s=pose.time_s)
-
-
 def read_flights(found: Findings, wanted: Sequence[Split], *, key_frames: bool) -> list[ImageRecord]:
     """Read all flights of a folder.
 
@@ -136,9 +122,9 @@ def read_flights(found: Findings, wanted: Sequence[Split], *, key_frames: bool) 
 
 def _read_tracks(
     found: Findings, path: Path, poses: Mapping[str, Path], wanted: Sequence[Split], key_frames: bool
-) -> Iterator[ImageRecord]:  # fmt: skip
+) -> Iterator[ImageRecord]:
     flight = path.name.removesuffix(_TRACKS)
-    split, start = _facts(found, path.with_name(flight + _METADATA))
+    split, day = _facts(found, path.with_name(flight + _METADATA))
     if split not in wanted:
         leave_out([path])
         return
@@ -149,7 +135,7 @@ def _read_tracks(
     }
     found.counts["interpolated_frames"] += len(frames) - len(chosen)
     pictures = _pictures(found, path.parent, flight, sorted(chosen))
-    of_frame = _poses(found, poses.get(flight))
+    flown = _Flight(flight, split, _poses(found, poses.get(flight)), day)
     missing = [n for n in chosen if n not in pictures]
     if missing:
         text = f"no picture for {len(missing)} of {len(chosen)} annotated frame(s)"
@@ -160,18 +146,18 @@ def _read_tracks(
         size_wh = found.size(picture, f"{found.place(path)}: frame {number}")
         if size_wh is not None:
             animals = [(here, o) for here, o in chosen[number] if o.category != NO_ANIMAL]
-            objects = checked(found, animals, size_wh)
-            yield _record(found, picture, split, size_wh, flight, number, objects, of_frame.get(number), start)
+            yield flown.record(found, picture, size_wh, number, animals)
 
 
-def _facts(found: Findings, path: Path) -> tuple[Split, datetime | None]:
-    """Return the split and the start of a flight from its metadata; train and None without."""
+def _facts(found: Findings, path: Path) -> tuple[Split, str | None]:
+    """Return the split and the day of a flight from its metadata; train and None without."""
     top = found.json(path) if path.is_file() else None
     if top is None:
         return "train", None
     info = top.get("flight_info")
     start = to_time(info.get("start_time")) if isinstance(info, dict) else None
-    return next((s for s in SPLITS if s == top.get("split")), "train"), start
+    day = None if start is None else start.date().isoformat()
+    return next((s for s in SPLITS if s == top.get("split")), "train"), day
 
 
 def _rows(found: Findings, path: Path) -> dict[int, list[tuple[str, Instance]]]:
@@ -241,13 +227,13 @@ def _pictures(found: Findings, folder: Path, flight: str, numbers: Sequence[int]
 # -- poses -------------------------------------------------------------------------------------------------------
 
 
-def all_poses(found: Findings) -> dict[str, dict[int, Pose]]:
+def all_poses(found: Findings) -> dict[str, dict[int, Capture]]:
     """Return the poses in a folder or one below by flight and frame."""
     return {p.name.removesuffix(_POSES): _poses(found, p) for p in _named(found.root, _POSES)}
 
 
-def _poses(found: Findings, path: Path | None) -> dict[int, Pose]:
-    """Return the poses of a flight by frame; empty without a file."""
+def _poses(found: Findings, path: Path | None) -> dict[int, Capture]:
+    """Return what the poses of a flight say of each frame, with pitch and perhaps the time; empty without a file."""
     top = None if path is None else found.json(path)
     if path is None or top is None:
         return {}
@@ -267,7 +253,8 @@ def _poses(found: Findings, path: Path | None) -> dict[int, Pose]:
         start = when if k == 0 else start
         if degrees is not None:
             captured = when.isoformat() if when else None
-            poses[k] = Pose(pitch_of_tilt(degrees), captured, _seconds(start, when))
+            seconds = _seconds(start, when)
+            poses[k] = Capture(pitch_deg=pitch_of_tilt(degrees), captured=captured, time_s=seconds)
     return poses
 
 
@@ -278,16 +265,26 @@ def _seconds(start: datetime | None, when: datetime | None) -> float | None:
     return Capture.from_json({"time_s": (when - start).total_seconds()}, strict=False).time_s
 
 
-def _record(
-    found: Findings, path: Path, split: Split, size_wh: tuple[int, int], flight: str, number: int,
-    objects: Iterable[Instance], pose: Pose | None, start: datetime | None,
-) -> ImageRecord:  # fmt: skip
-    found.counts["frames"] += 1
-    found.counts["without_pose"] += pose is None
-    day = None if start is None else start.date().isoformat()
-    capture = capture_of(pose).over(Capture(sequence=flight, captured=day, frame=number))
-    name = f"{flight}_{number}{path.suffix}"
-    return ImageRecord("", path, split, size_wh, tuple(objects), capture, file_name=name)
+@dataclass(frozen=True)
+class _Flight:
+    """What is known of a flight: its name and day, its split, and the poses by frame."""
+
+    name: str
+    split: Split
+    poses: Mapping[int, Capture]
+    day: str | None = None
+
+    def record(
+        self, found: Findings, path: Path, size_wh: tuple[int, int], number: int, entries: Iterable[tuple[str, Stated]]
+    ) -> ImageRecord:
+        """Return the record of a frame, with the objects that entries state."""
+        found.counts["frames"] += 1
+        found.counts["without_pose"] += number not in self.poses
+        objects = tuple(checked(found, entries, size_wh))
+        known = Capture(sequence=self.name, captured=self.day, frame=number)
+        capture = self.poses.get(number, STRAIGHT_DOWN).over(known)
+        name = f"{self.name}_{number}{path.suffix}"
+        return ImageRecord("", path, self.split, size_wh, objects, capture, file_name=name)
 
 
 # -- YOLO --------------------------------------------------------------------------------------------------------
@@ -295,7 +292,7 @@ def _record(
 
 def _read_yolo(found: Findings, poses: Mapping[str, Path], wanted: Sequence[Split]) -> Iterator[ImageRecord]:
     """Yield the pictures in `images/<split>` with their YOLO labels of published class numbers."""
-    of_flight: dict[str, dict[int, Pose]] = {}
+    poses_of: dict[str, dict[int, Capture]] = {}
     for split in wanted:
         base = found.root / "images" / split
         for name, path in list_pictures(base).items():
@@ -310,13 +307,12 @@ def _read_yolo(found: Findings, poses: Mapping[str, Path], wanted: Sequence[Spli
             size_wh = found.size(path, where)
             if size_wh is None:
                 continue
-            if flight not in of_flight:
-                of_flight[flight] = _poses(found, poses.get(flight))
+            if flight not in poses_of:
+                poses_of[flight] = _poses(found, poses.get(flight))
                 found.counts["flights"] += 1
             lines = (label and yolo_lines(found, label)) or ()
             stated = ((here, _stated(found, class_, values, size_wh)) for here, class_, values in lines)
-            pose = of_flight[flight].get(number)
-            yield _record(found, path, split, size_wh, flight, number, checked(found, stated, size_wh), pose, None)
+            yield _Flight(flight, split, poses_of[flight]).record(found, path, size_wh, number, stated)
 
 
 def _stated(found: Findings, class_: int, shares: Sequence[float], size_wh: tuple[int, int]) -> Stated:

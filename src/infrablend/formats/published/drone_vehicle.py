@@ -121,9 +121,14 @@ def _read_split(
     twins = folder / f"{split}{_KINDS['rgb' if kind == 'ir' else 'ir'][0]}"
     names = sorted(p.name for p in pictures.iterdir() if is_picture_name(p.name)) if pictures.is_dir() else []
     labelled = LabelledFolder(
-        pictures.name, {name: pictures / name for name in names}, lambda p: if_file(labels / f"{p.stem}.xml"),
-        "no label file", split=split, is_visible=lambda _: kind == "rgb", look=partial(_look, crop),
-    )  # fmt: skip
+        where=pictures.name,
+        pictures={name: pictures / name for name in names},
+        label_of=lambda picture: if_file(labels / f"{picture.stem}.xml"),
+        missing="no label file",
+        split=split,
+        is_visible=lambda _: kind == "rgb",
+        look=partial(_look, crop),
+    )
     for record in labelled.read(found, unlabelled, partial(_read_label, pictures, unknown)):
         extra = dict(record.extra)
         if (twins / record.name).is_file():

@@ -14,6 +14,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.file_names import leaves_folder
@@ -22,6 +24,7 @@ from infrablend.errors import DatasetError, MissingDependencyError, Problem
 from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.base import Match, check_splits, step_of
 from infrablend.formats.published.matlab import object_workspace
+from infrablend.formats.published.sidecar import checked
 from infrablend.formats.records import Findings
 from infrablend.formats.values import to_floats
 
@@ -147,16 +150,14 @@ def _read_clip(found: Findings, clip: str, path: Path, step: int, decoder: Any) 
         if size_wh is None:
             continue
         found.counts["frames"] += 1
-        instances: tuple[Instance, ...] = ()
         numbers = None if boxes[number] is None else to_floats(boxes[number], 4)
         found.counts["absent" if numbers is None else "objects"] += 1
+        stated = None
         if numbers is not None:
             x, y, w, h = numbers
             # MATLAB counts from 1.
-            box = found.box((x - 1, y - 1, x - 1 + w, y - 1 + h), size_wh, f"{where}: frame {number}")
-            if box is not None:
-                found.counts["read"] += 1
-                instances = (Instance(category, box, track_id=0),)
+            stated = Instance(category, np.array([x - 1, y - 1, x - 1 + w, y - 1 + h]), track_id=0)
+        instances = tuple(checked(found, [(f"{where}: frame {number}", stated)], size_wh))
         capture = Capture(sequence=clip, frame=number, time_s=times[number])
         name = f"{clip}/{clip}_{number:05d}.png"
         records.append(ImageRecord("", picture, "train", size_wh, instances, capture, file_name=name))

@@ -124,9 +124,14 @@ def _read_split(found: Findings, split: Split, folder: Path, unlabelled: str) ->
         return published[1] if published else None
 
     labelled = LabelledFolder(
-        found.place(folder), pictures, lambda p: labels.pop(p.stem, None), "no label file",
-        lambda stem: Capture(sequence=flight(stem)), split, lambda stem: flight(stem) is not None,
-    )  # fmt: skip
+        where=found.place(folder),
+        pictures=pictures,
+        label_of=lambda picture: labels.pop(picture.stem, None),
+        missing="no label file",
+        capture_of=lambda stem: Capture(sequence=flight(stem)),
+        split=split,
+        is_visible=lambda stem: flight(stem) is not None,
+    )
     yield from labelled.read(found, unlabelled, line_reader("a label file", _stated))
     left = files_with(folder / "annotations", "*.txt", _may_be_ours, 1000) if labels else []
     for label in (p for p in left if labels.get(p.stem) == p):
@@ -181,19 +186,22 @@ def _read_videos(found: Findings, split: Split, folder: Path, unlabelled: str) -
         if label is not None and lost:
             text = f"{lost} line(s) left out because their frame has no picture"
             found.warn(found.place(label), "row-without-picture", text, "a picture per frame, numbered from 1")
-        yield from _labelled_video(found.place(sequence), sequence.name, frames, label, split).read(
-            found, unlabelled, partial(_read_frame, rows)
-        )
+        video = _labelled_video(found.place(sequence), sequence.name, frames, label, split)
+        yield from video.read(found, unlabelled, partial(_read_frame, rows))
 
 
 def _labelled_video(
     where: str, name: str, frames: Mapping[int, Path], label: Path | None, split: Split
 ) -> LabelledFolder:
     return LabelledFolder(
-        where, {f"{name}/{path.name}": path for _, path in sorted(frames.items())}, lambda _: label,
-        "no text of their video", lambda stem: Capture(sequence=name, frame=int(stem) - 1), split,
-        lambda _: _PUBLISHED_VIDEO.fullmatch(name) is not None,
-    )  # fmt: skip
+        where=where,
+        pictures={f"{name}/{path.name}": path for _, path in sorted(frames.items())},
+        label_of=lambda _: label,
+        missing="no text of their video",
+        capture_of=lambda stem: Capture(sequence=name, frame=int(stem) - 1),
+        split=split,
+        is_visible=lambda _: _PUBLISHED_VIDEO.fullmatch(name) is not None,
+    )
 
 
 def _read_frame(rows: _Rows, found: Findings, picture: Path, _: Path, size_wh: tuple[int, int]) -> list[Instance]:

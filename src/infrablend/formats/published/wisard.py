@@ -124,10 +124,14 @@ def _labelled(clip: str, pictures: Mapping[str, Path], split: Split) -> Labelled
         frame = _FRAME.search(stem)
         return Capture(sequence=clip, captured=captured, frame=int(frame[1]) if frame else None)
 
-    named = {f"{clip}/{name}": path for name, path in pictures.items()}
-    visible = modality_of(clip) == "vis"
     return LabelledFolder(
-        clip, named, lambda p: if_file(p.with_suffix(".txt")), "no .txt file", capture_of, split, lambda _: visible
+        where=clip,
+        pictures={f"{clip}/{name}": path for name, path in pictures.items()},
+        label_of=lambda picture: if_file(picture.with_suffix(".txt")),
+        missing="no .txt file",
+        capture_of=capture_of,
+        split=split,
+        is_visible=lambda _: modality_of(clip) == "vis",
     )
 
 

@@ -97,16 +97,20 @@ def _labelled(root: Path, folder: str, frames: Mapping[str, Path]) -> LabelledFo
     parts = PurePosixPath(folder).parts
     split: Split = next((s for part in parts for s in SPLITS if s == part), "train")
     below = [part for part in parts if part not in SPLITS]
-    named = {"/".join([*below, name]): path for name, path in frames.items()}
 
     def capture_of(stem: str) -> Capture:
         time = Capture.from_json({"time_s": stem.removeprefix("time_")}, strict=False)
         return time.over(Capture(sequence=run, captured=date[1] if date else None))
 
     return LabelledFolder(
-        folder, named, lambda p: if_file(p.with_suffix(".label")), "no .label file", capture_of, split,
+        where=folder,
+        pictures={"/".join([*below, name]): path for name, path in frames.items()},
+        label_of=lambda picture: if_file(picture.with_suffix(".label")),
+        missing="no .label file",
+        capture_of=capture_of,
+        split=split,
         extra={"sensor": sensor.lower()},
-    )  # fmt: skip
+    )
 
 
 def _stated(line: str, size_wh: tuple[int, int]) -> Stated:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from infrablend.core.dataset import SPLITS, Dataset
 from infrablend.errors import DatasetError, Problem
@@ -63,19 +62,20 @@ def read(root: Path, *, splits: Iterable[str] | None = None, form: Form | None =
     if not any(d.pictures for d in data):
         raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
     borrowed = _borrow_pictures(root, forms, data)
-    categories = unite_categories(data)
-    images, notes, more = unite(data)
+    united = unite(root, data)
+    notes = united.notes(data)
     notes |= {"pictures_borrowed": borrowed} if borrowed else {}
-    problems += more
-    if not images:
+    problems += united.problems
+    if not united.images:
         raise DatasetError(f"{root}: none of the annotated pictures exists", shorten(problems))
     for split in wanted if splits is not None else ():
-        if not any(i.split == split for i in images):
+        if not any(i.split == split for i in united.images):
             problems.append(Problem(str(root), "split-missing", f"no picture of split {split}", severity="warning"))
-    extra: dict[str, Any] = {}
+    extra: dict[str, object] = {}
     for d in reversed(data):
         extra.update(d.extra)
-    return Dataset(root, NAME, categories, sort_images(images), tuple(problems), notes, extra)
+    images = sort_images(united.images)
+    return Dataset(root, NAME, unite_categories(data), images, tuple(problems), notes, extra)
 
 
 def _borrow_pictures(root: Path, forms: Mapping[Form, Path], data: Sequence[FormData]) -> dict[str, int]:

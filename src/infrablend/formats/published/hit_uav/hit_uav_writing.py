@@ -6,7 +6,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
@@ -55,7 +55,7 @@ def write(
     *,
     forms: Sequence[Form] = ("normal_json", "rotate_json"),
     ids: Literal["source", "new"] = "new",
-    extra: Mapping[str, Any] | None = None,
+    extra: Mapping[str, object] | None = None,
     pictures: bool = True,
 ) -> Written:
     """Write images in some of HIT-UAV's forms, each in a folder named after the form below `out`.
@@ -123,13 +123,13 @@ def _oriented_numbers(instance: Instance, losses: Counter[str]) -> list[float]:
     return [round(v, _COORDINATE_DIGITS) for v in numbers[:4]] + [round(numbers[4], _ANGLE_DIGITS)]
 
 
-def _marks(instance: Instance) -> dict[str, Any]:
+def _marks(instance: Instance) -> dict[str, object]:
     """Return InfraBlend's own fields: inserted; box drawn tightly, unlike HIT-UAV's bounds of the oriented box."""
     marks = {"inserted": instance.inserted, "tight_box": bool(instance.extra.get("tight_box"))}
     return {name: True for name, is_set in marks.items() if is_set}
 
 
-_TOP: Mapping[str, Any] = {
+_TOP: Mapping[str, object] = {
     "info": _INFO,
     "licenses": [],
     "scenarios": [{"id": 0, "name": "day"}, {"id": 1, "name": "night"}],
@@ -142,7 +142,7 @@ def _json_texts(
     numbered: Numbered,
     categories: Sequence[Category],
     new: bool,
-    extra: Mapping[str, Any],
+    extra: Mapping[str, object],
     losses: Counter[str],
 ) -> Iterator[tuple[str, Iterable[str]]]:
     for split, part in numbered.by_split().items():
@@ -156,16 +156,16 @@ def _json_file(
     numbered: Numbered,
     categories: Sequence[Category],
     new: bool,
-    extra: Mapping[str, Any],
+    extra: Mapping[str, object],
     losses: Counter[str],
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the content of a JSON file, with keys in the order of the original."""
     normal = form == "normal_json"
     of_category = category_ids(categories)
     unsaid = ignored_by_class(categories)
     image_record = _normal_image if normal else _rotate_image
 
-    def annotations() -> Iterator[dict[str, Any]]:
+    def annotations() -> Iterator[dict[str, object]]:
         for image, image_id, object_ids in numbered:
             require_known(image, of_category)
             for instance, object_id in zip(image.instances, object_ids, strict=True):
@@ -190,13 +190,13 @@ def _json_file(
     }
 
 
-def _normal_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
+def _normal_image(image: ImageRecord, image_id: int) -> dict[str, object]:
     w, h = require_size(image)
     date = str(image.extra.get("date", ""))
     return {"filename": image.name, "height": h, "width": w, "id": image_id, "date_captured": date}
 
 
-def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
+def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, object]:
     w, h = require_size(image)
     return {
         "id": image_id,
@@ -212,7 +212,7 @@ def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, Any]:
     }
 
 
-def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int]) -> dict[str, Any]:
+def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int]) -> dict[str, object]:
     x0, y0, x1, y1 = box_xyxy
     return {
         "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]],

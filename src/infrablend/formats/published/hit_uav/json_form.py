@@ -4,24 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
 
-from infrablend.core.capture import Capture
+from infrablend.core.capture import Capture, TimeOfDay
 from infrablend.core.dataset import Category, Split
 from infrablend.core.json_records import is_list
-from infrablend.errors import Problem
 from infrablend.formats.annotation_files import too_long
 from infrablend.formats.base import is_ignored_name
-from infrablend.formats.pictures.listing import PictureFolder, check_name
-from infrablend.formats.published.hit_uav.form_records import (
-    FormData,
-    FormObject,
-    FormPicture,
-    set_corners,
-    set_geometry,
-)
+from infrablend.formats.labels.voc import TURNED_FIELDS
+from infrablend.formats.pictures.listing import PictureFolder
+from infrablend.formats.published.hit_uav.form_records import FormData, FormObject, FormPicture
 from infrablend.formats.published.hit_uav.forms import Form
-from infrablend.formats.values import to_bool, to_floats, to_int, to_size
+from infrablend.formats.values import to_bool, to_int, to_number
+
+_TIMES: Mapping[int | None, TimeOfDay] = {0: "day", 1: "night"}
 
 
 def read_json_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]) -> FormData:
@@ -56,19 +51,20 @@ def read_json_form(root: Path, form: Form, folder: Path, splits: Sequence[Split]
     return data
 
 
-def _read_categories(data: FormData, records: Iterable[Any], where: str) -> dict[int, str]:
+def _read_categories(data: FormData, records: Iterable[object], where: str) -> dict[int, str]:
     names: dict[int, str] = {}
     for i, record in enumerate(records):
-        number = to_int(record.get("id")) if isinstance(record, dict) else None
-        name = record.get("name") if isinstance(record, dict) else None
+        fields = record if isinstance(record, dict) else {}
+        number = to_int(fields.get("id"))
+        name = fields.get("name")
         if number is None or not isinstance(name, str) or not name or number in names:
             data.add(f"{where}: category {i}", "category-malformed", f"{record!r}", "a new id and a name")
             continue
         names[number] = name
-        category = Category(number, name, str(record.get("supercategory") or ""), is_ignored_name(name))
         known = next((c for c in data.categories if c.name == name), None)
         if known is None:
-            data.categories.append(category)
+            above = str(fields.get("supercategory") or "")
+            data.categories.append(Category(number, name, above, is_ignored_name(name)))
         elif known.id != number:
             expected = f"id {known.id} as in another file; names count"
             data.warn(where, "category-id", f"{name!r} has id {number}", expected)
@@ -76,7 +72,7 @@ def _read_categories(data: FormData, records: Iterable[Any], where: str) -> dict
 
 
 def _read_json_images(
-    data: FormData, records: Iterable[Any], folder: Path, split: Split, where: str
+    data: FormData, records: Iterable[object], folder: Path, split: Split, where: str
 ) -> dict[int, FormPicture]:
     """Return the pictures by image id; unusable ones are reported and left out."""
     listing = PictureFolder.scan(folder)
@@ -86,63 +82,61 @@ def _read_json_images(
             data.add(f"{where}: image {i}", "image-malformed", repr(record)[:80], "an image record")
             continue
         here = f"{where}: image {record.get('id', i)}"
-        raw_name = record.get("filename")
-        fault = check_name(raw_name, here)
+        size = (record.get("width"), record.get("height"))
+        picture = data.find_picture(listing, record.get("filename"), size, split, here)
+        if picture is None:
+            continue
         number = to_int(record.get("id"))
-        if fault is None and number is None:
-            fault = Problem(here, "image-malformed", f"id {record.get('id')!r}", "a whole number")
-        name = str(raw_name)
-        if fault is None:
-            name, path, fault = listing.find(name, here)
-        if fault is not None or number is None:
-            data.problems += [fault] if fault else []
-            continue
-        stem = name.rpartition(".")[0] or name
-        if number in pictures or stem in data.pictures:
-            data.add(here, "image-duplicate", f"{name!r}, id {number}, a second time", "each picture once")
-            continue
-        size_wh = to_size(record.get("width"), record.get("height"))
-        if size_wh is None:
-            found = f"size {record.get('width')!r} x {record.get('height')!r}"
-            data.warn(here, "image-size-unknown", found, "width and height in px")
-        capture, extra = _json_facts(data, record, here)
-        extra |= {k: record[k] for k in ("depth", "source_id") if k in record}
-        picture = FormPicture(stem, name, path, split, size_wh, here, capture, number, extra)
-        pictures[number] = picture
-        data.pictures[stem] = picture
+        if number is None:
+            data.add(here, "image-malformed", f"id {record.get('id')!r}", "a whole number")
+        elif number in pictures or picture.stem in data.pictures:
+            data.add(here, "image-duplicate", f"{picture.name!r}, id {number}, a second time", "each picture once")
+        else:
+            picture.source_id = number
+            picture.capture, picture.extra = _json_facts(data, record, here)
+            picture.extra |= {k: record[k] for k in ("depth", "source_id") if k in record}
+            pictures[number] = picture
+            data.pictures[picture.stem] = picture
     return pictures
 
 
-def _json_facts(data: FormData, record: Mapping[str, Any], where: str) -> tuple[Capture, dict[str, Any]]:
+def _json_facts(data: FormData, record: Mapping[str, object], where: str) -> tuple[Capture, dict[str, object]]:
     """Return when and how a picture was taken (strings in HIT-UAV's rotate_json), and fields to write back."""
-    extra: dict[str, Any] = {}
-    for key in ("date_captured", "date"):
-        if record.get(key):
-            extra["date"] = str(record[key])
+    extra: dict[str, object] = {}
+    date = record.get("date") or record.get("date_captured")
+    if date:
+        extra["date"] = str(date)
     if record.get("weather") not in (None, ""):
         extra["weather"] = str(record["weather"])
-    numbers: dict[str, float | None] = {}
-    for key, low, high in (("perspective", -90.0, 90.0), ("altitude", 0.0, 1e5)):
-        raw = record.get(key)
-        values = None if raw in (None, "") else to_floats([raw], 1)
-        good = values is not None and low <= values[0] <= high
-        numbers[key] = values[0] if good and values is not None else None
-        if raw not in (None, "") and not good:
-            data.warn(where, "metadata-value", f"{key} {raw!r}, ignored", f"a number from {low:g} to {high:g}")
-    scenario = to_int(record.get("scenario"))
-    if record.get("scenario") not in (None, "") and scenario not in (0, 1):
-        data.warn(where, "metadata-value", f"scenario {record.get('scenario')!r}, ignored", "0 (day) or 1 (night)")
-    of_day: Literal["day", "night"] | None = "day" if scenario == 0 else "night" if scenario == 1 else None
-    return Capture(numbers["perspective"], numbers["altitude"], of_day), extra
+    pitch = _number_in(data, record, "perspective", -90.0, 90.0, where)
+    altitude = _number_in(data, record, "altitude", 0.0, 1e5, where)
+    scenario = record.get("scenario")
+    of_day = _TIMES.get(to_int(scenario))
+    if scenario not in (None, "") and of_day is None:
+        data.warn(where, "metadata-value", f"scenario {scenario!r}, ignored", "0 (day) or 1 (night)")
+    return Capture(pitch, altitude, of_day), extra
+
+
+def _number_in(
+    data: FormData, record: Mapping[str, object], key: str, low: float, high: float, where: str
+) -> float | None:
+    """Return a number of a record in a range; None without it, or with a warning if it is something else."""
+    raw = record.get(key)
+    if raw in (None, ""):
+        return None
+    number = to_number(raw)
+    if number is not None and low <= number <= high:
+        return number
+    data.warn(where, "metadata-value", f"{key} {raw!r}, ignored", f"a number from {low:g} to {high:g}")
+    return None
 
 
 def _read_json_objects(
-    data: FormData, records: Iterable[Any], pictures: Mapping[int, FormPicture], names: Mapping[int, str], where: str
+    data: FormData, records: Iterable[object], pictures: Mapping[int, FormPicture], names: Mapping[int, str], where: str
 ) -> None:
-    rotated = data.form == "rotate_json"
+    fields = TURNED_FIELDS if data.form == "rotate_json" else ("x", "y", "w", "h")
     seen: set[int] = set()
-    found: list[FormObject] = []
-    owners: list[FormPicture] = []
+    items: list[FormObject] = []
     for i, record in enumerate(records):
         if not isinstance(record, dict):
             data.add(f"{where}: annotation {i}", "annotation-malformed", repr(record)[:80], "an annotation record")
@@ -156,26 +150,29 @@ def _read_json_objects(
             data.warn(here, "annotation-duplicate", f"id {number} a second time", "each id once")
         else:
             seen.add(number)
-        picture = pictures.get(image) if (image := to_int(record.get("image_id"))) is not None else None
+        image, category = to_int(record.get("image_id")), to_int(record.get("category_id"))
+        picture = None if image is None else pictures.get(image)
+        name = None if category is None else names.get(category)
         if picture is None:
             data.add(here, "image-unknown", f"image_id {record.get('image_id')!r}", "the id of a picture that is read")
-            continue
-        category = to_int(record.get("category_id"))
-        if category is None or category not in names:
-            found_ = f"category_id {record.get('category_id')!r}"
-            data.add(here, "category-unknown", found_, f"one of {sorted(names)}", "add it to categories")
-            continue
-        item = FormObject(here, names[category], source_id=number)
-        if "difficult" in record:
-            item.difficult = to_bool(record["difficult"])
-            if item.difficult is None:
-                data.warn(here, "flag-value", f"difficult {record['difficult']!r}, ignored", "true or false")
-        item.inserted = record.get("inserted") is True
-        if record.get("tight_box") is True:
-            item.extra["tight_box"] = True
-        if "source_id" in record:
-            item.extra["source_id"] = record["source_id"]
-        if set_geometry(data, item, record.get("bbox"), rotated, picture.size_wh):
-            found.append(item)
-            owners.append(picture)
-    set_corners(data, found, owners)
+        elif name is None:
+            found = f"category_id {record.get('category_id')!r}"
+            data.add(here, "category-unknown", found, f"one of {sorted(names)}", "add it to categories")
+        else:
+            item = FormObject(here, name, picture, source_id=number)
+            _set_marks(data, item, record)
+            data.set_geometry(item, fields, record.get("bbox"))
+            items.append(item)
+    data.enter_objects(items)
+
+
+def _set_marks(data: FormData, item: FormObject, record: Mapping[str, object]) -> None:
+    if "difficult" in record:
+        item.difficult = to_bool(record["difficult"])
+        if item.difficult is None:
+            data.warn(item.where, "flag-value", f"difficult {record['difficult']!r}, ignored", "true or false")
+    item.inserted = record.get("inserted") is True
+    if record.get("tight_box") is True:
+        item.extra["tight_box"] = True
+    if "source_id" in record:
+        item.extra["source_id"] = record["source_id"]

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
+from infrablend.core.boxes import box_iou
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
-from infrablend.errors import Problem
 from infrablend.formats.picture_facts import facts_from_name, pitch_note
 from infrablend.formats.published.hit_uav.form_records import FormData, FormObject, FormPicture
 from infrablend.formats.published.hit_uav.forms import Form
+from infrablend.formats.records import Findings
+
+T = TypeVar("T")
 
 
 def unite_categories(data: Sequence[FormData]) -> tuple[Category, ...]:
@@ -33,100 +36,107 @@ def unite_categories(data: Sequence[FormData]) -> tuple[Category, ...]:
     return tuple(united)
 
 
-def unite(data: Sequence[FormData]) -> tuple[list[ImageRecord], dict[str, Any], list[Problem]]:
-    """Return one record per picture, the notes of the dataset, and all disagreements between the forms."""
-    problems: list[Problem] = []
-    counts: Counter[str] = Counter()
-    stems = sorted({s for d in data for s in d.pictures})
-    images: list[ImageRecord] = []
-    used: Counter[str] = Counter()
-    pitch_from: Counter[str] = Counter()
-    for stem in stems:
-        held = [(d.form, d.pictures[stem]) for d in data if stem in d.pictures]
-        first = held[0][1]
-        file = next((p for _, p in held if p.path is not None), None)
+@dataclass(kw_only=True)
+class United(Findings):
+    """The pictures that several forms describe, and where the forms disagree: `counts` has a number for each kind."""
+
+    images: list[ImageRecord] = field(default_factory=list)
+    used: Counter[Form] = field(default_factory=Counter)
+
+    def differ(self, kind: str, where: str, found: str, expected: str) -> None:
+        """Report a disagreement of some kind."""
+        self.counts[kind] += 1
+        self.warn(where, f"forms-disagree-{kind}", found, expected)
+
+    def first(self, kind: str, where: str, name: str, known: T | None, said: T | None) -> T | None:
+        """Return the value that an earlier form states, else what this one says; report two that differ."""
+        if known is not None and said is not None and said != known:
+            self.differ(kind, where, f"{name} {said}", f"{known}, which is used")
+        return said if known is None else known
+
+    def notes(self, data: Sequence[FormData]) -> dict[str, object]:
+        """Return what the dataset notes on the forms: what each contains, and what was taken from which."""
+        present = [d.form for d in data if d.pictures]
+        pitch_from = Counter(
+            "none" if i.capture.pitch_deg is None else "file names" if facts_from_name(i.name) else "annotation"
+            for i in self.images
+        )
+        kinds = ("boxes", "oriented", "categories", "flags", "objects", "metadata")
+        return {
+            "forms": {
+                d.form: {
+                    "files": d.counts["files"],
+                    "pictures": len(d.pictures),
+                    "objects": sum(len(p.objects) for p in d.pictures.values()),
+                }
+                for d in data
+            },
+            # The forms from which each kind of label was taken, in order of precedence.
+            "boxes_from": [f for f in ("normal_json", "normal_xml", "rotate_json", "rotate_xml") if f in present],
+            "oriented_from": [f for f in ("rotate_json", "rotate_xml") if f in present],
+            "disagreements": self.rows(*kinds),
+            "boxes_checked": self.counts["checked"],
+            "derived_boxes_clipped": self.counts["derived_clipped"],
+            "pitch": pitch_note(pitch_from),
+            "without_pitch": pitch_from["none"],
+        }
+
+
+def unite(root: Path, data: Sequence[FormData]) -> United:
+    """Return one record per picture, and all disagreements between the forms."""
+    united = United(root)
+    for stem in sorted({s for d in data for s in d.pictures}):
+        held = {d.form: d.pictures[stem] for d in data if stem in d.pictures}
+        first = next(iter(held.values()))
+        file = next((p for p in held.values() if p.path is not None), None)
         if file is None:
             found = f"no picture {first.name!r}"
-            problems.append(Problem(first.where, "image-missing", found, "a file in the picture folder", "restore it"))
+            united.add(first.where, "image-missing", found, "a file in the picture folder", "restore it")
             continue
-        images.append(_unite_picture(stem, held, file, counts, problems))
-        pitch = images[-1].capture.pitch_deg is not None
-        pitch_from["none" if not pitch else "file names" if facts_from_name(file.name) else "annotation"] += 1
-        used.update(form for form, _ in held)
+        united.images.append(_unite_picture(united, stem, held, file))
+        united.used.update(held.keys())
+    count = len(united.images)
     for d in data:
-        if used[d.form] < len(images) and d.pictures:
-            found = f"{d.form} contains {used[d.form]} of {len(images)} pictures"
-            problems.append(
-                Problem(d.form, "form-partial", found, "the same pictures in every form", severity="warning")
-            )
-    # The forms from which each kind of label was taken, in order of precedence.
-    present = [d.form for d in data if d.pictures]
-    notes: dict[str, Any] = {
-        "forms": {
-            d.form: {
-                "files": d.counts["files"],
-                "pictures": len(d.pictures),
-                "objects": sum(len(p.objects) for p in d.pictures.values()),
-            }
-            for d in data
-        },
-        "boxes_from": [f for f in ("normal_json", "normal_xml", "rotate_json", "rotate_xml") if f in present],
-        "oriented_from": [f for f in ("rotate_json", "rotate_xml") if f in present],
-        "disagreements": {k: counts[k] for k in ("boxes", "oriented", "categories", "flags", "objects", "metadata")},
-        "boxes_checked": counts["checked"],
-        "derived_boxes_clipped": counts["derived_clipped"],
-        "pitch": pitch_note(pitch_from),
-        "without_pitch": sum(i.capture.pitch_deg is None for i in images),
-    }
-    return images, notes, problems
+        if united.used[d.form] < count and d.pictures:
+            found = f"{d.form} contains {united.used[d.form]} of {count} pictures"
+            united.warn(d.form, "form-partial", found, "the same pictures in every form")
+    return united
 
 
-def _unite_picture(
-    stem: str, held: list[tuple[Form, FormPicture]], file: FormPicture, counts: Counter[str], problems: list[Problem]
-) -> ImageRecord:
-    first = held[0][1]
-
-    def differ(kind: str, where: str, found: str, expected: str) -> None:
-        counts[kind] += 1
-        problems.append(Problem(where, f"forms-disagree-{kind}", found, expected, severity="warning"))
-
+def _unite_picture(united: United, stem: str, held: Mapping[Form, FormPicture], file: FormPicture) -> ImageRecord:
+    first, *others = held.values()
     facts = facts_from_name(file.name)
     capture = facts.capture if facts is not None else Capture()
     if facts is None:
         found = f"name {file.name!r} does not contain pitch and altitude"
-        problems.append(Problem(first.where, "name-grammar", found, "T_HHH_AA_W_NNNNN", severity="warning"))
-    extra: dict[str, Any] = {}
+        united.warn(first.where, "name-grammar", found, "T_HHH_AA_W_NNNNN")
+    extra: dict[str, object] = {}
     source_id: int | None = None
     size_wh: tuple[int, int] | None = None
-    for _, p in held:
+    for p in held.values():
         for conflict in capture.conflicts(p.capture):
             said = f"{conflict} (here, against the file name or another form)"
-            differ("metadata", p.where, said, "equal values; the first is used")
+            united.differ("metadata", p.where, said, "equal values; the first is used")
         capture = capture.over(p.capture)
-        if p.split != first.split:
-            differ("metadata", p.where, f"split {p.split}", f"{first.split}, which is used")
-        if size_wh and p.size_wh and p.size_wh != size_wh:
-            differ("metadata", p.where, f"size {p.size_wh}", f"{size_wh}, which is used")
-        size_wh = size_wh or p.size_wh
-        if source_id is not None and p.source_id is not None and p.source_id != source_id:
-            differ("metadata", p.where, f"image id {p.source_id}", f"{source_id}, which is used")
-        source_id = p.source_id if source_id is None else source_id
+        united.first("metadata", p.where, "split", first.split, p.split)
+        size_wh = united.first("metadata", p.where, "size", size_wh, p.size_wh)
+        source_id = united.first("metadata", p.where, "image id", source_id, p.source_id)
         for key, value in p.extra.items():
             if extra.setdefault(key, value) != value and key != "depth":
-                differ("metadata", p.where, f"{key} {value!r}", f"{extra[key]!r}, which is used")
+                united.differ("metadata", p.where, f"{key} {value!r}", f"{extra[key]!r}, which is used")
     if facts is not None:
         extra.setdefault("weather", str(facts.weather))
-    merged = list(first.objects)
-    for form, p in held[1:]:
-        merged = _unite_objects(merged, p, form, counts, differ)
-    instances = tuple(_instance(o, size_wh, counts) for o in merged)
+    objects = list(first.objects)
+    for form, p in zip(list(held)[1:], others, strict=True):
+        objects = _unite_objects(united, objects, p.objects, form)
+    date = extra.get("date")
     return ImageRecord(
         id=stem.replace("/", "__"),
         path=file.path or Path(file.name),
         split=first.split,
         size_wh=size_wh,
-        instances=instances,
-        capture=replace(capture, sequence=_sequence(extra.get("date"), capture), captured=_iso_date(extra.get("date"))),
+        instances=tuple(_instance(united, o, size_wh) for o in objects),
+        capture=replace(capture, sequence=_sequence(date, capture), captured=_iso_date(date)),
         source_id=source_id,
         extra=extra,
         file_name=file.name,
@@ -176,21 +186,16 @@ def _pairs(ours: Sequence[FormObject], theirs: Sequence[FormObject]) -> list[tup
         a.category == b.category and _same_place(a, b) for a, b in zip(ours, theirs, strict=True)
     ):
         return [(i, i) for i in range(len(ours))]
-    ranked = []
-    touching = set()
-    for i, a in enumerate(ours):
-        x = a.bounds()
-        for k, b in enumerate(theirs):
-            y = b.bounds()
-            w, h = min(x[2], y[2]) - max(x[0], y[0]), min(x[3], y[3]) - max(x[1], y[1])
-            if i == k and len(ours) == len(theirs) and a.category == b.category and min(w, h) >= -1:
-                touching.add(i)
-            if w <= 0 or h <= 0:
-                continue
-            both = w * h
-            iou = both / ((x[2] - x[0]) * (x[3] - x[1]) + (y[2] - y[0]) * (y[3] - y[1]) - both)
-            if iou >= 0.5:
-                ranked.append((a.category != b.category, -iou, i, k))
+    x = np.array([o.bounds() for o in ours], np.float64).reshape(-1, 4)
+    y = np.array([o.bounds() for o in theirs], np.float64).reshape(-1, 4)
+    iou = box_iou(x, y)
+    ranked = [
+        (ours[i].category != theirs[k].category, -float(iou[i, k]), int(i), int(k)) for i, k in np.argwhere(iou >= 0.5)
+    ]
+    touching: list[int] = []
+    if len(ours) == len(theirs):
+        shared = np.minimum(x[:, 2:], y[:, 2:]) - np.maximum(x[:, :2], y[:, :2])
+        touching = [i for i, o in enumerate(ours) if shared[i].min() >= -1 and o.category == theirs[i].category]
     match: dict[int, int] = {}
     for _, _, i, k in sorted(ranked):
         if i not in match and k not in match.values():
@@ -202,56 +207,57 @@ def _pairs(ours: Sequence[FormObject], theirs: Sequence[FormObject]) -> list[tup
 
 
 def _unite_objects(
-    ours: list[FormObject], picture: FormPicture, form: Form, counts: Counter[str], differ: Any
+    united: United, ours: Sequence[FormObject], theirs: Sequence[FormObject], form: Form
 ) -> list[FormObject]:
-    united: list[FormObject] = []
-    for i, k in _pairs(ours, picture.objects):
-        if i is None and k is not None:
+    """Return the objects of two forms; those of the first take what only the other, `form`, states."""
+    objects: list[FormObject] = []
+    for i, k in _pairs(ours, theirs):
+        a = None if i is None else ours[i]
+        b = None if k is None else theirs[k]
+        if a is None and b is not None:
             found = "an object that earlier forms do not contain, kept"
-            differ("objects", picture.objects[k].where, found, "the same objects")
-            united.append(picture.objects[k])
-            continue
-        a = ours[i or 0]
-        united.append(a)
-        if k is None:
-            found = f"an object that {form} does not contain, kept"
-            differ("objects", a.where, found, "the same objects in every form")
-            continue
-        b = picture.objects[k]
-        if a.category != b.category:
-            differ("categories", b.where, f"category {b.category}", f"{a.category}, which is used")
-        # The oriented box of an inserted object has empty corners, so its bounds are larger than its box.
-        if not (a.inserted or b.inserted or a.extra.get("tight_box")):
-            counts["checked"] += 1
-            if not _same_place(a, b):
-                kind = "oriented" if a.corners is not None and b.corners is not None else "boxes"
-                found = f"bounds {np.round(b.bounds(), 4).tolist()}"
-                differ(kind, b.where, found, f"{np.round(a.bounds(), 4).tolist()} truncated; each form keeps its own")
-        for flag in ("truncated", "difficult"):
-            x, y = getattr(a, flag), getattr(b, flag)
-            if x is not None and y is not None and x != y:
-                differ("flags", b.where, f"{flag} {y}", f"{x}, which is used")
-            setattr(a, flag, y if x is None else x)
-        if a.box is None and b.box is not None:
-            a.raw = b.raw
-            a.box = b.box
-        if a.corners is None and b.corners is not None:
-            a.obb = b.obb
-            a.corners = b.corners
-        a.inserted = a.inserted or b.inserted
-        a.source_id = b.source_id if a.source_id is None else a.source_id
-        for key, value in b.extra.items():
-            a.extra.setdefault(key, value)
-    return united
+            united.differ("objects", b.where, found, "the same objects")
+            objects.append(b)
+        elif a is not None:
+            objects.append(a)
+            if b is not None:
+                _complete(united, a, b)
+            else:
+                found = f"an object that {form} does not contain, kept"
+                united.differ("objects", a.where, found, "the same objects in every form")
+    return objects
 
 
-def _instance(o: FormObject, size_wh: tuple[int, int] | None, counts: Counter[str]) -> Instance:
+def _complete(united: United, a: FormObject, b: FormObject) -> None:
+    """Add to one object what another form states of it, and report where the two disagree."""
+    united.first("categories", b.where, "category", a.category, b.category)
+    # The oriented box of an inserted object has empty corners, so its bounds are larger than its box.
+    if not (a.inserted or b.inserted or a.extra.get("tight_box")):
+        united.counts["checked"] += 1
+        if not _same_place(a, b):
+            kind = "oriented" if a.corners is not None and b.corners is not None else "boxes"
+            found = f"bounds {np.round(b.bounds(), 4).tolist()}"
+            expected = f"{np.round(a.bounds(), 4).tolist()} truncated; each form keeps its own"
+            united.differ(kind, b.where, found, expected)
+    a.truncated = united.first("flags", b.where, "truncated", a.truncated, b.truncated)
+    a.difficult = united.first("flags", b.where, "difficult", a.difficult, b.difficult)
+    if a.box is None:
+        a.raw, a.box = b.raw, b.box
+    if a.corners is None:
+        a.obb, a.corners = b.obb, b.corners
+    a.inserted = a.inserted or b.inserted
+    a.source_id = b.source_id if a.source_id is None else a.source_id
+    for key, value in b.extra.items():
+        a.extra.setdefault(key, value)
+
+
+def _instance(united: United, o: FormObject, size_wh: tuple[int, int] | None) -> Instance:
     box = o.box
     if box is None:
         box = o.bounds()
         if size_wh is not None:
             clipped = np.clip(box, 0.0, np.array([*size_wh, *size_wh], np.float64))
-            counts["derived_clipped"] += bool((clipped != box).any())
+            united.counts["derived_clipped"] += not np.array_equal(clipped, box)
             box = clipped
     if o.obb is not None:
         # The five numbers of the file, so that they are written back to the last digit.

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Literal, TypedDict
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Split
 from infrablend.core.file_names import real_path
@@ -37,13 +37,41 @@ _COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
 
 @dataclass(kw_only=True)
 class _Reading(Findings):
-    """What is known while a dataset is read: also its pictures, options, and the categories found so far."""
+    """What is known while a dataset is read.
+
+    Attributes:
+        listing: Its pictures.
+        options: The options.
+        splits: Splits to read.
+        seen: Pictures that a file has described.
+        categories: Categories found so far.
+        folders: Folder of the pictures of each annotation file.
+    """
 
     listing: Pictures
     options: MonetOptions
     splits: Sequence[Split]
     seen: set[str] = field(default_factory=set)
     categories: list[Category] = field(default_factory=list)
+    folders: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _File:
+    """A COCO file: its place in the dataset, all of it, and its lists of records, which may be anything."""
+
+    where: str
+    top: Mapping[str, object]
+    images: Iterable[object]
+    annotations: Iterable[object]
+
+
+class _Excluded(TypedDict):
+    """Why a sequence was left out, and how much of it."""
+
+    why: str
+    images: int
+    labels: int
 
 
 def read(
@@ -70,36 +98,41 @@ def read(
     dataset = _Reading(root, listing=Pictures(root), options=chosen, splits=wanted)
     problems = dataset.problems
     files = find_files(root, chosen.annotations)
-    notes: dict[str, Any] = {"labels": "coco", "annotations": [], "pictures": {}}
-    frames, extra = _read_files(dataset, files, notes)
+    frames, extra = _read_files(dataset, files)
     dataset.report_left_out()
-    if not notes["annotations"]:
+    if not dataset.folders:
         raise _nothing_found(root, files, chosen.annotations, problems)
-    notes["excluded"] = _leave_out(dataset, frames, chosen.exclude, "exclude")
+    excluded = _leave_out(dataset, frames, chosen.exclude, "exclude")
     if not frames:
         raise DatasetError(f"{root}: nothing to read in the splits {', '.join(wanted)}", shorten(problems))
-    notes["gimbal_pitch"] = set_pitches(root, frames, chosen, problems)
-    captures, notes["table"] = apply_table(root, metadata, frames, problems)
+    gimbal_pitch = set_pitches(root, frames, chosen, problems)
+    captures, table = apply_table(root, metadata, frames, problems)
     if not chosen.keep_empty:
         require_pitch(root, frames, chosen, problems)
         has_pitch = {(f.record.split, f.sequence) for f in frames if f.record.capture.pitch_deg is not None}
         bare = {(f.record.split, f.sequence) for f in frames} - has_pitch
-        excluded = _leave_out(dataset, frames, bare, "empty")
-        notes["excluded"] |= excluded
-        captures.sources["none"] -= sum(entry["images"] for entry in excluded.values())
-    notes["pitch"] = captures.note()
+        empty = _leave_out(dataset, frames, bare, "empty")
+        excluded |= empty
+        captures.sources["none"] -= sum(entry["images"] for entry in empty.values())
     without = Counter(f"{f.record.split}/{f.sequence}" for f in frames if f.record.capture.pitch_deg is None)
-    notes["frames_without_pitch"] = dict(sorted(without.items()))
+    notes = {
+        "labels": "coco",
+        "annotations": list(dataset.folders),
+        "pictures": dataset.folders,
+        "excluded": excluded,
+        "gimbal_pitch": gimbal_pitch,
+        "table": table,
+        "pitch": captures.note(),
+        "frames_without_pitch": dict(sorted(without.items())),
+    }
     return Dataset(root, NAME, tuple(dataset.categories), _records(frames), tuple(problems), notes, extra)
 
 
-def _read_files(dataset: _Reading, files: Sequence[Path], notes: dict[str, Any]) -> tuple[list[Frame], dict[str, Any]]:
-    """Return the pictures of all annotation files, and the top-level fields to keep; `notes` lists what was read."""
+def _read_files(dataset: _Reading, files: Sequence[Path]) -> tuple[list[Frame], dict[str, object]]:
+    """Return the pictures of all annotation files, and the top-level fields to keep."""
     problems = dataset.problems
-    listing = dataset.listing
-    chosen = dataset.options
     frames: list[Frame] = []
-    extra: dict[str, Any] = {}
+    extra: dict[str, object] = {}
     for path in files:
         where = dataset.place(path)
         top = dataset.json(path)
@@ -109,10 +142,8 @@ def _read_files(dataset: _Reading, files: Sequence[Path], notes: dict[str, Any])
             expected = "images with file_name, annotations, categories"
             dataset.warn(where, "annotation-layout", "no COCO keys, left out", expected)
             continue
-        names = [
-            i["file_name"] for i in top["images"] if isinstance(i, dict) and check_name(i.get("file_name"), "") is None
-        ]
-        place = listing.given(chosen.pictures, names, where) if chosen.pictures else listing.locate(names, where)
+        file = _File(where, top, top["images"], top["annotations"])
+        place = _place_of(dataset, file)
         if isinstance(place, Problem):
             problems.append(place)
             continue
@@ -120,10 +151,16 @@ def _read_files(dataset: _Reading, files: Sequence[Path], notes: dict[str, Any])
         large = {k: p for k, v in kept.items() if (p := too_long(where, k, v))}
         problems += large.values()
         extra = {k: v for k, v in kept.items() if k not in large} | extra
-        notes["annotations"].append(where)
-        notes["pictures"][where] = place[0] or "."
-        frames += _read_file(dataset, top, where, place)
+        dataset.folders[where] = place[0] or "."
+        frames += _read_file(dataset, file, place)
     return frames, extra
+
+
+def _place_of(dataset: _Reading, file: _File) -> tuple[str, int] | Problem:
+    """Return the folder to which a file's names of pictures are relative, see `Pictures.locate`."""
+    names = [i["file_name"] for i in file.images if isinstance(i, dict) and check_name(i.get("file_name"), "") is None]
+    given = dataset.options.pictures
+    return dataset.listing.given(given, names, file.where) if given else dataset.listing.locate(names, file.where)
 
 
 def _nothing_found(root: Path, files: Sequence[Path], pattern: str | None, problems: Sequence[Problem]) -> DatasetError:
@@ -138,9 +175,10 @@ def _nothing_found(root: Path, files: Sequence[Path], pattern: str | None, probl
     )
 
 
-def _read_file(dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]) -> list[Frame]:
+def _read_file(dataset: _Reading, file: _File, place: tuple[str, int]) -> list[Frame]:
+    where = file.where
     path = PurePosixPath(where)
-    part, fields = _own_part(dataset, top, where, place)
+    part, fields = _own_part(dataset, file, place)
     captures = Captures(None, dataset.problems)
     records = coco.read_records(dataset, part, dataset.listing.folder, "train", where, dataset.categories, captures)
     tally = UnusableValues()
@@ -167,62 +205,64 @@ def _split_of(dataset: _Reading, file: PurePosixPath, picture: str) -> Split:
 
 
 def _own_part(
-    dataset: _Reading, top: Mapping[str, Any], where: str, place: tuple[str, int]
-) -> tuple[dict[str, Any], dict[int, dict[str, Any]]]:
+    dataset: _Reading, file: _File, place: tuple[str, int]
+) -> tuple[dict[str, object], dict[int, dict[str, object]]]:
     """Return an annotation file without pictures of other splits and earlier files, and the pictures' own fields."""
     listing = dataset.listing
-    joined = join_lists(top)
-    images: list[Any] = []
-    fields: dict[int, dict[str, Any]] = {}
+    joined = join_lists(file.top)
+    images: list[object] = []
+    fields: dict[int, dict[str, object]] = {}
     skipped: set[int] = set()
     twice = 0
-    for r in top["images"]:
+    for r in file.images:
         if not isinstance(r, dict) or check_name(r.get("file_name"), "") is not None:
             images.append(r)
             continue
         below = listing.resolve(r["file_name"], *place)
         name = below if below in listing.by_path else listing.folder.by_stem.get(below, below)
-        file = listing.by_path.get(name)
-        r = r | {"file_name": name if file is not None else r["file_name"]}
+        is_there = name in listing.by_path
+        r = r | {"file_name": name if is_there else r["file_name"]}
         number = to_int(r.get("id"))
-        in_split = _split_of(dataset, PurePosixPath(where), below)
-        if number is not None and (in_split not in dataset.splits or (file is not None and name in dataset.seen)):
+        in_split = _split_of(dataset, PurePosixPath(file.where), below)
+        if number is not None and (in_split not in dataset.splits or name in dataset.seen):
             twice += in_split in dataset.splits
             skipped.add(number)
             continue
-        if file is not None:
+        if is_there:
             dataset.seen.add(name)
         if number is not None:
             fields.setdefault(number, {k: v for k, v in r.items() if k not in _COCO_FIELDS} | joined.get(number, {}))
         images.append(r)
     if twice:
         found = f"{twice} picture(s) that another annotation file contains too; left out here"
-        dataset.add(where, "image-duplicate", found, "each picture once", "remove one of the files")
-    annotations = (a for a in top["annotations"] if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
-    return dict(top) | {"images": images, "annotations": annotations}, fields
+        dataset.add(file.where, "image-duplicate", found, "each picture once", "remove one of the files")
+    annotations = (a for a in file.annotations if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
+    return {**file.top, "images": images, "annotations": annotations}, fields
 
 
 def _leave_out(
-    dataset: _Reading, frames: list[Frame], sequences: Iterable[Any], option: Literal["exclude", "empty"]
-) -> dict[str, Any]:
+    dataset: _Reading,
+    frames: list[Frame],
+    sequences: Collection[str | tuple[Split, str | None]],
+    option: Literal["exclude", "empty"],
+) -> dict[str, _Excluded]:
     """Remove sequences (names, or pairs of split and name) from `frames`; report and count them."""
     why = "named in exclude" if option == "exclude" else "no telemetry in any frame"
-    wanted = set(sequences)
-    out = [f for f in frames if not wanted.isdisjoint((f.sequence, (f.record.split, f.sequence)))]
-    frames[:] = [f for f in frames if wanted.isdisjoint((f.sequence, (f.record.split, f.sequence)))]
-    counts: dict[str, dict[str, Any]] = {}
+    out = [f for f in frames if f.sequence in sequences or (f.record.split, f.sequence) in sequences]
+    frames[:] = [f for f in frames if f.sequence not in sequences and (f.record.split, f.sequence) not in sequences]
+    counts: dict[str, _Excluded] = {}
     for f in out:
         entry = counts.setdefault(f"{f.record.split}/{f.sequence}", {"why": why, "images": 0, "labels": 0})
         entry["images"] += 1
         entry["labels"] += len(f.record.instances)
     if counts:
-        images, labels = (sum(c[k] for c in counts.values()) for k in ("images", "labels"))
-        found = (
-            f"{len(counts)} sequence(s) left out, {why}: {', '.join(sorted(counts))} ({images} images, {labels} labels)"
-        )
+        labels = sum(len(f.record.instances) for f in out)
+        found = f"{len(counts)} sequence(s) left out, {why}: {', '.join(sorted(counts))} "
+        found += f"({len(out)} images, {labels} labels)"
         todo = "keep them with --read empty=keep" if option == "empty" else ""
         dataset.warn(dataset.root.name, "sequence-excluded", found, todo=todo)
-    if option == "exclude" and (unknown := sorted(wanted - {f.sequence for f in out})):
+    unknown = sorted({str(s) for s in sequences} - {f.sequence for f in out}) if option == "exclude" else []
+    if unknown:
         there = ", ".join(sorted({str(f.sequence) for f in frames})[:20])
         dataset.warn("option exclude", "option-value", f"no sequence {', '.join(unknown)}", f"some of {there}")
     return dict(sorted(counts.items()))

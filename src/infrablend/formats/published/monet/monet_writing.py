@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Literal
 
 from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name
@@ -19,9 +19,9 @@ from infrablend.formats.labels import coco
 from infrablend.formats.losses import Written
 from infrablend.formats.published.monet.folders import split_in
 from infrablend.formats.published.monet.read_options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
-from infrablend.formats.published.monet.telemetry import NEST, Place
+from infrablend.formats.published.monet.telemetry import NEST, Place, Telemetry
 
-_INFO: Mapping[str, Any] = {"description": "MONET layout, written by InfraBlend"}
+_INFO: Mapping[str, object] = {"description": "MONET layout, written by InfraBlend"}
 # Facts with a place of their own: in the telemetry, or the name of the file.
 _IN_TELEMETRY = ("pitch_deg", "altitude_m", "date_captured", "sequence")
 
@@ -32,7 +32,7 @@ def write(
     categories: Sequence[Category],
     *,
     ids: Literal["source", "new"] = "new",
-    extra: Mapping[str, Any] | None = None,
+    extra: Mapping[str, object] | None = None,
     pictures: bool = True,
 ) -> Written:
     """Write `out/<split>/<sequence>.json` and pictures in `out/<split>/<sequence>/lwir/`.
@@ -64,7 +64,7 @@ def _chunks(
     losses: Counter[str],
     folders: Mapping[str | None, str],
     ids: Literal["source", "new"],
-    extra: Mapping[str, Any],
+    extra: Mapping[str, object],
 ) -> dict[str, Iterator[str]]:
     """Return the text of every annotation file in pieces, by POSIX path below the output folder."""
     numbered = number_ids(ordered, ids, 1)
@@ -80,14 +80,14 @@ def _chunks(
         taken.add((image.split, name))
         groups.setdefault(f"{image.split}/{folders[image.capture.sequence] or image.split}.json", []).append(n)
 
-    def records(part: Numbered) -> Iterator[dict[str, Any]]:
+    def records(part: Numbered) -> Iterator[dict[str, object]]:
         for image, number, _ in part:
             record = _image_record(image, number, _picture_name(image, folders), new)
             if unknown:
                 _put(record, (NEST, PITCH_KEYS[0]), None)
             yield record
 
-    def top(part: Numbered) -> dict[str, Any]:
+    def top(part: Numbered) -> dict[str, object]:
         return {
             "info": extra.get("info", _INFO),
             "licenses": extra.get("licenses", []),
@@ -139,12 +139,12 @@ def _picture_name(image: ImageRecord, folders: Mapping[str | None, str]) -> str:
     return str(PurePosixPath(folder, "lwir", *parts))
 
 
-def _image_record(image: ImageRecord, number: int, name: str, new: bool) -> dict[str, Any]:
+def _image_record(image: ImageRecord, number: int, name: str, new: bool) -> dict[str, object]:
     w, h = require_size(image)
-    # Copies, because nested objects are changed below.
-    fields = {k: dict(v) if isinstance(v, dict) else v for k, v in image.extra.get("fields", {}).items()}
-    places: Mapping[str, Any] = image.extra.get("telemetry", {})
-    nest = next((p[:-1] for k in ("pitch", "altitude", "time") if (p := places.get(k))), (NEST,))
+    fields: dict[str, object] = dict(image.extra.get("fields", {}))
+    places: Telemetry = image.extra.get("telemetry", {})
+    stated = (places.get("pitch"), places.get("altitude"), places.get("time"))
+    nest = next((place[:-1] for place in stated if place), (NEST,))
     if image.capture.pitch_deg is not None:
         pitch = places.get("sign", -1) * image.capture.pitch_deg + 0.0
         value = math.radians(pitch) if places.get("radians") else pitch
@@ -158,10 +158,12 @@ def _image_record(image: ImageRecord, number: int, name: str, new: bool) -> dict
     return fields | record | coco.source_id_field(image, new)
 
 
-def _put(record: dict[str, Any], place: Place, value: Any) -> None:
+def _put(record: dict[str, object], place: Place, value: object) -> None:
     """Set a value at a place, copying or creating the objects on the way."""
-    for key in place[:-1]:
+    key, *below = place
+    if below:
         inside = record.get(key)
-        record[key] = dict(inside) if isinstance(inside, dict) else {}
-        record = record[key]
-    record[place[-1]] = value
+        copy = dict(inside) if isinstance(inside, dict) else {}
+        _put(copy, tuple(below), value)
+        value = copy
+    record[key] = value

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import TypeVar, get_args
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import SPLITS, Split
 from infrablend.errors import DatasetError, Problem
 
+T = TypeVar("T")
 OPTIONS = {
     "pitch_sign": "-1 if negative pitch looks down, +1 if positive does; default: as most frames look down",
     "pitch_key": "key of the gimbal pitch in an image record, dotted for nested objects, e.g. metadata.g_pitch",
@@ -70,35 +71,37 @@ def check_options(root: Path, options: Mapping[str, str | None]) -> MonetOptions
     """
     if unknown := sorted(set(options) - set(OPTIONS)):
         raise TypeError(f"options {', '.join(unknown)}: expected some of {', '.join(OPTIONS)}")
-    given: dict[str, str | None] = dict.fromkeys(OPTIONS) | dict(options)
-    allowed: dict[str, Mapping[str, Any]] = {
-        "pitch_sign": {"-1": -1, "+1": 1, "1": 1},
-        "angle_unit": {"deg": False, "rad": True},
-        "time_of_day": {time: time for time in get_args(TimeOfDay)},
-        "empty": {"exclude": False, "keep": True},
-        "split": {s: s for s in SPLITS},
-    }
     problems: list[Problem] = []
-    value: dict[str, Any] = {}
-    for name, choices in allowed.items():
-        text = given[name]
-        if text is not None and text not in choices:
-            problems.append(Problem(f"option {name}", "option-value", repr(text), f"one of {', '.join(choices)}"))
-        value[name] = choices.get(text) if text is not None else None
-    for name in ("pitch_key", "altitude_key", "time_key"):
-        text = given[name]
-        if text is not None and not all(text.split(".")):
-            problems.append(Problem(f"option {name}", "option-value", repr(text), "a key, or several joined by dots"))
-    if problems:
-        raise DatasetError(f"{root}: options with unusable values", problems)
+
+    def choose(name: str, choices: Mapping[str, T]) -> T | None:
+        text = options.get(name)
+        if text is None or text in choices:
+            return None if text is None else choices[text]
+        problems.append(Problem(f"option {name}", "option-value", repr(text), f"one of {', '.join(choices)}"))
+        return None
 
     def keys(name: str, otherwise: Sequence[str]) -> Sequence[str]:
-        text = given[name]
+        text = options.get(name)
+        if text is not None and not all(text.split(".")):
+            problems.append(Problem(f"option {name}", "option-value", repr(text), "a key, or several joined by dots"))
         return otherwise if text is None else (text,)
 
-    return MonetOptions(
-        value["pitch_sign"], keys("pitch_key", PITCH_KEYS), keys("altitude_key", ALTITUDE_KEYS),
-        keys("time_key", TIME_KEYS), bool(value["angle_unit"]), value["time_of_day"],
-        tuple(sorted({s.strip() for s in (given["exclude"] or "").split(",") if s.strip()})), bool(value["empty"]),
-        value["split"], given["annotations"], given["pictures"],
-    )  # fmt: skip
+    times: Mapping[str, TimeOfDay] = {time: time for time in get_args(TimeOfDay)}
+    splits: Mapping[str, Split] = {s: s for s in SPLITS}
+    excluded = (options.get("exclude") or "").split(",")
+    chosen = MonetOptions(
+        sign=choose("pitch_sign", {"-1": -1, "+1": 1, "1": 1}),
+        radians=choose("angle_unit", {"deg": False, "rad": True}) or False,
+        time_of_day=choose("time_of_day", times),
+        keep_empty=choose("empty", {"exclude": False, "keep": True}) or False,
+        split=choose("split", splits),
+        pitch=keys("pitch_key", PITCH_KEYS),
+        altitude=keys("altitude_key", ALTITUDE_KEYS),
+        time=keys("time_key", TIME_KEYS),
+        exclude=tuple(sorted({s.strip() for s in excluded if s.strip()})),
+        annotations=options.get("annotations"),
+        pictures=options.get("pictures"),
+    )
+    if problems:
+        raise DatasetError(f"{root}: options with unusable values", problems)
+    return chosen

@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypedDict, TypeVar
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.json_records import is_list
@@ -27,7 +27,7 @@ T = TypeVar("T")
 BEYOND_DEG = 1.0
 
 
-def _places(record: Mapping[str, Any], keys: Sequence[str]) -> Iterator[Place]:
+def _places(record: Mapping[str, object], keys: Sequence[str]) -> Iterator[Place]:
     """Yield the places of the keys: as dotted path, in the record itself, in an object one level deeper."""
     for key in keys:
         path = tuple(key.split("."))
@@ -40,8 +40,8 @@ def _places(record: Mapping[str, Any], keys: Sequence[str]) -> Iterator[Place]:
                 yield nest, key
 
 
-def _at(record: Mapping[str, Any], place: Place) -> Any:
-    value: Any = record
+def _at(record: Mapping[str, object], place: Place) -> object:
+    value: object = record
     for key in place:
         if not isinstance(value, dict):
             return None
@@ -49,9 +49,11 @@ def _at(record: Mapping[str, Any], place: Place) -> Any:
     return value
 
 
-def _find(record: Mapping[str, Any], keys: Sequence[str], read: Callable[[Any], T | None]) -> tuple[Place | None, Any]:
+def _find(
+    record: Mapping[str, object], keys: Sequence[str], read: Callable[[object], T | None]
+) -> tuple[Place | None, object]:
     """Return the first place with a readable value, else the first with a value, else the first; and its value."""
-    best: tuple[int, Place | None, Any] = (0, None, None)
+    best: tuple[int, Place | None, object] = (0, None, None)
     for place in _places(record, keys):
         value = _at(record, place)
         rank = 1 if value in (None, "", [], {}) else 2 if read(value) is None else 3
@@ -60,9 +62,9 @@ def _find(record: Mapping[str, Any], keys: Sequence[str], read: Callable[[Any], 
     return best[1], best[2] if best[0] > 1 else None
 
 
-def join_lists(top: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
+def join_lists(top: Mapping[str, object]) -> dict[int, dict[str, object]]:
     """Return, per image id, the objects of top-level lists other than annotations: telemetry beside the images."""
-    joined: dict[int, dict[str, Any]] = defaultdict(dict)
+    joined: dict[int, dict[str, object]] = defaultdict(dict)
     for name, entries in sorted(top.items()):
         if name in ("images", "annotations", "categories", "licenses") or not is_list(entries):
             continue
@@ -73,9 +75,19 @@ def join_lists(top: Mapping[str, Any]) -> dict[int, dict[str, Any]]:
     return joined
 
 
-def _iso_time(value: Any) -> str | None:
+def _iso_time(value: object) -> str | None:
     when = to_time(value)
     return when.isoformat() if when else None
+
+
+class Telemetry(TypedDict, total=False):
+    """Where an image record states its telemetry, and how: kept in `ImageRecord.extra` for writing."""
+
+    pitch: Place | None
+    altitude: Place | None
+    time: Place | None
+    radians: bool
+    sign: int
 
 
 @dataclass(slots=True)
@@ -114,7 +126,7 @@ class UnusableValues:
 
 
 def frame_of(
-    record: ImageRecord, where: str, fields: dict[str, Any], chosen: MonetOptions, tally: UnusableValues
+    record: ImageRecord, where: str, fields: dict[str, object], chosen: MonetOptions, tally: UnusableValues
 ) -> Frame:
     """Return a picture with its telemetry; unusable values are counted."""
     here = f"(image {record.source_id})"
@@ -134,18 +146,18 @@ def frame_of(
     captured = _iso_time(time)
     if time is not None and captured is None:
         tally.add("time", f"{_show(time)} {here}")
-    places = {"pitch": pitch_at, "altitude": altitude_at, "time": time_at, "radians": chosen.radians}
+    places = Telemetry(pitch=pitch_at, altitude=altitude_at, time=time_at, radians=chosen.radians)
     extra = {**record.extra, "fields": fields, "telemetry": places}
     known = replace(record.capture, captured=captured, time_of_day=chosen.time_of_day or record.capture.time_of_day)
     kept = replace(record, capture=known, extra=extra, file_name=below_split(record.name))
     return Frame(kept, where, raw, metres, known.sequence)
 
 
-def _show(value: Any) -> str:
+def _show(value: object) -> str:
     return ascii(value)[:40]
 
 
-def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems: list[Problem]) -> dict[str, Any]:
+def set_pitches(root: Path, frames: list[Frame], chosen: MonetOptions, problems: list[Problem]) -> dict[str, object]:
     """Decide which sign looks down, convert all pitches to depression angles, and check the result per file."""
     raw = [f.raw_deg for f in frames if f.raw_deg is not None]
     below = sum(v < 0 for v in raw)
@@ -235,7 +247,7 @@ def require_pitch(root: Path, frames: Sequence[Frame], chosen: MonetOptions, pro
     raise DatasetError(f"{root}: no telemetry in {len(frames)} image(s)", [problem, *shorten(problems)])
 
 
-def _dotted(record: Mapping[str, Any], depth: int = 4) -> Iterator[str]:
+def _dotted(record: Mapping[str, object], depth: int = 4) -> Iterator[str]:
     """Yield the keys of a record and of its nested objects, as the options accept them."""
     for key, value in record.items():
         if isinstance(value, dict) and value and depth:
