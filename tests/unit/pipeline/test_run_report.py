@@ -15,7 +15,7 @@ from PIL import Image
 from infrablend import api
 from infrablend.errors import Problem
 from infrablend.report.run import run_page as page
-from infrablend.report.run.charts import bin_edges
+from infrablend.report.run.run_charts import bin_edges
 from infrablend.report.run.run_facts import FrameFacts, InsertFacts, RemovedLabel, RunFacts, removed_crops
 from infrablend.report.run.run_page import run_page
 from tests.command_line import done
