@@ -12,8 +12,8 @@ from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError
 from infrablend.studio.disagreement import Disagreement, compare, read_disagreement
+from infrablend.studio.found_results import find_results
 from infrablend.studio.frame_index import View
-from infrablend.studio.results import find_results
 from infrablend.studio.run_labels import RunLabel, RunLabels
 from tests.samples import picture
 

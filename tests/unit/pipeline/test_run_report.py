@@ -16,7 +16,7 @@ from infrablend import api
 from infrablend.core.frame_row import FrameRow, InsertRow, RemovedLabel
 from infrablend.errors import Problem
 from infrablend.report.run import run_page as page
-from infrablend.report.run.charts import bin_edges
+from infrablend.report.run.run_charts import bin_edges
 from infrablend.report.run.run_facts import RunFacts, removed_crops
 from infrablend.report.run.run_page import run_page
 from tests.command_line import done

@@ -12,7 +12,7 @@ from infrablend.lab.pages.realism_report import score_table
 from infrablend.lab.realism.realism_record import ScoreName
 from infrablend.report.figures import decimals, stratum_order
 from infrablend.report.page import Table
-from infrablend.studio.results import ResultReport, ResultTable
+from infrablend.studio.found_results import ResultReport, ResultTable
 
 REALISM = "realism.json"
 _PICTURES = (".png", ".svg")

@@ -19,7 +19,7 @@ from infrablend.errors import Problem
 from infrablend.report.figures import compact, human_seconds
 from infrablend.report.page import page_part, render_page
 from infrablend.report.preview import spread
-from infrablend.report.run.charts import Chart, Part, frame_counts, histogram, position_map
+from infrablend.report.run.run_charts import Chart, Part, frame_counts, histogram, position_map
 from infrablend.report.run.run_facts import Filters, RemovedCrop, RunFacts, removed_crops
 from infrablend.report.run.run_pictures import Crop, crop, read_levels, thumbnail
 from infrablend.report.run.run_warnings import warning_codes

@@ -9,9 +9,9 @@ from nicegui import ui
 from starlette.responses import PlainTextResponse, Response
 
 from infrablend.errors import DatasetError
+from infrablend.studio.found_results import ResultReport, find_results
 from infrablend.studio.pages.layout import show_heading, show_picture, show_table
 from infrablend.studio.pages.routes import KEEP
-from infrablend.studio.results import ResultReport, find_results
 
 _TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 
