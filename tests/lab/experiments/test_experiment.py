@@ -336,7 +336,7 @@ def test_the_page_says_when_published_weights_were_not_found(bench: Bench, data:
 
     def page(why: str) -> str:
         start = {"model": "yolov8n.yaml", "kind": "scratch", "why": why}
-        return page_text({**facts, "trainings": {"aligned": {**training, "start": start}}})
+        return page_text(facts | {"trainings": {"aligned": {**training, "start": start}}})
 
     assert "add `--weights scratch`" in page("yolov8n.pt is not available")
     assert "add `--weights scratch`" not in page("requested")
@@ -1069,7 +1069,7 @@ def test_page_states_the_limits_of_its_figures(
     scale: str, said: str | None, bench: Bench, data: Path, tmp_path: Path
 ) -> None:
     facts = run("hit-uav-drone", data, tmp_path / "work").facts
-    text = " ".join(list_differences({**facts, "scale": scale}))
+    text = " ".join(list_differences(facts | {"scale": scale}))
     assert [s for s in ("figures mean nothing", "with each other") if s in text] == ([said] if said else [])
 
 
