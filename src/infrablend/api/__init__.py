@@ -9,8 +9,9 @@
 Options that belong together are one value, documented in its class: `Reading` (how to read a dataset), `Execution` (how
 to compute frames), `TrainRequest`, `EvaluationSettings`, `FetchRequest`, `ExperimentRequest`. The options of the
 commands are made from the same classes. Every function raises the errors of `infrablend.errors`. One module per topic:
-`runs`, `in_memory`, `datasets`, `detectors`, `shipped`. Their functions only turn arguments into paths
-and requests and call `infrablend.pipeline`; the CLI calls the same functions.
+`runs`, `in_memory`, `datasets`, `shipped`, and `infrablend.lab.interface` for trainings, evaluations, experiments and
+realism. Their functions only turn arguments into paths and requests and call what does the work; the CLI calls the same
+functions.
 The names are listed once, in `__init__.pyi`; each is imported on first use, so that one command does not load the
 others. The examples run in the tests on a dataset of four pictures, without Blender.
 """
