@@ -1,1 +1,1 @@
-"""Rendering and importing with Blender: the only package that imports bpy; workers load its modules by name."""
+"""Rendering and importing with Blender: the only package that imports bpy; runs as a server, in a process of its own."""

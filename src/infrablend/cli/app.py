@@ -34,16 +34,9 @@ _EPILOG = (
     "wrong command, recipe or data; 3 the environment (libraries, devices, disk, network); 130 stopped. 70 is a bug."
 )
 
-LAB_COMMANDS = {
-    "train": "infrablend.lab.commands.detector_commands:train",
-    "realism": "infrablend.lab.commands.realism_command:realism",
-    "evaluate": "infrablend.lab.commands.detector_commands:evaluate",
-    "experiment": "infrablend.lab.commands.experiment_command:experiment",
-    "world": "infrablend.lab.commands.world_command:world",
-}
-"""Commands of the lab, by name: nothing here imports the lab."""
+_Function = Callable[..., None]
 
-_COMMANDS: dict[str, Callable[..., None]] = {
+COMMANDS: dict[str, _Function | str] = {
     "generate": run_commands.generate,
     "merge": run_commands.merge,
     "status": run_commands.status,
@@ -60,15 +53,19 @@ _COMMANDS: dict[str, Callable[..., None]] = {
     "inspect": dataset_commands.inspect,
     "check": dataset_commands.check,
     "split": dataset_commands.split,
-    **{name: resolve(LAB_COMMANDS[name]) for name in ("train", "realism", "evaluate", "experiment")},
+    "train": "infrablend.lab.commands.detector_commands:train",
+    "realism": "infrablend.lab.commands.realism_command:realism",
+    "evaluate": "infrablend.lab.commands.detector_commands:evaluate",
+    "experiment": "infrablend.lab.commands.experiment_command:experiment",
     "frames": camera_commands.frames,
     "temperatures": camera_commands.temperatures,
-    "world": resolve(LAB_COMMANDS["world"]),
+    "world": "infrablend.lab.commands.world_command:world",
     "fetch": dataset_commands.fetch,
     "studio": tuning_commands.studio,
     "doctor": shipped_commands.doctor,
 }
-_GROUPS: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
+"""Commands by name, in the order of the help. Those of the lab are names of functions: nothing here imports the lab."""
+_GROUPS: dict[str, tuple[str, dict[str, _Function]]] = {
     "models": (
         "Object models.",
         {
@@ -107,9 +104,9 @@ class _Command(TyperCommand):
     Its options are made when it is first used: the requests that they come from may load NumPy.
     """
 
-    def __init__(self, name: str, function: Callable[..., None]) -> None:
-        self._function = function
-        super().__init__(name, help=inspect.getdoc(function), rich_markup_mode=None)
+    def __init__(self, name: str, function: _Function | str) -> None:
+        self._function: _Function = resolve(function) if isinstance(function, str) else function
+        super().__init__(name, help=inspect.getdoc(self._function), rich_markup_mode=None)
 
     def make_context(self, *words: Any, **settings: Any) -> Any:
         if self.callback is None:
@@ -143,7 +140,7 @@ class _Commands(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
-        for name, function in _COMMANDS.items():
+        for name, function in COMMANDS.items():
             self.add_command(_Command(name, function))
         for group, (what, functions) in _GROUPS.items():
             inner = TyperGroup(name=group, help=what, no_args_is_help=True, rich_markup_mode=None)

@@ -1,1 +1,1 @@
-"""Dataset formats: each one file that reads it, writes it and counts what it cannot hold."""
+"""Dataset formats: each one file or package that reads it, writes it and counts what it cannot hold."""

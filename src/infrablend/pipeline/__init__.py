@@ -1,1 +1,1 @@
-"""Planning a run, running it, resuming it, recording it."""
+"""The work of each command: runs, from plan to record; conversions, extractions, studies, downloads."""

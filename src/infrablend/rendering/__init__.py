@@ -3,7 +3,8 @@
 `RENDERERS` maps the name that a run records to the dotted name of a class:
 
 `blender`
-    `rendering.engine.renderer.BlenderRenderer`, Cycles. The one that datasets are made with.
+    `rendering.engine.renderer.BlenderRenderer`. The one that datasets are made with: by the lattice where it can draw a
+    scene, else by Cycles.
 `flat`
     `rendering.flat.FlatRenderer`: flat shading on the software rasteriser. Fast and without Blender; for tests and
     for trying out a recipe.

@@ -1,1 +1,1 @@
-"""What a run, or a machine, looks like: previews, reports, diagnosis."""
+"""What a run or a dataset looks like: previews, reports, cards, `inspect`, `check`."""

@@ -1,1 +1,1 @@
-"""Sampling of scenes from a background, a recipe and a seed: all of a frame's randomness is here."""
+"""Sampling of scenes from a background, a recipe and a seed: camera, objects, temperatures, places, paths."""

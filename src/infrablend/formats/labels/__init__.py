@@ -1,1 +1,1 @@
-"""Formats that people label and train with: one file each, which detects, reads and writes it."""
+"""Formats that people label and train with: each detects, reads and writes one of them."""

@@ -1,1 +1,1 @@
-"""Commands of the lab. `cli.app.LAB_COMMANDS` names them."""
+"""Commands of the lab. `cli.app.COMMANDS` names them."""

@@ -1,1 +1,1 @@
-"""Readings of datasets and runs that change nothing: inspect, check, profile, realism."""
+"""Readings that leave datasets and runs as they are: inspect, check, profile, maps of surfaces; and `doctor`."""
