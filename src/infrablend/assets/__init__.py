@@ -1,1 +1,1 @@
-"""Object models to insert: procedural people, animals, vehicles and aircraft, and a user's own; the thermal role of each part."""
+"""Object models to insert: people, animals, vehicles, aircraft, and a user's own; the thermal role of each part."""
