@@ -13,7 +13,7 @@ import pytest
 def coarse_worlds() -> Iterator[None]:
     """Render all virtual worlds coarsely, in worker processes and in this one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("infrablend.lab.world.make_world.WORKER", "tests.coarse_world:make_coarse_worker")
+        patch.setattr("infrablend.lab.world.world_dataset.WORKER", "tests.coarse_world:make_coarse_worker")
         patch.setattr("infrablend.lab.world.blender_world.OVERSAMPLE", 1)
         patch.setattr("infrablend.lab.world.blender_world.SAMPLES", 1)
         yield

@@ -25,7 +25,7 @@ ALLOWED = {
     "lab/evaluation/evaluation_comparison.py": "an open file",
     "detection/detections.py": "a file that the user names",
     "pipeline/fetching/archive.py": "downloads, which it checks itself",
-    "pipeline/execution/scratch.py": "folders, to lock them",
+    "pipeline/execution/process_pool.py": "folders, to lock them",
     "lab/realism/measure_objects.py": "bytes in memory",
     "pipeline/compose/frame.py": "backgrounds, which may be links",
     "pipeline/runs/make_shards.py": "the ledger, by SQLite",

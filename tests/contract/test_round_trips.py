@@ -23,8 +23,7 @@ from infrablend.formats import detection, writing
 from infrablend.formats.labels import yolo
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures.listing import read_size
-from infrablend.formats.reading import Reading
-from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.reading import Reading, WriteSettings
 from infrablend.formats.writing import load_writer
 
 pytestmark = pytest.mark.thinned

@@ -19,7 +19,7 @@ from infrablend.core.files import part_path
 from infrablend.core.workspace import partial_of
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Interrupted, ModelError, OutputError, Problem, RecipeError
-from infrablend.pipeline.execution import scratch
+from infrablend.pipeline.execution import process_pool
 from infrablend.pipeline.plans import run_request
 from infrablend.pipeline.plans.run_request import Execution, RunRequest
 from infrablend.pipeline.runs import run
@@ -263,16 +263,16 @@ def test_every_image_left_out_counts(data, tmp_path):
 
 def test_temporary_folders_of_killed_parents_are_swept_and_those_in_use_are_not(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr(scratch.tempfile, "tempdir", None)
+    monkeypatch.setattr(process_pool.tempfile, "tempdir", None)
     code = (
-        "import os, signal; from infrablend.pipeline.execution import scratch\n"
-        "with scratch.scratch_folder() as s: open(s + '/x', 'w').close(); os.kill(os.getpid(), signal.SIGKILL)"
+        "import os, signal; from infrablend.pipeline.execution.process_pool import scratch_folder\n"
+        "with scratch_folder() as s: open(s + '/x', 'w').close(); os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run([sys.executable, "-c", code], check=False)
     (left,) = tmp_path.iterdir()
-    with scratch.scratch_folder() as one:
+    with process_pool.scratch_folder() as one:
         assert not left.exists()
-        with scratch.scratch_folder() as two:
+        with process_pool.scratch_folder() as two:
             assert Path(one).is_dir()
             assert one != two
     assert list(tmp_path.iterdir()) == []

@@ -10,8 +10,7 @@ from infrablend.annotation.looseness import Looseness
 from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
 from infrablend.formats import detection
-from infrablend.formats.reading import READ_ALL, Reading
-from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.reading import READ_ALL, Reading, WriteSettings
 from infrablend.pipeline.datasets.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.split import SplitReport, split_dataset

@@ -31,8 +31,8 @@ from infrablend.formats.base import FormatModule, in_order, numbered_from_one, s
 from infrablend.formats.losses import Written
 from infrablend.formats.picture_facts import facts_from_name, fits_table
 from infrablend.formats.pictures.listing import assign_ids
+from infrablend.formats.reading import WriteSettings
 from infrablend.formats.values import csv_text
-from infrablend.formats.write_settings import WriteSettings
 
 
 def load_writer(writer: Writer) -> Callable[..., Written]:

@@ -20,7 +20,7 @@ from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.training.train import TrainReport, train_dataset
 from infrablend.lab.training.train_request import DEFAULT_TRAINING, TrainRequest
 from infrablend.lab.training.training_plan import TrainPlan, plan_training
-from infrablend.lab.world import make_world as world_maker
+from infrablend.lab.world import world_dataset
 from infrablend.lab.world.world_dataset import WorldRequest
 from infrablend.lab.world.world_frames import Layout
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution
@@ -175,5 +175,5 @@ def make_world(
     `flir`). It always renders on the CPU.
     """
     request = WorldRequest(count, seed, layout)
-    world_maker.make_world(Path(out), request, Execution(workers).worker_count(), on_progress, overwrite=overwrite)
+    world_dataset.make_world(Path(out), request, Execution(workers).worker_count(), on_progress, overwrite=overwrite)
     return Path(out)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from infrablend.formats.published.matlab import object_workspace
+from infrablend.formats.published.halmstad import object_workspace
 from tests.videos import write_ground_truth
 
 BOXES = [(1.0, 2.0, 30.0, 40.0), None, (5.5, 6.5, 7.0, 8.0)]

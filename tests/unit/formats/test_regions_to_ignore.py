@@ -14,8 +14,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
 from infrablend.formats import detection, writing
-from infrablend.formats.reading import Reading
-from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.reading import Reading, WriteSettings
 from tests.samples import picture
 
 CATEGORIES = (Category(0, "Person"), Category(1, "Logo", ignore=True), Category(4, "DontCare", ignore=True))

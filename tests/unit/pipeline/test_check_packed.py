@@ -13,8 +13,7 @@ from infrablend.formats import detection
 from infrablend.formats.labels import shards
 from infrablend.formats.pictures import derived
 from infrablend.formats.reading import Reading
-from infrablend.pipeline.runs.written import changes_since_written
-from infrablend.pipeline.studies.examine import check_folder
+from infrablend.pipeline.studies.examine import changes_since_written, check_folder
 from infrablend.report.checking import check_dataset
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat

@@ -15,7 +15,7 @@ from infrablend.pipeline.plans.estimate import (
     OTHER_OBJECT_CPU_S,
 )
 from infrablend.pipeline.runs import generate
-from infrablend.pipeline.runs.executors import Pace
+from infrablend.pipeline.runs.run import Pace
 from tests.command_line import run
 from tests.samples import SAMPLES
 

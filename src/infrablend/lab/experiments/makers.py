@@ -24,9 +24,8 @@ from infrablend.lab.experiments.result_record import CompareResult, DataResult, 
 from infrablend.lab.experiments.stage import StageJob
 from infrablend.lab.training.train import train_dataset
 from infrablend.lab.training.train_request import TrainRequest
-from infrablend.lab.world.make_world import make_world
 from infrablend.lab.world.sky_pictures import write_sky_pictures
-from infrablend.lab.world.world_dataset import WorldRequest
+from infrablend.lab.world.world_dataset import WorldRequest, make_world
 from infrablend.pipeline.datasets.convert import convert_dataset
 from infrablend.pipeline.datasets.requests import ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.select import select

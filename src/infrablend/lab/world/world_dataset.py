@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -14,12 +14,14 @@ from typing import get_args
 from infrablend.core.arguments import require_choice
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import link_or_copy
+from infrablend.core.tasks import OnProgress, Task, WorkerSpec, paced
 from infrablend.core.workspace import WORLD_FILE, replacing, workspace
 from infrablend.formats.labels import coco, mot
 from infrablend.formats.published import hit_uav, monet
 from infrablend.lab.world.frame_files import FinishedFrame
 from infrablend.lab.world.rjpeg_writing import MAKERS
 from infrablend.lab.world.world_frames import MONET_CATEGORIES, FrameFacts, Layout, plan_frames
+from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 
 # Renders the given frames, writes their images below the given folder, and yields them in any order.
 FrameSource = Callable[[Sequence[FrameFacts], Path], Iterable[FinishedFrame]]
@@ -102,3 +104,36 @@ def _write(out: Path, layout: Layout, images: Sequence[ImageRecord]) -> None:
         coco.write(out, images, hit_uav.CATEGORIES, info=_RADIOMETRIC_INFO, pictures=True)
     else:
         hit_uav.write(out, images, hit_uav.CATEGORIES, forms=("normal_json", "rotate_json"), extra=_TOP)
+
+
+WORKER = "infrablend.lab.world.blender_world:make_world_worker"
+
+
+def make_world(
+    out: Path,
+    request: WorldRequest,
+    workers: int,
+    on_progress: OnProgress | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Render a background dataset of the virtual world; the bytes do not depend on the number of workers.
+
+    Raises:
+        RecipeError: The number of frames is out of range.
+        OutputError: `out` has something that may not be replaced, or cannot be written.
+        RenderError: Blender failed on a frame.
+        Interrupted: The user stopped the run; nothing is left behind.
+    """
+
+    def rendered(frames: Sequence[FrameFacts], folder: Path) -> Iterator[FinishedFrame]:
+        spec = WorkerSpec(WORKER, {"seed": request.seed, "folder": str(folder)})
+        # The scene below a flight is rendered once, which takes longer than cutting hundreds of frames from it.
+        most = 1 if request.layout == "flight" else len(frames)
+        pool = ProcessPool(spec, PoolSettings(workers=max(1, min(workers, most))))
+        for result in pool.run(Task(frame.name, frame) for frame in frames):
+            if result.failure is not None:
+                raise result.failure.to_exception()
+            yield result.value
+
+    write_world(out, request, rendered, paced(on_progress), overwrite=overwrite)

@@ -8,14 +8,18 @@ output of Blender's C code. Unlike `spawn`, it does not import the caller's main
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import itertools
 import json
 import logging
 import os
 import pickle
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import deque
@@ -28,9 +32,8 @@ from typing import IO, Any
 
 from infrablend.core.child_process import describe_exit
 from infrablend.core.tasks import Failure, FailureKind, Task, TaskResult, WorkerSpec
-from infrablend.errors import Interrupted, WorkerDiedError
+from infrablend.errors import Interrupted, OutputError, Problem, WorkerDiedError
 from infrablend.pipeline.execution.interrupt import STOPPED, Interruption
-from infrablend.pipeline.execution.scratch import scratch_folder
 from infrablend.pipeline.execution.worker import (
     ONE_THREAD,
     ResultMessage,
@@ -40,6 +43,57 @@ from infrablend.pipeline.execution.worker import (
     start_error,
     value_of,
 )
+
+_SCRATCH = "infrablend-workers-"
+_MIN_MEMORY_BYTES = 48 * 2**20  # a full-frame float image is 5 MiB; containers often give /dev/shm 64 MiB
+
+
+@contextlib.contextmanager
+def scratch_folder() -> Iterator[str]:
+    """Create the folder for temporary files of workers: in memory unless TMPDIR is set or memory is short.
+
+    The parent removes it, since a killed worker cannot. The next run removes the folder of a killed parent. A lock
+    marks a folder in use; it ends with its process.
+
+    Raises:
+        OutputError: The folder cannot be created.
+    """
+    memory = Path("/dev/shm")
+    roomy = os.access(memory, os.W_OK) and shutil.disk_usage(memory).free >= _MIN_MEMORY_BYTES
+    folder = Path(tempfile.gettempdir()) if os.environ.get("TMPDIR") or not roomy else memory
+    try:
+        _sweep(folder)
+        # Create under another name, lock, then rename: no sweep can find it without its lock.
+        made = Path(tempfile.mkdtemp(prefix="infrablend-new-", dir=folder))
+        handle = os.open(made, os.O_RDONLY)
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        scratch = made.rename(folder / (_SCRATCH + made.name.removeprefix("infrablend-new-")))
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: cannot create a temporary folder ({error.strerror or error}); free some space there, or set "
+            "TMPDIR to another folder",
+            [Problem(str(folder), "disk-full" if error.errno == errno.ENOSPC else "not-writable", str(error))],
+        ) from error
+    try:
+        yield str(scratch)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        os.close(handle)
+
+
+def _sweep(folder: Path) -> None:
+    for left in sorted(folder.glob(_SCRATCH + "*")):
+        with contextlib.suppress(OSError):
+            if left.is_symlink() or left.stat().st_uid != os.getuid():
+                continue
+            handle = os.open(left, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(left, ignore_errors=True)
+            finally:
+                os.close(handle)
+
 
 logger = logging.getLogger(__name__)
 

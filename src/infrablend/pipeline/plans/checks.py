@@ -19,7 +19,7 @@ from infrablend.formats.cameras.flight_headers import FLIGHT_MISSING
 from infrablend.formats.detection import DATASET_INSIDE
 from infrablend.formats.pictures.place_masks import find_mask
 from infrablend.formats.pictures.temperature_scale import IMPLAUSIBLE, implausible_scales
-from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.reading import WriteSettings
 from infrablend.formats.writing import unwritable
 from infrablend.pipeline.plans.backgrounds import is_ground
 from infrablend.pipeline.plans.selection import similar

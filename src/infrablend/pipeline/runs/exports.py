@@ -7,32 +7,37 @@ import statistics
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from infrablend.annotation.looseness import Looseness
 from infrablend.config.agc import Agc
-from infrablend.core.dataset import ImageRecord
+from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.files import has_size, sha256_of
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.frame_row import FrameRow
 from infrablend.core.ledger import LEDGER, Ledger
-from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, WORKERS_LOG, RunFolder
+from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, TRACKS, VIDEO, WORKERS_LOG, RunFolder
 from infrablend.core.run_record import DrawStatistics
 from infrablend.core.spool import Spool, store_images
 from infrablend.core.workspace import NOTE, Workspace
-from infrablend.errors import OutputError, Problem
+from infrablend.errors import MissingDependencyError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.labels import huggingface
+from infrablend.formats.labels.mot import ASSUMED_RATE
 from infrablend.formats.losses import Written, by_class
-from infrablend.formats.write_settings import WriteSettings
+from infrablend.formats.pictures.images import load_background
+from infrablend.formats.pictures.video import write_video
+from infrablend.formats.reading import WriteSettings
+from infrablend.formats.sequence_writing import Frames, by_sequence, places_of
 from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
 from infrablend.pipeline.runs.run_card import run_card
-from infrablend.pipeline.runs.track_files import with_own_sequence, write_tracks
 from infrablend.report.card import CARD_FILE, is_own, write_card
 from infrablend.report.run.run_warnings import (
     absent_warnings,
@@ -400,3 +405,37 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
 def _quantiles(values: Sequence[float], *shares: float) -> list[float]:
     ordered = sorted(values)
     return [ordered[min(len(ordered) - 1, int(q * len(ordered)))] for q in shares]
+
+
+def with_own_sequence(image: ImageRecord, configuration: int | None) -> ImageRecord:
+    """Return a frame as one of the sequence of its configuration: each has tracks of its own."""
+    name = image.capture.sequence
+    if name is None:
+        return image
+    own = f"{name}_original" if configuration is None else f"{name}_c{configuration}"
+    return replace(image, capture=replace(image.capture, sequence=own))
+
+
+def write_tracks(root: Path, images: Sequence[ImageRecord], categories: Sequence[Category]) -> list[Problem]:
+    """Write `tracks/<split>/<sequence>/gt/gt.txt` as MOTChallenge has it, and `video/<split>/<sequence>.mp4`.
+
+    Returns:
+        Warnings.
+    """
+    # The pictures are in `images` already.
+    written = writing.write("mot", root / TRACKS, images, categories, settings=WriteSettings(pictures=False))
+    return [*written.problems, *_write_videos(root / VIDEO, images)]
+
+
+def _write_videos(out: Path, images: Sequence[ImageRecord]) -> list[Problem]:
+    for folder, group in by_sequence(places_of(images)).items():
+        frames = Frames(images, group)
+        times = [t for i in frames if (t := i.capture.time_s) is not None]
+        steps = np.diff(times) if len(times) == len(frames) > 1 else np.array([1 / ASSUMED_RATE])
+        steps = steps if (steps > 0).all() else np.array([1 / ASSUMED_RATE])
+        pictures = (load_background(i.path, i.size_wh).pixels for i in frames)
+        try:
+            write_video(out / f"{folder}.mp4", pictures, 1 / max(float(np.median(steps)), 1e-3))
+        except MissingDependencyError as error:
+            return [Problem(VIDEO, "video-unwritten", "PyAV is not installed", "PyAV", error.message, "warning")]
+    return []

@@ -25,8 +25,7 @@ from infrablend.studio.page_pictures import to_png
 from infrablend.studio.pages.generation_panel import show_generation
 from infrablend.studio.pages.layout import error_text, show_choice, show_picture, tell
 from infrablend.studio.pages.object_inputs import Input, show_counts, show_ends, show_models, show_options, show_parts
-from infrablend.studio.pages.path_editor import PathEditor
-from infrablend.studio.pages.picture_stage import Mark, Stage
+from infrablend.studio.pages.path_editor import Mark, PathEditor, Stage
 from infrablend.studio.pages.routes import Pictures
 from infrablend.studio.recipe_form import (
     FormField,
