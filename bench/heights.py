@@ -21,7 +21,7 @@ from infrablend.config.recipe import MetricCamera
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import ImageRecord, KnownClass, known_class
 from infrablend.core.ground_plane import at_height, ground_z_m
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.sampling.calibration import REFERENCES, size_ratio
 
 BELOW_M = (75.0, 95.0, 115.0, math.inf)
@@ -39,7 +39,7 @@ def main() -> None:
     camera = load_recipe(options.recipe).camera
     assert isinstance(camera, MetricCamera), f"{options.recipe}: expected a recipe with placement.mode metric"
     factors: dict[tuple[str, str, float], list[float]] = defaultdict(list)
-    for image in detection.read(options.data).images:
+    for image in dataset_folder.read(options.data).images:
         if image.split == options.split and image.capture.altitude_m and image.capture.pitch_deg is not None:
             value, limits = (
                 (image.capture.pitch_deg, BELOW_DEG) if options.by_pitch else (image.capture.altitude_m, BELOW_M)

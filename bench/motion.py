@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from infrablend.formats import detection
-from infrablend.formats.reading import Reading
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 from infrablend.imaging.camera_path import follow_camera
 from infrablend.imaging.camera_shift import find_corners, follow, moved
 from infrablend.pipeline.plans.sequence_motion import sequence_views, sequences_of
@@ -32,7 +32,7 @@ def main() -> None:
     parser.add_argument("data", type=Path)
     parser.add_argument("--read", metavar="KEY=VALUE", action="append", default=[], help="option of the reader")
     options = parser.parse_args()
-    dataset = detection.read(options.data, Reading(options=dict(o.split("=", 1) for o in options.read)))
+    dataset = dataset_folder.read(options.data, Reading(options=dict(o.split("=", 1) for o in options.read)))
     head = ("sequence", "frames", "known", "next, px", "a second, px", "back, px", "CPU, ms")
     print("{:16} {:>6} {:>6} {:>14} {:>14} {:>9} {:>8}".format(*head))
     for name, images in sequences_of(dataset).items():

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from infrablend import api
 from infrablend.assets import car
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 
 REPEATS = 5
 
@@ -39,7 +39,7 @@ def main() -> int:
         return 2
     root = Path(named) / "hit-uav"
     measured: list[tuple[str, float, Callable[[], object]]] = [
-        ("read all four forms of HIT-UAV", 3.0, lambda: detection.read(root)),
+        ("read all four forms of HIT-UAV", 3.0, lambda: dataset_folder.read(root)),
         ("check HIT-UAV without decoding", 5.0, lambda: api.check(root, decode=False)),
         ("build a car", 0.1, lambda: car.MODEL.build(car.NOMINAL)),
     ]

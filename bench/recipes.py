@@ -30,8 +30,8 @@ from typing import Any
 from interleaved import sources_of
 
 from infrablend.core.run_folder import RunFolder
-from infrablend.formats import detection
-from infrablend.formats.reading import Reading
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 
 SIZES = (6, 24)
 # Limits of CPU seconds per frame.
@@ -143,7 +143,7 @@ def missed_limits(recipe: str, found: dict[str, float]) -> list[str]:
 
 def spread_names(data: Path, few: int, many: int) -> list[str]:
     """Return the names of `many` backgrounds spread over the val split; the first `few` are spread over it, too."""
-    images = detection.read(data, Reading(splits=("val",))).images or detection.read(data).images
+    images = dataset_folder.read(data, Reading(splits=("val",))).images or dataset_folder.read(data).images
     chosen = [f"{i.split}/{i.id}" for i in (images[n * len(images) // many] for n in range(many))]
     step = many // few
     return [name for start in range(step) for name in chosen[start::step]]

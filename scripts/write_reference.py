@@ -254,7 +254,7 @@ def cli_page() -> str:
 def formats_page() -> str:
     """Return the page on what every format holds."""
     from infrablend.core.format_table import FIELDS, FORMATS, NATIVE, WRITERS
-    from infrablend.formats.detection import reader_options
+    from infrablend.formats.dataset_folder import reader_options
     from infrablend.formats.losses import LOSSES
 
     lines = [

@@ -25,9 +25,9 @@ import numpy as np
 from infrablend.core.dataset import SPLITS, Dataset
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import InfraBlendError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures import derived
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.report.checking import check_dataset, unreadable
 from infrablend.report.inspection import inspect_dataset
 
@@ -326,7 +326,7 @@ def exercise(root: Path, name: str) -> None:
     """
     for format in (None, name):
         try:
-            dataset = detection.read(root, Reading(format=format))
+            dataset = dataset_folder.read(root, Reading(format=format))
         except InfraBlendError as error:
             json.dumps([p.to_json() for p in error.problems])
             str(error).encode("utf-8", "backslashreplace")

@@ -18,7 +18,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import FORMATS
 from infrablend.core.rle_masks import Mask
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.base import sort_images
 from infrablend.formats.labels import coco, voc, yolo
 from infrablend.formats.losses import Written
@@ -262,12 +262,12 @@ def test_coco_loads_in_pycocotools(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_a_folder_without_pictures_is_said_in_few_lines(tmp_path: Path) -> None:
-    with pytest.raises(detection.UnknownFormatError, match=r"no picture .* and no other file"):
-        detection.read(tmp_path)
+    with pytest.raises(dataset_folder.UnknownFormatError, match=r"no picture .* and no other file"):
+        dataset_folder.read(tmp_path)
     (tmp_path / "notes.txt").write_text("hello")
-    with pytest.raises(detection.UnknownFormatError) as caught:
-        detection.read(tmp_path)
+    with pytest.raises(dataset_folder.UnknownFormatError) as caught:
+        dataset_folder.read(tmp_path)
     (problem,) = caught.value.problems
     assert "1 other file(s), such as notes.txt" in problem.found and "docs/formats" in problem.expected
-    assert [*detection.detect(tmp_path).reasons] == [f.name for f in FORMATS]
-    assert "no data.yaml" in detection.detect(tmp_path).reasons["yolo"]
+    assert [*dataset_folder.detect(tmp_path).reasons] == [f.name for f in FORMATS]
+    assert "no data.yaml" in dataset_folder.detect(tmp_path).reasons["yolo"]

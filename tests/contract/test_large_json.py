@@ -15,7 +15,7 @@ from tests.samples import SAMPLES, picture
 
 from infrablend.core import json_records
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats import annotation_files, detection
+from infrablend.formats import annotation_files, dataset_folder
 from infrablend.formats.annotation_files import read_lines
 from infrablend.formats.labels import label_studio
 from infrablend.formats.picture_facts import read_table
@@ -45,7 +45,7 @@ def streaming(monkeypatch):
 def read(root: Path) -> tuple[Any, ...]:
     """Return everything that a reader says about a folder."""
     try:
-        dataset = detection.read(root)
+        dataset = dataset_folder.read(root)
     except DatasetError as error:
         return (sorted((p.where, p.code) for p in error.problems),)
     unread = unread_files(dataset)

@@ -19,11 +19,11 @@ from infrablend.core.format_table import FIELDS, NATIVE, WRITERS, Writer, find_f
 from infrablend.core.format_table import FORMATS as TABLE
 from infrablend.core.rle_masks import Mask
 from infrablend.core.temperature import Radiometry, TemperatureScale
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.labels import yolo
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures.listing import read_size
-from infrablend.formats.reading import Reading, WriteSettings
+from infrablend.formats.read_write import Reading, WriteSettings
 from infrablend.formats.writing import load_writer
 
 pytestmark = pytest.mark.thinned
@@ -81,7 +81,7 @@ def round_trip(
     assert set(written.files) == {p for p in out.rglob("*") if p.is_file()}
     # MONET is recognised by its telemetry, which some samples lack, and which is required unless waived.
     options = {"empty": "keep", "pitch_sign": "-1"} if writer.name == "monet" else {}
-    again = detection.read(out, Reading(format="monet" if options else None, options=options))
+    again = dataset_folder.read(out, Reading(format="monet" if options else None, options=options))
     if writer.name == "yolo-seg":
         again = yolo.read(out, task="seg")  # a polygon of four corners may be either
     assert again.format == writer.reader
@@ -193,7 +193,7 @@ REAL = {
 @pytest.mark.parametrize("name", sorted(REAL))
 def test_real_labels_come_back(writer: Writer, name: str, real_data: Path, tmp_path: Path) -> None:
     folder, images_there, objects_there = REAL[name]
-    source = detection.read(real_data.joinpath(*folder), Reading(splits=["val"] if name == "hit-uav" else None))
+    source = dataset_folder.read(real_data.joinpath(*folder), Reading(splits=["val"] if name == "hit-uav" else None))
     given = [i if i.size_wh else replace(i, size_wh=read_size(i.path, i.name)[0]) for i in source.images]
     counted = (len(given), sum(len(i.instances) for i in given))
     assert counted == (images_there, objects_there)
@@ -254,8 +254,8 @@ def apart_px(writer: Writer, a: Instance, b: Instance, size_wh: tuple[int, int])
 
 def test_the_upright_box_of_every_oriented_one_is_hit_uavs_own(real_data: Path) -> None:
     """Corners' bounds, truncated toward zero, are HIT-UAV's integers for each of its shared annotations."""
-    oriented = detection.read(real_data / "hit-uav", Reading(form="rotate_json"))
-    upright = detection.read(real_data / "hit-uav", Reading(form="normal_json"))
+    oriented = dataset_folder.read(real_data / "hit-uav", Reading(form="rotate_json"))
+    upright = dataset_folder.read(real_data / "hit-uav", Reading(form="normal_json"))
     compared = 0
     for a, b in zip(oriented.images, upright.images, strict=True):
         for x, y in zip(a.instances, b.instances, strict=True):

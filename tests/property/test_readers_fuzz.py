@@ -63,7 +63,7 @@ import resource, sys
 from pathlib import Path
 from infrablend import api
 from infrablend.errors import InfraBlendError
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 import infrablend.formats.published.hit_uav, infrablend.formats.labels.coco, infrablend.formats.labels.yolo
 import infrablend.report.checking
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

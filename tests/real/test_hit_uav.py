@@ -11,10 +11,10 @@ import pytest
 from tests.file_opens import count_opens
 
 from infrablend.core.dataset import Dataset
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.labels import yolo
 from infrablend.formats.published import hit_uav
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 
 COUNTS = {"train": (1000, 8706), "val": (290, 2460), "test": (579, 4811)}
 
@@ -45,7 +45,7 @@ def test_all_forms_agree_on_every_object_and_each_file_is_parsed_once(
 
     monkeypatch.setattr(json, "loads", counted)
     with count_opens(real_data / "hit-uav") as opens:
-        d = detection.read(real_data / "hit-uav")
+        d = dataset_folder.read(real_data / "hit-uav")
     monkeypatch.undo()
     annotations = {p for p in opens if p.suffix in (".json", ".xml", ".txt")}
     assert set(opens) == annotations, "no picture is opened"
@@ -67,7 +67,7 @@ def test_all_forms_agree_on_every_object_and_each_file_is_parsed_once(
 
 
 def test_normal_json_boxes_are_unchanged(real_data: Path) -> None:
-    d = detection.read(real_data / "hit-uav", Reading(splits=["test"]))
+    d = dataset_folder.read(real_data / "hit-uav", Reading(splits=["test"]))
     top = json.loads((real_data / "hit-uav/normal_json/annotations/test.json").read_text())
     boxes = {a["id"]: a["bbox"] for a in top["annotation"]}
     assert len(boxes) == 4811
@@ -106,10 +106,10 @@ def test_truncating_oriented_boxes_gives_the_normal_ones(real_data: Path, tmp_pa
 
 
 def test_yolo_keeps_boxes_to_a_millionth_of_a_pixel(real_data: Path, tmp_path: Path) -> None:
-    d = detection.read(real_data / "hit-uav", Reading(splits=["val"]))
+    d = dataset_folder.read(real_data / "hit-uav", Reading(splits=["val"]))
     written = yolo.write(tmp_path, d.images, d.categories)
     assert written.losses["ignore_dropped"] == 7
-    again = detection.read(tmp_path)
+    again = dataset_folder.read(tmp_path)
     assert again.format == "yolo"
     for a, b in zip(d.images, again.images, strict=True):
         boxes = [o.box_xyxy for o in a.instances if o.category != "DontCare"]
@@ -117,8 +117,8 @@ def test_yolo_keeps_boxes_to_a_millionth_of_a_pixel(real_data: Path, tmp_path: P
 
 
 def test_folders_of_other_data_are_read(real_data: Path) -> None:
-    wisard = detection.read(real_data / "wisard")
+    wisard = dataset_folder.read(real_data / "wisard")
     assert wisard.format == "wisard"
     assert [p for p in wisard.problems if p.severity == "error"] == []
     assert sum(len(i.instances) for i in wisard.images) > 30
-    assert len(detection.read(real_data / "birdsai").images) == 7
+    assert len(dataset_folder.read(real_data / "birdsai").images) == 7

@@ -61,8 +61,8 @@ from infrablend.pipeline.fetching.fetch import (
     list_sources as list_sources,
 )
 from infrablend.formats.cameras.log_alignment import Clock as Clock
-from infrablend.formats.reading import Reading as Reading
-from infrablend.formats.reading import WriteSettings as WriteSettings
+from infrablend.formats.read_write import Reading as Reading
+from infrablend.formats.read_write import WriteSettings as WriteSettings
 from infrablend.pipeline.plans.add_model import ModelAnswers as ModelAnswers, ModelSurvey as ModelSurvey
 from infrablend.pipeline.runs.choose import ChoiceReport as ChoiceReport
 from infrablend.lab.realism.compare_objects import RealismReport as RealismReport

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from infrablend.annotation.looseness import Looseness
 from infrablend.core.dataset import Dataset
 from infrablend.core.tasks import OnProgress
-from infrablend.formats import detection
-from infrablend.formats.reading import READ_ALL, Reading, WriteSettings
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import READ_ALL, Reading, WriteSettings
 from infrablend.pipeline.datasets.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.split import SplitReport, split_dataset
@@ -58,7 +58,7 @@ def read_dataset(data: str | Path, reading: Reading = READ_ALL) -> Dataset:
         UnknownFormatError: No format fits, as there is no picture to read.
         DatasetError: The folder cannot be read.
     """
-    return detection.read(Path(data), reading)
+    return dataset_folder.read(Path(data), reading)
 
 
 def inspect(
@@ -239,7 +239,7 @@ def find_motion(
     Every frame is related to the first of its span by the background; labelled objects, text and reticle are left out.
     All frames of videos are read, unless the reading states a step.
     """
-    from infrablend.formats.detection import with_every_frame
+    from infrablend.formats.dataset_folder import with_every_frame
     from infrablend.pipeline.extraction import camera_motion
     from infrablend.pipeline.storage.mirror import local_folder
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from infrablend.errors import InfraBlendError
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
 from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials

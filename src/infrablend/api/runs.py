@@ -11,7 +11,7 @@ from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.plans.shard import ShardRequest

@@ -22,7 +22,7 @@ import typer
 from infrablend.cli.call_state import Session
 from infrablend.cli.completion import complete_read_format, complete_recipe
 from infrablend.core.workspace import Existing
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 
 JsonSession = Annotated[Session, "--json"]
 """Session of a command that can print its result as JSON: the command gets the option `--json`."""

@@ -31,7 +31,7 @@ from infrablend.formats.base import FormatModule, in_order, numbered_from_one, s
 from infrablend.formats.losses import Written
 from infrablend.formats.picture_facts import facts_from_name, fits_table
 from infrablend.formats.pictures.listing import assign_ids
-from infrablend.formats.reading import WriteSettings
+from infrablend.formats.read_write import WriteSettings
 from infrablend.formats.values import csv_text
 
 

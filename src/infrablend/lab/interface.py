@@ -14,7 +14,7 @@ from infrablend.core.output_checks import require_apart
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import Existing
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.lab.evaluation.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.training.train import TrainReport, train_dataset
@@ -73,7 +73,7 @@ def evaluate(
     the folder of another evaluation on the same images and labels. For tracks, all frames of videos are read unless
     the reading states a step.
     """
-    from infrablend.formats.detection import with_every_frame
+    from infrablend.formats.dataset_folder import with_every_frame
     from infrablend.lab.evaluation.evaluate import evaluate_detector
     from infrablend.pipeline.storage.mirror import local_folder
 

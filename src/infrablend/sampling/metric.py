@@ -35,12 +35,9 @@ from infrablend.imaging.margin import on_margin
 from infrablend.sampling.calibration import PRIORS, Calibration, HeightPrior, calibrate, prior_of
 from infrablend.sampling.placement import (
     MAX_OVERLAP,
-    Arrangement,
     DrawStatistics,
     PlacementRequest,
-    Placer,
     Pose,
-    Streams,
     attempts_after,
     box_px,
     collides,
@@ -48,6 +45,7 @@ from infrablend.sampling.placement import (
     is_covered,
     volume_of,
 )
+from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.real_ground import draw_aim, ground_around
 from infrablend.sampling.site import Hiding, Site
 from infrablend.sampling.suitable_ground import SuitableGround, plants_of, suitable_ground

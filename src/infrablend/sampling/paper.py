@@ -14,16 +14,14 @@ from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import boxes_of
 from infrablend.imaging.margin import on_margin
 from infrablend.sampling.placement import (
-    Arrangement,
     DrawStatistics,
     PlacementRequest,
-    Placer,
     Pose,
-    Streams,
     attempts_after,
     examine,
     is_covered,
 )
+from infrablend.sampling.placer import Arrangement, Placer, Streams
 from infrablend.sampling.site import Site
 
 

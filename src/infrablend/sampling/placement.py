@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -16,12 +14,8 @@ from infrablend.assets.model import ObjectModel, Params
 from infrablend.config.recipe import Object, Placement
 from infrablend.core.boxes import box_of_points, clip_triangles_to_rect
 from infrablend.core.camera import CameraSpec, object_to_world
-from infrablend.core.dataset import ImageRecord
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
 from infrablend.core.raster import NEAR_M, inside_fraction, project_triangles
-from infrablend.core.scene import SceneSpec, View
-from infrablend.sampling.calibration import FROM_TABLE, HeightPrior
-from infrablend.sampling.site import Site
 
 # Largest share of the smaller of two boxes that may be shared by an object and what it has to avoid. The paper's
 # placement knows the object's box only.
@@ -227,61 +221,3 @@ def volume_of(item: PlacementRequest, pose: Pose) -> Volume:
     corners = np.array([(x0, y0, z0), (x1, y0, z0), (x1, y1, z0), (x0, y1, z1)], np.float64)
     world = object_to_world(corners, pose[:3], pose[3], item.scale)
     return Volume(world[:, :2], world[[0, 3], 2])
-
-
-Streams = Callable[[str], np.random.Generator]
-"""Returns the random stream of a frame for a purpose, by its name; each call starts the stream again."""
-
-
-@dataclass(frozen=True, eq=False)
-class Arrangement:
-    """Where the objects of a frame are.
-
-    Attributes:
-        camera: Camera that sees them.
-        view: The ground below a real camera; None for a virtual one.
-        poses: Pose of each object; None where no place was found.
-    """
-
-    camera: CameraSpec
-    view: View | None
-    poses: list[Pose | None]
-
-
-class Placer(ABC):
-    """One way to place objects; there is a class for each `placement.mode`. The same streams give the same result."""
-
-    def height_prior(self, image: ImageRecord) -> HeightPrior:
-        """Return what is known about a picture's stated height; by default one that nothing uses."""
-        return FROM_TABLE
-
-    @abstractmethod
-    def arrange(
-        self,
-        like: CameraSpec,
-        wanted: Sequence[PlacementRequest],
-        site: Site | None,
-        streams: Streams,
-        tally: DrawStatistics,
-    ) -> Arrangement:
-        """Draw the camera and a pose per object; rejections are counted by reason in `tally`.
-
-        `like` is the camera, apart from what is drawn; its roll is that of the background. `site` is None if nothing
-        is known of the background.
-        """
-
-    def arrange_again(
-        self,
-        spec: SceneSpec,
-        wanted: Sequence[PlacementRequest],
-        others: Sequence[tuple[PlacementRequest, Pose]],
-        site: Site,
-        attempt: int,
-        streams: Streams,
-        tally: DrawStatistics,
-    ) -> list[Pose | None] | None:
-        """Draw other poses for some objects of a scene; None, as by default, if they are not to be moved (again).
-
-        The `others` keep their places; attempts are numbered from 1.
-        """
-        return None

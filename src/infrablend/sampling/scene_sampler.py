@@ -22,7 +22,8 @@ from infrablend.errors import ModelError
 from infrablend.sampling.by_hand import place_by_hand
 from infrablend.sampling.metric import MetricPlacer
 from infrablend.sampling.paper import PaperPlacer
-from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Placer, Pose, Streams
+from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose
+from infrablend.sampling.placer import Placer, Streams
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
 from infrablend.sampling.site import FrameKey, Site
 from infrablend.sampling.weather import draw_air_k, draw_weather

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 from dataclasses import dataclass
 
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.plans.run_request import ONE_WORKER, Execution
 from infrablend.studio.guard import LOOPBACK, is_loopback
 

@@ -21,8 +21,8 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_text
 from infrablend.core.typed_command import reading_words
 from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeError
-from infrablend.formats import detection
-from infrablend.formats.reading import READ_ALL
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import READ_ALL
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_words, how_visible
 from infrablend.pipeline.plans.planning import reading_for
 from infrablend.pipeline.runs.recorded import RecordedRun
@@ -175,7 +175,7 @@ class Tuning:
         try:
             start = read_recipe(request.recipe).recipe
             self.name = start.name
-            dataset = detection.read(request.data, reading_for(start, request.reading, request.data))
+            dataset = dataset_folder.read(request.data, reading_for(start, request.reading, request.data))
             self.backgrounds: tuple[ImageRecord, ...] = dataset.images
             self.ignored = frozenset(c.name for c in dataset.categories if c.ignore)
         except BaseException:

@@ -150,7 +150,7 @@ import sys
 from pathlib import Path
 from infrablend import api
 from infrablend.detection.detections import write_predictions
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.detection.predict import load_detector, predict
 weights, data, out = map(Path, sys.argv[1:])
 images = api.read_dataset(data, Reading(["test"])).images

@@ -12,7 +12,7 @@ from PIL import Image
 from infrablend.config.agc import DEFAULT_AGC, PlateauAgc, parse_agc
 from infrablend.detection.scale import training_agc
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.lab.training.train_request import TrainRequest
 from infrablend.lab.training.training_data import has_deep_pictures, select_training_data, write_training_data
 
@@ -37,7 +37,7 @@ def flight(tmp_path: Path) -> Path:
 def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path, tile: int) -> None:
     agc = PlateauAgc(mode="plateau", max_gain=1.0)
     request = TrainRequest(preset="smoke", settings={"tile": tile}, agc=agc)
-    wanted, _ = select_training_data(detection.read(flight), request)
+    wanted, _ = select_training_data(dataset_folder.read(flight), request)
     assert has_deep_pictures(wanted)
     counts = write_training_data(wanted, tmp_path / "out", request)
     assert counts["labels"] == 2
@@ -53,11 +53,11 @@ def test_the_trainer_gets_8_bit_pictures_by_the_agc(flight: Path, tmp_path: Path
 def test_a_fixed_agc_needs_a_scale_and_depths_are_not_mixed(flight: Path) -> None:
     fixed = TrainRequest(preset="smoke", agc=parse_agc("{mode: fixed, low_c: 0, high_c: 40}"))
     with pytest.raises(DatasetError) as caught:
-        select_training_data(detection.read(flight), fixed)
+        select_training_data(dataset_folder.read(flight), fixed)
     assert {p.code for p in caught.value.problems} == {"no-temperature-scale"}
     Image.fromarray(np.zeros((240, 320), np.uint8)).save(flight / "images" / "train" / "train0.tiff")
     with pytest.raises(DatasetError, match="8-bit pictures, as the others have"):
-        select_training_data(detection.read(flight), TrainRequest(preset="smoke"))
+        select_training_data(dataset_folder.read(flight), TrainRequest(preset="smoke"))
 
 
 def test_a_detector_keeps_the_agc_of_its_training(tmp_path: Path) -> None:
@@ -73,7 +73,7 @@ def test_pictures_of_floats_are_refused_before_the_training(flight: Path) -> Non
     for picture in sorted((flight / "images").rglob("*.tiff")):
         Image.fromarray(np.full((240, 320), 290.5, np.float32)).save(picture)
     with pytest.raises(DatasetError) as caught:
-        select_training_data(detection.read(flight), TrainRequest(preset="smoke"))
+        select_training_data(dataset_folder.read(flight), TrainRequest(preset="smoke"))
     assert {(p.where, p.code, p.found) for p in caught.value.problems} == {
         (f"{split}{k}", "image-depth", "mode F") for split in ("train", "val") for k in range(2)
     }

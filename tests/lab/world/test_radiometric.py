@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend import api
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures.images import load_background
 from infrablend.lab.world.frame_files import FinishedFrame, make_frame
 from infrablend.lab.world.scene_plan import WorldPlan
@@ -37,7 +37,7 @@ def even_frames(frames: Sequence[FrameFacts], folder: Path) -> Iterator[Finished
 
 def test_the_radiometric_world_states_its_scale_air_and_camera(tmp_path: Path) -> None:
     write_world(tmp_path / "flight", WorldRequest(3, 3, "radiometric"), even_frames)
-    dataset = detection.read(tmp_path / "flight")
+    dataset = dataset_folder.read(tmp_path / "flight")
     assert len(dataset.images) == 3
     for image in dataset.images:
         assert (
@@ -53,7 +53,7 @@ def test_the_radiometric_world_states_its_scale_air_and_camera(tmp_path: Path) -
 
 def test_the_air_in_the_metadata_goes_before_that_of_the_recipe(tmp_path: Path) -> None:
     write_world(tmp_path / "flight", WorldRequest(1, 3, "radiometric"), even_frames)
-    (image,) = detection.read(tmp_path / "flight").images
+    (image,) = dataset_folder.read(tmp_path / "flight").images
     settings = {"matching.mode": "radiometric", "camera.calibrate": False, "placement.min_contrast": "off"}
     execution = api.Execution(renderer="flat", in_process=True)
     out = tmp_path / "run"
@@ -76,5 +76,5 @@ def test_tight_boxes_of_the_radiometric_world_are_no_fault(tmp_path: Path) -> No
             yield make_frame(frame, 3, Turned(), folder)
 
     write_world(tmp_path / "flight", WorldRequest(1, 3, "radiometric"), turned)
-    assert len(detection.read(tmp_path / "flight").images[0].instances) == 1
+    assert len(dataset_folder.read(tmp_path / "flight").images[0].instances) == 1
     assert api.check(tmp_path / "flight").problems == ()

@@ -25,7 +25,7 @@ from infrablend.cli.exits import exit_code
 from infrablend.cli.output import LineProgress, facts, human_bytes, progress_line, shown_progress, table
 from infrablend.core.tasks import Progress
 from infrablend.errors import Problem
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.pipeline.plans.add_model import ModelAnswers
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.selection import FrameSelection

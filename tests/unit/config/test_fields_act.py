@@ -8,7 +8,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.config.loading import load_recipe
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Instance
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.sampling.scene_sampler import sample_scene
 from infrablend.sampling.site import FrameKey, Site
@@ -101,7 +101,7 @@ def test_originals_without_masks_are_left_out_of_yolo_seg_or_written_as_their_or
         texts = (p.read_text().split("\n") for p in sorted((run / "yolo-seg" / "labels").rglob("*.txt")))
         return [line for text in texts for line in text if line]
 
-    originals = sum(len(i.instances) for i in detection.read(tmp_path / "data").images[:1]) * 2
+    originals = sum(len(i.instances) for i in dataset_folder.read(tmp_path / "data").images[:1]) * 2
     assert originals > 0
     more = len(lines(written)) - len(lines(omitted))
     assert 0 < more <= originals

@@ -12,7 +12,7 @@ import pytest
 
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.labels import coco, cvat, label_studio
 from tests.samples import codes, picture, records
 
@@ -56,7 +56,7 @@ def test_a_rectangle_of_label_studio_turns_about_its_first_corner(tmp_path: Path
     task = {"id": 1, "data": {"image": "http://host/data/local-files/?d=images/train/a.png"}}
     tasks = [task | {"annotations": [{"id": 7, "was_cancelled": False, "result": [result]}]}]
     (tmp_path / "export.json").write_text(json.dumps(tasks))
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     assert (dataset.format, dataset.images[0].split) == ("label-studio", "train")
     (car,) = dataset.images[0].instances
     np.testing.assert_allclose(car.box_xyxy, [16, 10, 20, 20], atol=1e-9)
@@ -74,7 +74,7 @@ def test_cvats_own_export_is_read(tmp_path: Path) -> None:
   <polygon label="Person" occluded="0" points="5.0,40.0;10.0,40.0;10.0,45.0;5.0,45.0"/>
   <points label="Person" points="1,1"/>
 </image></annotations>""")
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     assert dataset.format == "cvat" and dataset.images[0].split == "val"
     plain, turned, mask, polygon = dataset.images[0].instances
     assert plain.box_xyxy.tolist() == [1, 2, 11, 6.5] and plain.corners_xy is None and plain.extra["occluded"] is True
@@ -93,7 +93,7 @@ def test_cvats_folders_are_named_as_the_subsets_were(tmp_path: Path, subsets: tu
         elements += f'<image id="{n}" name="flight/a.png" subset="{subset}" width="64" height="48">'
         elements += '<box label="Car" xtl="1" ytl="2" xbr="11" ybr="6"/></image>'
     (tmp_path / "annotations.xml").write_text(f"<annotations><version>1.1</version>{elements}</annotations>")
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     found = [(i.split, i.path.relative_to(tmp_path).parts[1], len(i.instances)) for i in dataset.images]
     assert found == [(s, subset, 1) for s, subset in zip(("train", "val", "test"), subsets, strict=True)]
     assert not dataset.problems
@@ -105,7 +105,7 @@ def test_a_subset_leads_nowhere_else(tmp_path: Path) -> None:
     element = '<image id="0" name="a.png" subset="../../outside" width="64" height="48"/>'
     (tmp_path / "data" / "annotations.xml").write_text(f"<annotations>{element}</annotations>")
     with pytest.raises(DatasetError):
-        detection.read(tmp_path / "data")
+        dataset_folder.read(tmp_path / "data")
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_a_malformed_shape_is_named_and_left_out(tmp_path: Path, shape: str, cod
     picture(tmp_path / "images" / "a.png", 1)
     text = f'<annotations><image id="0" name="a.png" width="64" height="48">{shape}</image></annotations>'
     (tmp_path / "annotations.xml").write_text(text)
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     assert [p.code for p in dataset.problems] == [code] and not dataset.images[0].instances
 
 
@@ -140,7 +140,7 @@ def test_cvats_other_shapes_are_read_or_counted_by_kind(tmp_path: Path) -> None:
   <cuboid label="car" xtl1="6" ytl1="6" xbr2="9" ybr2="8"/><tag label="day"/>
   <skeleton label="deer"><points label="nose" outside="0" points="5,5"/></skeleton>
 </image></annotations>""")
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     _, deer, turned, cut = dataset.images[0].instances
     np.testing.assert_allclose(deer.box_xyxy, [20, 15, 40, 25], atol=1e-9)
     np.testing.assert_allclose(turned.box_xyxy, [25, 10, 35, 30], atol=1e-9)
@@ -174,7 +174,7 @@ def test_a_box_that_cvat_turned_is_oriented_in_its_coco_export(tmp_path: Path) -
 
     outline = [[60, 55, 90, 55, 90, 65, 60, 65]]
     root = cvats_coco(tmp_path, car(90.0), car(30.0), car(0.0), car("x"), car(360), car(90.0, outline), car(math.nan))
-    dataset = detection.read(root)
+    dataset = dataset_folder.read(root)
     quarter, twelfth, *upright = dataset.images[0].instances
     np.testing.assert_allclose(quarter.box_xyxy, [70, 30, 90, 90], atol=1e-9)
     assert quarter.corners_xy is not None and twelfth.corners_xy is not None
@@ -190,7 +190,7 @@ def test_a_class_of_crowds_alone_as_cvat_exports_masks_is_a_warning(tmp_path: Pa
     """Categories 1 and 2 are cars and deer; a class with one object beside its crowds is as COCO means it."""
     box, counts = {"bbox": [10, 10, 40, 20]}, {"counts": [1290, 20, 108, 20, 19042], "size": [128, 160]}
     deer = box | {"category_id": 2, "iscrowd": 1, "segmentation": counts}
-    dataset = detection.read(cvats_coco(tmp_path, box, box | {"iscrowd": 1}, deer, deer))
+    dataset = dataset_folder.read(cvats_coco(tmp_path, box, box | {"iscrowd": 1}, deer, deer))
     (crowds,) = dataset.problems
     assert (crowds.code, crowds.severity) == ("crowds-only", "warning") and "all 2 label(s) of 'deer'" in crowds.found
 
@@ -205,7 +205,7 @@ def test_objects_in_unknown_fields_of_coco_are_counted(tmp_path: Path) -> None:
     top["images"][0] |= {"annotations": {"7": box, "8": box}, "extra_info": {"sun": {"up": True}}}
     top |= {"tracks": [{"boxes": [[1, 2, 3, 4]]}] * 3, "scenes": [{"name": "night"}], "regions": []}
     file.write_text(json.dumps(top))
-    dataset = detection.read(root)
+    dataset = dataset_folder.read(root)
     (problem,) = dataset.problems
     counted = "1 in annotations.head, 2 in annotations.parts, 2 in images.annotations, 3 in tracks"
     assert problem.code == "kind-unread" and problem.found.endswith(f": {counted}")
@@ -218,7 +218,7 @@ def label_studio_objects(root: Path, *results: dict[str, Any]) -> Dataset:
     size = {"original_width": 64, "original_height": 48}
     task = {"data": {"image": "/data/upload/1/a.png"}, "annotations": [{"result": [size | r for r in results]}]}
     (root / "export.json").write_text(json.dumps([task]))
-    return detection.read(root)
+    return dataset_folder.read(root)
 
 
 @pytest.mark.parametrize(
@@ -228,7 +228,7 @@ def test_pictures_of_label_studio_lie_in_folders_of_splits_whatever_their_case(t
     picture(tmp_path / "images" / "Valid" / "a.png", 1)
     task = {"data": {"image": address}, "annotations": [{"result": []}]}
     (tmp_path / "val.json").write_text(json.dumps([task]))
-    (image,) = detection.read(tmp_path).images
+    (image,) = dataset_folder.read(tmp_path).images
     assert (image.split, image.name) == ("val", "a.png")
 
 
@@ -247,7 +247,7 @@ def test_pictures_of_label_studio_lie_in_folders_of_splits_whatever_their_case(t
 def test_pictures_of_label_studio_are_found(tmp_path: Path, address: str, file: str, name: str) -> None:
     picture(tmp_path / "images" / file, 1)
     (tmp_path / "train.json").write_text(json.dumps([{"data": {"image": address}, "annotations": [{"result": []}]}]))
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert not d.problems and [i.name for i in d.images] == [name]
 
 
@@ -262,7 +262,7 @@ def test_the_last_annotation_of_label_studio_with_results_counts(tmp_path: Path)
     given = [annotation("fox"), annotation("deer"), {"result": []}, annotation("cat", was_cancelled=True)]
     more = {"drafts": [annotation("boar")], "completions": [annotation("hare")] * 2}
     (tmp_path / "a.json").write_text(json.dumps([{"data": {"image": "a.png"}, "annotations": given, **more}]))
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [o.category for o in d.images[0].instances] == ["deer"]
     (problem,) = d.problems
     counted = "1 in a cancelled annotation, 1 in an earlier annotation, 2 in completions, 1 in drafts"
@@ -325,10 +325,10 @@ def test_predictions_of_label_studio_are_counted_where_nobody_annotated(tmp_path
     tasks = [{"data": {"image": "a.png"}, "annotations": [], "predictions": [guess]}]
     text = json.dumps(tasks)
     (tmp_path / "export.json").write_text(text)
-    (left_out,) = detection.read(tmp_path).problems
+    (left_out,) = dataset_folder.read(tmp_path).problems
     assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 predicted by a model")
     (tmp_path / "export.json").write_text(text.replace('"annotations": []', '"annotations": [{"result": []}]'))
-    assert not detection.read(tmp_path).problems
+    assert not dataset_folder.read(tmp_path).problems
 
 
 def annotate(root: Path, file: str, count: int) -> None:
@@ -349,7 +349,7 @@ def test_a_second_annotation_of_a_picture_is_an_error(tmp_path: Path, name: str)
         picture(tmp_path / tool / "images" / "train" / "a.png", 1)
     annotate(tmp_path, "annotations", 1)
     annotate(tmp_path, "train", 2)
-    d = detection.read(tmp_path / name)
+    d = dataset_folder.read(tmp_path / name)
     assert [len(i.instances) for i in d.images] == [1]
     (problem,) = d.problems
     assert (problem.code, problem.severity) == ("image-duplicate", "error")
@@ -370,7 +370,7 @@ def test_many_warnings_stay_warnings(tmp_path: Path, name: str) -> None:
     result = {"type": "rectanglelabels", "original_width": 64, "original_height": 48, "value": value}
     task = {"data": {"image": "images/train/a.png"}, "annotations": [{"result": [result] * 7}]}
     (tmp_path / "label-studio" / "train.json").write_text(json.dumps([task]))
-    d = detection.read(tmp_path / name)
+    d = dataset_folder.read(tmp_path / name)
     assert [(p.code, p.severity) for p in d.problems] == [("box-clipped", "warning")] * 7
 
 
@@ -383,7 +383,7 @@ def test_both_hold_a_turned_box_to_a_millionth_of_a_pixel(tmp_path: Path) -> Non
     image = ImageRecord("a", path, "train", (64, 48), (Instance("Car", box, corners),))
     for name, module in (("cvat", cvat), ("label-studio", label_studio)):
         module.write(tmp_path / name, [image], [Category(0, "Car")])
-        (found,) = detection.read(tmp_path / name).images[0].instances
+        (found,) = dataset_folder.read(tmp_path / name).images[0].instances
         assert found.corners_xy is not None
         assert min(np.abs(np.roll(found.corners_xy, k, axis=0) - corners).max() for k in range(4)) < 1e-6
 

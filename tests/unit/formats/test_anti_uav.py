@@ -13,9 +13,9 @@ import pytest
 from infrablend import api
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.losses import Written
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import SAMPLES, SIZE_WH, codes, picture
 
 CATEGORIES = (Category(0, "drone"), Category(1, "bird"))
@@ -36,7 +36,7 @@ def drone(
 def converted(images: list[ImageRecord], out: Path) -> tuple[Written, Dataset]:
     written = writing.write("anti-uav", out, images, CATEGORIES)
     assert set(written.files) == {p for p in out.rglob("*") if p.is_file()}
-    again = detection.read(out)
+    again = dataset_folder.read(out)
     assert again.format == "anti-uav" and codes(again) == codes(again, "warning") == []
     return written, replace(again, images=tuple(sorted(again.images, key=place)))
 
@@ -66,7 +66,7 @@ def test_one_drone_is_written_as_published_and_back_with_the_same_bytes(tmp_path
     assert not (tmp_path / "out" / "targets.csv").exists()
     assert tracks(again) == [[("drone", 0, 1)], [], [("drone", 0, 2.5)]]
     assert [i.capture for i in again.images] == [i.capture for i in images]
-    source = detection.read(SAMPLES["anti-uav"](tmp_path / "published"))
+    source = dataset_folder.read(SAMPLES["anti-uav"](tmp_path / "published"))
     for source_of, root in ((again, tmp_path / "out"), (source, tmp_path / "published")):
         out = tmp_path / f"{root.name}-again"
         assert writing.write("anti-uav", out, source_of.images, source_of.categories).losses == {}
@@ -101,13 +101,13 @@ def test_further_tracks_have_folders_from_their_first_to_their_last_box(tmp_path
     assert [c.name for c in again.categories] == ["drone", "bird"]
     assert again.notes["rows"]["frames"] == 7
     assert api.check(tmp_path / "out").problems == ()
-    every = detection.read(tmp_path / "out", Reading(options={"every": "2"}))
+    every = dataset_folder.read(tmp_path / "out", Reading(options={"every": "2"}))
     assert [(i.capture.frame, [o.track_id for o in i.instances]) for i in sorted(every.images, key=place)] == [
         (0, [7]), (2, []), (4, ["b/c"]), (0, []),
     ]  # fmt: skip
     # Without the table each folder is a sequence of its own, as other programs see it.
     (tmp_path / "out" / "targets.csv").unlink()
-    assert len(detection.read(tmp_path / "out").images) == 7 + 4 + 1
+    assert len(dataset_folder.read(tmp_path / "out").images) == 7 + 4 + 1
 
 
 def test_objects_without_a_track_are_one_target_if_no_picture_shows_two(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_times_and_dates_come_back(tmp_path: Path) -> None:
     timed = replace(timed, capture=replace(timed.capture, captured="2020-01-01T10:00", time_s=0.5, hfov_deg=1.2))
     _, again = converted([dated, timed], tmp_path / "out")
     assert {i.capture for i in again.images} == {dated.capture, timed.capture}
-    source = detection.read(tmp_path / "out")
+    source = dataset_folder.read(tmp_path / "out")
     writing.write("anti-uav", tmp_path / "again", source.images, CATEGORIES)
     assert (tmp_path / "again" / "names.csv").read_text().splitlines() == [
         "file,name,sequence,frame,captured,time_s",
@@ -184,11 +184,11 @@ def test_times_and_dates_come_back(tmp_path: Path) -> None:
 def test_bad_rows_of_targets_are_said(row: str, tmp_path: Path) -> None:
     writing.write("anti-uav", tmp_path / "out", [image(tmp_path, 0, drone(0))], CATEGORIES)
     (tmp_path / "out" / "targets.csv").write_text(f"folder,of,first,category,track_id,ignore\n{row}\n")
-    d = detection.read(tmp_path / "out")
+    d = dataset_folder.read(tmp_path / "out")
     assert codes(d) == ["row-malformed"] and d.problems[0].where == "targets.csv: line 2"
 
 
 def test_a_run_on_it_still_writes_coco_as_native(tmp_path: Path) -> None:
-    source = detection.read(SAMPLES["anti-uav"](tmp_path / "data"))
+    source = dataset_folder.read(SAMPLES["anti-uav"](tmp_path / "data"))
     writer = writing.native_writer(source)
     assert writer is not None and writer.name == "coco"

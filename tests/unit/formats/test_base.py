@@ -13,10 +13,10 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
 from infrablend.errors import Problem
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.base import shorten, split_of_stem
 from infrablend.formats.box_checks import clockwise_corners
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.formats.records import Findings
 from tests.samples import picture
 
@@ -80,7 +80,7 @@ def test_corners_are_clockwise_whatever_a_file_says(name: str, tmp_path: Path) -
     )
     writing.write(name, tmp_path / "out", [image], [Category(0, "Car")])
     options = {"pitch_sign": "-1"} if name == "monet" else {}
-    (again,) = detection.read(tmp_path / "out", Reading(options=options)).images
+    (again,) = dataset_folder.read(tmp_path / "out", Reading(options=options)).images
     corners = again.instances[0].corners_xy
     assert corners is not None and polygon_area(corners) > 0
     np.testing.assert_allclose(corners, TURNED, atol=1e-6)
@@ -98,7 +98,7 @@ def test_rectangles_of_negative_width_are_clockwise(tmp_path: Path) -> None:
     task = {"data": {"image": "images/a.png"}, "annotations": [{"result": [result]}]}
     (tmp_path / "ls" / "train.json").write_text(json.dumps([task]))
     for name in ("cvat", "ls"):
-        (car,) = detection.read(tmp_path / name).images[0].instances
+        (car,) = dataset_folder.read(tmp_path / name).images[0].instances
         assert car.corners_xy is not None and polygon_area(car.corners_xy) > 0
 
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from infrablend.core.dataset import Category, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.published import birdsai
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.formats.records import unlabelled_problems
 from tests.samples import codes, picture
 
@@ -42,7 +42,7 @@ ROWS = (
 
 
 def test_tracks_species_and_flags(tmp_path: Path) -> None:
-    d = detection.read(frames(tmp_path, [0, 1, 2], ROWS))
+    d = dataset_folder.read(frames(tmp_path, [0, 1, 2], ROWS))
     assert d.format == "birdsai" and codes(d) == [] and codes(d, "warning") == ["label-missing"]
     first, second, third = d.images
     assert [(o.category, o.track_id, o.extra["occlusion"], o.extra["noise"]) for o in first.instances] == [
@@ -61,7 +61,7 @@ def test_tracks_species_and_flags(tmp_path: Path) -> None:
 
 def test_classes_instead_of_species_and_noise_dropped(tmp_path: Path) -> None:
     frames(tmp_path, [0, 1, 2], ROWS)
-    d = detection.read(tmp_path, Reading(options={"category": "class", "noise": "drop", "unlabelled": "drop"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"category": "class", "noise": "drop", "unlabelled": "drop"}))
     assert [(c.id, c.name) for c in d.categories] == [(0, "animal"), (1, "human")]
     assert [[o.category for o in i.instances] for i in d.images] == [["animal", "human"], ["animal", "human"]]
     assert codes(d, "warning") == ["label-missing", "noise-dropped"] and d.notes["rows"]["noise_dropped"] == 1
@@ -70,20 +70,20 @@ def test_classes_instead_of_species_and_noise_dropped(tmp_path: Path) -> None:
 @pytest.mark.parametrize("options", [{"category": "kind"}, {"noise": "1"}, {"frames": "x"}, {"frame_offset": "1.5"}])
 def test_unknown_values_of_options_are_refused(tmp_path: Path, options: dict[str, str]) -> None:
     with pytest.raises(DatasetError) as caught:
-        detection.read(frames(tmp_path, [0], ROWS), Reading(options=options))
+        dataset_folder.read(frames(tmp_path, [0], ROWS), Reading(options=options))
     assert caught.value.problems[0].code == "option-value" and next(iter(options)) in caught.value.problems[0].where
 
 
 def test_rows_and_frames_that_do_not_match_are_counted_and_an_offset_is_offered(tmp_path: Path) -> None:
     table = "".join(f"{n},1,10,12,20,8,0,1,0,0\n" for n in range(5))
     frames(tmp_path, [1, 2, 3, 4, 5], table)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert codes(d, "warning") == ["row-without-picture", "label-missing", "frame-offset"]
     assert "frame_offset=1" in next(p.todo for p in d.problems if p.code == "frame-offset")
     assert d.notes["rows"]["without_picture"] == 1
-    d = detection.read(tmp_path, Reading(options={"frame_offset": "1"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"frame_offset": "1"}))
     assert d.problems == () and [len(i.instances) for i in d.images] == [1] * 5 and d.notes["frames"] == "number+1"
-    ordered = detection.read(tmp_path, Reading(options={"frames": "order"}))
+    ordered = dataset_folder.read(tmp_path, Reading(options={"frames": "order"}))
     assert ordered.problems == () and ordered.images[0].instances[0].extra["species"] == 1
 
 
@@ -119,24 +119,24 @@ def test_various_folder_layouts(tmp_path: Path) -> None:
     frames(tmp_path / "a" / "TrainReal", [0], ROWS, "TrainReal")  # doubled
     frames(tmp_path / "a", [0], ROWS, "TestReal")
     (tmp_path / "a" / "TrainSimulation").mkdir()
-    d = detection.read(tmp_path / "a")
+    d = dataset_folder.read(tmp_path / "a")
     assert [i.split for i in d.images] == ["train", "test"] and "simulation-excluded" in codes(d, "warning")
     assert len({i.id for i in d.images}) == 2
-    assert [i.split for i in detection.read(tmp_path / "a" / "TestReal").images] == ["test"]
-    assert [i.split for i in detection.read(tmp_path / "a", Reading(splits=["test"])).images] == ["test"]
+    assert [i.split for i in dataset_folder.read(tmp_path / "a" / "TestReal").images] == ["test"]
+    assert [i.split for i in dataset_folder.read(tmp_path / "a", Reading(splits=["test"])).images] == ["test"]
     frames(tmp_path / "b", [0], ROWS, "Real")
-    assert detection.read(tmp_path / "b").format == "birdsai"
+    assert dataset_folder.read(tmp_path / "b").format == "birdsai"
 
 
 def test_frames_in_another_format_are_not_claimed(tmp_path: Path) -> None:
     picture(tmp_path / "bare" / f"{SEQ}_0000000001.jpg", 1)
-    assert detection.detect(tmp_path / "bare").format == "birdsai"
+    assert dataset_folder.detect(tmp_path / "bare").format == "birdsai"
     (tmp_path / "bare" / f"{SEQ}_0000000001.txt").write_text("0 0.5 0.5 0.1 0.1\n")
-    assert detection.detect(tmp_path / "bare").format == "folder"
+    assert dataset_folder.detect(tmp_path / "bare").format == "folder"
     for n in range(2):
         picture(tmp_path / "mixed" / f"holiday{n}.jpg", n)
     picture(tmp_path / "mixed" / f"{SEQ}_0000000001.jpg", 1)
-    assert detection.detect(tmp_path / "mixed").format == "folder"
+    assert dataset_folder.detect(tmp_path / "mixed").format == "folder"
     assert "2 of 3 pictures" in birdsai.detect(tmp_path / "mixed").reason
 
 
@@ -177,7 +177,7 @@ def test_new_classes_new_tracks_and_changed_names_come_back(tmp_path: Path) -> N
     table = (tmp_path / "out" / "TrainReal" / "annotations" / f"{SEQ}.csv").read_text().splitlines()
     assert table[:2] == ["0,7,10,12,20,8,0,1,0,0", "0,8,1,2,29.25,38.5,0,10,1,0"]
     assert (tmp_path / "out" / "species.csv").read_text() == "species,name,ignore\n10,deer,0\n11,Person,0\n"
-    again = detection.read(tmp_path / "out")
+    again = dataset_folder.read(tmp_path / "out")
     assert codes(again) == [] and [i.split for i in again.images] == ["train", "train", "val"]
     assert [[o.category for o in i.instances] for i in again.images] == [["elephant", "deer", "Person"]] * 3
     assert {i.capture.pitch_deg for i in again.images} == {40.5} and {i.capture.sequence for i in again.images} == {SEQ}
@@ -210,7 +210,7 @@ def test_any_text_gives_boxes_inside_the_frame(tmp_path_factory: pytest.TempPath
 
 
 def test_the_shared_frames_are_pictures_without_labels(real_data: Path) -> None:
-    d = detection.read(real_data / "birdsai")
+    d = dataset_folder.read(real_data / "birdsai")
     assert d.format == "birdsai" and len(d.images) == 7 and len({i.capture.sequence for i in d.images}) == 7
     assert codes(d) == [] and codes(d, "warning") == ["label-missing"] and "7 picture(s)" in d.problems[0].found
     assert d.problems[0].todo == "add their labels, or leave them out with --read unlabelled=drop"

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from tests.flights import plain_jpeg
 
 TABLE = "file,pitch_deg,altitude_m\na.jpg,45.5,1200.5\n"
@@ -63,7 +63,7 @@ def test_tables_that_contradict_themselves_are_named(table: str, code: int, word
 )
 def test_a_table_may_hold_sequences_or_dates_alone(table: str, sequence: str | None, tmp_path: Path) -> None:
     inspected(tmp_path, table)
-    (image,) = detection.read(tmp_path).images
+    (image,) = dataset_folder.read(tmp_path).images
     assert image.capture.sequence == sequence and (image.capture.captured is None) == (sequence is not None)
 
 
@@ -72,4 +72,4 @@ def test_a_table_without_any_fact_is_refused(table: str, tmp_path: Path) -> None
     plain_jpeg(tmp_path / "a.jpg")
     (tmp_path / "metadata.csv").write_text(table)
     with pytest.raises(DatasetError, match="expected one of file, file_name, stem, sequence and some of pitch_deg"):
-        detection.read(tmp_path)
+        dataset_folder.read(tmp_path)

@@ -12,9 +12,9 @@ from PIL import Image, ImageDraw, ImageFont
 from infrablend import api
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures.images import load_background
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.imaging.paint_out import Shown, find_written, paint_out
 from tests.run_files import records
 from tests.samples import SAMPLES
@@ -63,7 +63,7 @@ def write_clip(
 
 
 def read(root: Path, **options: str) -> Dataset:
-    return detection.read(root, Reading(options={"every": "20", **options}))
+    return dataset_folder.read(root, Reading(options={"every": "20", **options}))
 
 
 def codes(dataset: Dataset) -> list[str]:
@@ -164,7 +164,7 @@ def test_videos_with_other_texts_are_no_clips(tmp_path: Path) -> None:
     root = write_clip(tmp_path, frames=2)
     for text in ("0 0.5 0.5 0.1 0.1\n", "Recorded on a tower.\n", ""):
         (root / "4.txt").write_text(text)
-        d = detection.read(root)
+        d = dataset_folder.read(root)
         assert d.format == "videos" and codes(d) == ["label-unread"]
 
 
@@ -266,7 +266,7 @@ def test_any_box_can_be_painted(box: tuple[int, ...]) -> None:
 
 
 def test_folders_of_pictures_keep_their_drones(tmp_path: Path) -> None:
-    d = detection.read(SAMPLES["anti-uav"](tmp_path), Reading(options={"drones": "paint-out"}))
+    d = dataset_folder.read(SAMPLES["anti-uav"](tmp_path), Reading(options={"drones": "paint-out"}))
     assert sum(len(i.instances) for i in d.images) == 3 and codes(d) == ["not-painted"] * 2
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.labels import dota
 from tests.samples import picture
 
@@ -103,7 +103,7 @@ def test_other_layouts(layout: str, tmp_path: Path) -> None:
     for split in ("train", "val"):
         (root / split / layout).parent.mkdir(exist_ok=True)
         (root / split / "labelTxt").rename(root / split / layout)
-    assert [(i.split, len(i.instances)) for i in detection.read(root).images] == [("train", 1), ("val", 0)]
+    assert [(i.split, len(i.instances)) for i in dataset_folder.read(root).images] == [("train", 1), ("val", 0)]
 
 
 def test_splits_below_the_kinds_and_no_splits_at_all(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_splits_below_the_kinds_and_no_splits_at_all(tmp_path: Path) -> None:
         picture(base / f"images{split}/P1.png", 1)
         (base / f"labelTxt{split}").mkdir(parents=True)
         (base / f"labelTxt{split}/P1.txt").write_text(GOOD)
-        (image,) = detection.read(base).images
+        (image,) = dataset_folder.read(base).images
         assert (image.split, len(image.instances)) == (split[1:] or "train", 1)
 
 

@@ -9,8 +9,8 @@ import pytest
 from PIL import Image
 
 from infrablend.core.dataset import Dataset
-from infrablend.formats import detection
-from infrablend.formats.reading import Reading
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 from tests.samples import SAMPLES
 
 
@@ -47,7 +47,7 @@ def bordered(tmp_path: Path) -> Path:
 
 
 def test_the_white_border_is_taken_off(bordered: Path) -> None:
-    d = detection.read(bordered)
+    d = dataset_folder.read(bordered)
     assert d.format == "drone-vehicle"
     (image,) = d.images
     assert image.size_wh == (640, 512) and image.split == "val"
@@ -69,29 +69,29 @@ def test_corners_in_any_order_give_one_outline(order: tuple[int, ...], bordered:
     corners = [(300, 200), (340, 210), (335, 230), (295, 220)]
     text = polygon(*(v for k in order for v in corners[k]))
     (bordered / "val" / "vallabelr" / "00001.xml").write_text(f"<annotation>{text}</annotation>")
-    (image,) = detection.read(bordered).images
+    (image,) = dataset_folder.read(bordered).images
     assert image.instances[0].corners_xy.tolist() == [[200, 100], [240, 110], [235, 130], [195, 120]]
 
 
 def test_the_border_can_be_kept(bordered: Path) -> None:
-    (image,) = detection.read(bordered, Reading(options={"border": "keep"})).images
+    (image,) = dataset_folder.read(bordered, Reading(options={"border": "keep"})).images
     assert image.size_wh == (840, 712) and image.path.parent.name == "valimgr"
     assert image.instances[0].corners_xy[0].tolist() == [300, 200]
 
 
 def test_pairs_name_their_twin_and_visible_light_is_marked(tmp_path: Path) -> None:
     root = SAMPLES["drone-vehicle"](tmp_path)
-    assert {i.extra["twin"] for i in detection.read(root).images} == {
+    assert {i.extra["twin"] for i in dataset_folder.read(root).images} == {
         "train/trainimg/00001.jpg", "train/trainimg/00002.jpg", "val/valimg/00001.jpg",
     }  # fmt: skip
-    both = detection.read(root, Reading(options={"modality": "both"}))
+    both = dataset_folder.read(root, Reading(options={"modality": "both"}))
     assert [i.extra.get("modality") for i in both.images].count("visible") == 3 and len(both.images) == 6
 
 
 def test_pictures_without_labels_and_labels_without_pictures(tmp_path: Path) -> None:
     root = SAMPLES["drone-vehicle"](tmp_path)
     (root / "train" / "trainlabelr" / "00001.xml").rename(root / "train" / "trainlabelr" / "00009.xml")
-    d = detection.read(root)
+    d = dataset_folder.read(root)
     assert len(d.images) == 2 and codes(d) == ["image-missing", "label-missing"]
-    kept = detection.read(root, Reading(options={"unlabelled": "keep"}))
+    kept = dataset_folder.read(root, Reading(options={"unlabelled": "keep"}))
     assert sorted(str(i.extra.get("labelled")) for i in kept.images) == ["False", "None", "None"]

@@ -10,7 +10,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.published import dut_anti_uav
 from tests.unit.formats.test_voc import box, codes, xml
 
@@ -34,7 +34,7 @@ def data(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
 
 
 def test_bad_boxes_are_counted_and_empty_files_mean_no_drone(data: Path) -> None:
-    d = detection.read(data)
+    d = dataset_folder.read(data)
     counts = [(i.split, i.file_name, len(i.instances)) for i in d.images]
     assert d.format == "dut-anti-uav" and sorted(counts) == [
         ("test", "00001.jpg", 0), ("train", "00001.jpg", 0), ("train", "00002.jpg", 2), ("train", "00003.jpg", 0),

@@ -21,11 +21,11 @@ from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.rle_masks import Mask
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, Problem, UnknownFormatError
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.labels import coco, folder, yolo
 from infrablend.formats.picture_facts import Captures, read_table
 from infrablend.formats.published.hit_uav import CATEGORIES
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import SAMPLES, codes
 
 FLIGHT = Capture(sequence="flight")
@@ -56,7 +56,7 @@ def test_of_yolo_pose_the_box_is_read_and_the_keypoints_counted(
     lines = (f"0 0.5 0.5 0.2 0.2{points}", "0 0.2 0.2 0.1 0.1", f"0 0.5 0.5 0.1 0.1{points} 0.5 0.5")
     root = yolo_dataset(tmp_path, f"kpt_shape: [{shape[0]}, {shape[1]}]", *lines, train=train)
     (root / "labels" / "lost.txt").write_text(lines[0])
-    d = detection.read(root)
+    d = dataset_folder.read(root)
     assert d.format == ("yolo" if train == "images" else "folder")
     deer, other = d.images[0].instances
     np.testing.assert_allclose(deer.box_xyxy, [40, 32, 60, 48])
@@ -70,7 +70,7 @@ def test_of_yolo_pose_the_box_is_read_and_the_keypoints_counted(
 @pytest.mark.parametrize("said", ["kpt_shape: 17", "kpt_shape: [17, x]", "kpt_shape: [0, 3]", "task: pose"])
 def test_yolo_pose_without_a_number_of_keypoints_is_refused(tmp_path: Path, said: str) -> None:
     with pytest.raises(DatasetError) as caught:
-        detection.read(yolo_dataset(tmp_path, said, "0 0.5 0.5 0.2 0.2 0.4 0.4 2 0.5 0.5 2"))
+        dataset_folder.read(yolo_dataset(tmp_path, said, "0 0.5 0.5 0.2 0.2 0.4 0.4 2 0.5 0.5 2"))
     assert "kpt_shape" in caught.value.problems[0].found
 
 
@@ -81,7 +81,7 @@ def test_yolo_pose_without_a_number_of_keypoints_is_refused(tmp_path: Path, said
 def test_the_stated_task_tells_polygons_of_four_corners_from_oriented_boxes(
     tmp_path: Path, said: str, oriented: bool
 ) -> None:
-    (deer,) = detection.read(yolo_dataset(tmp_path, said, "0 0.2 0.2 0.4 0.2 0.4 0.4 0.2 0.4")).images[0].instances
+    (deer,) = dataset_folder.read(yolo_dataset(tmp_path, said, "0 0.2 0.2 0.4 0.2 0.4 0.4 0.2 0.4")).images[0].instances
     assert (deer.corners_xy is not None, deer.mask is not None) == (oriented, not oriented)
 
 
@@ -91,14 +91,14 @@ def test_written_polygons_of_four_corners_are_read_as_polygons(tmp_path: Path) -
     deer = Instance("deer", np.array([30.0, 10.0, 50.0, 20.0]), mask=Mask.from_array(mask))
     image = ImageRecord("a", picture(tmp_path / "a.png"), "train", (100, 80), (deer,))
     writing.write("yolo-seg", tmp_path / "out", [image], [Category(0, "deer")])
-    ((found,),) = (i.instances for i in detection.read(tmp_path / "out").images)
+    ((found,),) = (i.instances for i in dataset_folder.read(tmp_path / "out").images)
     assert found.corners_xy is None and found.mask is not None and (found.mask.to_array() == mask).all()
 
 
 def test_a_bare_folder_is_train(tmp_path: Path) -> None:
     for name in ("b.png", "sub/a.jpg", ".hidden.png", "sub/.x/c.png", "notes.txt"):
         picture(tmp_path / name) if name.endswith(("png", "jpg")) else (tmp_path / name).write_text("1 2 3")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert (d.format, [i.id for i in d.images], {i.split for i in d.images}) == ("folder", ["a", "b"], {"train"})
     assert [i.size_wh for i in d.images] == [None, None] and d.problems == () and d.categories == ()
 
@@ -117,7 +117,7 @@ def test_split_folders_are_splits(tmp_path: Path, inside: str) -> None:
         60,
         "day",
     )
-    assert codes(detection.read(tmp_path), "warning") == ["image-unlisted"]
+    assert codes(dataset_folder.read(tmp_path), "warning") == ["image-unlisted"]
     assert [i.split for i in folder.read(tmp_path, splits=["test"]).images] == ["test"]
 
 
@@ -127,7 +127,7 @@ def test_tables_give_pitch_and_altitude(tmp_path: Path) -> None:
     rows = ["file,pitch_deg,altitude_m,time_of_day", "a.png,35.5,80,night", "0_60_30_0_00001.png,40,,", "z.png,1,1,"]
     rows += ["b.png,nan,3,", "a.png,1,1,day", "c.png,-12,,noon"]
     (tmp_path / "metadata.csv").write_text("\n".join(rows))
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     by_id = {i.id: i for i in d.images}
     assert (by_id["a"].capture.pitch_deg, by_id["a"].capture.altitude_m, by_id["a"].capture.time_of_day) == (
         35.5,
@@ -210,7 +210,7 @@ def test_bad_label_lines_are_named_and_left_out(tmp_path: Path, line: str, code:
     label.parent.mkdir(parents=True)
     label.write_text(f"0 0.25 0.25 0.1 0.1\n{line}\n")
     (tmp_path / "data.yaml").write_text("train: images/train\nval: images/train\nnames: [cow]\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == "yolo" and codes(d) == [code] and len(d.images[0].instances) == 1
     assert next(p.where for p in d.problems if p.code == code) == "labels/train/a.txt: line 2"
 
@@ -262,10 +262,10 @@ def test_a_plain_folder_of_images_and_labels_becomes_yolo_with_its_labels(tmp_pa
     (tmp_path / "in" / "labels").mkdir()
     (tmp_path / "in" / "labels" / "0001.txt").write_text("0 0.5 0.5 0.2 0.25\n")
     (tmp_path / "in" / "classes.txt").write_text("cow\n")
-    source = detection.read(tmp_path / "in")
+    source = dataset_folder.read(tmp_path / "in")
     images = [replace(i, size_wh=(100, 80)) for i in source.images]
     assert writing.write("yolo", tmp_path / "out", images, source.categories).losses == {"name_changed": 1}
-    (image,) = detection.read(tmp_path / "out").images
+    (image,) = dataset_folder.read(tmp_path / "out").images
     assert image.name == "0001.jpg" and len(image.instances) == 1
 
 
@@ -278,9 +278,9 @@ def test_labels_that_belong_to_no_picture_are_a_warning(tmp_path: Path, with_yam
     label = tmp_path / "labels" / "train" / "images" / "a.txt"
     label.parent.mkdir(parents=True)
     label.write_text("a note\n")
-    assert "label-missing" not in codes(detection.read(tmp_path), "warning")
+    assert "label-missing" not in codes(dataset_folder.read(tmp_path), "warning")
     label.write_text("0 0.5 0.5 0.5 0.5\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == ("yolo" if with_yaml else "folder")
     (problem,) = [p for p in d.problems if p.code == "label-missing"]
     assert problem.severity == "warning" and "labels/train/images/a.txt" in problem.found
@@ -315,7 +315,7 @@ def test_wrong_number_of_classes_is_reported(tmp_path: Path) -> None:
     picture(tmp_path / "images" / "train" / "a.png")
     for nc, found in (("2", ["names"]), ("1", []), ("many", ["names"])):
         (tmp_path / "data.yaml").write_text(f"train: images/train\nnc: {nc}\nnames: [Person]\n")
-        assert [c for c in codes(detection.read(tmp_path), "warning") if c == "names"] == found
+        assert [c for c in codes(dataset_folder.read(tmp_path), "warning") if c == "names"] == found
 
 
 @pytest.mark.parametrize(
@@ -346,7 +346,7 @@ def test_data_yaml_is_read_as_ultralytics_reads_it(tmp_path: Path, text: str, na
     picture(tmp_path / "b" / "images" / "2.png")
     picture(tmp_path / "c" / "images" / "3.png")
     (tmp_path / "data.yaml").write_text(f"train: [a/images, b/images]\nvalidation: c/images\n{text}\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == "yolo" and [(i.name, i.split) for i in d.images] == [
         ("1.png", "train"), ("2.png", "train"), ("3.png", "val"),
     ]  # fmt: skip
@@ -383,7 +383,7 @@ def test_class_names_that_ultralytics_reads_otherwise_are_a_warning(
     """Unquoted, `no` is False in YAML 1.1 (Ultralytics) and the word in YAML 1.2 (here): weights would not match."""
     picture(tmp_path / "images" / "1.png")
     (tmp_path / "data.yaml").write_text(f"train: images\nnames: {text}\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [c.name for c in d.categories] == names
     found = [str(p) for p in d.problems if p.code == "name-unquoted"]
     assert len(found) == len(unlike) == len(d.problems) and all(u in f for u, f in zip(unlike, found, strict=True))
@@ -436,7 +436,7 @@ def test_splits_may_be_lists_of_pictures(tmp_path: Path) -> None:
     (tmp_path / "data.yaml").write_text("train: train.txt\nval: val.txt\nnames: [Person]\n")
     (tmp_path / "train.txt").write_text("./images/0.png\nimages/1.png\n")
     (tmp_path / "val.txt").write_text("images/2.png\nimages/1.png\nimages/9.png\n../3.png\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert (d.format, [(i.name, i.split) for i in d.images]) == (
         "yolo",
         [("0.png", "train"), ("1.png", "train"), ("2.png", "val")],
@@ -444,12 +444,12 @@ def test_splits_may_be_lists_of_pictures(tmp_path: Path) -> None:
     assert all(len(i.instances) == 1 for i in d.images)
     assert sorted(codes(d)) == ["image-missing", "name-climbs"]
     assert codes(d, "warning")[0] == "split-twice"
-    (only,) = detection.read(tmp_path, Reading(splits=["val"])).images
+    (only,) = dataset_folder.read(tmp_path, Reading(splits=["val"])).images
     assert only.name == "2.png"
     # A folder beside a list: the list counts.
     (tmp_path / "data.yaml").write_text("train: images\nval: val.txt\nnames: [Person]\n")
     (tmp_path / "val.txt").write_text("images/2.png\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [i.split for i in d.images] == ["train", "train", "train", "val"]
     assert codes(d, "warning") == ["split-twice"]
 
@@ -512,7 +512,7 @@ def annotation(**changes: Any) -> list[dict[str, Any]]:
     ],
 )
 def test_bad_coco_annotations(tmp_path: Path, changes: dict[str, Any], code: str, left: int) -> None:
-    d = detection.read(write_coco(tmp_path, annotations=annotation(**changes)), Reading(format="coco"))
+    d = dataset_folder.read(write_coco(tmp_path, annotations=annotation(**changes)), Reading(format="coco"))
     assert [p.code for p in d.problems] == [code]
     assert (d.problems[0].severity == "error") == (left == 1)
     assert len(d.images[0].instances) == left
@@ -544,7 +544,7 @@ def test_coco_paths_lead_from_the_annotation_file(tmp_path: Path, file: str, pic
     path = picture(tmp_path / pictures)
     (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / "labels.json").rename(tmp_path / file)
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     assert [(i.path, len(i.instances)) for i in dataset.images] == [(path, 1)] and not dataset.problems
 
 
@@ -582,7 +582,7 @@ def test_a_picture_in_two_coco_files_is_read_once(tmp_path: Path) -> None:
     more = top | {"annotations": [*objects, objects[0] | {"id": 3}]}
     write_json(tmp_path / "annotations" / "person_keypoints_train2017.json", more)
     write_json(tmp_path / "annotations" / "instances_val2017.json", top | {"images": rows[:1], "annotations": []})
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [(i.id, i.split, len(i.instances)) for i in d.images] == [
         ("2", "train", 1), ("train__1", "train", 1), ("val__1", "val", 0),
     ]  # fmt: skip
@@ -614,28 +614,28 @@ def test_coco_with_a_file_in_the_folder_of_each_split(tmp_path: Path, file: str,
         names = [{"id": i, "name": "drone"} for i in (0, 1)]  # Roboflow lists the project beside its class
         top = {"images": [image], "annotations": [label], "categories": names}
         (tmp_path / split / file).write_text(json.dumps(top))
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     found = [(i.split, i.path.relative_to(tmp_path).parts[0], i.instances[0].box_xyxy[0]) for i in dataset.images]
     assert found == [("train", "train", 10), ("val", "valid", 11), ("test", "test", 12)]
     assert not dataset.problems and dataset.format == "coco"
     if file.startswith("_"):  # one of them alone
-        assert [i.split for i in detection.read(tmp_path / "valid").images] == ["val"]
+        assert [i.split for i in dataset_folder.read(tmp_path / "valid").images] == ["val"]
         (tmp_path / "test" / file).write_text("{")
-        assert codes(detection.read(tmp_path)) == ["annotation-not-json"]
+        assert codes(dataset_folder.read(tmp_path)) == ["annotation-not-json"]
 
 
 def test_the_folders_of_flir_adas_v2_are_one_dataset(tmp_path: Path) -> None:
     root = SAMPLES["coco:flir"](tmp_path / "FLIR_ADAS_v2")
-    dataset = detection.read(root)
+    dataset = dataset_folder.read(root)
     assert not dataset.problems and [c.name for c in dataset.categories] == ["person", "bike", "car", "sheep"]
     assert [(i.capture.sequence, i.capture.frame) for i in dataset.images[:2]] == [("a0", 0), ("a2", 0)]
     found = [(i.split, i.extra.get("modality"), len(i.instances)) for i in dataset.images]
     assert found == [("train", None, 2), ("train", "visible", 2), ("val", None, 0), ("test", None, 2)]
     for name, split, kind in (("images_thermal_val", "val", None), ("images_rgb_train", "train", "visible")):
-        (alone,) = detection.read(root / name).images
+        (alone,) = dataset_folder.read(root / name).images
         assert (alone.split, alone.extra.get("modality")) == (split, kind)
     (root / "images_thermal_val" / "more.csv").write_text("data/video-a1-frame-000000-xT7.jpg,car,1,2,3,4\n")
-    assert [p.where for p in detection.read(root).problems] == ["images_thermal_val/more.csv"]
+    assert [p.where for p in dataset_folder.read(root).problems] == ["images_thermal_val/more.csv"]
 
 
 def test_sizes_that_a_coco_file_lacks_come_from_the_pictures(tmp_path: Path) -> None:
@@ -674,16 +674,16 @@ def test_broken_coco_files(tmp_path: Path) -> None:
 def test_options_belong_to_their_formats(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     with pytest.raises(DatasetError, match="folder has none"):
-        detection.read(tmp_path, Reading(form="normal_json"))
+        dataset_folder.read(tmp_path, Reading(form="normal_json"))
     with pytest.raises(DatasetError, match="form"):
-        detection.read(tmp_path, Reading(form="normal"))
+        dataset_folder.read(tmp_path, Reading(form="normal"))
     with pytest.raises(UnknownFormatError, match="expected one of hit-uav"):
-        detection.read(tmp_path, Reading(format="no-such-format"))
+        dataset_folder.read(tmp_path, Reading(format="no-such-format"))
     with pytest.raises(DatasetError, match=r"no such folder.*Check the path") as caught:
-        detection.read(tmp_path / "absent")
+        dataset_folder.read(tmp_path / "absent")
     assert str(caught.value).count("absent") == 1
     with pytest.raises(DatasetError, match=r"no such folder.*Check the path"):  # as commands that need every frame do
-        detection.read(tmp_path / "absent", detection.with_every_frame(Reading(), tmp_path / "absent"))
+        dataset_folder.read(tmp_path / "absent", dataset_folder.with_every_frame(Reading(), tmp_path / "absent"))
 
 
 @pytest.mark.parametrize("count", [1, 3, 5])
@@ -695,26 +695,26 @@ def test_videos_beside_pictures_name_the_command_for_their_frames(tmp_path: Path
     picture(folder / "a.png")
     for n in range(count):
         write_video(folder / f"DJI_{n}.MP4", frames=2)
-    (problem,) = detection.read(folder).problems
+    (problem,) = dataset_folder.read(folder).problems
     assert problem.code == "video-not-pictures"
     assert problem.found == f"{count} video(s) beside the pictures, not read"
     command, out = re.fullmatch(r"extract frames with (.*), then use (.*); or .*", problem.todo).groups()  # type: ignore[union-attr]
     program = f"{shlex.quote(sys.executable)} -m {command}"
     subprocess.run(["bash", "-c", program], cwd=tmp_path, check=True, capture_output=True)
-    dataset = detection.read(tmp_path / shlex.split(out)[0])
+    dataset = dataset_folder.read(tmp_path / shlex.split(out)[0])
     assert len({i.capture.sequence for i in dataset.images}) == count
 
 
 def test_a_file_in_place_of_a_folder_is_called_a_file(tmp_path: Path) -> None:
     (tmp_path / "data.zip").write_bytes(b"PK")
     with pytest.raises(DatasetError, match=r"data\.zip: a file; expected the folder of a dataset.*unpack it"):
-        detection.read(tmp_path / "data.zip")
+        dataset_folder.read(tmp_path / "data.zip")
 
 
 def test_the_folder_of_two_datasets_names_them(tmp_path: Path) -> None:
     for name in ("one", "two"):
         SAMPLES["coco"](tmp_path / name)
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     (problem,) = [p for p in dataset.problems if p.severity == "error"]
     assert dataset.format == "folder" and problem.found.endswith("whose labels are not read: one (coco), two (coco)")
     assert problem.todo == f"give one of them, such as {tmp_path / 'one'}"

@@ -15,7 +15,7 @@ from infrablend.core.boxes import corners_of_cxcywha
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance, Split
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.picture_facts import facts_from_name
 from infrablend.formats.published import hit_uav
 from tests.samples import codes
@@ -206,7 +206,7 @@ def test_missing_pictures_are_named(tiny: Path) -> None:
 def test_pictures_no_record_names_are_counted(tiny: Path) -> None:
     folder = tiny / "normal_json" / "train"
     shutil.copy(folder / "0_60_30_0_00001.jpg", folder / "0_60_30_0_09999.jpg")
-    d = detection.read(tiny)
+    d = dataset_folder.read(tiny)
     assert codes(d, "warning") == ["image-unlisted"] and len(d.images) == 4
 
 

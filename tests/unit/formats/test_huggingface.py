@@ -12,7 +12,7 @@ import pytest
 
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.labels import huggingface
 from tests.samples import records, with_facts
 
@@ -74,7 +74,7 @@ def test_a_split_without_any_object_is_left_out_with_a_warning(tmp_path: Path) -
 def test_a_dataset_without_objects_has_no_column_of_them(tmp_path: Path) -> None:
     done, out = written(tmp_path, lambda i: replace(i, instances=()))
     assert not done.problems and all("objects" not in r for s in ("train", "val", "test") for r in lines(out, s))
-    assert len(detection.read(out).images) == 4
+    assert len(dataset_folder.read(out).images) == 4
 
 
 @pytest.mark.parametrize("moment", ["2021-01-31", "2021-01-31T08:30:00", "2021-01-31 08:30:00.5"])
@@ -82,7 +82,7 @@ def test_a_time_stays_text(tmp_path: Path, moment: str) -> None:
     """Arrow would take it for another type than the empty text of a picture without one."""
     _, out = written(tmp_path, lambda i: with_facts(i, captured=moment if i.split == "train" else None))
     assert {r["captured"] for r in lines(out, "train")} == {f"on {moment}"}
-    assert {i.capture.captured for i in detection.read(out).images if i.split == "train"} == {moment}
+    assert {i.capture.captured for i in dataset_folder.read(out).images if i.split == "train"} == {moment}
 
 
 def test_hugging_faces_own_example_is_read(tmp_path: Path) -> None:
@@ -93,7 +93,7 @@ def test_hugging_faces_own_example_is_read(tmp_path: Path) -> None:
         {"file_name": images[1].name, "objects": {"bbox": [[8.0, 2.0, 7.0, 9.0]], "categories": [1]}},
     ]
     (tmp_path / "train" / huggingface.FILE).write_text("".join(json.dumps(r) + "\n" for r in rows))
-    dataset = detection.read(tmp_path)
+    dataset = dataset_folder.read(tmp_path)
     assert dataset.format == "huggingface"
     assert [(c.id, c.name) for c in dataset.categories] == [(0, "class 0"), (1, "class 1")]
     assert [i.instances[0].box_xyxy.tolist() for i in dataset.images] == [[30, 10, 37, 15], [8, 2, 15, 11]]
@@ -126,7 +126,7 @@ def test_bad_lines_are_named_and_the_others_read(tmp_path: Path, line: str, code
     path = out / "train" / huggingface.FILE
     first = path.read_text().splitlines()[0]
     path.write_text(f"{first}\n{line}\n")
-    dataset = detection.read(out)
+    dataset = dataset_folder.read(out)
     assert code in [p.code for p in dataset.problems]
     assert any(i.name == "0_60_30_0_00001.jpg" for i in dataset.images)
 

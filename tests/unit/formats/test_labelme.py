@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from infrablend.core.dataset import Dataset, Instance
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from tests.samples import codes, picture
 
 
@@ -30,7 +30,7 @@ def write(path: Path, *shapes: Any, image: str = "f.png", **fields: Any) -> None
 def read(folder: Path, *shapes: Any, **fields: Any) -> Dataset:
     picture(folder / "f.png", 0)
     write(folder / "f.json", *shapes, **fields)
-    return detection.read(folder)
+    return dataset_folder.read(folder)
 
 
 def objects(d: Dataset) -> tuple[Instance, ...]:
@@ -94,7 +94,7 @@ def test_the_label_ignore_marks_regions(tmp_path: Path) -> None:
 def test_the_picture_is_found_by_path_or_by_the_name_of_the_file(tmp_path: Path, said: str) -> None:
     picture(tmp_path / "images" / "a.png", 0)
     write(tmp_path / "annotations" / "a.json", shape("rectangle", [1, 1], [5, 5]), image=said)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert len(objects(d)) == 1 and d.images[0].name == "a.png" and not d.problems
 
 
@@ -103,7 +103,7 @@ def test_splits_pictures_without_a_file_and_files_without_a_picture(tmp_path: Pa
     picture(tmp_path / "val" / "g.png", 1)
     write(tmp_path / "val" / "gone.json", image="gone.png", imageData="aGFsbG8=")
     write(tmp_path / "train" / "twice.json", shape("rectangle", [1, 1], [5, 5]))
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [(i.split, i.name, i.extra) for i in d.images] == [
         ("train", "f.png", {}),
         ("val", "g.png", {"labelled": False}),
@@ -135,6 +135,6 @@ def test_a_damaged_file_leaves_out_its_picture(tmp_path: Path) -> None:
     read(tmp_path, shape("rectangle", [1, 1], [5, 5]))
     picture(tmp_path / "g.png", 1)
     (tmp_path / "g.json").write_text((tmp_path / "f.json").read_text()[:-9])
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [i.name for i in d.images] == ["f.png"] and codes(d) == ["annotation-not-json"]
     assert d.problems[0].where == "g.json"

@@ -19,9 +19,9 @@ from infrablend import api
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.published import monet
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import with_facts
 
 CATEGORIES = [{"id": 1, "name": "person"}, {"id": 2, "name": "vehicle"}]
@@ -85,7 +85,7 @@ def codes(dataset: Dataset, severity: str = "warning") -> list[str]:
 )
 def test_telemetry_is_found(tmp_path: Path, nest: str | None, telemetry: Any, options: dict[str, str]) -> None:
     sequence(tmp_path, "runway_04", [telemetry], nest=nest)
-    d = detection.read(tmp_path, Reading(options=options))
+    d = dataset_folder.read(tmp_path, Reading(options=options))
     (image,) = d.images
     assert d.format == "monet"
     assert (image.capture.altitude_m, image.capture.sequence, image.split, image.id) == (
@@ -103,19 +103,21 @@ def test_telemetry_may_be_a_list_beside_the_images(tmp_path: Path) -> None:
         top["meta"] = [{"image_id": i["id"], **i.pop("metadata")} for i in top["images"]]
 
     sequence(tmp_path, "runway_04", down(-35, -40), change=move)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [i.capture.pitch_deg for i in d.images] == [35, 40]
     writing.write("native", tmp_path / "out", d.images, d.categories, source=d)
-    assert [i.capture.pitch_deg for i in detection.read(tmp_path / "out").images] == [35, 40]
+    assert [i.capture.pitch_deg for i in dataset_folder.read(tmp_path / "out").images] == [35, 40]
 
 
 def test_missing_key_error_lists_existing_keys(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", [{"gimbalPitch": -35, "speed": {"x": {"m_s": 1}}}])
     with pytest.raises(DatasetError, match=r"no telemetry in 1 image") as caught:
-        detection.read(tmp_path)
+        dataset_folder.read(tmp_path)
     assert "metadata.gimbalPitch, metadata.speed.x.m_s" in str(caught.value) and "pitch_key=KEY" in str(caught.value)
-    assert detection.read(tmp_path, Reading(options={"pitch_key": "gimbalPitch"})).images[0].capture.pitch_deg == 35
-    d = detection.read(tmp_path, Reading(options={"empty": "keep"}))
+    assert (
+        dataset_folder.read(tmp_path, Reading(options={"pitch_key": "gimbalPitch"})).images[0].capture.pitch_deg == 35
+    )
+    d = dataset_folder.read(tmp_path, Reading(options={"empty": "keep"}))
     assert [i.capture.pitch_deg for i in d.images] == [None] and d.notes["frames_without_pitch"] == {
         "train/runway_04": 1
     }
@@ -126,43 +128,43 @@ def test_missing_key_error_lists_existing_keys(tmp_path: Path) -> None:
 
 def test_the_majority_looks_down_and_the_rest_is_kept(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35, -90.4, 40, 0))
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [i.capture.pitch_deg for i in d.images] == [35, 90, -40, 0]
     assert math.copysign(1, d.images[3].capture.pitch_deg or 0) == 1
     facts = d.notes["gimbal_pitch"]
     assert (facts["below_0"], facts["above_0"], facts["beyond_90_clamped"], facts["sign_from"]) == (2, 1, 1, "majority")
     assert "2 values below 0, 1 above" in str(next(p for p in d.problems if p.code == "pitch-sign"))
     other = sequence(tmp_path / "b", "runway_04", down(35, 90, -40))
-    d = detection.read(other.parents[1])
+    d = dataset_folder.read(other.parents[1])
     assert [i.capture.pitch_deg for i in d.images] == [35, 90, -40] and d.notes["gimbal_pitch"]["sign"] == 1
 
 
 def test_pitch_sign_overrides_and_silences(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35, 40))
     with pytest.raises(DatasetError, match="cannot be determined"):
-        detection.read(tmp_path)
+        dataset_folder.read(tmp_path)
     for sign, pitches in (("-1", [35, -40]), ("+1", [-35, 40])):
-        d = detection.read(tmp_path, Reading(options={"pitch_sign": sign}))
+        d = dataset_folder.read(tmp_path, Reading(options={"pitch_sign": sign}))
         assert [i.capture.pitch_deg for i in d.images] == pitches and codes(d) == []
     sequence(tmp_path, "runway_05", down(-35, -40))
     with pytest.raises(DatasetError, match="more than half of the pitches are negative"):
-        detection.read(tmp_path, Reading(options={"pitch_sign": "1"}))
+        dataset_folder.read(tmp_path, Reading(options={"pitch_sign": "1"}))
 
 
 def test_opposite_pitch_sign_in_one_file_stops_the_reader(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35, -36, -37, -38))
     sequence(tmp_path, "runway_05", down(35, 36, -1))
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path)
+        dataset_folder.read(tmp_path)
     assert [p.where for p in caught.value.problems] == ["train/runway_05.json"]
     assert "2 of 3 cameras look up" in str(caught.value)
-    assert len(detection.read(tmp_path, Reading(options={"pitch_sign": "-1"})).images) == 7
+    assert len(dataset_folder.read(tmp_path, Reading(options={"pitch_sign": "-1"})).images) == 7
 
 
 def test_small_numbers_are_suspected_to_be_radians(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(*(-0.1 * k for k in range(1, 12))))
-    assert "pitch-unit" in codes(detection.read(tmp_path))
-    d = detection.read(tmp_path, Reading(options={"angle_unit": "rad"}))
+    assert "pitch-unit" in codes(dataset_folder.read(tmp_path))
+    d = dataset_folder.read(tmp_path, Reading(options={"angle_unit": "rad"}))
     assert "pitch-unit" not in codes(d) and d.images[0].capture.pitch_deg == pytest.approx(5.7296, abs=1e-4)
 
 
@@ -172,26 +174,26 @@ def test_small_numbers_are_suspected_to_be_radians(tmp_path: Path) -> None:
 def test_empty_sequences_are_left_out_and_counted(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_01", down(None, None))
     sequence(tmp_path, "runway_04", down(-35, None, -37))
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [i.capture.pitch_deg for i in d.images] == [35, None, 37]
     assert d.notes["excluded"] == {"train/runway_01": {"why": "no telemetry in any frame", "images": 2, "labels": 2}}
     assert d.notes["frames_without_pitch"] == {"train/runway_04": 1}
     assert d.notes["gimbal_pitch"]["missing"] == 3
     assert d.notes["pitch"] == "annotation (2 of 3), none (1 of 3)"
     assert codes(d) == ["pitch-sign", "sequence-excluded"]
-    kept = detection.read(tmp_path, Reading(options={"empty": "keep"}))
+    kept = dataset_folder.read(tmp_path, Reading(options={"empty": "keep"}))
     assert len(kept.images) == 5 and codes(kept) == ["pitch-sign"]
 
 
 def test_sequences_are_left_out_by_name(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_01", down(-35))
     sequence(tmp_path, "runway_04", down(-35, -36))
-    d = detection.read(tmp_path, Reading(options={"exclude": "runway_01, dirtroad_01"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"exclude": "runway_01, dirtroad_01"}))
     assert {i.capture.sequence for i in d.images} == {"runway_04"}
     assert d.notes["excluded"]["train/runway_01"]["images"] == 1
     assert codes(d) == ["option-value", "pitch-sign", "sequence-excluded"]
     with pytest.raises(DatasetError, match="nothing to read"):
-        detection.read(tmp_path, Reading(options={"exclude": "runway_01,runway_04"}))
+        dataset_folder.read(tmp_path, Reading(options={"exclude": "runway_01,runway_04"}))
 
 
 def test_a_table_counts_more_and_fills_an_empty_sequence(tmp_path: Path) -> None:
@@ -200,7 +202,7 @@ def test_a_table_counts_more_and_fills_an_empty_sequence(tmp_path: Path) -> None
     (tmp_path / "metadata.csv").write_text(
         "file,pitch_deg,time_of_day\nrunway_01,20,night\nrunway_04/lwir/image00000.png,36,\nz,1,\n"
     )
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [(i.capture.sequence, i.capture.pitch_deg, i.capture.time_of_day) for i in d.images] == [
         ("runway_01", 20, "night"), ("runway_04", 36, None),
     ]  # fmt: skip
@@ -230,7 +232,7 @@ def test_values_that_cannot_be_used_are_counted_once_for_a_file(
 ) -> None:
     good = {"g_pitch": -35, "alt": 51, "timestamp": "2022-07-01T10:00:00+02:00"}
     sequence(tmp_path, "runway_04", [good, good | {key: value}, good | {key: value}, good])
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert codes(d) == sorted([code, "pitch-sign"]) and codes(d, "error") == []
     assert "2 image(s) with" in str(next(p for p in d.problems if p.code == code))
     field = {"g_pitch": "pitch_deg", "alt": "altitude_m", "timestamp": "captured"}[key]
@@ -256,7 +258,7 @@ def test_pictures_are_found_wherever_the_json_lies(tmp_path: Path, file: str, na
         sequence(tmp_path, name, down(-35, -36, -37), split=split, file=file, names=names)
     (tmp_path / "train" / "dirtroad_02" / "lwir" / "image00001.png").unlink()
     picture(tmp_path / "train" / "runway_04" / "lwir" / "image00009.png")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert codes(d, "error") == ["image-missing"]
     assert len(d.images) == 8
     for image in d.images:
@@ -270,26 +272,26 @@ def test_names_that_fit_several_folders_are_not_guessed(tmp_path: Path) -> None:
     for name in ("runway_04", "runway_05"):
         sequence(tmp_path, name, down(-35), names="image{k:05d}.png", file="labels.json")
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path)
+        dataset_folder.read(tmp_path)
     assert "train/runway_04/lwir, train/runway_05/lwir" in str(caught.value)
-    d = detection.read(tmp_path, Reading(options={"pictures": "train/runway_05/lwir"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"pictures": "train/runway_05/lwir"}))
     assert [i.capture.sequence for i in d.images] == ["runway_05"]
 
 
 def test_one_json_of_all_and_a_split_by_option(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35), split="a", file="all.json", names="runway_04/lwir/image{k:05d}.png")
-    assert [i.split for i in detection.read(tmp_path).images] == ["train"]
-    assert [i.split for i in detection.read(tmp_path, Reading(options={"split": "val"})).images] == ["val"]
+    assert [i.split for i in dataset_folder.read(tmp_path).images] == ["train"]
+    assert [i.split for i in dataset_folder.read(tmp_path, Reading(options={"split": "val"})).images] == ["val"]
     (tmp_path / "a").rename(tmp_path / "monet_test")
-    assert [i.split for i in detection.read(tmp_path).images] == ["test"]
+    assert [i.split for i in dataset_folder.read(tmp_path).images] == ["test"]
     # Given alone, the folder's own name tells.
     (tmp_path / "all.json").rename(tmp_path / "monet_test" / "x.json")
-    assert [i.split for i in detection.read(tmp_path / "monet_test").images] == ["test"]
+    assert [i.split for i in dataset_folder.read(tmp_path / "monet_test").images] == ["test"]
 
 
 def test_one_sequence_alone_is_named_by_its_folder(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", [{"p": -35}], file="train/runway_04/labels.json")
-    d = detection.read(tmp_path / "train" / "runway_04", Reading(options={"pitch_key": "p"}))
+    d = dataset_folder.read(tmp_path / "train" / "runway_04", Reading(options={"pitch_key": "p"}))
     assert [(i.capture.sequence, i.split, i.name) for i in d.images] == [("runway_04", "train", "lwir/image00000.png")]
 
 
@@ -298,7 +300,7 @@ def test_a_picture_in_two_files_counts_once(tmp_path: Path) -> None:
     (tmp_path / "train" / "again.json").write_text((tmp_path / "train" / "runway_04.json").read_text())
     names = "runway_04/lwir/image{k:05d}.png"
     sequence(tmp_path, "runway_04", down(-35, -36), file="train/again.json", names=names)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert len(d.images) == 2 and codes(d, "error") == ["image-duplicate"]
 
 
@@ -307,16 +309,16 @@ def test_sizes_that_are_missing_come_from_the_pictures(tmp_path: Path) -> None:
         del top["images"][0]["width"]
 
     sequence(tmp_path, "runway_04", down(-35, -35), change=drop)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [i.size_wh for i in d.images] == [(64, 48)] * 2 and "image-size-unknown" in codes(d)
 
 
 def test_splits_are_read_one_by_one(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35))
     sequence(tmp_path, "runway_05", down(-36), split="val")
-    assert [i.split for i in detection.read(tmp_path, Reading(splits=["val"])).images] == ["val"]
+    assert [i.split for i in dataset_folder.read(tmp_path, Reading(splits=["val"])).images] == ["val"]
     with pytest.raises(DatasetError, match="nothing to read in the splits test"):
-        detection.read(tmp_path, Reading(splits=["test"]))
+        dataset_folder.read(tmp_path, Reading(splits=["test"]))
 
 
 def test_regions_to_ignore_are_recognised_by_name(tmp_path: Path) -> None:
@@ -324,7 +326,7 @@ def test_regions_to_ignore_are_recognised_by_name(tmp_path: Path) -> None:
         top["categories"].append({"id": 7, "name": "don't care"})
 
     sequence(tmp_path, "runway_04", down(-35), change=ignore)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [(c.id, c.name, c.ignore) for c in d.categories] == [
         (1, "person", False), (2, "vehicle", False), (7, "don't care", True),
     ]  # fmt: skip
@@ -337,7 +339,7 @@ def test_regions_to_ignore_are_recognised_by_name(tmp_path: Path) -> None:
 def test_non_coco_json_is_reported(tmp_path: Path, text: str) -> None:
     sequence(tmp_path, "runway_04", down(-35))
     (tmp_path / "train" / "runway_05.json").write_text(text)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert len(d.images) == 1
     assert [p.where for p in d.problems if p.code.startswith("annotation")] == ["train/runway_05.json"]
     (tmp_path / "train" / "runway_04.json").unlink()
@@ -353,7 +355,7 @@ def test_names_that_lead_out_or_nowhere_are_errors(tmp_path: Path, name: Any) ->
         top["images"][0]["file_name"] = name
 
     sequence(tmp_path / "data", "runway_04", down(-35, -36), change=rename)
-    d = detection.read(tmp_path / "data")
+    d = dataset_folder.read(tmp_path / "data")
     assert [i.capture.pitch_deg for i in d.images] == [36]
     assert codes(d, "error")[0] in ("name-climbs", "name-missing", "image-missing")
 
@@ -363,7 +365,7 @@ def test_a_link_that_leads_out_is_refused(tmp_path: Path) -> None:
     link = tmp_path / "data" / "train" / "runway_04" / "lwir" / "image00000.png"
     link.unlink()
     link.symlink_to(picture(tmp_path / "outside.png"))
-    d = detection.read(tmp_path / "data")
+    d = dataset_folder.read(tmp_path / "data")
     assert [i.capture.pitch_deg for i in d.images] == [36] and "name-climbs" in codes(d, "error")
 
 
@@ -371,11 +373,14 @@ def test_options_are_checked_together(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", down(-35))
     bad = {"pitch_sign": "2", "angle_unit": "grad", "time_of_day": "noon", "split": "dev", "pitch_key": "a..b"}
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path, Reading(options=bad))
+        dataset_folder.read(tmp_path, Reading(options=bad))
     assert {p.where for p in caught.value.problems} == {f"option {k}" for k in bad}
     with pytest.raises(DatasetError, match="annotations=PATTERN"):
-        detection.read(tmp_path, Reading(options={"annotations": "labels/*.json"}))
-    assert detection.read(tmp_path, Reading(options={"time_of_day": "night"})).images[0].capture.time_of_day == "night"
+        dataset_folder.read(tmp_path, Reading(options={"annotations": "labels/*.json"}))
+    assert (
+        dataset_folder.read(tmp_path, Reading(options={"time_of_day": "night"})).images[0].capture.time_of_day
+        == "night"
+    )
 
 
 JSON = st.recursive(
@@ -416,7 +421,7 @@ def test_any_telemetry_gives_a_dataset_or_our_own_error(
 def test_every_read_field_is_written(tmp_path: Path) -> None:
     telemetry = {"g_pitch": -35.25, "alt": 51, "speed_x": 1.5, "nan": math.nan, "list": [1, {"a": None}]}
     sequence(tmp_path / "in", "runway_04", [telemetry, {}])
-    d = detection.read(tmp_path / "in")
+    d = dataset_folder.read(tmp_path / "in")
     mask = np.zeros((48, 64), np.bool_)
     mask[3:9, 4:20] = True
     corners = np.array([[4.0, 3.0], [20.0, 3.0], [20.0, 9.0], [4.0, 9.0]])
@@ -434,7 +439,7 @@ def test_every_read_field_is_written(tmp_path: Path) -> None:
     records = json.loads((tmp_path / "out/train/runway_04.json").read_text())["images"]
     assert records[0]["metadata"] == telemetry | {"g_pitch": -36, "nan": None, "alt": 51}
     assert records[1]["metadata"] == {}
-    again = detection.read(tmp_path / "out")
+    again = dataset_folder.read(tmp_path / "out")
     assert [(i.id, i.capture.pitch_deg, i.capture.time_of_day, i.name) for i in again.images] == [
         (i.id, i.capture.pitch_deg, i.capture.time_of_day, i.name) for i in changed
     ]
@@ -462,7 +467,7 @@ def test_deer_come_into_frames_that_look_down_and_up(tmp_path: Path) -> None:
         settings=settings,
     )
     assert (report.counts["images"], report.counts["skipped_backgrounds"]) == (3, 1)
-    again = detection.read(tmp_path / "run" / "native")
+    again = dataset_folder.read(tmp_path / "run" / "native")
     assert [i.capture.pitch_deg for i in again.images] == [35, -12.5, 90]
     assert [sum(o.inserted for o in i.instances) for i in again.images] == [1, 1, 1]
     notes = json.loads((tmp_path / "run" / "run.json").read_text())["data"]["notes"]
@@ -478,16 +483,16 @@ def test_records_of_elsewhere_get_metadata(tmp_path: Path) -> None:
     """Labels of another format become MONET: telemetry in `metadata`, pictures below the split without a sequence."""
     path = picture(tmp_path / "a.png")
     sequence(tmp_path / "in", "runway_04", down(-35))
-    image = replace(detection.read(tmp_path / "in").images[0], path=path, file_name="a.png", extra={})
+    image = replace(dataset_folder.read(tmp_path / "in").images[0], path=path, file_name="a.png", extra={})
     image = with_facts(image, sequence=None, captured="2021-01-20")
-    monet.write(tmp_path / "out", [image], detection.read(tmp_path / "in").categories)
+    monet.write(tmp_path / "out", [image], dataset_folder.read(tmp_path / "in").categories)
     (record,) = json.loads((tmp_path / "out/train/train.json").read_text())["images"]
     assert record["metadata"] == {"g_pitch": -35, "alt": 51, "timestamp": "2021-01-20"}
-    (again,) = detection.read(tmp_path / "out").images
+    (again,) = dataset_folder.read(tmp_path / "out").images
     assert (again.capture.sequence, again.capture.pitch_deg, again.name) == (None, 35, "lwir/a.png")
     assert again.capture.captured is not None and again.capture.captured.startswith("2021-01-20")
     with pytest.raises(ValueError, match="second picture"):
-        monet.write(tmp_path / "out", [image, replace(image, id="b")], detection.read(tmp_path / "in").categories)
+        monet.write(tmp_path / "out", [image, replace(image, id="b")], dataset_folder.read(tmp_path / "in").categories)
 
 
 def test_files_without_any_pitch_are_still_detected(tmp_path: Path) -> None:
@@ -498,8 +503,8 @@ def test_files_without_any_pitch_are_still_detected(tmp_path: Path) -> None:
     assert [p.code for p in written.problems] == ["telemetry-absent"]
     # It must not be read as a folder of pictures without labels.
     with pytest.raises(DatasetError, match="empty=keep"):
-        detection.read(tmp_path / "out")
-    (again,) = detection.read(tmp_path / "out", Reading(options={"empty": "keep"})).images
+        dataset_folder.read(tmp_path / "out")
+    (again,) = dataset_folder.read(tmp_path / "out", Reading(options={"empty": "keep"})).images
     assert again.instances[0].box_xyxy.tolist() == [3.0, 4.0, 20.0, 30.0]
     known = with_facts(image, pitch_deg=40.0)
     assert not monet.write(tmp_path / "known", [known], [Category(0, "deer")]).problems

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.labels import mot
 from infrablend.formats.losses import Written
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import SIZE_WH, codes, picture
 
 CATEGORIES = (Category(0, "drone"), Category(4, "bird"), Category(7, "DontCare", "", True))
@@ -55,13 +55,13 @@ def drone(track: int | str | None, x: float = 0.0, category: str = "drone") -> I
 def converted(images: list[ImageRecord], out: Path) -> tuple[Written, Dataset]:
     written = writing.write("mot", out, images, CATEGORIES)
     assert set(written.files) == {p for p in out.rglob("*") if p.is_file()}
-    again = detection.read(out)
+    again = dataset_folder.read(out)
     assert again.format == "mot" and codes(again) == []
     return written, again
 
 
 def test_the_top_left_pixel_is_one_one(tmp_path: Path) -> None:
-    d = detection.read(sequence(tmp_path, "1,1,1,1,10,8,1,1,1\n3,1,55,41,10,8,1,1,0.25\n"))
+    d = dataset_folder.read(sequence(tmp_path, "1,1,1,1,10,8,1,1,1\n3,1,55,41,10,8,1,1,0.25\n"))
     assert codes(d) == codes(d, "warning") == []
     first, second, third = d.images
     assert first.instances[0].box_xyxy.tolist() == [0, 0, 10, 8]
@@ -69,7 +69,7 @@ def test_the_top_left_pixel_is_one_one(tmp_path: Path) -> None:
     assert [(i.capture.sequence, i.capture.frame) for i in d.images] == [("a", 0), ("a", 1), ("a", 2)]
     assert second.instances == () and second.extra == {}  # a text lists all objects of its frames
     assert [c.name for c in d.categories] == ["class_1"] and d.notes["rows"]["without_seqinfo"] == 1
-    zero = detection.read(tmp_path, Reading(options={"origin": "0"}))
+    zero = dataset_folder.read(tmp_path, Reading(options={"origin": "0"}))
     assert zero.images[0].instances[0].box_xyxy.tolist() == [1, 1, 11, 9] and codes(zero, "warning") == ["box-clipped"]
 
 
@@ -94,7 +94,7 @@ def test_a_round_trip_keeps_ids_frames_and_boxes(tmp_path: Path) -> None:
         assert all(a.equals(b) for a, b in zip(before.instances, after.instances, strict=True))
     # What was read is written again with the same bytes, and the frame rate that somebody corrected.
     (folder / "seqinfo.ini").write_text((folder / "seqinfo.ini").read_text().replace("eRate=30\ns", "eRate=12.5\ns"))
-    source = detection.read(tmp_path / "out")
+    source = dataset_folder.read(tmp_path / "out")
     assert [i.capture.time_s for i in source.images] == [0, 0.08, 0.16]
     written = writing.write("native", tmp_path / "again", source.images, source.categories, source=source)
     assert written.losses == {} and written.problems == ()
@@ -145,7 +145,7 @@ def test_an_unknown_time_follows_from_the_rate_that_others_state(tmp_path: Path)
 def test_names_of_an_earlier_version_leave_the_times(tmp_path: Path) -> None:
     root = sequence(tmp_path, "1,1,1,1,10,8,1,1,1\n", info="[Sequence]\nframeRate=25\n")
     (root / "names.csv").write_text("file,name,sequence,frame,captured\na/img1/000003.png,x.png,b,7,2024-05-01\n")
-    assert [i.capture for i in detection.read(root).images] == [
+    assert [i.capture for i in dataset_folder.read(root).images] == [
         Capture(sequence="a", frame=0, time_s=0.0),
         Capture(sequence="a", frame=1, time_s=0.04),
         Capture(sequence="b", frame=7, captured="2024-05-01", time_s=0.08),
@@ -212,7 +212,7 @@ def test_sequences_without_labels_have_no_text_and_single_pictures_are_counted(t
         "label-missing"
     ]
     with pytest.raises(DatasetError, match="no picture to read"):
-        detection.read(tmp_path / "bare", Reading(options={"unlabelled": "drop"}))
+        dataset_folder.read(tmp_path / "bare", Reading(options={"unlabelled": "drop"}))
     mixed = [bare[0], replace(bare[1], instances=(drone(1),), extra={})]
     written, again = converted(mixed, tmp_path / "mixed")
     assert written.losses["unlabelled_unsaid"] == 1 and [len(i.instances) for i in again.images] == [0, 1]
@@ -252,13 +252,13 @@ def test_unknown_visibility_becomes_one_and_is_counted(tmp_path: Path) -> None:
     ],
 )
 def test_a_broken_line_is_named_and_the_others_are_read(tmp_path: Path, row: str, code: str) -> None:
-    d = detection.read(sequence(tmp_path, f"2,1,1,1,10,8,1,1,1\n\n{row}\n"))
+    d = dataset_folder.read(sequence(tmp_path, f"2,1,1,1,10,8,1,1,1\n\n{row}\n"))
     assert codes(d) == [code] and [len(i.instances) for i in d.images] == [0, 1, 0]
     assert d.problems[0].where == "a/gt/gt.txt: line 3"
 
 
 def test_an_object_twice_in_a_frame_is_kept_with_a_warning(tmp_path: Path) -> None:
-    d = detection.read(sequence(tmp_path, "1,4,1,1,10,8,1,1,1\n1,4,20,1,10,8,1,2,1\n"))
+    d = dataset_folder.read(sequence(tmp_path, "1,4,1,1,10,8,1,1,1\n1,4,20,1,10,8,1,2,1\n"))
     assert codes(d, "warning") == ["track-twice"] and [o.track_id for o in d.images[0].instances] == [4, 4]
     assert [(c.id, c.name) for c in d.categories] == [(1, "class_1"), (2, "class_2")]
 
@@ -266,17 +266,17 @@ def test_an_object_twice_in_a_frame_is_kept_with_a_warning(tmp_path: Path) -> No
 def test_an_empty_text_and_rows_without_a_picture_are_warnings(tmp_path: Path) -> None:
     sequence(tmp_path, "", name="a")
     sequence(tmp_path, "4,1,1,1,10,8,1,1,1\n", name="b")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert codes(d) == [] and codes(d, "warning") == ["label-empty", "row-without-picture"]
     assert d.notes["rows"]["without_picture"] == 1 and "frames=order" in d.problems[1].todo
 
 
 def test_frames_by_order_and_pictures_counted_from_zero(tmp_path: Path) -> None:
     sequence(tmp_path, "1,1,1,1,10,8,1,1,1\n3,1,1,1,10,8,1,1,1\n", first=11)
-    d = detection.read(tmp_path, Reading(options={"frames": "order"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"frames": "order"}))
     assert [(i.capture.frame, len(i.instances)) for i in d.images] == [(10, 1), (11, 0), (12, 1)] and d.problems == ()
     sequence(tmp_path / "zero", "1,1,1,1,10,8,1,1,1\n", first=0)
-    d = detection.read(tmp_path / "zero")
+    d = dataset_folder.read(tmp_path / "zero")
     assert codes(d, "warning") == ["name-grammar"]
     assert [(i.path.stem, i.capture.frame, len(i.instances)) for i in d.images] == [
         ("000000", 0, 1), ("000001", 1, 0), ("000002", 2, 0),
@@ -285,14 +285,14 @@ def test_frames_by_order_and_pictures_counted_from_zero(tmp_path: Path) -> None:
 
 def test_seqinfo_is_compared_with_the_pictures(tmp_path: Path) -> None:
     info = "[Sequence]\nname=a\nimDir=img1\nframeRate=25\nseqLength=9\nimWidth=99\nimHeight=48\nimExt=.png\n"
-    d = detection.read(sequence(tmp_path, "1,1,1,1,10,8,1,1,1\n", info=info))
+    d = dataset_folder.read(sequence(tmp_path, "1,1,1,1,10,8,1,1,1\n", info=info))
     assert codes(d) == [] and codes(d, "warning") == ["sequence-length", "image-size"]
     assert {i.extra["frame_rate"] for i in d.images} == {25} and d.images[0].size_wh == (64, 48)
     (tmp_path / "a" / "seqinfo.ini").write_text("imDir=img1\n")
-    assert codes(detection.read(tmp_path), "warning") == ["annotation-layout"]
+    assert codes(dataset_folder.read(tmp_path), "warning") == ["annotation-layout"]
     (tmp_path / "a" / "seqinfo.ini").write_text("[Sequence]\nimDir=../..\n")
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path)
+        dataset_folder.read(tmp_path)
     assert caught.value.problems[0].code == "name-climbs"
 
 
@@ -300,26 +300,26 @@ def test_names_of_classes_come_from_labels_or_from_the_challenge(tmp_path: Path)
     rows = "1,1,1,1,10,8,1,2,1\n"
     sequence(tmp_path / "own", rows)
     (tmp_path / "own" / "labels.txt").write_text("deer\nboar\n")
-    own = detection.read(tmp_path / "own")
+    own = dataset_folder.read(tmp_path / "own")
     assert [(c.id, c.name) for c in own.categories] == [(1, "deer"), (2, "boar")]
     assert own.images[0].instances[0].category == "boar" and own.problems == ()
     (tmp_path / "own" / "labels.txt").write_text("deer\n")
-    with_fault = detection.read(tmp_path / "own")
+    with_fault = dataset_folder.read(tmp_path / "own")
     assert codes(with_fault) == ["category-unknown"]
     sequence(tmp_path / "MOT17" / "train", rows + "1,2,1,1,9,9,1,-1,-1,-1\n", name="MOT17-02-DPM")
-    challenge = detection.read(tmp_path / "MOT17")
+    challenge = dataset_folder.read(tmp_path / "MOT17")
     assert [c.name for c in challenge.categories] == list(mot.CLASSES)
     assert [o.category for o in challenge.images[0].instances] == ["person on vehicle", "pedestrian"]
     sequence(tmp_path / "mine", "1,2,1,1,9,9,1,-1,-1,-1\n")
-    assert detection.read(tmp_path / "mine").images[0].instances[0].category == "object"
+    assert dataset_folder.read(tmp_path / "mine").images[0].instances[0].category == "object"
 
 
 def test_splits_come_from_folders_and_equal_names_of_sequences_stay_apart(tmp_path: Path) -> None:
     for k, split in enumerate(("train", "val", "test")):
         sequence(tmp_path / split, f"1,{k + 1},1,1,10,8,1,1,1\n", count=1)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [(i.split, i.instances[0].track_id) for i in d.images] == [("train", 1), ("val", 2), ("test", 3)]
-    assert [i.split for i in detection.read(tmp_path, Reading(splits=["val"])).images] == ["val"]
+    assert [i.split for i in dataset_folder.read(tmp_path, Reading(splits=["val"])).images] == ["val"]
 
 
 words = st.sampled_from(["0", "1", "-1", "2", "9", "10.5", "1e308", "nan", "inf", "", "x", "\x00", "\n", '"', "٣"])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.image_groups import leakage
 from tests.samples import picture
 
@@ -16,7 +16,7 @@ def places(root: Path, names: Sequence[str]) -> list[tuple[str | None, int | Non
     """Return sequence and frame number of pictures of these names, in the order of their ids."""
     for k, name in enumerate(names):
         picture(root / name, k)
-    return [(i.capture.sequence, i.capture.frame) for i in detection.read(root).images]
+    return [(i.capture.sequence, i.capture.frame) for i in dataset_folder.read(root).images]
 
 
 @pytest.mark.parametrize(
@@ -58,6 +58,6 @@ def test_a_table_counts_more(tmp_path: Path) -> None:
 def test_neighbours_in_other_splits_are_still_found(tmp_path: Path) -> None:
     for k in range(12):
         picture(tmp_path / ("train", "val")[k % 2] / f"f_{k:03d}.png", k)
-    images = detection.read(tmp_path).images
+    images = dataset_folder.read(tmp_path).images
     assert {i.capture.sequence for i in images} == {"f"}
     assert [(found.images, found.near) for found in leakage(images)] == [(6, 6)]

@@ -13,8 +13,8 @@ import pytest
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS
-from infrablend.formats import detection, writing
-from infrablend.formats.reading import Reading, WriteSettings
+from infrablend.formats import dataset_folder, writing
+from infrablend.formats.read_write import Reading, WriteSettings
 from tests.samples import picture
 
 CATEGORIES = (Category(0, "Person"), Category(1, "Logo", ignore=True), Category(4, "DontCare", ignore=True))
@@ -48,7 +48,7 @@ def write(name: str, folder: Path, *objects: Instance, keep: bool = False) -> tu
     for kind, n in written.losses.items():
         losses[kind.rpartition(".")[2]] = max(n, losses.get(kind.rpartition(".")[2], 0))
     options = {"pitch_sign": "-1"} if name == "monet" else {}
-    again = detection.read(folder / "out", Reading(options=options))
+    again = dataset_folder.read(folder / "out", Reading(options=options))
     return losses, list(again.images[0].instances)
 
 
@@ -98,7 +98,7 @@ def test_crowds_of_a_coco_file_do_not_become_objects_of_yolo(tmp_path: Path) -> 
         "categories": [{"id": 1, "name": "Person"}],
     }
     (tmp_path / "in" / "train.json").write_text(json.dumps(top))
-    source = detection.read(tmp_path / "in")
+    source = dataset_folder.read(tmp_path / "in")
     written = writing.write("yolo", tmp_path / "out", source.images, source.categories)
     assert written.losses["ignore_dropped"] == 2
     assert len((tmp_path / "out" / "labels" / "train" / "a.txt").read_text().splitlines()) == 1

@@ -10,9 +10,9 @@ from PIL import Image
 
 from infrablend.core.temperature import TemperatureScale
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures.temperature_scale import describe_scales
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 
 
 @pytest.fixture
@@ -23,16 +23,16 @@ def flight(tmp_path: Path) -> Path:
 
 
 def test_16_bit_pictures_without_a_stated_scale_are_only_counts(flight: Path) -> None:
-    dataset = detection.read(flight)
+    dataset = dataset_folder.read(flight)
     assert [p.code for p in dataset.problems if "counts" in p.code] == ["image-counts"]
     assert describe_scales(dataset) == {}
-    accepted = detection.read(flight, Reading(options={"unit": "counts"}))
+    accepted = dataset_folder.read(flight, Reading(options={"unit": "counts"}))
     assert not [p for p in accepted.problems if p.code == "image-counts"]
     assert describe_scales(accepted) == {"counts without a scale": 2}
 
 
 def test_a_stated_scale_is_on_every_16_bit_picture(flight: Path) -> None:
-    dataset = detection.read(flight, Reading(options={"unit": "counts", "slope": "0.04", "offset": "0"}))
+    dataset = dataset_folder.read(flight, Reading(options={"unit": "counts", "slope": "0.04", "offset": "0"}))
     assert {i.capture.radiometry.scale for i in dataset.images if i.capture.radiometry} == {TemperatureScale(0.04)}
     assert describe_scales(dataset) == {"0.04 K per count, 0 = 0 K (stated)": 2}
 
@@ -42,5 +42,5 @@ def test_a_stated_scale_is_on_every_16_bit_picture(flight: Path) -> None:
 )
 def test_a_scale_that_makes_no_sense_is_a_named_problem(flight: Path, options: dict[str, str]) -> None:
     with pytest.raises(DatasetError) as caught:
-        detection.read(flight, Reading(options=options))
+        dataset_folder.read(flight, Reading(options=options))
     assert [p.code for p in caught.value.problems] == ["option-value"]

@@ -13,9 +13,9 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.format_table import WRITERS, Writer
 from infrablend.errors import DatasetError
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.losses import Written
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import SIZE_WH, codes, picture
 
 CATEGORIES = (Category(0, "drone"), Category(1, "bird"))
@@ -40,7 +40,7 @@ def flight(folder: Path) -> list[ImageRecord]:
 def converted(name: str, images: list[ImageRecord], out: Path) -> tuple[Written, Dataset]:
     written = writing.write(name, out, images, CATEGORIES)
     assert set(written.files) == {p for p in out.rglob("*") if p.is_file()}
-    again = detection.read(out)
+    again = dataset_folder.read(out)
     assert codes(again) == []
     return written, again
 
@@ -99,7 +99,7 @@ def test_tracks_by_the_names_of_other_tools(tmp_path: Path) -> None:
         {"image_id": 1, "track_id": 1, "instance_id": 2},
         {"image_id": 2, "attributes": {"occluded": True}},
     ]
-    d = detection.read(coco_file(tmp_path, records, annotations, videos=[{"id": 3, "name": "north"}]))
+    d = dataset_folder.read(coco_file(tmp_path, records, annotations, videos=[{"id": 3, "name": "north"}]))
     assert [(i.capture.sequence, i.capture.frame) for i in d.images] == [("north", 5), (None, 0)]
     assert [[o.track_id for o in i.instances] for i in d.images] == [[4, 8, 1], [None]]
 
@@ -128,7 +128,7 @@ def test_a_video_task_of_cvat_is_read(tmp_path: Path) -> None:
         f'<track id="0" label="deer">{shape(0)}{shape(1, 6, hidden)}{shape(2, 6, gone)}'
         f'</track><track id="1" label="boar">{shape(2, 30)}</track>'
     )
-    d = detection.read(video_task(tmp_path, tracks))
+    d = dataset_folder.read(video_task(tmp_path, tracks))
     assert (d.format, d.problems) == ("cvat", ())
     assert [(i.capture.sequence, i.capture.frame) for i in d.images] == [("north", 0), ("north", 1), ("north", 2)]
     assert [[(o.category, o.track_id, o.box_xyxy[0]) for o in i.instances] for i in d.images] == [
@@ -141,16 +141,16 @@ def test_the_attribute_is_the_track_where_there_is_one(tmp_path: Path) -> None:
     named = shape(0).replace("></box>", '><attribute name="track_id">left</attribute></box>')
     empty = shape(0).replace("></box>", '><attribute name="track_id"></attribute></box>')
     tracks = f'<track id="4" label="deer">{named}</track><track id="5" label="deer">{empty}</track>'
-    assert [o.track_id for o in detection.read(video_task(tmp_path, tracks)).images[0].instances] == ["left", 5]
+    assert [o.track_id for o in dataset_folder.read(video_task(tmp_path, tracks)).images[0].instances] == ["left", 5]
 
 
 def test_frames_are_numbers_of_names_or_positions(tmp_path: Path) -> None:
     """A task made from every tenth frame of a video, and one made from pictures."""
     tracks = f'<track id="0" label="deer">{shape(10)}</track>'
-    d = detection.read(video_task(tmp_path / "a", tracks, range(0, 30, 10), meta="<stop_frame>20</stop_frame>"))
+    d = dataset_folder.read(video_task(tmp_path / "a", tracks, range(0, 30, 10), meta="<stop_frame>20</stop_frame>"))
     assert [(i.capture.frame, len(i.instances)) for i in d.images] == [(0, 0), (10, 1), (20, 0)]
     tracks = f'<track id="0" label="deer">{shape(1)}</track>'
-    d = detection.read(video_task(tmp_path / "b", tracks, range(5, 8), names="north-{}.png"))
+    d = dataset_folder.read(video_task(tmp_path / "b", tracks, range(5, 8), names="north-{}.png"))
     assert [(i.capture.frame, len(i.instances)) for i in d.images] == [(0, 0), (1, 1), (2, 0)] and d.problems == ()
 
 
@@ -201,7 +201,7 @@ def test_ids_of_any_kind_come_back_from_cvats_attribute(tmp_path: Path) -> None:
 )
 def test_faults_of_a_video_task_are_named(tmp_path: Path, tracks: str, errors: list[str], warnings: list[str]) -> None:
     try:
-        problems = detection.read(video_task(tmp_path, tracks)).problems
+        problems = dataset_folder.read(video_task(tmp_path, tracks)).problems
     except DatasetError as error:
         problems = tuple(error.problems)
     assert [p.code for p in problems if p.severity == "error"] == errors
@@ -212,9 +212,9 @@ def test_a_video_task_without_pictures_and_one_without_tracks(tmp_path: Path) ->
     bare = video_task(tmp_path / "a", f'<track id="0" label="a">{shape(0)}</track>', range(1))
     (bare / "images" / "frame_000000.png").unlink()
     with pytest.raises(DatasetError) as caught:
-        detection.read(bare, Reading(format="cvat"))
+        dataset_folder.read(bare, Reading(format="cvat"))
     assert caught.value.problems[0].code == "image-missing"
-    d = detection.read(video_task(tmp_path / "b", ""))
+    d = dataset_folder.read(video_task(tmp_path / "b", ""))
     assert [i.instances for i in d.images] == [(), (), ()] and d.problems == ()
 
 
@@ -245,7 +245,9 @@ def visdrone_video(root: Path, text: str | None, count: int = 3, first: int = 1)
 
 
 def test_videos_of_visdrone_count_frames_from_one_and_pixels_from_zero(tmp_path: Path) -> None:
-    d = detection.read(visdrone_video(tmp_path, "1,0,0,0,10,8,1,4,0,0\n3,0,54,40,10,8,1,4,1,2\n3,5,1,1,9,9,0,11,0,0\n"))
+    d = dataset_folder.read(
+        visdrone_video(tmp_path, "1,0,0,0,10,8,1,4,0,0\n3,0,54,40,10,8,1,4,1,2\n3,5,1,1,9,9,0,11,0,0\n")
+    )
     assert (d.format, d.problems) == ("visdrone", ())
     assert [(i.split, i.capture.sequence, i.capture.frame) for i in d.images] == [("val", "uav1", n) for n in range(3)]
     assert [[(o.category, o.track_id) for o in i.instances] for i in d.images] == [
@@ -260,13 +262,13 @@ def test_faults_of_visdrones_videos_are_named(tmp_path: Path) -> None:
     good, row = "1,0,1,1,9,9,1,4,0,0\n", "1,4,0,0\n"
     text = f"{good}0,0,1,1,9,9,{row}1,0,1,1,{row}1,0,20,1,9,9,{row}2,0,90,1,9,9,{row}"
     text += f"2,1,1,1,9,9,1,12,0,0\n9,0,1,1,9,9,{row}"
-    d = detection.read(visdrone_video(tmp_path / "a", text))
+    d = dataset_folder.read(visdrone_video(tmp_path / "a", text))
     assert codes(d) == ["label-malformed", "label-malformed", "box-outside", "category-unknown"]
     assert codes(d, "warning") == ["track-twice", "row-without-picture"]
     assert d.notes["rows"]["objects"] == 7 and d.notes["rows"]["read"] == 2
     bare = visdrone_video(tmp_path / "b", good, first=0)
-    assert codes(detection.read(bare)) == ["name-grammar"]
+    assert codes(dataset_folder.read(bare)) == ["name-grammar"]
     both = visdrone_video(tmp_path / "c", good)
     picture(both / "VisDrone2019-VID-val" / "sequences" / "uav2" / "0000001.jpg", 9)
-    d = detection.read(both)
+    d = dataset_folder.read(both)
     assert codes(d, "warning") == ["label-missing"] and d.images[-1].extra["labelled"] is False

@@ -14,11 +14,11 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.dataset import Dataset
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures import derived
 from infrablend.formats.pictures.video import Video
 from infrablend.formats.pictures.video import write_video as write_grey_video
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import picture
 from tests.videos import bracketed, level, write_srt, write_video
 
@@ -26,7 +26,7 @@ av = pytest.importorskip("av")
 
 
 def read(path: Path, every: int = 1, **reading: object) -> Dataset:
-    return detection.read(path, Reading(options={"every": str(every)}, **reading))  # type: ignore[arg-type]
+    return dataset_folder.read(path, Reading(options={"every": str(every)}, **reading))  # type: ignore[arg-type]
 
 
 def codes(dataset: Dataset) -> list[str]:
@@ -68,7 +68,7 @@ def test_a_video_is_a_sequence(tmp_path: Path, suffix: str) -> None:
 
 
 def test_every_thirtieth_frame_is_read_by_default(tmp_path: Path) -> None:
-    d = detection.read(write_video(tmp_path / "a.mp4", frames=61))
+    d = dataset_folder.read(write_video(tmp_path / "a.mp4", frames=61))
     assert [i.capture.frame for i in d.images] == [0, 30, 60] and d.notes["every"] == 30
 
 
@@ -133,7 +133,7 @@ def test_a_labelled_clip_stays_with_its_format(tmp_path: Path) -> None:
 def test_pictures_stay_a_folder_and_videos_can_be_asked_for(tmp_path: Path) -> None:
     picture(tmp_path / "p.png", 1)
     write_video(tmp_path / "a.mp4", frames=2)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == "folder" and codes(d) == ["video-not-pictures"]
     assert {i.capture.sequence for i in read(tmp_path, format="videos").images} == {"a"}
 
@@ -141,7 +141,7 @@ def test_pictures_stay_a_folder_and_videos_can_be_asked_for(tmp_path: Path) -> N
 def test_a_single_video_is_no_folder_of_another_format(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mp4", frames=2)
     with pytest.raises(DatasetError, match=r"a video; expected a folder in the format coco\. Leave --format out"):
-        detection.read(path, Reading(format="coco"))
+        dataset_folder.read(path, Reading(format="coco"))
 
 
 def test_objects_are_inserted_into_a_video_and_rendered_again(tmp_path: Path) -> None:
@@ -151,7 +151,7 @@ def test_objects_are_inserted_into_a_video_and_rendered_again(tmp_path: Path) ->
     execution = api.Execution(renderer="flat", in_process=True)
     reading = api.Reading(options={"every": "1"})
     api.generate("hit-uav-drone", path, run, execution=execution, settings=settings, reading=reading)
-    written = detection.read(run)
+    written = dataset_folder.read(run)
     assert [(i.capture.sequence, i.capture.frame) for i in written.images] == [("a", 0), ("a", 1)]
     again = api.rerender(run, "train/a_000001_c0", tmp_path / "again.png")
     assert again.read_bytes() == (run / "images" / "train" / "a_000001_c0.png").read_bytes()

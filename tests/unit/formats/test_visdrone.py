@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from infrablend.core.dataset import Dataset
-from infrablend.formats import detection
-from infrablend.formats.reading import Reading
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 from tests.command_line import run
 from tests.samples import codes, picture
 
@@ -19,7 +19,7 @@ def dataset(folder: Path, text: str, stem: str = STEM) -> Dataset:
     picture(folder / "images" / f"{stem}.jpg", 0)
     (folder / "annotations").mkdir(parents=True, exist_ok=True)
     (folder / "annotations" / f"{stem}.txt").write_text(text)
-    return detection.read(folder)
+    return dataset_folder.read(folder)
 
 
 def test_every_class_and_flag(tmp_path: Path) -> None:
@@ -56,13 +56,13 @@ def test_folders_of_several_splits_and_pictures_without_labels(tmp_path: Path) -
     dataset(tmp_path / "raw" / "VisDrone2019-DET-val", "3,4,9,8,1,4,0,0\n", "own")
     picture(tmp_path / "VisDrone2019-DET-test-challenge" / "images" / "b.jpg", 1)
     (tmp_path / "VisDrone2019-DET-train" / "annotations" / "gone.txt").write_text("3,4,9,8,1,4,0,0\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [(i.split, i.name, len(i.instances)) for i in d.images] == [
         ("train", f"{STEM}.jpg", 1), ("val", "own.jpg", 1), ("test", "b.jpg", 0),
     ]  # fmt: skip
     assert "modality" not in d.images[1].extra  # someone's own pictures in this layout
     assert codes(d) == ["image-missing"] and codes(d, "warning") == ["label-missing"]
-    assert len(detection.read(tmp_path, Reading(options={"unlabelled": "drop"})).images) == 2
+    assert len(dataset_folder.read(tmp_path, Reading(options={"unlabelled": "drop"})).images) == 2
 
 
 @pytest.mark.parametrize("text", ["98,0,808,1,47,22,1,4,0,0\n", "0.5 0.5 0.1 0.1\n", ""])
@@ -74,7 +74,7 @@ def test_other_text_files_in_annotations_are_named(tmp_path: Path, text: str) ->
 def test_converted_to_coco_it_keeps_regions_to_ignore(tmp_path: Path) -> None:
     dataset(tmp_path / "data", "3,4,9,8,0,0,0,0\n13,4,9,8,1,4,0,0\n")
     assert run("convert", tmp_path / "data", tmp_path / "out", "--to", "coco").exit_code == 0
-    again = detection.read(tmp_path / "out")
+    again = dataset_folder.read(tmp_path / "out")
     assert [(o.category, again.category(o.category).ignore) for o in again.images[0].instances] == [
         ("ignored regions", True), ("car", False),
     ]  # fmt: skip

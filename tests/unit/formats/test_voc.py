@@ -14,9 +14,9 @@ from infrablend.core.boxes import corners_of_box, corners_of_cxcywha
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.labels import voc
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import codes
 
 SIZE = "<size><width>100</width><height>80</height><depth>1</depth></size>"
@@ -62,7 +62,7 @@ def test_every_layout_is_found_and_read(tmp_path: Path, layout: str) -> None:
     lists.mkdir(parents=True)
     (lists / "train.txt").write_text("a 1\n")
     (lists / "test.txt").write_text("b  -1\nc\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == "voc" and codes(d) == [] and codes(d, "warning") == ["label-missing"]
     assert boxes(d) == {"a 1": [[10, 20, 30, 40]], "b": [], "c": []}
     assert {i.id: i.split for i in d.images} == {"a 1": "train", "b": "test", "c": "test"}
@@ -87,11 +87,11 @@ def test_box_convention_is_an_option(tmp_path: Path) -> None:
     picture(tmp_path / "a.png")
     xml(tmp_path / "a.xml", f"<name>fox</name>{box(1, 1, 100, 80)}", f"<name>fox</name>{box(0, 5, 8, 9)}")
     assert boxes(voc.read(tmp_path))["a"] == [[1, 1, 100, 80], [0, 5, 8, 9]]
-    d = detection.read(tmp_path, Reading(options={"origin": "1"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"origin": "1"}))
     assert boxes(d)["a"] == [[0, 0, 100, 80], [0, 4, 8, 9]]  # there is no pixel 0, so that one is clipped
     assert codes(d, "warning") == ["box-clipped"] and d.notes["origin"] == 1
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path, Reading(options={"origin": "2", "unlabelled": "maybe"}))
+        dataset_folder.read(tmp_path, Reading(options={"origin": "2", "unlabelled": "maybe"}))
     assert [p.where for p in caught.value.problems] == ["option origin", "option unlabelled"]
 
 
@@ -161,14 +161,14 @@ def test_foreign_folders_are_left_alone(tmp_path: Path) -> None:
     (tmp_path / "a.png.aux.xml").write_text("<PAMDataset/>")
     match = voc.detect(tmp_path)
     assert not match.ok and "<PAMDataset>" in match.reason
-    assert detection.detect(tmp_path).format == "folder"
+    assert dataset_folder.detect(tmp_path).format == "folder"
 
 
 def test_voc_with_annotations_is_not_detected_as_hit_uav(tmp_path: Path) -> None:
     for name in ("0_60_30_0_00001", "dog"):
         picture(tmp_path / name / "JPEGImages" / f"{name}.png")
         xml(tmp_path / name / "Annotations" / f"{name}.xml", "<name>fox</name>" + box(10, 20, 30, 40))
-        assert detection.detect(tmp_path / name).format == "voc"
+        assert dataset_folder.detect(tmp_path / name).format == "voc"
     assert voc.read(tmp_path / "0_60_30_0_00001").notes["pitch"] == "file names"
 
 
@@ -185,7 +185,7 @@ def test_losses_are_counted_and_names_must_fit(tmp_path: Path) -> None:
     assert written.losses == {"ignore_as_class": 1, "mask_dropped": 1, "obb_dropped": 1, "visibility_dropped": 1}
     text = (tmp_path / "out" / "Annotations" / "a.xml").read_text()
     assert "<xmin>10</xmin>" in text and "<ymax>20.125</ymax>" in text and "fox &amp; hound" in text
-    d = detection.read(tmp_path / "out")
+    d = dataset_folder.read(tmp_path / "out")
     assert [c.name for c in d.categories] == ["fox & hound", "Logo"]
     assert d.images[0].split == "val" and d.images[0].instances[0].inserted
     with pytest.raises(ValueError, match="does not fit"):
@@ -236,7 +236,7 @@ ONE = f"<name>fox</name>{box(1, 2, 3, 4)}"
 def test_objects_in_a_namespace_or_a_list_are_read(tmp_path: Path, inside: str) -> None:
     picture(tmp_path / "a.png")
     (tmp_path / "a.xml").write_text(f"<annotation>{SIZE}{inside}</annotation>")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == "voc" and not d.problems and boxes(d) == {"a": [[1, 2, 3, 4]]}
 
 
@@ -252,7 +252,7 @@ def test_objects_in_a_namespace_or_a_list_are_read(tmp_path: Path, inside: str) 
 def test_other_objects_are_counted_by_kind(tmp_path: Path, inside: str, read: int, kinds: str) -> None:
     picture(tmp_path / "a.png")
     (tmp_path / "a.xml").write_text(f"<annotation>{SIZE}<weather><name>fog</name></weather>{inside}</annotation>")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     (problem,) = d.problems
     assert problem.code == "kind-unread" and problem.found.endswith(f": {kinds}")
     assert len(d.images[0].instances) == read

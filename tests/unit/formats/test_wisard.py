@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.published import wisard
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import codes, picture
 
 IR, FLIR, VIS = (
@@ -35,7 +35,7 @@ def test_missing_and_empty_labels_are_not_the_same(tmp_path: Path) -> None:
     frame(tmp_path, IR, "DJI_0402.mp4_00006.jpg", None)
     (tmp_path / IR / "count.txt").write_text("1417\n0\n")
     (tmp_path / IR / "DJI_0402.mp4_00012.txt").write_text("0 0.5 0.5 0.25 0.5\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == "wisard" and codes(d) == []
     assert codes(d, "warning") == ["image-missing", "label-missing"]
     by_frame = {i.capture.frame: i for i in d.images}
@@ -50,17 +50,17 @@ def test_missing_and_empty_labels_are_not_the_same(tmp_path: Path) -> None:
 
 def test_one_clip_alone_is_a_dataset_too(tmp_path: Path) -> None:
     frame(tmp_path, IR, "x_1.jpg", "")
-    d = detection.read(tmp_path / IR)
+    d = dataset_folder.read(tmp_path / IR)
     assert (d.format, d.images[0].capture.sequence, d.images[0].file_name) == ("wisard", IR, f"{IR}/x_1.jpg")
 
 
 def test_visible_clips_are_left_out_and_counted(tmp_path: Path) -> None:
     frame(tmp_path / "WiSARDv1", IR, "x_1.jpg", "")
     frame(tmp_path / "WiSARDv1", VIS, "x_0.jpg", "0 0.5 0.5 0.25 0.5\n")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert [i.capture.sequence for i in d.images] == [IR] and codes(d, "warning") == ["modality-excluded"]
     assert "1 clip(s) with 1 pictures" in d.problems[0].found
-    vis = detection.read(tmp_path, Reading(options={"modality": "vis"}))
+    vis = dataset_folder.read(tmp_path, Reading(options={"modality": "vis"}))
     assert [i.extra["modality"] for i in vis.images] == ["visible"]
     assert len(wisard.read(tmp_path, modality="all").images) == 2
 
@@ -68,16 +68,16 @@ def test_visible_clips_are_left_out_and_counted(tmp_path: Path) -> None:
 def test_the_logo_of_flir_clips_is_a_region_to_ignore(tmp_path: Path) -> None:
     frame(tmp_path, FLIR, "x_1.jpg", "0 0.5 0.5 0.25 0.5\n", (640, 512))
     frame(tmp_path, IR, "x_1.jpg", "")
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     by_clip = {i.capture.sequence: i for i in d.images}
     assert [o.category for o in by_clip[FLIR].instances] == ["human", "Logo"]
     assert by_clip[FLIR].instances[1].box_xyxy.tolist() == [0, 448, 128, 512]
     assert by_clip[IR].instances == () and d.category("Logo").ignore
     assert codes(d, "warning") == ["logo-assumed"] and d.notes["rows"]["read"] == 1
-    d = detection.read(tmp_path, Reading(options={"logo": "0,470,90,512"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"logo": "0,470,90,512"}))
     assert {i.capture.sequence: i for i in d.images}[FLIR].instances[1].box_xyxy.tolist() == [0, 470, 90, 512]
     assert codes(d, "warning") == [] and d.notes["logo"] == "0,470,90,512"
-    d = detection.read(tmp_path, Reading(options={"logo": "none"}))
+    d = dataset_folder.read(tmp_path, Reading(options={"logo": "none"}))
     assert [c.name for c in d.categories] == ["human"] and d.problems == ()
 
 
@@ -86,16 +86,16 @@ def test_the_logo_of_flir_clips_is_a_region_to_ignore(tmp_path: Path) -> None:
 def test_unknown_values_of_options_are_refused(tmp_path: Path, options: dict[str, str]) -> None:
     frame(tmp_path, IR, "x_1.jpg", "")
     with pytest.raises(DatasetError) as caught:
-        detection.read(tmp_path, Reading(options=options))
+        dataset_folder.read(tmp_path, Reading(options=options))
     (problem,) = caught.value.problems
     assert problem.code == "option-value" and next(iter(options)) in problem.where and problem.expected
 
 
 def test_the_split_is_an_option(tmp_path: Path) -> None:
     frame(tmp_path, IR, "x_1.jpg", "")
-    assert detection.read(tmp_path, Reading(options={"split": "test"}, splits=["test"])).images[0].split == "test"
+    assert dataset_folder.read(tmp_path, Reading(options={"split": "test"}, splits=["test"])).images[0].split == "test"
     with pytest.raises(DatasetError, match="no picture"):
-        detection.read(tmp_path, Reading(splits=["val"]))
+        dataset_folder.read(tmp_path, Reading(splits=["val"]))
 
 
 LINES = (
@@ -158,7 +158,7 @@ def test_any_text_gives_boxes_inside_the_frame(tmp_path_factory: pytest.TempPath
 
 
 def test_the_shared_clips_are_read(real_data: Path) -> None:
-    d = detection.read(real_data / "wisard")
+    d = dataset_folder.read(real_data / "wisard")
     assert d.format == "wisard" and d.problems == ()
     assert {i.size_wh for i in d.images} == {(640, 512)} and len({i.capture.sequence for i in d.images}) == 3
     texts = [p.read_text().splitlines() for p in sorted((real_data / "wisard").rglob("*.txt"))]

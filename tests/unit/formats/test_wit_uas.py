@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures.images import load_background
 from infrablend.formats.published import wit_uas
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from tests.samples import SAMPLES, picture
 
 RUN = "2022-05-11_FIRE-SGL-111-Confluence_M600/2022-04-27-10-00-00"
@@ -29,7 +29,7 @@ def test_runs_cameras_and_splits(tmp_path: Path) -> None:
     frame(tmp_path, f"train/{RUN}_flir", "0001.00", "1 2 30 40 h\n")
     frame(tmp_path, f"val/{RUN}_seek", "0001.00", "")
     frame(tmp_path, f"test/{RUN}_flir", "0002.50", None)
-    d = detection.read(tmp_path)
+    d = dataset_folder.read(tmp_path)
     assert d.format == "wit-uas" and [p.code for p in d.problems] == ["label-missing"]
     assert [(i.split, i.extra["sensor"], i.capture.time_s) for i in d.images] == [
         ("train", "flir", 1.0), ("val", "seek", 1.0), ("test", "flir", 2.5),
@@ -37,18 +37,18 @@ def test_runs_cameras_and_splits(tmp_path: Path) -> None:
     assert {(i.capture.sequence, i.capture.captured) for i in d.images} == {("2022-04-27-10-00-00", "2022-05-11")}
     assert d.images[0].file_name == f"{RUN}_flir/time_0001.00.png"
     assert d.images[2].extra["labelled"] is False
-    flir = detection.read(tmp_path, Reading(options={"camera": "flir", "unlabelled": "drop"}))
+    flir = dataset_folder.read(tmp_path, Reading(options={"camera": "flir", "unlabelled": "drop"}))
     assert [i.extra["sensor"] for i in flir.images] == ["flir"]
     assert flir.notes["rows"]["other_camera"] == 1
     assert [p.code for p in flir.problems] == ["label-missing", "camera-excluded"]
     with pytest.raises(DatasetError, match="both, flir, seek"):
-        detection.read(tmp_path, Reading(options={"camera": "rgb"}))
+        dataset_folder.read(tmp_path, Reading(options={"camera": "rgb"}))
 
 
 def test_a_run_alone_and_a_table_by_run(tmp_path: Path) -> None:
     frame(tmp_path, f"{RUN}_seek", "0001.00", "")
     (tmp_path / "t.csv").write_text("sequence,pitch_deg,altitude_m\n2022-04-27-10-00-00,45,60\n")
-    d = detection.read(tmp_path / f"{RUN}_seek", Reading(metadata=tmp_path / "t.csv"))
+    d = dataset_folder.read(tmp_path / f"{RUN}_seek", Reading(metadata=tmp_path / "t.csv"))
     (image,) = d.images
     assert (image.capture.pitch_deg, image.capture.altitude_m, image.split, image.capture.captured) == (
         45,
@@ -85,7 +85,7 @@ def test_bad_lines_are_named_and_counted(tmp_path: Path, line: str, code: str) -
 
 
 def test_eight_and_sixteen_bits_one_and_three_channels_are_backgrounds(tmp_path: Path) -> None:
-    d = detection.read(SAMPLES["wit-uas"](tmp_path))
+    d = dataset_folder.read(SAMPLES["wit-uas"](tmp_path))
     loaded = [load_background(i.path, i.size_wh) for i in d.images]
     assert [(b.bit_depth, b.mode) for b in loaded] == [(16, "I;16"), (8, "RGB"), (8, "RGB")]
     assert all(b.problems == () for b in loaded) and int(loaded[0].pixels.max()) > 255

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.labels import shards
 from infrablend.formats.pictures import derived
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.pipeline.studies.examine import changes_since_written, check_folder
 from infrablend.report.checking import check_dataset
 from tests.command_line import done, run
@@ -41,9 +41,9 @@ def packed(dataset, tmp_path, monkeypatch):
 @pytest.mark.parametrize("decode", [True, False])
 @pytest.mark.parametrize("most", [1, 5, 2000])
 def test_parts_give_the_report_of_the_whole(packed, monkeypatch, most, decode):
-    whole = check_dataset(detection.read(packed), decode=decode)
+    whole = check_dataset(dataset_folder.read(packed), decode=decode)
     assert {"image-leak", "image-repeated"} & {p.code for p in whole.problems}
-    monkeypatch.setattr(detection, "PART_FRAMES", most)
+    monkeypatch.setattr(dataset_folder, "PART_FRAMES", most)
     seen = []
     report = check_folder(packed, decode=decode, on_progress=seen.append)
     assert replace(report, problems=()) == replace(whole, problems=())
@@ -53,9 +53,9 @@ def test_parts_give_the_report_of_the_whole(packed, monkeypatch, most, decode):
 
 
 def test_damaged_labels_and_wanted_splits(packed, monkeypatch):
-    monkeypatch.setattr(detection, "PART_FRAMES", 2)
+    monkeypatch.setattr(dataset_folder, "PART_FRAMES", 2)
     train = check_folder(packed, reading=Reading(splits=["train"]))
-    assert train.images == sum(i.split == "train" for i in detection.read(packed).images)
+    assert train.images == sum(i.split == "train" for i in dataset_folder.read(packed).images)
     read = shards.image_of
 
     def damaged(label, folder):
@@ -89,7 +89,7 @@ def test_nothing_is_left_in_cache_or_scratch(packed, tmp_path, monkeypatch):
 
 
 def test_labels_of_earlier_parts_are_freed(packed, monkeypatch):
-    monkeypatch.setattr(detection, "PART_FRAMES", 2)
+    monkeypatch.setattr(dataset_folder, "PART_FRAMES", 2)
     parts, make = [], shards._Frames.dataset
 
     def watched(self, found):

@@ -12,7 +12,7 @@ import yaml
 from infrablend import api
 from infrablend.core.format_table import WRITERS, written_names
 from infrablend.errors import DatasetError, OutputError, UnknownFormatError
-from infrablend.formats import detection, writing
+from infrablend.formats import dataset_folder, writing
 from infrablend.formats.losses import LOSSES
 from infrablend.formats.pictures.listing import read_size
 from tests.command_line import done, run
@@ -261,7 +261,7 @@ def test_the_lost_mark_of_inserted_objects_is_counted(tmp_path: Path) -> None:
     for writer in WRITERS:
         losses = writing.write(writer.name, tmp_path / writer.name, marked, categories).losses
         assert losses.get("inserted_dropped", 0) == (count if "inserted" in writer.lacks else 0), writer.name
-        again = detection.read(tmp_path / writer.name)
+        again = dataset_folder.read(tmp_path / writer.name)
         kept = any(o.inserted for i in again.images for o in i.instances)
         assert kept == ("inserted" not in writer.lacks), writer.name
 

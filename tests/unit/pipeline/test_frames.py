@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.runs.generate import plan_request
 from tests.command_line import run, said
@@ -38,7 +38,7 @@ def test_frames_and_telemetry_agree(tmp_path: Path) -> None:
     assert "matched by frame numbers" in text and "missing" not in text and "no " not in text
     table = rows(out)
     assert [(int(r["frame"]), r["time_s"]) for r in table] == [(0, "0"), (15, "1.5"), (30, "3"), (45, "4.5")]
-    assert [i.capture.time_s for i in detection.read(out).images] == [0, 1.5, 3, 4.5]
+    assert [i.capture.time_s for i in dataset_folder.read(out).images] == [0, 1.5, 3, 4.5]
     assert [float(r["altitude_m"]) for r in table] == [10.0, 11.5, 13.0, 14.5]
     assert {r["pitch_deg"] for r in table} == {"60.000"} and {r["time_of_day"] for r in table} == {"day"}
     assert {r["hfov_deg"] for r in table} == {"48.5"}
@@ -129,11 +129,11 @@ def test_the_sun_tells_day_from_night(tmp_path: Path) -> None:
 
 def test_heights_of_a_log_are_measured_ones(tmp_path: Path) -> None:
     done(flight(tmp_path), "--every", "2s", "--out", tmp_path / "out")
-    images = detection.read(tmp_path / "out").images
+    images = dataset_folder.read(tmp_path / "out").images
     assert {i.capture.altitude_from for i in images} == {"take-off"}
     table = tmp_path / "out" / "metadata.csv"
     table.write_text(table.read_text("utf-8").replace("take-off", "guess", 1), "utf-8")
-    assert "table-value" in {p.code for p in detection.read(tmp_path / "out").problems}
+    assert "table-value" in {p.code for p in dataset_folder.read(tmp_path / "out").problems}
 
 
 def test_an_offset_moves_the_log(tmp_path: Path) -> None:

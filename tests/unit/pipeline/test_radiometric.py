@@ -18,8 +18,8 @@ from infrablend.compositing.radiometric import radiance_of, temperature_of
 from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
-from infrablend.formats import detection
-from infrablend.formats.reading import Reading
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 from tests.run_files import records
 
 AIR_C = 12.0
@@ -170,7 +170,7 @@ def test_air_that_nobody_stated_is_drawn_and_reported(tmp_path: Path) -> None:
 def test_the_scale_is_in_the_labels_and_counted_as_lost_elsewhere(tmp_path: Path) -> None:
     data = write_flight(tmp_path / "data")
     generate(data, tmp_path / "run", settings(60.0, **{"output.formats": ["coco", "yolo"]}))
-    again = detection.read(tmp_path / "run" / "coco")
+    again = dataset_folder.read(tmp_path / "run" / "coco")
     assert {
         i.capture.radiometry.scale.unit for i in again.images if i.capture.radiometry and i.capture.radiometry.scale
     } == {"centikelvin"}
@@ -224,7 +224,7 @@ def test_the_8_bit_dataset_shows_originals_and_inserts_by_the_same_agc(tmp_path:
     unchanged = deep == pixels_of(data / "0.tiff")
     assert (shown["0_c0"][unchanged] == shown["0"][unchanged]).all() and not unchanged.all()
     for name in formats:
-        again = detection.read(made / name)
+        again = dataset_folder.read(made / name)
         assert len(again.images) == 4 and sum(len(i.instances) for i in again.images) == 2
         assert all(i.path.suffix == ".png" and i.capture.radiometry is None for i in again.images)
     assert "8bit/" in (tmp_path / "run" / "README.md").read_text()

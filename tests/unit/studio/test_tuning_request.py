@@ -10,7 +10,7 @@ import pytest
 from infrablend import api
 from infrablend.config.loading import load_recipe
 from infrablend.errors import DatasetError
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.studio.open_studio import StudioRequest
 from infrablend.studio.opened_run import OpenedRun

@@ -9,8 +9,8 @@ from typing import cast
 
 from infrablend.annotation.looseness import loosened_counts
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.formats import detection
-from infrablend.formats.reading import Reading
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 from infrablend.lab.experiments.result_record import DataResult, DatasetFacts
 
 
@@ -18,7 +18,7 @@ def read_dataset(
     folder: Path, *, splits: Sequence[str] | None = None, options: Mapping[str, str] | None = None
 ) -> Dataset:
     """Return the dataset in a folder, its format detected."""
-    return detection.read(folder, Reading(splits=splits, options=options or {}))
+    return dataset_folder.read(folder, Reading(splits=splits, options=options or {}))
 
 
 def dataset_facts(dataset: Dataset) -> DatasetFacts:

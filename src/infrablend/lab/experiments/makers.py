@@ -13,7 +13,7 @@ from infrablend.detection.detections import Task
 from infrablend.detection.truth import class_key
 from infrablend.errors import DatasetError, Problem, RenderError
 from infrablend.formats.base import sort_images
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.lab.evaluation.evaluate import evaluate_detector
 from infrablend.lab.evaluation.evaluation_comparison import compare_evaluations
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings

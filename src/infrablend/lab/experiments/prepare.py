@@ -9,7 +9,7 @@ from pathlib import Path
 from infrablend.core.output_checks import require_apart
 from infrablend.detection.truth import class_key
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.lab.experiments.adopting import ADOPTABLE
 from infrablend.lab.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.lab.experiments.definition import Experiment, Source, load_experiment
@@ -123,7 +123,7 @@ def assign_folders(experiment: Experiment, folders: Sequence[tuple[str | None, P
         if not folder.is_dir():
             problems.append(Problem(str(folder), "folder-missing", "no such folder", "the folder of a dataset"))
             continue
-        found = detection.detect(folder).format
+        found = dataset_folder.detect(folder).format
         names = _matching_sources(experiment, folder, found) if named is None else [named]
         source = experiment.sources.get(names[0]) if len(names) == 1 else None
         if source is None:

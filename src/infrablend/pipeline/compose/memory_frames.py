@@ -19,9 +19,9 @@ from infrablend.core.frame_record import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import TaskResult
 from infrablend.errors import ArgumentError, Problem
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures.images import decode_image
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.composed import ComposedFrame, labelled_image
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
 from infrablend.pipeline.compose.pool import FrameWorkers
@@ -133,7 +133,7 @@ class Frames:
                 )
             dataset = source.dataset()
         else:
-            dataset = detection.read(source, reading_for(loaded.recipe, request.reading, source))
+            dataset = dataset_folder.read(source, reading_for(loaded.recipe, request.reading, source))
         self._plan = make_plan(
             loaded.recipe, dataset, request.seed, splits=request.reading.splits, selection=request.selection,
             recipe_warnings=loaded.warnings,

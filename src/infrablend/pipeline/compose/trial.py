@@ -21,8 +21,8 @@ from infrablend.config.sensor_profile import PROFILE_SUFFIXES
 from infrablend.core.dataset import Dataset, Instance
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, InfraBlendError, Problem
-from infrablend.formats import detection
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.memory_frames import Frame, as_frame
 from infrablend.pipeline.compose.pool import FrameWorkers
 from infrablend.pipeline.compose.settings import settings_for
@@ -172,7 +172,7 @@ class Trials:
         self._recipe = loaded.recipe
         reading = reading_for(loaded.recipe, request.reading, request.data)
         if self._read is None or self._read[0] != reading:
-            self._read = reading, detection.read(request.data, reading)
+            self._read = reading, dataset_folder.read(request.data, reading)
         dataset = self._read[1]
         selection = ALL_FRAMES if request.frame is None else FrameSelection(frames=[request.frame])
         plan = make_plan(loaded.recipe, dataset, request.seed, splits=request.reading.splits, selection=selection)

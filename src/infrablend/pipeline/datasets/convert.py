@@ -21,7 +21,7 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.losses import by_class
 from infrablend.formats.pictures.listing import with_sizes
-from infrablend.formats.reading import WriteSettings
+from infrablend.formats.read_write import WriteSettings
 from infrablend.pipeline.datasets.origin import AT_MOST, invalid_texts, loosened_before, origin_of, renamed_texts
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SelectionFacts
 from infrablend.pipeline.datasets.select import select

@@ -21,7 +21,7 @@ from infrablend.core.json_records import is_list
 from infrablend.core.workspace import SOURCE_FILE, workspace
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats.annotation_files import read_json
-from infrablend.formats.detection import detect
+from infrablend.formats.dataset_folder import detect
 from infrablend.formats.published.sources import SOURCES, Archive, Source, find_source
 from infrablend.pipeline.fetching.archive import download, require_url, unpack, without_wrapper
 

@@ -16,10 +16,10 @@ from infrablend.core.rng import stream
 from infrablend.core.strict_model import Strict
 from infrablend.errors import DatasetError, InfraBlendError, Problem, RecipeError
 from infrablend.formats.cameras.flight_headers import FLIGHT_MISSING
-from infrablend.formats.detection import DATASET_INSIDE
+from infrablend.formats.dataset_folder import DATASET_INSIDE
 from infrablend.formats.pictures.place_masks import find_mask
 from infrablend.formats.pictures.temperature_scale import IMPLAUSIBLE, implausible_scales
-from infrablend.formats.reading import WriteSettings
+from infrablend.formats.read_write import WriteSettings
 from infrablend.formats.writing import unwritable
 from infrablend.pipeline.plans.backgrounds import is_ground
 from infrablend.pipeline.plans.selection import similar

@@ -16,9 +16,9 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord
 from infrablend.core.file_names import distinct_names, file_name, fit_name
 from infrablend.core.files import sha256_of_json
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.pictures.temperature_scale import OPTIONS
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.imaging.surfaces import model_version
 from infrablend.pipeline.datasets.content import fingerprint
 from infrablend.pipeline.plans.checks import (
@@ -56,7 +56,7 @@ def plan_folder(
     `warnings` are those about the recipe. The errors are those of `make_plan`, and of reading the dataset.
     """
     root = local_folder(data)
-    dataset = detection.read(root, reading_for(recipe, reading, root))
+    dataset = dataset_folder.read(root, reading_for(recipe, reading, root))
     return make_plan(recipe, dataset, seed, splits=reading.splits, selection=selection, recipe_warnings=warnings)
 
 
@@ -244,7 +244,7 @@ def reading_for(recipe: Recipe, reading: Reading, root: Path) -> Reading:
     What the options of the reading state comes first.
     """
     if recipe.in_sequences:
-        reading = detection.with_every_frame(reading, root)
+        reading = dataset_folder.with_every_frame(reading, root)
     stated = {k: str(v) for k, v in recipe.data.model_dump().items() if v is not None}
     if not stated or any(name in reading.options for name in OPTIONS):
         return reading

@@ -13,7 +13,7 @@ from infrablend.core.arguments import require_choice, require_whole
 from infrablend.core.machine import Device, available_cores
 from infrablend.core.workspace import Existing, require_existing
 from infrablend.errors import ArgumentError
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.rendering import RENDERERS

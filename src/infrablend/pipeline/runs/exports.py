@@ -31,7 +31,7 @@ from infrablend.formats.labels.mot import ASSUMED_RATE
 from infrablend.formats.losses import Written, by_class
 from infrablend.formats.pictures.images import load_background
 from infrablend.formats.pictures.video import write_video
-from infrablend.formats.reading import WriteSettings
+from infrablend.formats.read_write import WriteSettings
 from infrablend.formats.sequence_writing import Frames, by_sequence, places_of
 from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies

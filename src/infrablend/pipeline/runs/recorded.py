@@ -14,7 +14,7 @@ from infrablend.config.recipe import Recipe
 from infrablend.core.machine import Device
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError, OutputError, Problem
-from infrablend.formats.reading import Reading
+from infrablend.formats.read_write import Reading
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.selection import FrameSelection

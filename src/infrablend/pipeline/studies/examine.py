@@ -15,9 +15,9 @@ from infrablend.core.run_folder import SHARDS_FILE, RunFolder, ShardFiles
 from infrablend.core.tasks import OnProgress, paced
 from infrablend.core.workspace import workspace
 from infrablend.errors import DatasetError, Problem, Severity, UnknownFormatError
-from infrablend.formats import detection
+from infrablend.formats import dataset_folder
 from infrablend.formats.labels import shards
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.runs.exports import unknown_files
 from infrablend.pipeline.runs.packed_shard import damage_of
 from infrablend.report.card import CARD_FILE
@@ -51,8 +51,8 @@ def inspect_folder(
 
 
 def _inspected(root: Path, reading: Reading, decode: bool) -> Inspection:
-    dataset = detection.read(root, reading)
-    reason = "as asked for" if reading.format else detection.detect(dataset.root).reasons[dataset.format]
+    dataset = dataset_folder.read(root, reading)
+    reason = "as asked for" if reading.format else dataset_folder.detect(dataset.root).reasons[dataset.format]
     return inspect_dataset(dataset, reason, decode=decode)
 
 
@@ -70,7 +70,7 @@ def check_folder(
     try:
         if reading.format in (None, shards.NAME) and shards.detect(root).ok:
             return _check_packed(root, reading, decode, on_progress)
-        dataset = detection.read(root, reading)
+        dataset = dataset_folder.read(root, reading)
     except UnknownFormatError:
         raise
     except DatasetError as error:
@@ -88,7 +88,7 @@ def _check_packed(root: Path, reading: Reading, decode: bool, on_progress: OnPro
     total = shards.frame_count(root)
     on_image = paced(on_progress)
     with tempfile.TemporaryDirectory(prefix="infrablend-") as pictures:
-        for part in detection.read_parts(root, Path(pictures), reading):
+        for part in dataset_folder.read_parts(root, Path(pictures), reading):
             checking.add(part, on_image=on_image, total=total)
     return checking.report(changes_since_written(root, digests=decode))
 

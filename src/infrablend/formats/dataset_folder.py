@@ -25,7 +25,7 @@ from infrablend.formats.labels import folder
 from infrablend.formats.pictures import temperature_scale
 from infrablend.formats.pictures.listing import check_link, is_picture_name
 from infrablend.formats.pictures.video import is_video
-from infrablend.formats.reading import READ_ALL, Reading
+from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
 from infrablend.formats.unread import files_below, hidden_pictures, label_candidates, unread_files
 
