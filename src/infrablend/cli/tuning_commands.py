@@ -24,7 +24,7 @@ from infrablend.cli.options import (
     SettingsOption,
 )
 from infrablend.cli.output import print_json, print_problems, print_result
-from infrablend.studio.open_studio import Address, StudioRequest
+from infrablend.studio.studio_request import Address, StudioRequest
 
 
 def try_recipe(

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from infrablend.core.user_folders import cache_folder
 from infrablend.errors import ArgumentError, MissingDependencyError
 from infrablend.studio.guard import QUERY, Guard
-from infrablend.studio.open_studio import Address, StudioRequest
+from infrablend.studio.studio_request import Address, StudioRequest
 
 _CLOSE_S = 1
 

@@ -31,9 +31,9 @@ from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
 from infrablend.studio.generation import Generation
 from infrablend.studio.object_form import model_problems
-from infrablend.studio.open_studio import StudioRequest
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.page_pictures import cached_picture, cached_thumbnail, enlarged, with_originals
+from infrablend.studio.studio_request import StudioRequest
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240

@@ -12,9 +12,10 @@ import pytest
 from infrablend.core.frame_row import FrameRow, InsertRow
 from infrablend.errors import ArgumentError, DatasetError
 from infrablend.studio.comparison import FramePair, PairView, RunComparison, pair_rows
-from infrablend.studio.open_studio import Session, StudioRequest
+from infrablend.studio.open_studio import Session
 from infrablend.studio.opened_run import RunFrames
 from infrablend.studio.run_labels import RunLabels
+from infrablend.studio.studio_request import StudioRequest
 from tests.studio_runs import frame_record, write_run
 
 

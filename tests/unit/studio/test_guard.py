@@ -10,7 +10,7 @@ import pytest
 
 from infrablend.errors import ArgumentError
 from infrablend.studio.guard import Guard, is_loopback
-from infrablend.studio.open_studio import Address
+from infrablend.studio.studio_request import Address
 
 TOKEN = "secret-token"
 PORT = 8123

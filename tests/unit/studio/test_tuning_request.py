@@ -12,8 +12,8 @@ from infrablend.config.loading import load_recipe
 from infrablend.errors import DatasetError
 from infrablend.formats.read_write import Reading
 from infrablend.pipeline.plans.run_request import Execution
-from infrablend.studio.open_studio import StudioRequest
 from infrablend.studio.opened_run import OpenedRun
+from infrablend.studio.studio_request import StudioRequest
 from infrablend.studio.tuning import FIRST_RECIPE, Tuning, tuning_request
 
 FLAT = Execution(renderer="flat", in_process=True)
