@@ -6,6 +6,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -128,3 +129,19 @@ def test_picture_files_are_opened_in_one_place() -> None:
         if "Image.open(" in line and not re.search(r"Image\.open\((io\.BytesIO|buffer|file\))", line)
     }
     assert opened == {"formats/pictures/listing.py"}
+
+
+def test_no_two_modules_share_a_file_name() -> None:
+    names = Counter(path.name for path in PACKAGE.rglob("*.py") if path.name != "__init__.py")
+    assert [name for name, times in names.items() if times > 1] == []
+
+
+def test_nothing_outside_the_lab_imports_it() -> None:
+    outside = [path for path in PACKAGE.rglob("*.py") if "lab" not in path.relative_to(PACKAGE).parts[:1]]
+    imported = {
+        path.relative_to(PACKAGE).as_posix()
+        for path in outside
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("infrablend.lab")
+    }
+    assert imported == set()
