@@ -306,10 +306,14 @@ def test_a_run_that_changes_while_it_is_open_gets_no_verdict_on_another_frame(ch
         page.get_by_role("alert").get_by_text("expected the run that was opened").wait_for()
 
 
+def background_of(name: str) -> dict[str, object]:
+    return {"id": name, "path": f"{name}.png", "size_wh": [64, 48]}
+
+
 def test_two_runs_are_compared_by_keyboard(chromium: str, tmp_path: Path) -> None:
     fainter = frame_record("x")["inserted"][0] | {"extra": {"contrast_grey": -4.0}}
     ours, theirs = (
-        {k: r for n in names for k, r in records_of(n, background={"id": n}, image_sha256=f"{n}{names}").items()}
+        {k: r for n in names for k, r in records_of(n, background=background_of(n), image_sha256=f"{n}{names}").items()}
         for names in ("abc", "bcd")
     )
     theirs["test/b_c0"]["inserted"] = [fainter]
