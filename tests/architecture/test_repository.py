@@ -126,6 +126,7 @@ def test_every_make_target_is_explained() -> None:
         assert f"make {target} " in done.stdout
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.blender
 def test_the_demo_ends_with_the_path_of_its_picture_alone() -> None:

@@ -53,6 +53,7 @@ def test_one_worker_and_an_interruption_give_the_same_bytes(whole, backgrounds, 
     assert hashes(out) == hashes(whole)
 
 
+@pytest.mark.long
 def test_merged_shards_have_the_same_bytes(whole, backgrounds, tmp_path):
     for number in (2, 1):
         shard = api.ShardRequest(number, 2)

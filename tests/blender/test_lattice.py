@@ -54,6 +54,7 @@ def model_scene(name: str, size_px: float, number: int = 0) -> PlacedScene:
     return place(SceneSpec(f"t/{name}", "t", "t", 0, camera, (spec,), 285.0, look, 0, number, {}), [mesh])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", list_models())
 def test_a_fine_lattice_converges_to_cycles(blender, monkeypatch, name):
     """What remains is the noise of Cycles: shading, normals, depth and coverage are the same."""
@@ -65,6 +66,7 @@ def test_a_fine_lattice_converges_to_cycles(blender, monkeypatch, name):
     assert np.abs(fine.coverage - reference.coverage).max() < 0.04
 
 
+@pytest.mark.long
 def test_pictures_stay_within_the_limits(blender):
     """The limits of docs/explanation/quality.md, pooled over all models, for objects of twice the contrast."""
     wrong = []
@@ -229,6 +231,7 @@ def test_convex_bodies_mirror_sky_and_ground_as_in_cycles(blender, monkeypatch, 
     assert np.abs(wrong).mean() < 0.5
 
 
+@pytest.mark.long
 def test_what_the_physical_look_lacks_is_small(blender):
     """Light between surfaces, under a clear sky, pooled over all models at a contrast of 120 levels."""
     shares = []

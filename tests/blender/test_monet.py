@@ -12,7 +12,7 @@ from PIL import Image
 from infrablend import api
 from tests.coarse_world import coarse_worlds
 
-pytestmark = [pytest.mark.blender, pytest.mark.slow]
+pytestmark = [pytest.mark.blender, pytest.mark.slow, pytest.mark.long]
 
 FRAMES = 7
 SETTINGS = {"render.samples": 16, "placement.size_px": [40, 300]}

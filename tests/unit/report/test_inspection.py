@@ -27,6 +27,7 @@ def image(name: str, split: str = "train", **facts: object) -> ImageRecord:
     return ImageRecord(f"{split}/{name}", Path(name), split, None, (), Capture(**facts), file_name=name)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(SAMPLES))
 def test_every_sample_can_be_inspected(name: str, tmp_path: Path) -> None:
     root = SAMPLES[name](tmp_path / "data")
