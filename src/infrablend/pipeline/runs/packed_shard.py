@@ -56,13 +56,14 @@ def pack(
                 key = key_of(frame.frame_id)
                 label = label_text(frame.frame_id, image, ids)
                 # As people read it in a tar.
-                scene = (json.dumps(json.loads(text), sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
+                values = json.loads(text)
+                scene = (json.dumps(values, sort_keys=True, indent=1, ensure_ascii=False) + "\n").encode()
                 offset = tar.add(key, Path(known.image).suffix[1:], picture)
                 tar.add(key, LABEL, label)
                 tar.add(key, SCENE, scene)
                 facts = {"label_sha256": _sha256(label), "scene_sha256": _sha256(scene)}
                 place: dict[str, int | str] = {**facts, "image_offset": offset, "image_bytes": len(picture)}
-                table.add(FrameRow.of(known), image, key, place)
+                table.add(FrameRow.from_json(values), image, key, place)
         flush(table_part)
     counts = {**record["counts"], **looseness.counted(loosened)}
     groups = {c.name: c.supercategory for c in plan.categories}  # for readers, who have no other file with them
