@@ -15,7 +15,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.core.boxes import box_iou
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import Mesh
-from infrablend.core.placed import place
+from infrablend.core.render import place
 from infrablend.core.rng import stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 

@@ -20,8 +20,7 @@ from quality import LEAST_SPAN_GREY, summary
 from scenes import plan_of, spread
 from variants import with_samples
 
-from infrablend.core.placed import PlacedScene
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult
 from infrablend.core.scene import SceneSpec
 from infrablend.pipeline.compose.frame import FrameComposer
 from infrablend.rendering.engine.renderer import BlenderRenderer

@@ -24,7 +24,7 @@ from PIL import Image
 
 from infrablend import api
 from infrablend.assets.catalogue import load_model
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.run_folder import RunFolder
 
 LIMIT_K = 0.1

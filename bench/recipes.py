@@ -7,7 +7,7 @@ worker, by `infrablend generate` in a process of its own. The cost of a frame is
 backgrounds, which contain the 6: user and system seconds of all processes, so without their start. `plan_over_wall` is
 the time that `generate --plan` predicts for the run of 24, over the time that it took by the clock; `start_s` what
 remains of that time without the frames; `first_frame_s` the time from the command to the first picture on disk, with
-warm caches. These need an idle machine. The constants in `pipeline.plans.estimate` are from here. Exits with 1 if a
+warm caches. These need an idle machine. The constants in `pipeline.runs.forecast` are from here. Exits with 1 if a
 limit is missed.
 """
 

@@ -14,10 +14,10 @@ import numpy as np
 from infrablend.config.loading import load_recipe
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import Recipe
-from infrablend.core.placed import PlacedScene
+from infrablend.core.render import PlacedScene
 from infrablend.formats.published import hit_uav
 from infrablend.pipeline.compose.settings import FrameSettings
-from infrablend.pipeline.plans.levels import dataset_levels
+from infrablend.pipeline.plans.backgrounds import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan
 from infrablend.pipeline.plans.run_request import Execution

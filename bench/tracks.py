@@ -21,7 +21,7 @@ from in_time import FEATURES, floor_of, look_at, tell_apart, windows
 from infrablend.core.run_folder import RunFolder
 from infrablend.imaging.camera_shift import moved
 from infrablend.pipeline.plans.sequence_motion import find_motion, sequences_of
-from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.pipeline.runs.record import RecordedRun
 
 
 def main() -> None:

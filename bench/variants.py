@@ -28,8 +28,7 @@ from infrablend.compositing.overlay import compose, make_layer
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import write_bytes
 from infrablend.core.ledger import Ledger
-from infrablend.core.placed import PlacedScene
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import Task

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from infrablend.core.dataset import SPLITS, Dataset
-from infrablend.core.user_folders import cache_folder
+from infrablend.core.files import cache_folder
 from infrablend.errors import InfraBlendError
 from infrablend.formats import dataset_folder
 from infrablend.formats.pictures import derived

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
 
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.ledger import Ledger
 from infrablend.core.run_folder import RunFolder
 

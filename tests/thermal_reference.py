@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from infrablend.thermal.flir import ObjectSettings, Planck
-from infrablend.thermal.radiometry import band_radiance
+from infrablend.thermal.radiometry import ObjectSettings, Planck, band_radiance
 
 Array = NDArray[np.float64]
 

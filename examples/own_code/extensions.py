@@ -8,7 +8,7 @@ import numpy as np
 from infrablend.api import LookRequest, SceneRequest
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.placed import PlacedScene
+from infrablend.core.render import PlacedScene
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ NUMPY_RANDOM_ALLOWED = {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
 ALLOWED: dict[str, set[str]] = {
     "pipeline/storage/store.py": {"random"},  # jobs pause differently between attempts; no output depends on that
     "studio/guard.py": {"secrets"},  # the token of a page's address, which must not be guessed
-    "pipeline/fetching/fetch.py": {"time.gmtime"},  # when a dataset was downloaded
+    "pipeline/storage/fetch.py": {"time.gmtime"},  # when a dataset was downloaded
     # Ultralytics draws from the global generators: the trainer's own process seeds them, from seed and epoch.
     "lab/training/trainer.py": {"random", "np.random.seed"},
 }

@@ -20,11 +20,10 @@ ALLOWED = {
     "core/lazy_names.py": "a file of the package",
     "core/ledger.py": "the ledger, by SQLite",
     "core/run_folder.py": "the ledger, by SQLite",
-    "core/shipped_files.py": "files of the package",
     "core/workspace.py": "folders, to lock them",
     "lab/evaluation/evaluation_comparison.py": "an open file",
     "detection/detections.py": "a file that the user names",
-    "pipeline/fetching/archive.py": "downloads, which it checks itself",
+    "pipeline/storage/archive.py": "downloads, which it checks itself",
     "pipeline/execution/process_pool.py": "folders, to lock them",
     "lab/realism/measure_objects.py": "bytes in memory",
     "pipeline/compose/frame.py": "backgrounds, which may be links",
@@ -40,7 +39,7 @@ ALLOWED = {
     "lab/training/trainer.py": "checkpoints, which Ultralytics opens as well",
     "lab/realism/nets.py": "weights that torch has downloaded",
     "lab/world/blender_world.py": "no file: it opens a scene in Blender",
-    "lab/world/thermal_image.py": "bytes in memory",
+    "lab/world/frame_files.py": "bytes in memory",
 }
 """Modules that open files without `core.files.open_regular`, with what they open."""
 

@@ -8,7 +8,7 @@ import pytest
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import Mesh, make_mesh
-from infrablend.core.placed import PlacedScene, place
+from infrablend.core.render import PlacedScene, place
 from infrablend.core.rng import stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Weather
 from infrablend.rendering import lattice

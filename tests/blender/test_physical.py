@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from infrablend.core.mesh import make_mesh
-from infrablend.core.placed import place
+from infrablend.core.render import place
 from infrablend.core.scene import Sun, Weather
 from infrablend.thermal.radiometry import band_radiance
 from infrablend.thermal.sky import sky_radiance

@@ -7,7 +7,7 @@ import pytest
 
 from infrablend.core.child_process import CHILD_BYTES, resident_bytes
 from infrablend.core.mesh import make_mesh
-from infrablend.core.placed import place
+from infrablend.core.render import place
 from infrablend.core.scene import PartState, Weather
 from infrablend.rendering.flat import FlatRenderer
 from infrablend.rendering.lattice import crops_of

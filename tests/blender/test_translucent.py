@@ -10,7 +10,7 @@ from infrablend.assets.drone import NOMINAL, build_drone
 from infrablend.assets.drone import parts_for as drone_parts
 from infrablend.assets.rotors import DISC_RINGS
 from infrablend.core.mesh import Mesh, make_mesh
-from infrablend.core.placed import place
+from infrablend.core.render import place
 from infrablend.core.scene import ObjectSpec, PartState, Weather
 from infrablend.rendering.flat import FlatRenderer
 from infrablend.thermal.radiometry import band_radiance

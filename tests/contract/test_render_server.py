@@ -12,8 +12,7 @@ import pytest
 from tests.blender.conftest import box_mesh, scene, thing
 
 from infrablend.core.child_process import CHILD_BYTES
-from infrablend.core.placed import PlacedScene, place
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult, place
 from infrablend.errors import MissingDependencyError, WorkerDiedError
 from infrablend.rendering.engine import programs
 from infrablend.rendering.engine.process import BlenderProcess, blender_process

@@ -12,7 +12,7 @@ from infrablend.annotation.labels import annotate
 from infrablend.core import boxes
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import Mesh, make_mesh
-from infrablend.core.placed import place
+from infrablend.core.render import place
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 
 WH = (160, 128)

@@ -33,7 +33,6 @@ from infrablend.core.boxes import (
 from infrablend.core.camera import object_to_world
 from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray
-from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import (
     BoolArray,
     ProjectedTriangles,
@@ -44,7 +43,7 @@ from infrablend.core.raster import (
     outline_points,
     share_per_pixel,
 )
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedObject, PlacedScene, RenderResult
 from infrablend.core.rle_masks import Mask, row_corners
 from infrablend.errors import ModelError
 

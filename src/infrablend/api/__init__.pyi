@@ -27,7 +27,7 @@ from infrablend.lab.interface import (
     realism_page as realism_page,
     train as train,
 )
-from infrablend.api.in_memory import frames as frames, try_recipe as try_recipe, watch_recipe as watch_recipe
+from infrablend.api.runs import frames as frames, try_recipe as try_recipe, watch_recipe as watch_recipe
 from infrablend.api.runs import (
     PlanReport as PlanReport,
     exclude as exclude,
@@ -54,7 +54,7 @@ from infrablend.api.shipped import (
     write_infrared_effect as write_infrared_effect,
 )
 from infrablend.rendering.engine.install import install_blender as install_blender
-from infrablend.pipeline.fetching.fetch import (
+from infrablend.pipeline.storage.fetch import (
     FetchReport as FetchReport,
     FetchRequest as FetchRequest,
     SourceEntry as SourceEntry,
@@ -89,11 +89,11 @@ from infrablend.pipeline.plans.selection import FrameSelection as FrameSelection
 from infrablend.pipeline.compose.memory_frames import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
 from infrablend.pipeline.plans.run_request import Execution as Execution, RunRequest as RunRequest
 from infrablend.pipeline.runs.run import RunReport as RunReport
-from infrablend.pipeline.plans.shard import ShardRequest as ShardRequest
+from infrablend.pipeline.plans.plan import ShardRequest as ShardRequest
 from infrablend.pipeline.runs.sharded import ShardState as ShardState
 from infrablend.pipeline.datasets.split import SplitReport as SplitReport
 from infrablend.lab.training.train import TrainReport as TrainReport
-from infrablend.lab.training.training_plan import TrainPlan as TrainPlan
+from infrablend.lab.training.train import TrainPlan as TrainPlan
 from infrablend.pipeline.compose.trial import Trial as Trial
 from infrablend.pipeline.studies.doctor import diagnose as diagnose
 from infrablend.lab.training.train_request import TrainRequest as TrainRequest

@@ -14,8 +14,8 @@ from infrablend.formats.read_write import READ_ALL, Reading, WriteSettings
 from infrablend.pipeline.datasets.convert import ConvertReport, convert_dataset
 from infrablend.pipeline.datasets.requests import KEEP_CLASSES, SELECT_ALL, ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.split import SplitReport, split_dataset
-from infrablend.pipeline.fetching import fetch as fetching
-from infrablend.pipeline.fetching.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch
+from infrablend.pipeline.storage import fetch as fetching
+from infrablend.pipeline.storage.fetch import FETCH_ALL, FetchReport, FetchRequest, OnFetch
 
 if TYPE_CHECKING:
     from infrablend.pipeline.extraction.camera_motion import MotionReport
@@ -241,7 +241,7 @@ def find_motion(
     """
     from infrablend.formats.dataset_folder import with_every_frame
     from infrablend.pipeline.extraction import camera_motion
-    from infrablend.pipeline.storage.mirror import local_folder
+    from infrablend.pipeline.storage.store import local_folder
 
     every = with_every_frame(reading, local_folder(data))
     return camera_motion.write_motion(

@@ -1,8 +1,8 @@
-"""Runs: insert objects into a dataset, look at the result."""
+"""Runs: insert objects into a dataset, look at the result; frames in memory, without a run folder."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 from infrablend.core.addresses import require_folder, require_known
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
-from infrablend.errors import ArgumentError
+from infrablend.errors import ArgumentError, InfraBlendError
 from infrablend.formats.read_write import READ_ALL, Reading
-from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, RunRequest, Settings
+from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
+from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
+from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials
+from infrablend.pipeline.plans.plan import ShardRequest
+from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, ONE_WORKER, Execution, RunRequest, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
-from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.runs.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
 from infrablend.pipeline.runs.generate import describe_run, run_request
 from infrablend.pipeline.runs.merge import merge_shards
@@ -193,7 +196,7 @@ def include(
 
 def report(run: str | Path) -> Path:
     """Write the report of a finished run again, `run/report.html`, and return its path; `generate` writes it, too."""
-    from infrablend.pipeline.runs.run_report import report_run
+    from infrablend.pipeline.runs.record import report_run
 
     return report_run(Path(run))
 
@@ -212,3 +215,72 @@ def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
     from infrablend.report.ground_preview import ground_sheet
 
     return ground_sheet(Path(run), Path(out), count)
+
+
+def frames(
+    recipe: str | Path,
+    data: str | Path | BackgroundSource,
+    *,
+    selection: FrameSelection = ALL_FRAMES,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = DEFAULT_EXECUTION,
+    extensions: Extensions = NO_EXTENSIONS,
+) -> Frames:
+    """Return the frames of a run as arrays with labels, composed on warm workers when they are asked for.
+
+    >>> flat = Execution(renderer="flat", in_process=True)
+    >>> with frames("hit-uav-drone", "hit-uav", execution=flat) as found:
+    ...     first = next(iter(found))
+    ...     again = found["train/0_60_30_0_00001_c0"]
+    >>> first.id, first.pixels.shape, [i.category for i in first.inserted]
+    ('train/0_60_30_0_00001_c0', (512, 640), ['drone'])
+    >>> bool((first.pixels == again.pixels).all())
+    True
+
+    The arguments are the fields of `FramesRequest`. Pixels and labels are those of a run of `generate`.
+    """
+    source = Path(data) if isinstance(data, str | Path) else data
+    return Frames(FramesRequest(recipe, source, selection, seed, settings, reading, execution, extensions))
+
+
+def try_recipe(
+    recipe: str | Path,
+    data: str | Path,
+    frame: str | None = None,
+    *,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = ONE_WORKER,
+) -> Trial:
+    """Return one frame of a recipe without a run folder; `write` of the result saves it with its boxes, enlarged.
+
+    >>> flat = Execution(renderer="flat", in_process=True)
+    >>> trial = try_recipe("hit-uav-drone", "hit-uav", "test/0_130_90_0_00004_c1", execution=flat)
+    >>> trial.frame.id, trial.write("try.png").name
+    ('test/0_130_90_0_00004_c1', 'try.png')
+
+    The arguments are the fields of `TrialRequest`.
+    """
+    with Trials(TrialRequest(recipe, Path(data), frame, seed, settings, reading, execution)) as trials:
+        return trials.compose()
+
+
+def watch_recipe(
+    recipe: str | Path,
+    data: str | Path,
+    frame: str | None = None,
+    *,
+    seed: int = 0,
+    settings: Settings = (),
+    reading: Reading = READ_ALL,
+    execution: Execution = ONE_WORKER,
+) -> Iterator[Trial | InfraBlendError]:
+    """Yield one frame as in `try_recipe`, and again whenever recipe, models or data change, without end.
+
+    An error, such as an invalid recipe, is yielded instead of a frame.
+    """
+    with Trials(TrialRequest(recipe, Path(data), frame, seed, settings, reading, execution)) as trials:
+        yield from trials.watch()

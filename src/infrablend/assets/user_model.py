@@ -37,10 +37,9 @@ from pydantic_core import PydanticKnownError
 from infrablend.assets.model import MATERIALS, ObjectModel, Params, PartRange, part_role
 from infrablend.assets.model_files import ModelFiles, find_model_files, is_regular_file
 from infrablend.core.file_names import leaves_folder
-from infrablend.core.files import LINK_OUT, LinkOutError, read_regular
+from infrablend.core.files import LINK_OUT, LinkOutError, cache_folder, read_regular
 from infrablend.core.mesh import FloatArray, Mesh
 from infrablend.core.strict_model import Strict, range_of
-from infrablend.core.user_folders import cache_folder
 from infrablend.core.validation_messages import read_model
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import ModelError, Problem

@@ -12,15 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from infrablend.cli import (
-    camera_commands,
-    dataset_commands,
-    exits,
-    finished_run_commands,
-    run_commands,
-    shipped_commands,
-    tuning_commands,
-)
+from infrablend.cli import camera_commands, dataset_commands, exits, run_commands, shipped_commands
 from infrablend.cli.call_state import open_session
 from infrablend.cli.options import with_options
 from infrablend.cli.output import print_json
@@ -40,28 +32,28 @@ COMMANDS: dict[str, _Function | str] = {
     "generate": run_commands.generate,
     "merge": run_commands.merge,
     "status": run_commands.status,
-    "try": tuning_commands.try_recipe,
+    "try": run_commands.try_recipe,
     "convert": dataset_commands.convert,
-    "preview": finished_run_commands.preview,
-    "report": finished_run_commands.report,
+    "preview": run_commands.preview,
+    "report": run_commands.report,
     "profile": camera_commands.profile,
     "motion": camera_commands.find_motion,
-    "rerender": finished_run_commands.rerender,
-    "show": finished_run_commands.show,
-    "exclude": finished_run_commands.exclude,
-    "include": finished_run_commands.include,
+    "rerender": run_commands.rerender,
+    "show": run_commands.show,
+    "exclude": run_commands.exclude,
+    "include": run_commands.include,
     "inspect": dataset_commands.inspect,
     "check": dataset_commands.check,
     "split": dataset_commands.split,
-    "train": "infrablend.lab.commands.detector_commands:train",
-    "realism": "infrablend.lab.commands.realism_command:realism",
-    "evaluate": "infrablend.lab.commands.detector_commands:evaluate",
-    "experiment": "infrablend.lab.commands.experiment_command:experiment",
+    "train": "infrablend.lab.lab_commands:train",
+    "realism": "infrablend.lab.lab_commands:realism",
+    "evaluate": "infrablend.lab.lab_commands:evaluate",
+    "experiment": "infrablend.lab.lab_commands:experiment",
     "frames": camera_commands.frames,
     "temperatures": camera_commands.temperatures,
-    "world": "infrablend.lab.commands.world_command:world",
+    "world": "infrablend.lab.lab_commands:world",
     "fetch": dataset_commands.fetch,
-    "studio": tuning_commands.studio,
+    "studio": run_commands.studio,
     "doctor": shipped_commands.doctor,
 }
 """Commands by name, in the order of the help. Those of the lab are names of functions: nothing here imports the lab."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from infrablend.cli.exits import printable
 from infrablend.core.addresses import require_folder, without_user
-from infrablend.core.user_folders import state_folder
+from infrablend.core.files import state_folder
 from infrablend.errors import ArgumentError
 
 if TYPE_CHECKING:

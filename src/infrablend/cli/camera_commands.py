@@ -26,8 +26,7 @@ from infrablend.report.figures import human_seconds
 if TYPE_CHECKING:
     from infrablend.pipeline.extraction.temperature_pictures import TemperaturesReport
     from infrablend.pipeline.extraction.video_frames import Clip
-    from infrablend.pipeline.studies.profile import ProfileReport
-    from infrablend.pipeline.studies.profile_objects import ObjectFigures
+    from infrablend.pipeline.studies.profile import ObjectFigures, ProfileReport
     from infrablend.pipeline.studies.surface_maps import LearnedReport
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from infrablend import api
-from infrablend.cli.completion import complete_source, complete_written_format
 from infrablend.cli.exits import PARTIAL, printable, problem_lines
 from infrablend.cli.options import (
     DatasetArgument,
@@ -19,6 +18,8 @@ from infrablend.cli.options import (
     ReadingOfAllSplits,
     ReadingOptions,
     comma_list,
+    complete_source,
+    complete_written_format,
     key_values,
     split_at_commas,
 )

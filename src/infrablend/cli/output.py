@@ -21,7 +21,7 @@ from infrablend.errors import OutputError, Problem, format_problems
 from infrablend.report.figures import human_seconds
 
 if TYPE_CHECKING:
-    from infrablend.pipeline.fetching.fetch import FetchProgress, OnFetch
+    from infrablend.pipeline.storage.fetch import FetchProgress, OnFetch
 
 SHOWN_WARNINGS = 5
 LINE_EVERY_S = 5.0

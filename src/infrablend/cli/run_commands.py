@@ -1,33 +1,55 @@
-"""Commands that make runs: `generate`, and `status` and `merge` for runs in shards."""
+"""Commands that make runs and look at them: `try`, `studio`, `generate`, `status`, `merge`, `preview`, `report`, ..."""
 
 from __future__ import annotations
 
+import gc
 import json
+import threading
+import webbrowser
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from infrablend import api
 from infrablend.cli.call_state import Session
-from infrablend.cli.completion import complete_written_formats
-from infrablend.cli.exits import PARTIAL
+from infrablend.cli.exits import PARTIAL, report_error
 from infrablend.cli.options import (
     BackgroundsOption,
     Fields,
     JsonSession,
+    ReadingOptions,
     ReadingWithVal,
     RecipeArgument,
+    RunArgument,
     SeedOption,
     SettingsOption,
     comma_list,
+    complete_recipe,
+    complete_written_formats,
     earlier_output,
 )
-from infrablend.cli.output import facts, loss_lines, print_warnings, show_report, show_result, shown_progress, table
+from infrablend.cli.output import (
+    facts,
+    loss_lines,
+    print_json,
+    print_problems,
+    print_result,
+    print_warnings,
+    show_report,
+    show_result,
+    shown_progress,
+    table,
+)
 from infrablend.core.addresses import shown
 from infrablend.errors import ArgumentError
+from infrablend.studio.studio_request import Address, StudioRequest
+
+if TYPE_CHECKING:
+    from infrablend.report.preview import Draw
 
 _SHOWN = 20
 
@@ -215,3 +237,233 @@ def _state_lines(states: Sequence[api.ShardState], counts: Counter[str]) -> list
     if len(rest) > _SHOWN:
         lines.append(f"... and {len(rest) - _SHOWN} more (--json lists all)")
     return lines
+
+
+FrameArgument = Annotated[str, typer.Argument(metavar="FRAME", help="Id of the frame, e.g. test/1_60_80_0_06117_c0.")]
+
+
+def preview(
+    run: RunArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PNG",
+            help="Picture to write [default: RUN/preview.png]; .webp or .gif: frames one after the other.",
+        ),
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option(min=1, max=400, help="Number of frames [default: 12; 6 with --ground].")
+    ] = None,
+    boxes: Annotated[bool, typer.Option("--boxes", help="Draw axis-aligned boxes.")] = False,
+    obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
+    masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
+    ground: Annotated[
+        bool, typer.Option("--ground", help="Draw the ground grid and people of 1.7 m instead: is the scale right?")
+    ] = False,
+) -> None:
+    """Write a contact sheet of a run with its labels: all kinds of labels, unless some are chosen."""
+    if ground:
+        print_result(str(api.preview_ground(run, out or run / "ground.png", count or 6)))
+        return
+    kinds: dict[Draw, bool] = {"boxes": boxes, "obb": obb, "masks": masks}
+    chosen = tuple(name for name, on in kinds.items() if on) or tuple(kinds)
+    print_result(str(api.preview(run, out or run / "preview.png", count or 12, chosen)))
+
+
+def report(run: RunArgument) -> None:
+    """Write the report of a finished run again: RUN/report.html, one page that works offline.
+
+    `generate`, `exclude` and `include` write it at their end.
+    """
+    print_result(str(api.report(run)))
+
+
+def rerender(
+    run: RunArgument,
+    frame: FrameArgument,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Picture to write; .png is lossless [default: the frame's file name, here]."),
+    ] = None,
+    data: BackgroundsOption = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace FILE if it exists and is something else.")
+    ] = False,
+) -> None:
+    """Render one frame of a run again."""
+    print_result(str(api.rerender(run, frame, out, data=data, overwrite=overwrite)))
+
+
+def show(run: RunArgument, frame: FrameArgument) -> None:
+    """Print the record of a frame as JSON: scene, labels and decisions, or why it failed."""
+    print_json(api.show(run, frame))
+
+
+def exclude(
+    session: JsonSession,
+    *,
+    run: RunArgument,
+    frames: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[FRAME]...", help="Ids such as test/a_c0, or ids of backgrounds for all their frames."),
+    ] = None,
+    review: Annotated[
+        bool, typer.Option("--review", help="Exclude what RUN/review.json rejects, and include what it accepts.")
+    ] = False,
+    reason: Annotated[str | None, typer.Option(help="Reason for FRAME, kept in the ledger.")] = None,
+    purge: Annotated[
+        bool, typer.Option("--purge", help="Delete the files of all excluded frames, which are kept otherwise.")
+    ] = False,
+    data: BackgroundsOption = None,
+) -> None:
+    """Leave frames out of a finished run: labels, splits, card and counts follow, and the files are kept apart."""
+    from infrablend.pipeline.runs.choose import BY_HAND, REVIEW_FILE
+
+    with shown_progress(session, "excluding") as on_progress:
+        changed = api.exclude(
+            run,
+            frames or (),
+            review=run / REVIEW_FILE if review else None,
+            reason=reason or BY_HAND,
+            purge=purge,
+            data=data,
+            on_progress=on_progress,
+        )
+    _show_choice(changed, session)
+
+
+def include(
+    session: JsonSession,
+    *,
+    run: RunArgument,
+    frames: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[FRAME]...", help="Ids of excluded frames, or of backgrounds for all their frames."),
+    ] = None,
+    every: Annotated[bool, typer.Option("--all", help="Take all frames back.")] = False,
+    data: BackgroundsOption = None,
+) -> None:
+    """Take excluded frames of a run back; purged ones are rendered again."""
+    if bool(frames) == every:
+        raise typer.BadParameter("give either ids of frames or --all", param_hint="FRAME")
+    with shown_progress(session, "including") as on_progress:
+        changed = api.include(run, frames or (), every=every, data=data, on_progress=on_progress)
+    _show_choice(changed, session)
+
+
+def _show_choice(changed: api.ChoiceReport, session: Session) -> None:
+    rows = {
+        "changed": f"{changed.changed} frames",
+        "excluded": f"{len(changed.excluded)} frames",
+        "in the dataset": f"{changed.counts.get('frames', 0)} frames",
+    }
+    if changed.purged_files:
+        rows["deleted"] = f"{changed.purged_files} files"
+    record = changed.out / "run.json"
+    show_report(session, changed, record, changed.to_json(), lambda: f"{table(rows)}\n{changed.out}")
+
+
+def try_recipe(
+    session: JsonSession,
+    *,
+    recipe: RecipeArgument,
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the background dataset, or a video.")],
+    frame: Annotated[
+        str | None,
+        typer.Option(metavar="ID", help="Id of the frame, e.g. test/a_c0, or of a background [default: the first]."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="PNG", help="Picture to write.")] = Path("try.png"),
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Render again whenever recipe, models or data change, until Ctrl-C.")
+    ] = False,
+    seed: SeedOption = 0,
+    execution: Annotated[api.Execution, Fields("device")],
+    reading: ReadingOptions,
+    settings: SettingsOption = None,
+) -> None:
+    """Write one frame of a recipe as a PNG with its boxes and enlarged inserts."""
+    # Nothing can be freed before the first frame, and looking for it would take a fifth of the time.
+    gc.disable()
+    one = replace(execution, workers=1)
+    options: dict[str, Any] = {"seed": seed, "settings": settings or (), "reading": reading, "execution": one}
+    if not watch:
+        _show(api.try_recipe(recipe, data, frame, **options), out, session)
+        return
+    try:
+        for found in api.watch_recipe(recipe, data, frame, **options):
+            if isinstance(found, api.Trial):
+                _show(found, out, session)
+            else:
+                report_error(found, session.log_path)
+    except KeyboardInterrupt:  # the usual end of a watch
+        typer.echo("", err=True)
+
+
+def _show(trial: api.Trial, out: Path, session: Session) -> None:
+    path = trial.write(out)
+    gc.freeze()
+    gc.enable()
+    if session.json:
+        print_json({"out": str(path), **trial.to_json()})
+        return
+    print_problems(trial.problems, session.log_path, path)
+    print_result("\n".join([*_lines(trial), str(path)]))
+
+
+def _lines(trial: api.Trial) -> list[str]:
+    from infrablend.pipeline.compose.trial import gain_words, how_visible
+
+    lines = [f"{trial.frame.id}, {trial.seconds:.2f} s"]
+    scene = trial.frame.scene
+    for label in trial.frame.inserted:
+        width, height = label.box_xyxy[2:] - label.box_xyxy[:2]
+        facts = [f"{width:.1f} x {height:.1f} px", *how_visible(label)]
+        lines.append(f"{label.category}: {', '.join(facts)}")
+    lines += gain_words(trial.frame.record.facts.get("matching") or {})
+    absent = {} if scene is None else {**scene.draws.get("absent", {})}
+    lines += [f"not inserted: {count} ({reason})" for reason, count in sorted(absent.items())]
+    if removed := len(trial.frame.record.removed):
+        lines.append(f"{removed} original label(s) removed")
+    return lines
+
+
+def studio(
+    session: Session,
+    *,
+    recipe: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[RECIPE]",
+            help="Recipe to tune: name of a shipped one, or a YAML file.",
+            autocompletion=complete_recipe,
+        ),
+    ] = None,
+    opened: Annotated[
+        dict[str, Any],
+        Fields(
+            "data run compare results seed",
+            request=StudioRequest,
+            data=typer.Option(metavar="DIR"),
+            run=typer.Option(metavar="DIR"),
+            compare=typer.Option(metavar="RUN|RECIPE"),
+            results=Annotated[list[Path] | None, typer.Option(metavar="DIR"), tuple],
+        ),
+    ],
+    address: Annotated[Address, Fields(port=typer.Option(min=0, max=65535), expose=typer.Option("--yes-expose"))],
+    no_open: Annotated[bool, typer.Option("--no-open", help="Only print the address; open no browser.")] = False,
+    execution: Annotated[api.Execution, Fields("device")],
+    reading: ReadingOptions,
+) -> None:
+    """Open a local page in the browser: review a run, tune a recipe on its backgrounds, compare runs or recipes."""
+    from infrablend.studio.serve import serve
+
+    request = StudioRequest(recipe, **opened, reading=reading, execution=replace(execution, workers=1))
+
+    def ready(url: str) -> None:
+        typer.echo(url)
+        if not session.quiet:
+            typer.echo("Open this address in a browser on this machine; Ctrl-C here closes it.", err=True)
+        if not no_open:
+            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+    serve(request, address, ready)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from infrablend import api
-from infrablend.cli.completion import complete_model, complete_shipped_recipe
 from infrablend.cli.exits import ENVIRONMENT, printable
-from infrablend.cli.options import Fields, JsonSession, yaml_values
+from infrablend.cli.options import Fields, JsonSession, complete_model, complete_shipped_recipe, yaml_values
 from infrablend.cli.output import print_result, show_result, table
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ from infrablend.compositing.mapping import GreyMapping, Place
 from infrablend.core.boxes import pixel_box
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import ground_point
-from infrablend.core.placed import PlacedObject, PlacedScene
+from infrablend.core.render import PlacedObject, PlacedScene
 from infrablend.core.scene import View, Weather
 from infrablend.thermal.radiometry import band_radiance, radiance_at
 from infrablend.thermal.sky import relative_humidity, sky_radiance, transmittance

@@ -27,7 +27,7 @@ from infrablend.core.boxes import boxes_mask
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
 from infrablend.core.ground_plane import ground_point
-from infrablend.core.placed import PlacedScene
+from infrablend.core.render import PlacedScene
 from infrablend.core.scene import Weather
 from infrablend.core.temperature import TemperatureScale
 from infrablend.thermal.radiometry import band_radiance

@@ -23,7 +23,7 @@ from infrablend.config.modes import (
 from infrablend.config.recipe import Recipe
 from infrablend.config.sensor_profile import PROFILE_SUFFIXES, read_profile
 from infrablend.core.file_names import real_path
-from infrablend.core.shipped_files import RECIPES, ShippedFiles
+from infrablend.core.files import RECIPES, ShippedFiles
 from infrablend.core.validation_messages import did_you_mean, read_model
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import Problem, RecipeError

@@ -1,4 +1,8 @@
-"""Writes files atomically, with clear errors where a file cannot be written."""
+"""Writes files atomically, with clear errors where a file cannot be written; per-user folders; files of the package.
+
+Per-user folders are outside of any project, for downloads, imported geometry and the log. They follow the platform's
+rules (on Linux `$XDG_CACHE_HOME`, else `~/.cache`, and `$XDG_STATE_HOME`, else `~/.local/state`).
+"""
 
 from __future__ import annotations
 
@@ -13,10 +17,15 @@ import shutil
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import resources
+from importlib.resources.abc import Traversable
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
+
+import platformdirs
 
 from infrablend.core.addresses import require_folder
 from infrablend.core.file_names import MAX_NAME_BYTES, leaves_folder
@@ -327,3 +336,51 @@ def link_or_copy(source: Path, target: Path) -> Path:
             with real.open("rb") as stream, temporary.open("xb") as new:
                 shutil.copyfileobj(stream, new, 1 << 20)
     return target
+
+
+NAME = "infrablend"
+
+
+def cache_folder() -> Path:
+    """Return the folder for what can be downloaded or computed again: `$INFRABLEND_CACHE`, else the platform's."""
+    own = os.environ.get("INFRABLEND_CACHE")
+    return Path(own) if own else platformdirs.user_cache_path(NAME, appauthor=False)
+
+
+def weights_folder() -> Path:
+    """Return the folder for published weights of detectors."""
+    return cache_folder() / "weights"
+
+
+def state_folder() -> Path:
+    """Return the folder for logs, which survive a restart but need no backup."""
+    return platformdirs.user_state_path(NAME, appauthor=False)
+
+
+@dataclass(frozen=True)
+class ShippedFiles:
+    """The YAML files of one kind.
+
+    Attributes:
+        noun: What one of them is called, such as `recipe`.
+        folder: Their folder below the package.
+    """
+
+    noun: str
+    folder: str
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names without the suffix, sorted."""
+        return sorted(p.name.removesuffix(".yaml") for p in self._folder.iterdir() if p.name.endswith(".yaml"))
+
+    def text(self, name: str) -> str:
+        """Return the text of one of them."""
+        return (self._folder / f"{name}.yaml").read_text("utf-8")
+
+    @property
+    def _folder(self) -> Traversable:
+        return resources.files("infrablend") / self.folder
+
+
+RECIPES = ShippedFiles("recipe", "config/recipes")

@@ -23,8 +23,7 @@ from typing import Any
 
 from infrablend.core.file_names import real_path
 from infrablend.core.files import DAMAGED, output_error, replace_atomically, sha256_of
-from infrablend.core.frame_record import FrameRecord
-from infrablend.core.frame_row import FrameRow
+from infrablend.core.frame_row import FrameRecord, FrameRow
 from infrablend.core.run_record import RunRecord
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError

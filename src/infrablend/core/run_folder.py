@@ -10,7 +10,7 @@ from pathlib import Path
 from infrablend.core.dataset import SPLITS
 from infrablend.core.file_names import join_inside
 from infrablend.core.files import has_size
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.ledger import LEDGER, DoneFrame, Ledger
 from infrablend.core.run_record import RunRecord
 from infrablend.core.workspace import unfinished

@@ -12,7 +12,7 @@ from infrablend.core.dataset import ImageRecord
 from infrablend.core.workspace import unfinished
 from infrablend.detection import predict
 from infrablend.detection.detections import MAX_DETECTIONS, PREDICTIONS, TASKS, Predictions, Task, read_predictions
-from infrablend.detection.training_folder import WEIGHTS
+from infrablend.detection.scale import WEIGHTS
 from infrablend.detection.truth import image_key
 from infrablend.errors import DatasetError, ModelError, Problem
 

@@ -12,8 +12,23 @@ from pathlib import Path
 
 from infrablend.config.agc import Agc, agc_from_json
 from infrablend.core.files import read_object
-from infrablend.detection.training_folder import RECORD, WEIGHTS
 from infrablend.errors import Problem
+
+RECORD = "train.json"
+JOB = "job.json"
+CHECKPOINT = "checkpoint.pt"
+NEW_CHECKPOINT = "checkpoint.new"
+DAMAGED = "checkpoint.damaged.pt"
+WEIGHTS = "weights.pt"
+LOG = "train.log"
+DATA = "data"
+TILES = "tiles"
+EIGHT_BIT = "8bit"
+RUN = "run"
+ULTRALYTICS = "ultralytics"
+WORKING_FILES = (DATA, TILES, EIGHT_BIT, RUN, ULTRALYTICS, CHECKPOINT, NEW_CHECKPOINT)
+"""What only an unfinished training needs."""
+
 
 # Default of Ultralytics, and the size in the paper.
 DEFAULT_SIZE = 640

@@ -17,14 +17,13 @@ from infrablend.core.workspace import Existing
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.lab.evaluation.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
-from infrablend.lab.training.train import TrainReport, train_dataset
+from infrablend.lab.training.train import TrainPlan, TrainReport, plan_training, train_dataset
 from infrablend.lab.training.train_request import DEFAULT_TRAINING, TrainRequest
-from infrablend.lab.training.training_plan import TrainPlan, plan_training
 from infrablend.lab.world import world_dataset
 from infrablend.lab.world.world_dataset import WorldRequest
 from infrablend.lab.world.world_frames import Layout
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution
-from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.pipeline.runs.record import RecordedRun
 
 if TYPE_CHECKING:
     from infrablend.lab.evaluation.evaluate import EvaluationReport
@@ -75,7 +74,7 @@ def evaluate(
     """
     from infrablend.formats.dataset_folder import with_every_frame
     from infrablend.lab.evaluation.evaluate import evaluate_detector
-    from infrablend.pipeline.storage.mirror import local_folder
+    from infrablend.pipeline.storage.store import local_folder
 
     require_apart(Path(dataset), Path(out))
     if settings.tracks:

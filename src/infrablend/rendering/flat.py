@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import visible
-from infrablend.core.render import RenderResult, empty_result
+from infrablend.core.render import PlacedObject, PlacedScene, RenderResult, empty_result
 from infrablend.core.scene import PartState, SceneSpec
 from infrablend.rendering.surface_values import ground_radiance
 from infrablend.thermal.radiometry import band_radiance

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import reach_of_triangles
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import FloatArray
-from infrablend.core.placed import PlacedObject, PlacedScene
 from infrablend.core.raster import Fragments, SampleGrid, fragments_of, nearest_fragments
-from infrablend.core.render import Image32, RenderResult, empty_result
+from infrablend.core.render import Image32, PlacedObject, PlacedScene, RenderResult, empty_result
 from infrablend.core.scene import SceneSpec
 from infrablend.rendering.shading import ArtisticLook, PhysicalLook, Points
 from infrablend.rendering.surface_values import corner_normals, ground_radiance, is_two_sided, surface_values

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.mesh import FloatArray, IntArray, Mesh
-from infrablend.core.placed import PlacedObject, PlacedScene
+from infrablend.core.render import PlacedObject, PlacedScene
 from infrablend.core.scene import SceneSpec
 from infrablend.thermal.radiometry import ZERO_C_K, band_radiance
 

@@ -15,7 +15,7 @@ from infrablend.assets.model import ObjectModel, PartRange, Range
 from infrablend.config.recipe import ALL_PARTS, Object, Recipe
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import Mesh
-from infrablend.core.placed import PlacedObject, PlacedScene, place
+from infrablend.core.render import PlacedObject, PlacedScene, place
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec, Sun, Weather
 from infrablend.errors import ModelError

@@ -22,7 +22,7 @@ from infrablend.config.recipe import SPEED_M_S, Motion, PathPoint
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
 from infrablend.core.mesh import FloatArray
-from infrablend.core.placed import PlacedObject, PlacedScene
+from infrablend.core.render import PlacedObject, PlacedScene
 from infrablend.core.scene import ObjectSpec, SceneSpec, View
 from infrablend.errors import Problem, RecipeError
 from infrablend.imaging.camera_path import Moment

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from infrablend.core.frame_row import FrameRow
 
 if TYPE_CHECKING:
-    from infrablend.studio.disagreement import Disagreement
+    from infrablend.studio.run_labels import Disagreement
 
 SORTS: Mapping[str, str] = {
     "id": "Name",

@@ -12,7 +12,7 @@ from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import TRACKS, RunFolder
 from infrablend.detection.detections import RECORD
 from infrablend.errors import DatasetError, InfraBlendError
-from infrablend.pipeline.runs.review_file import REVIEW_FILE
+from infrablend.pipeline.runs.choose import REVIEW_FILE
 from infrablend.report.preview import draw_labels, to_8_bit, to_rgb
 from infrablend.studio.page_pictures import Thumbnails, enlarged, read_pixels, to_png, with_originals
 from infrablend.studio.row_reading import RowReading
@@ -20,7 +20,7 @@ from infrablend.studio.run_labels import RunLabels
 from infrablend.studio.verdicts import Review
 
 if TYPE_CHECKING:
-    from infrablend.studio.disagreement import Disagreement
+    from infrablend.studio.run_labels import Disagreement
 
 from collections import defaultdict
 from dataclasses import dataclass
@@ -242,7 +242,7 @@ class OpenedRun(RunFrames):
             threading.Thread(target=self._read, args=arguments, name="studio-evaluation", daemon=True).start()
 
     def _read(self, evaluation: Path) -> None:
-        from infrablend.studio.disagreement import read_disagreement  # loads slowly, and few runs need it
+        from infrablend.studio.run_labels import read_disagreement  # loads slowly, and few runs need it
 
         try:
             images = [row.image for row in self.rows if row.image]

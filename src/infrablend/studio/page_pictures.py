@@ -13,10 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.files import read_regular, write_bytes
+from infrablend.core.files import cache_folder, read_regular, write_bytes
 from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import RunFolder
-from infrablend.core.user_folders import cache_folder
 from infrablend.errors import OutputError
 from infrablend.imaging.surfaces import SurfaceMap
 from infrablend.report.preview import INSERTED, Rgb, decode_picture, to_rgb

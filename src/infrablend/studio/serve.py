@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 
-from infrablend.core.user_folders import cache_folder
+from infrablend.core.files import cache_folder
 from infrablend.errors import ArgumentError, MissingDependencyError
 from infrablend.studio.guard import QUERY, Guard
 from infrablend.studio.studio_request import Address, StudioRequest

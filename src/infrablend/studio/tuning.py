@@ -1,12 +1,20 @@
-"""A recipe being tuned: what to tune, settings over it, one frame at a time from a warm renderer, saved as YAML."""
+"""A recipe being tuned: what to tune, settings over it, one frame at a time from a warm renderer, saved as YAML.
+
+A run is made by `infrablend generate` in a process of its own, as the shell would start it.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
+import re
 import shlex
+import signal
+import subprocess
+import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -16,6 +24,7 @@ from infrablend import __version__
 from infrablend.assets.catalogue import list_models, load_model
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
+from infrablend.core.child_process import describe_exit
 from infrablend.core.dataset import ImageRecord, Instance
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_regular, write_text
@@ -25,11 +34,10 @@ from infrablend.formats import dataset_folder
 from infrablend.formats.read_write import READ_ALL
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials, gain_words, how_visible
 from infrablend.pipeline.plans.planning import reading_for
-from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.pipeline.runs.record import RecordedRun
 from infrablend.rendering.engine.turntable import draw_model
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
-from infrablend.studio.generation import Generation
 from infrablend.studio.object_form import model_problems
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.page_pictures import cached_picture, cached_thumbnail, enlarged, with_originals
@@ -365,3 +373,92 @@ def _to_yaml(recipe: Recipe) -> str:
     yaml.width = 120
     yaml.dump(recipe.model_dump(mode="json", exclude_unset=True), text)
     return text.getvalue()
+
+
+_PROGRESS = re.compile(r"(\d+)/(\d+) frames\b")
+# Of the command, and of a process that was stopped before the command could see to it, or twice.
+_STOPPED = (130, -signal.SIGTERM)
+_KEPT_LINES = 200
+_CLOSE_S = 20
+
+
+class Generation:
+    """A run being made.
+
+    Attributes:
+        command: The command, as for the shell.
+        out: Folder of the run.
+        done: Finished frames, as far as it has said.
+        total: All frames; 0 until it has said how many.
+        progress: The last line on its progress: frames, pace, time left.
+        lines: What else it has said, such as warnings; the last ones.
+    """
+
+    def __init__(self, words: Sequence[str], out: Path) -> None:
+        """Start `infrablend` with these words."""
+        self.command = shlex.join(["infrablend", *words])
+        self.out = out
+        self.done = self.total = 0
+        self.progress = ""
+        self.lines: list[str] = []
+        # In a session of its own: Ctrl-C in the terminal ends the studio, which then stops the run.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "infrablend", *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            encoding="utf-8",
+            errors="replace",
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        with self._process.stdout as said:
+            for line in said:
+                if (found := _PROGRESS.search(line)) is not None:
+                    self.done, self.total = int(found[1]), int(found[2])
+                    self.progress = line.strip()
+                elif line.strip():
+                    self.lines = [*self.lines, line.rstrip()][-_KEPT_LINES:]
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it goes on, or has not yet been heard to its end."""
+        return self._process.poll() is None or self._reader.is_alive()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run is there."""
+        return self._process.poll() == 0
+
+    @property
+    def state(self) -> str:
+        """What has become of it, in words."""
+        code = self._process.poll()
+        if code is None:
+            return self.progress or "Starting..."
+        if code == 0:
+            return f"Done. Review it with: {shlex.join(['infrablend', 'studio', '--run', str(self.out)])}"
+        if code in _STOPPED and not self.total:
+            return "Stopped before it began."
+        if code in _STOPPED:
+            return f"Stopped. To go on, choose Resume, or: {self.command.removesuffix(' --resume')} --resume"
+        return f"It {describe_exit(code)}."
+
+    def stop(self) -> None:
+        """Do what Ctrl-C does: finished frames are kept for `--resume`. A second time ends it at once."""
+        if self._process.poll() is None:
+            self._process.terminate()  # where a studio in the background has children that ignore SIGINT, too
+
+    def close(self) -> None:
+        """Stop it, and wait for its end."""
+        for end in (self.stop, self.stop, self._process.kill):
+            end()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(_CLOSE_S)
+                break
+        self._reader.join()

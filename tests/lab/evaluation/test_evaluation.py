@@ -16,8 +16,7 @@ from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.core.rle_masks import Mask
 from infrablend.core.rng import stream
 from infrablend.detection.detections import Predictions, detections, read_predictions, write_predictions
-from infrablend.detection.intervals import draw_images, interval
-from infrablend.detection.matching import SIZE_BINS, match_all, polygon_areas, quad_intersections
+from infrablend.detection.matching import SIZE_BINS, draw_images, interval, match_all, polygon_areas, quad_intersections
 from infrablend.detection.truth import Case, Truth, class_numbers, compared, fingerprint, match_classes, truths
 from infrablend.errors import DatasetError
 from infrablend.lab.evaluation.evaluation_figures import confusion_matrix, figures, image_strata

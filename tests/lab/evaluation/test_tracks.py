@@ -11,7 +11,7 @@ import pytest
 
 from infrablend.detection.detections import Detections, detections
 from infrablend.detection.truth import Truth
-from infrablend.lab.evaluation.track_scores import MEASURES, Followed, only_tracked, track_figures
+from infrablend.lab.evaluation.evaluated_tracks import MEASURES, Followed, only_tracked, track_figures
 
 pytest.importorskip("trackeval", reason="NEEDS TRACKEVAL: `make train` installs it")
 
@@ -132,7 +132,7 @@ def varied(name: str, misses: int, switches: int, length: int = 12) -> Followed:
 
 
 def test_a_sequence_drawn_twice_counts_as_two() -> None:
-    from infrablend.lab.evaluation.track_scores import _measure, _sequence_data
+    from infrablend.lab.evaluation.evaluated_tracks import _measure, _sequence_data
 
     data = [_sequence_data(s, 0, "detect") for s in (varied("a", 1, 0), varied("b", 5, 2), varied("c", 0, 3, 7))]
     weights = np.array([[1, 1, 1], [2, 0, 1], [0, 3, 0]], np.int32)

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from infrablend.compositing.contrast import measure_contrast
-from infrablend.lab.experiments.cut_outs import CutOut, cut_out, fits, offset_at, paste, placed_box
+from infrablend.lab.experiments.pasting import CutOut, cut_out, fits, offset_at, paste, placed_box
 
 BOX = np.array([40.0, 30.0, 60.0, 44.0])
 

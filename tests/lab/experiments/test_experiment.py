@@ -34,13 +34,12 @@ from infrablend.errors import (
 )
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
 from infrablend.lab.experiments import experiment_forecast, makers
-from infrablend.lab.experiments.dataset_facts import spread_images
 from infrablend.lab.experiments.definition import Check, Generate, list_experiments, load_experiment, parse_experiment
 from infrablend.lab.experiments.experiment_request import DEFAULT_RESULTS, ExperimentRequest
 from infrablend.lab.experiments.graph import preset_inputs, preset_of
 from infrablend.lab.experiments.prepare import prepare_experiment
 from infrablend.lab.experiments.results import check_claim
-from infrablend.lab.experiments.stage import RECORD, Stage, stage_folder, stage_keys
+from infrablend.lab.experiments.stage import RECORD, Stage, spread_images, stage_folder, stage_keys
 from infrablend.lab.pages import write_results
 from infrablend.lab.pages.experiment_page import list_differences, page_text
 from infrablend.lab.pages.write_results import write_page

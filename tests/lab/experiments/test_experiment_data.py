@@ -12,14 +12,14 @@ from infrablend.api import plan_experiment
 from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.formats.pictures.images import load_background
-from infrablend.lab.experiments.dataset_facts import read_dataset
 from infrablend.lab.experiments.definition import load_experiment
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.experiments.makers import draw_images, merge_datasets
 from infrablend.lab.experiments.pasting import Paster, cut_objects
 from infrablend.lab.experiments.prepare import assign_folders, prepare_experiment
 from infrablend.lab.experiments.run_experiment import run_experiment
-from infrablend.lab.world.sky_pictures import write_sky_pictures
+from infrablend.lab.experiments.stage import read_dataset
+from infrablend.lab.world.world_dataset import write_sky_pictures
 from infrablend.pipeline.datasets.convert import convert_dataset
 
 BIRDS, DRONES = ("airplane", "bird", "helicopter"), ("drone",)

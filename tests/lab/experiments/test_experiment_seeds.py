@@ -6,7 +6,7 @@ import pytest
 
 from infrablend.errors import RecipeError
 from infrablend.lab.experiments.definition import Experiment, Merge, Scale, parse_experiment
-from infrablend.lab.experiments.seeds import repeat_seeds
+from infrablend.lab.experiments.prepare import repeat_seeds
 
 TEXT = """
 name: mine

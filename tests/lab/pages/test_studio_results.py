@@ -11,10 +11,9 @@ import pytest
 from infrablend.core.frame_row import FrameRow
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError
-from infrablend.studio.disagreement import Disagreement, compare, read_disagreement
 from infrablend.studio.found_results import find_results
 from infrablend.studio.frame_index import View
-from infrablend.studio.run_labels import RunLabel, RunLabels
+from infrablend.studio.run_labels import Disagreement, RunLabel, RunLabels, compare, read_disagreement
 from tests.samples import picture
 
 SCORES = {"images": 1, "instances": 4, "p": 0.5, "r": 0.25, "map50": 0.4, "map50_95": 0.2, "ci": None}

@@ -21,8 +21,8 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.core.rng import stream
 from infrablend.errors import OutputError
 from infrablend.lab.pages.realism_page import add_to_page
-from infrablend.lab.realism.contrasts import compare_contrasts
-from infrablend.pipeline.studies.profile_objects import ObjectReadings, annotated_pictures, object_figures, read_objects
+from infrablend.lab.realism.class_comparison import compare_contrasts
+from infrablend.pipeline.studies.profile import ObjectReadings, annotated_pictures, object_figures, read_objects
 
 
 def of_level(image, ring, high, middle=None, time="night"):

@@ -26,7 +26,7 @@ from infrablend import api
 from infrablend.core.files import write_bytes, write_json
 from infrablend.core.workspace import partial_of
 from infrablend.detection import ultralytics_environment
-from infrablend.detection.training_folder import DAMAGED, WEIGHTS
+from infrablend.detection.scale import DAMAGED, WEIGHTS
 from infrablend.detection.ultralytics_environment import quiet_ultralytics, require_ultralytics
 from infrablend.errors import DatasetError, FetchError, Interrupted, MissingDependencyError, OutputError, RenderError
 from infrablend.lab.realism import nets
@@ -34,9 +34,9 @@ from infrablend.lab.training import start_weights, trainer
 from infrablend.lab.training import train as pipeline_train
 from infrablend.lab.training import training_process as process
 from infrablend.lab.training.presets import PRESETS
+from infrablend.lab.training.train import choose_device, require_arguments
 from infrablend.lab.training.train_request import choose_preset
 from infrablend.lab.training.trainer import ShuffledPasses
-from infrablend.lab.training.training_plan import choose_device, require_arguments
 
 
 def yolo(

@@ -13,10 +13,9 @@ from infrablend.detection import ultralytics_environment
 from infrablend.errors import DatasetError, ModelError, OtherSettingsError, OutputError
 from infrablend.lab.training import start_weights
 from infrablend.lab.training.presets import PRESETS
-from infrablend.lab.training.train import require_same
+from infrablend.lab.training.train import require_arguments, require_same
 from infrablend.lab.training.train_request import TrainRequest, choose_preset
 from infrablend.lab.training.training_data import select_training_data
-from infrablend.lab.training.training_plan import require_arguments
 from tests.samples import SAMPLES
 from tests.weights_files import write_weights
 

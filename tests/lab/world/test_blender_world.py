@@ -20,9 +20,8 @@ from infrablend.errors import OutputError
 from infrablend.formats.labels import mot
 from infrablend.formats.published import hit_uav
 from infrablend.lab.world.buildings import Building
-from infrablend.lab.world.draw_plan import sample_world
 from infrablend.lab.world.fixtures import Tree
-from infrablend.lab.world.frame_files import FinishedFrame
+from infrablend.lab.world.frame_files import FinishedFrame, sample_world
 from infrablend.lab.world.ground import ground_kelvin
 from infrablend.lab.world.ground_cover import Road
 from infrablend.lab.world.people import Person

@@ -17,14 +17,12 @@ from infrablend.formats.labels import mot
 from infrablend.imaging.camera_path import follow_camera
 from infrablend.imaging.camera_shift import View, moved
 from infrablend.lab.world import world_flight
-from infrablend.lab.world.frame_files import FinishedFrame
+from infrablend.lab.world.frame_files import MEAN_GREY, FinishedFrame, Label
 from infrablend.lab.world.ground import ground_kelvin
 from infrablend.lab.world.scene_plan import WorldPlan
-from infrablend.lab.world.thermal_image import MEAN_GREY
 from infrablend.lab.world.world_dataset import WorldRequest, write_world
 from infrablend.lab.world.world_flight import begin_flight, find_pose, flight_frame
 from infrablend.lab.world.world_frames import FrameFacts, plan_frames
-from infrablend.lab.world.world_labels import Label
 
 SEED, SIZE = 0, (640, 512)
 

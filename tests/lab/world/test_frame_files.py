@@ -10,8 +10,7 @@ import pytest
 from infrablend.core.rng import stream
 from infrablend.formats.cameras.header_facts import read_facts
 from infrablend.formats.cameras.raw_temperatures import read_temperatures
-from infrablend.lab.world.draw_plan import sample_world
-from infrablend.lab.world.frame_files import DJI_SCALE, camera_file
+from infrablend.lab.world.frame_files import DJI_SCALE, camera_file, sample_world
 from infrablend.lab.world.rjpeg_writing import MAKERS, Maker
 from infrablend.lab.world.setting import FOCAL_PX
 from infrablend.lab.world.world_frames import plan_frames

@@ -11,18 +11,27 @@ from hypothesis import strategies as st
 
 from infrablend.core.rng import stream
 from infrablend.errors import RecipeError
-from infrablend.lab.world.draw_plan import TOWN, sample_world
 from infrablend.lab.world.fixtures import tree_prototype
+from infrablend.lab.world.frame_files import (
+    HIGH_GREY,
+    LOW_GREY,
+    TOWN,
+    VisibleSamples,
+    gain,
+    label_object,
+    noise,
+    sample_world,
+    silhouette_area_px,
+    thermal_frame,
+)
 from infrablend.lab.world.ground import ground_kelvin
 from infrablend.lab.world.ground_cover import Patch, Road
 from infrablend.lab.world.people import Person, cycle, person
 from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.setting import ground_points, world_camera
-from infrablend.lab.world.thermal_image import HIGH_GREY, LOW_GREY, gain, noise, thermal_frame
 from infrablend.lab.world.thermal_surfaces import placed
 from infrablend.lab.world.vehicles import vehicle
 from infrablend.lab.world.world_frames import plan_frames, telemetry_of
-from infrablend.lab.world.world_labels import VisibleSamples, label_object, silhouette_area_px
 
 
 def plan(

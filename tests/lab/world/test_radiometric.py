@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from infrablend import api
 from infrablend.formats import dataset_folder
 from infrablend.formats.pictures.images import load_background
-from infrablend.lab.world.frame_files import FinishedFrame, make_frame
+from infrablend.lab.world.frame_files import FinishedFrame, Label, make_frame
 from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.world_dataset import WorldRequest, write_world
 from infrablend.lab.world.world_frames import FrameFacts
-from infrablend.lab.world.world_labels import Label
 from tests.run_files import records
 
 

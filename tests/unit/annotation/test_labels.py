@@ -15,9 +15,8 @@ from infrablend.core import boxes
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.dataset import Instance
 from infrablend.core.mesh import Mesh, make_mesh
-from infrablend.core.placed import place
 from infrablend.core.raster import SampleGrid, covered_samples, project_triangles
-from infrablend.core.render import RenderResult
+from infrablend.core.render import RenderResult, place
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 from infrablend.errors import ModelError
 

@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose
 
 from infrablend.annotation.labels import annotate, label_occluded
 from infrablend.core.boxes import box_of_points
-from infrablend.core.placed import PlacedScene, place
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult, place
 from tests.unit.annotation.test_labels import camera, plate, rendered, scene, thing
 
 

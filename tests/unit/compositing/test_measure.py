@@ -19,8 +19,7 @@ from infrablend.config.loading import load_recipe
 from infrablend.config.sensor_profile import PROFILES, Lens, SensorProfile, find_profile, read_profile
 from infrablend.core.camera import CameraSpec
 from infrablend.core.mesh import make_mesh
-from infrablend.core.placed import PlacedScene, place
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult, place
 from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
 from infrablend.formats.pictures.images import encode_image, load_background

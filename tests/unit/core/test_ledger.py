@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from infrablend.cli.exits import ENVIRONMENT, exit_code
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.ledger import LEDGER, DoneFrame, KnownBackground, Ledger
 from infrablend.core.tasks import Failure
 from infrablend.errors import OutputError

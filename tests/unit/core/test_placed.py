@@ -8,7 +8,7 @@ import pytest
 from infrablend.assets.shapes import box, ellipsoid
 from infrablend.core.camera import CameraSpec, object_to_world
 from infrablend.core.mesh import make_mesh
-from infrablend.core.placed import GROUND_ALBEDO, PlacedObject, sun_direction, surface_irradiance
+from infrablend.core.render import GROUND_ALBEDO, PlacedObject, sun_direction, surface_irradiance
 from infrablend.core.scene import ObjectSpec, PartState, Sun
 
 SUN = Sun(azimuth_rad=math.radians(30), elevation_rad=math.radians(40), direct_w_m2=800.0, diffuse_w_m2=90.0)

@@ -20,8 +20,8 @@ from pathlib import Path
 import pytest
 
 from infrablend.errors import DatasetError, FetchError, OutputError
-from infrablend.pipeline.fetching import archive as archives
-from infrablend.pipeline.fetching.archive import Unpacked, download, unpack, without_wrapper
+from infrablend.pipeline.storage import archive as archives
+from infrablend.pipeline.storage.archive import Unpacked, download, unpack, without_wrapper
 from tests.unit.fetching.server import BODY, Handler, Server, member, tarred, tree, zip_entry, zipped
 
 

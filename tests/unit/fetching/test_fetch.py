@@ -17,8 +17,8 @@ from infrablend.core.workspace import partial_of, workspace
 from infrablend.errors import DatasetError, FetchError, InfraBlendError, OutputError
 from infrablend.formats.published import sources
 from infrablend.formats.published.sources import CC_BY_4, HIT_UAV, Archive, Source
-from infrablend.pipeline.fetching import fetch as fetching
-from infrablend.pipeline.fetching.fetch import FetchProgress
+from infrablend.pipeline.storage import fetch as fetching
+from infrablend.pipeline.storage.fetch import FetchProgress
 from tests.samples import SAMPLES
 from tests.unit.fetching.server import BODY, tree, zip_entry, zipped
 

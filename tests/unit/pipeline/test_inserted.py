@@ -5,7 +5,7 @@ import json
 import pytest
 
 from infrablend import api
-from infrablend.report.run.run_warnings import horizon_warnings
+from infrablend.report.run_warnings import horizon_warnings
 from tests.command_line import done, run, said
 from tests.flat_renderer import render_flat
 from tests.unit.pipeline.test_run import dataset

@@ -14,7 +14,7 @@ from PIL import Image
 from infrablend import api
 from infrablend.compositing.occlusion import Occluder, Scenery
 from infrablend.config.recipe import Occlusion
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.pipeline.compose.partly_hidden import Cover
 from tests.recipes import ANYWHERE
 from tests.run_files import records

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from infrablend import api
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.cameras.header_facts import fov_of_35mm
 from infrablend.lab.world.rjpeg_writing import Maker

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from infrablend.core.tasks import TaskResult
-from infrablend.pipeline.plans.estimate import (
+from infrablend.pipeline.runs import generate
+from infrablend.pipeline.runs.forecast import (
     CYCLES_OBJECT_CPU_S,
     CYCLES_SAMPLE_CPU_S,
     OBJECT_CPU_S,
     OTHER_OBJECT_CPU_S,
 )
-from infrablend.pipeline.runs import generate
 from infrablend.pipeline.runs.run import Pace
 from tests.command_line import run
 from tests.samples import SAMPLES

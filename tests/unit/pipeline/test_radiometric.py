@@ -15,7 +15,7 @@ from PIL import Image
 from infrablend import api
 from infrablend.assets.catalogue import load_model
 from infrablend.compositing.radiometric import radiance_of, temperature_of
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import DatasetError
 from infrablend.formats import dataset_folder

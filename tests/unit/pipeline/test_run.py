@@ -21,7 +21,7 @@ from infrablend.core.tasks import Progress
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.plans.planning import make_plan
-from infrablend.report.run.run_warnings import absent_warnings, limit_warnings
+from infrablend.report.run_warnings import absent_warnings, limit_warnings
 from tests.run_files import edit_ledger, hashes, records
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -198,7 +198,7 @@ def test_resume_refuses_another_run_and_lists_differences(dataset, tmp_path):
 
 
 def test_resume_names_options_and_not_digests(dataset, tmp_path):
-    from infrablend.pipeline.runs.key import differences
+    from infrablend.pipeline.runs.begun_run import differences
 
     key = {"backgrounds": "01ab", "seed": 0, "frames": [f"test/{k}_c0" for k in range(6)]}
     asked = {"reading": {"splits": ("test",)}, "selection": {"limit": 6}}

@@ -15,10 +15,10 @@ from PIL import Image
 from infrablend import api
 from infrablend.core.frame_row import FrameRow, InsertRow, RemovedLabel
 from infrablend.errors import Problem
-from infrablend.report.run import run_page as page
-from infrablend.report.run.run_charts import bin_edges
-from infrablend.report.run.run_facts import RunFacts, removed_crops
-from infrablend.report.run.run_page import run_page
+from infrablend.report import run_page as page
+from infrablend.report.run_charts import bin_edges
+from infrablend.report.run_facts import RunFacts, removed_crops
+from infrablend.report.run_page import run_page
 from tests.command_line import done
 from tests.flat_renderer import render_flat
 from tests.run_files import frame_ids, without_times

@@ -16,7 +16,7 @@ from infrablend import api
 from infrablend.core.ledger import Ledger
 from infrablend.core.workspace import Workspace, workspace
 from infrablend.formats.labels import shard_tar
-from infrablend.pipeline.runs import shard_table
+from infrablend.pipeline.runs import packed_shard
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat
 from tests.killing import run_until_killed
@@ -305,7 +305,7 @@ def test_failed_frames_are_tried_again(dataset, tmp_path):
 
 
 def test_missing_pyarrow_is_named(small, tmp_path, monkeypatch):
-    monkeypatch.setattr(shard_table, "find_spec", lambda name: None)
+    monkeypatch.setattr(packed_shard, "find_spec", lambda name: None)
     ended = run(*small)
     assert ended.exit_code != 0
     assert "infrablend[shards]" in ended.output

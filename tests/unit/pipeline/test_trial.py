@@ -123,7 +123,7 @@ def test_the_command_prints_the_gain_of_the_physical_look(
 
 
 def _flat(*arguments: Any, **options: Any) -> Any:
-    from infrablend.api import in_memory as functions
+    from infrablend.api import runs as functions
 
     return functions.try_recipe(*arguments, **{**options, "execution": FLAT})
 

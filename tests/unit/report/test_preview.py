@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from infrablend.core.dataset import Instance
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.ledger import DoneFrame, Ledger
 from infrablend.core.rle_masks import Mask
 from infrablend.core.scene import Appearance, CameraSpec, SceneSpec, View

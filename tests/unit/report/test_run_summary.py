@@ -12,10 +12,9 @@ from typing import Any
 from infrablend.core.frame_row import FrameRow, InsertRow, RemovedLabel
 from infrablend.errors import Problem
 from infrablend.pipeline.plans import checks, times
-from infrablend.report.run import run_warnings as warnings
-from infrablend.report.run.run_facts import RunFacts
-from infrablend.report.run.run_page import run_page
-from infrablend.report.run.summary import MEANINGS, plain_summary
+from infrablend.report import run_warnings as warnings
+from infrablend.report.run_facts import MEANINGS, RunFacts, plain_summary
+from infrablend.report.run_page import run_page
 
 
 def run_of(*frames: FrameRow, problems: tuple[Problem, ...] = (), **counts: Any) -> RunFacts:

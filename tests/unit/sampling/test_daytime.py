@@ -11,7 +11,7 @@ import pytest
 from infrablend.assets.catalogue import load_model
 from infrablend.config.recipe import SkyEnvironment
 from infrablend.core.capture import Capture
-from infrablend.core.placed import PlacedScene
+from infrablend.core.render import PlacedScene
 from infrablend.core.scene import SceneSpec
 from infrablend.errors import RecipeError
 from infrablend.sampling.scene_sampler import sample_scene

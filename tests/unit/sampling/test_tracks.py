@@ -9,7 +9,7 @@ from infrablend.assets.catalogue import load_model
 from infrablend.config.recipe import Motion, PathPoint
 from infrablend.core.camera import CameraSpec
 from infrablend.core.ground_plane import at_height, ground_point, ground_z_m, pixel_ray
-from infrablend.core.placed import PlacedObject
+from infrablend.core.render import PlacedObject
 from infrablend.core.scene import Appearance, ObjectSpec, SceneSpec, View
 from infrablend.errors import RecipeError
 from infrablend.imaging.camera_path import Moment

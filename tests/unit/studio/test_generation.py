@@ -12,8 +12,7 @@ from infrablend.core.run_folder import RunFolder
 from infrablend.errors import ArgumentError
 from infrablend.pipeline.compose.trial import TrialRequest
 from infrablend.pipeline.plans.run_request import Execution
-from infrablend.studio.generation import Generation
-from infrablend.studio.tuning import Tuning
+from infrablend.studio.tuning import Generation, Tuning
 
 RECIPE = "hit-uav-drone"
 

@@ -20,7 +20,7 @@ from PIL import Image
 
 from infrablend.errors import DatasetError
 from infrablend.formats.cameras.jpeg_segments import APP1, JpegHeader, Segment, bad_file
-from infrablend.thermal.flir import ObjectSettings, Planck
+from infrablend.thermal.radiometry import ObjectSettings, Planck
 
 SIGNATURE = b"FLIR\0"
 # Contents of a FLIR segment: signature, a fixed byte, number of the segment, number of the last one, FFF bytes.

@@ -12,9 +12,8 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from infrablend.core.file_names import file_name
-from infrablend.core.files import read_object, sha256_of_json, write_bytes, write_json
+from infrablend.core.files import cache_folder, read_object, sha256_of_json, write_bytes, write_json
 from infrablend.core.mesh import FloatArray
-from infrablend.core.user_folders import cache_folder
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background, png_bytes
 from infrablend.formats.pictures.video import Video

@@ -17,7 +17,7 @@ from infrablend.core.files import write_bytes, write_text
 from infrablend.core.workspace import replacing, workspace
 from infrablend.detection.detection_source import DetectionSource, choose_task
 from infrablend.detection.detections import MATCHES, MAX_DETECTIONS, PREDICTIONS, RECORD, FloatArray, write_predictions
-from infrablend.detection.intervals import LEVEL
+from infrablend.detection.matching import LEVEL
 from infrablend.detection.truth import (
     Case,
     Truth,

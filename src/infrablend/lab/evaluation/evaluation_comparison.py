@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from infrablend.core.arguments import require_names, require_whole
 from infrablend.core.files import open_regular, read_regular, replace_atomically
 from infrablend.detection.detections import MATCHES, RECORD
-from infrablend.detection.intervals import draw_images
-from infrablend.detection.matching import ClassMatches
+from infrablend.detection.matching import ClassMatches, draw_images
 from infrablend.detection.truth import match_classes
 from infrablend.errors import ArgumentError, DatasetError, Problem
 from infrablend.lab.evaluation.evaluation_record import Difference, EvaluatedDataset, EvaluationRecord, Paired, Rival

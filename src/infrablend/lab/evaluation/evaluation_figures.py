@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import ImageRecord
 from infrablend.detection.detections import FloatArray
-from infrablend.detection.intervals import draw_images, has_several_groups, interval
-from infrablend.detection.matching import SIZE_BINS, ClassMatches, match_all, overlaps
+from infrablend.detection.matching import (
+    SIZE_BINS,
+    ClassMatches,
+    draw_images,
+    has_several_groups,
+    interval,
+    match_all,
+    overlaps,
+)
 from infrablend.detection.truth import Case
 from infrablend.lab.evaluation.evaluation_record import (
     ClassRow,

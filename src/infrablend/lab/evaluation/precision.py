@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.rng import stream
 from infrablend.detection.detections import FloatArray
-from infrablend.detection.intervals import has_several_groups, interval
-from infrablend.detection.matching import ClassMatches
+from infrablend.detection.matching import ClassMatches, has_several_groups, interval
 from infrablend.lab.evaluation.evaluation_record import Difference
 
 RECALLS: FloatArray = np.linspace(0.0, 1.0, 101)

@@ -21,7 +21,7 @@ from infrablend.core.file_names import real_path
 from infrablend.core.strict_model import Strict
 from infrablend.core.validation_messages import read_model
 from infrablend.errors import RecipeError
-from infrablend.lab.experiments.scales import EXPERIMENTS, NAME_PATTERN, SCALES, Scale
+from infrablend.lab.experiments.experiment_request import EXPERIMENTS, NAME_PATTERN, SCALES, Scale
 
 _PATH_FIELD = re.compile(r"objects\.\d+\.model|sensor\.profile", re.ASCII)
 

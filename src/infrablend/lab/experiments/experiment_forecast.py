@@ -27,7 +27,7 @@ from infrablend.lab.experiments.result_record import PlanFacts, PlannedStage
 from infrablend.lab.experiments.stage import RECORD, Stage, stage_folder
 from infrablend.lab.training.presets import cpu_threads, estimate_seconds
 from infrablend.lab.training.start_weights import AUTO, SCRATCH, network_of, require_known
-from infrablend.lab.training.training_plan import require_arguments
+from infrablend.lab.training.train import require_arguments
 from infrablend.lab.training.training_record import TrainingRecord
 
 LEARNING = ("train", "evaluate")

@@ -6,12 +6,22 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from infrablend.core.arguments import require_choice, require_names, require_whole
+from infrablend.core.files import ShippedFiles
 from infrablend.errors import DatasetError
-from infrablend.lab.experiments.scales import NAME_PATTERN, SCALES, Scale
 from infrablend.rendering import RENDERERS
+
+EXPERIMENTS = ShippedFiles("experiment", "lab/experiments/shipped")
+
+Scale = Literal["smoke", "small", "medium", "paper"]
+"""Scale of an experiment."""
+
+SCALES: tuple[Scale, ...] = ("smoke", "small", "medium", "paper")
+NAME_PATTERN = r"^[a-z0-9][a-z0-9-]*$"
+"""Names of experiments, and of what is in them."""
+
 
 DEFAULT_RESULTS = Path("results")
 

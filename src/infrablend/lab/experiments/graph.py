@@ -18,7 +18,6 @@ from infrablend.core.validation_messages import did_you_mean
 from infrablend.core.workspace import WORLD_FILE
 from infrablend.detection.truth import class_key
 from infrablend.errors import DatasetError, InfraBlendError, Problem
-from infrablend.lab.experiments.dataset_facts import dataset_facts, read_dataset
 from infrablend.lab.experiments.definition import (
     Convert,
     Evaluation,
@@ -30,14 +29,13 @@ from infrablend.lab.experiments.definition import (
     Source,
     Training,
 )
-from infrablend.lab.experiments.experiment_request import ExperimentRequest
-from infrablend.lab.experiments.scales import Scale
-from infrablend.lab.experiments.stage import Stage, stage_keys
+from infrablend.lab.experiments.experiment_request import ExperimentRequest, Scale
+from infrablend.lab.experiments.stage import Stage, dataset_facts, read_dataset, stage_keys
 from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.start_weights import AUTO, identify
 from infrablend.lab.training.train_request import choose_preset
 from infrablend.pipeline.datasets.content import content_digest
-from infrablend.pipeline.fetching.fetch import require_source
+from infrablend.pipeline.storage.fetch import require_source
 
 BOOTSTRAP: Mapping[Scale, int] = {"smoke": 100, "small": 1000, "medium": 1000, "paper": 1000}
 """Number of bootstrap draws at each scale."""

@@ -17,15 +17,13 @@ from infrablend.formats.read_write import Reading
 from infrablend.lab.evaluation.evaluate import evaluate_detector
 from infrablend.lab.evaluation.evaluation_comparison import compare_evaluations
 from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
-from infrablend.lab.experiments.dataset_facts import data_result, read_dataset, spread_images
 from infrablend.lab.experiments.definition import Convert, Evaluation, Generate, Merge, Resplit, Training
 from infrablend.lab.experiments.pasting import make_paste
 from infrablend.lab.experiments.result_record import CompareResult, DataResult, EvaluateResult, TrainResult
-from infrablend.lab.experiments.stage import StageJob
+from infrablend.lab.experiments.stage import StageJob, data_result, read_dataset, spread_images
 from infrablend.lab.training.train import train_dataset
 from infrablend.lab.training.train_request import TrainRequest
-from infrablend.lab.world.sky_pictures import write_sky_pictures
-from infrablend.lab.world.world_dataset import WorldRequest, make_world
+from infrablend.lab.world.world_dataset import WorldRequest, make_world, write_sky_pictures
 from infrablend.pipeline.datasets.convert import convert_dataset
 from infrablend.pipeline.datasets.requests import ClassChanges, Selection, SplitRule
 from infrablend.pipeline.datasets.select import select

@@ -1,24 +1,66 @@
-"""An experiment prepared to be planned or run: its file, the graph of its stages, and which of them are finished."""
+"""An experiment prepared to be planned or run: its file, the graph of its stages, and which of them are finished.
+
+Trainings with several seeds are repeated, with their data, evaluations and references: `NAME` with three seeds becomes
+`NAME`, `NAME-1` and `NAME-2`, as if the file had spelled them out. Results made outside the experiment are adopted: a
+training, a run or a dataset, checked as far as its record allows.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+import json
+import shutil
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, cast
 
+from infrablend import __version__
+from infrablend.config.loading import read_recipe
+from infrablend.core.dataset import SPLITS
+from infrablend.core.file_names import leaves_folder
+from infrablend.core.files import LINK_OUT, link_or_copy, load_json
 from infrablend.core.output_checks import require_apart
+from infrablend.core.run_folder import RUN_FILE, RunFolder
 from infrablend.detection.truth import class_key
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats import dataset_folder
-from infrablend.lab.experiments.adopting import ADOPTABLE
-from infrablend.lab.experiments.dataset_facts import dataset_facts, read_dataset
-from infrablend.lab.experiments.definition import Experiment, Source, load_experiment
-from infrablend.lab.experiments.experiment_request import ExperimentRequest
-from infrablend.lab.experiments.graph import EXPERIMENTS_PAGE, StageGraph, build_graph, unknown_stage, where_to_get
-from infrablend.lab.experiments.seeds import repeat_seeds
-from infrablend.lab.experiments.stage import FinishedStage, Stage, find_finished
+from infrablend.lab.experiments.definition import (
+    Check,
+    Comparison,
+    Experiment,
+    Generate,
+    Merge,
+    Row,
+    Source,
+    Table,
+    load_experiment,
+    seed_names,
+)
+from infrablend.lab.experiments.experiment_request import SCALES, ExperimentRequest, Scale
+from infrablend.lab.experiments.graph import (
+    EXPERIMENTS_PAGE,
+    StageGraph,
+    build_graph,
+    deciding_fields,
+    unknown_stage,
+    where_to_get,
+)
+from infrablend.lab.experiments.result_record import DataResult, TrainResult
+from infrablend.lab.experiments.stage import (
+    FinishedStage,
+    Stage,
+    StageJob,
+    data_result,
+    dataset_facts,
+    find_finished,
+    read_dataset,
+)
 from infrablend.lab.pages.write_results import require_own_pages
+from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.start_weights import require_known
+from infrablend.lab.training.training_record import TrainingRecord
+from infrablend.pipeline.plans.planning import make_plan
+from infrablend.pipeline.runs.record import RecordedRun
 
 
 @dataclass(frozen=True)
@@ -181,3 +223,197 @@ def _missing_folders(experiment: Experiment, given: dict[str, Path]) -> list[Pro
         wanted = " or ".join(s.title for s in experiment.sources.values())
         problems.append(Problem("--data", "data-missing", "no folder", wanted))
     return problems
+
+
+def repeat_seeds(experiment: Experiment, scale: Scale) -> Experiment:
+    """Return the experiment with every training, evaluation and redrawn data item once per seed.
+
+    A seed that only some scales have is limited to them. A name in a row of a table stands for the evaluations of all
+    seeds. The two sides of a comparison or ratio have as many seeds as the evaluation with the fewest at the scale.
+    """
+    of_training = experiment.seeds_of_trainings()
+    of_evaluation = experiment.seeds_of_evaluations()
+    of_data = experiment.seeds_of_data()
+    here = {n: experiment.trainings[e.training].seeds_at(scale) for n, e in experiment.evaluations.items()
+            if e.training in experiment.trainings}  # fmt: skip
+    data = {
+        one: item.model_copy(update={"reseed": item.reseed + k}) if isinstance(item, Merge) else item
+        for name, item in experiment.data.items()
+        for k, one in enumerate(of_data[name])
+    }
+    trainings = {
+        one: training.model_copy(update={"reseed": training.reseed + k, "data": _of_seed(training.data, k, of_data)})
+        for name, training in experiment.trainings.items()
+        for k, one in enumerate(of_training[name])
+    }
+    evaluations = {
+        one: evaluation.model_copy(update={"training": _of_seed(evaluation.training, k, of_training)})
+        for name, evaluation in experiment.evaluations.items()
+        for k, one in enumerate(of_evaluation[name])
+    }
+    update = {
+        "data": data,
+        "trainings": trainings,
+        "evaluations": evaluations,
+        "comparisons": {n: _comparison(c, here) for n, c in experiment.comparisons.items()},
+        "tables": tuple(_table(t, of_evaluation) for t in experiment.tables),
+        "checks": tuple(_check(c, here) for c in experiment.checks),
+        "only_at": _scales_of_seeds(experiment, of_training),
+    }
+    return experiment.model_copy(update=update)
+
+
+def _scales_of_seeds(experiment: Experiment, of_training: Mapping[str, Sequence[str]]) -> dict[str, tuple[Scale, ...]]:
+    """Return the scales of entries, with those of the trainings of further seeds.
+
+    What needs a training that the scale lacks is left out with it.
+    """
+    only_at = dict(experiment.only_at)
+    for name, training in experiment.trainings.items():
+        for k, one in enumerate(of_training[name][1:], 1):
+            scales = experiment.only_at.get(name, SCALES)
+            only_at.setdefault(one, tuple(s for s in scales if training.seeds_at(s) > k))
+    return only_at
+
+
+def _of_seed(name: str, number: int, seeds: Mapping[str, Sequence[str]]) -> str:
+    """Return the name of one seed of a training or data item; its own name if it has one seed."""
+    names = seeds.get(name, (name,))
+    return names[number] if len(names) > 1 else name
+
+
+def _comparison(comparison: Comparison, seeds: Mapping[str, int]) -> Comparison:
+    fewest = _fewest((*comparison.a, *comparison.b), seeds)
+    count = fewest if comparison.seeds is None else min(fewest, comparison.seeds)
+    return comparison.model_copy(update={"a": _names(comparison.a, count), "b": _names(comparison.b, count)})
+
+
+def _table(table: Table, seeds: Mapping[str, Sequence[str]]) -> Table:
+    return table.model_copy(update={"rows": tuple(_row(row, seeds) for row in table.rows)})
+
+
+def _row(row: Row, seeds: Mapping[str, Sequence[str]]) -> Row:
+    if row.evaluation is None:
+        return row
+    names = tuple(one for name in row.evaluation for one in seeds.get(name, (name,)))
+    return row.model_copy(update={"evaluation": names})
+
+
+def _check(check: Check, seeds: Mapping[str, int]) -> Check:
+    if check.ratio is None:
+        return check
+    a, b = check.ratio
+    count = _fewest((*a, *b), seeds)
+    return check.model_copy(update={"ratio": (_names(a, count), _names(b, count))})
+
+
+def _fewest(names: Iterable[str], seeds: Mapping[str, int]) -> int:
+    return min(seeds.get(name, 1) for name in names)
+
+
+def _names(names: Iterable[str], count: int) -> tuple[str, ...]:
+    return tuple(one for name in names for one in seed_names(name, count))
+
+
+ADOPTABLE = ("train", "generate", "convert")
+"""Kinds of stages that can be adopted."""
+
+
+def adopt_result(job: StageJob, folder: Path) -> DataResult | TrainResult:
+    """Return the result of a stage from a folder that `train`, `generate` or `convert` has written.
+
+    A training must have the settings, seed, classes, images and labels of the stage; a run its recipe, seed, version
+    and backgrounds. How a dataset was converted cannot be checked; the record and the page say so.
+
+    Raises:
+        DatasetError: The folder contains something else; the error lists every difference.
+    """
+    training = _checked_training(job, folder) if job.stage.kind == "train" else None
+    if job.stage.kind == "generate":
+        _check_run(job, folder)
+    shutil.copytree(folder, job.out, copy_function=lambda a, b: _adopt_file(folder, Path(a), Path(b)))
+    if training is not None:
+        weights = "out/weights.pt"
+        training["adopted"] = True
+        return {"record": training, "adopted": "checked", "weights": weights, "there": [weights]}
+    checked = job.stage.kind == "generate"
+    root = job.out / "coco" if checked else job.out
+    result = data_result(read_dataset(root, splits=job.stage.spec.splits), job.relative(root))
+    result["there"] = ["out"]
+    result["adopted"] = "checked" if checked else "unchecked"
+    return result
+
+
+def _checked_training(job: StageJob, folder: Path) -> TrainingRecord:
+    inputs = job.stage.inputs
+    data = job.needs["data"].data
+    path = folder / "train.json"
+    try:
+        found = load_json(path)
+    except (OSError, ValueError) as error:
+        expected = "a folder written by `infrablend train`"
+        problem = Problem(str(path), "adopt-record", f"cannot be read ({error})", expected)
+        raise DatasetError("nothing to adopt", [problem]) from error
+    record: Any = found if isinstance(found, dict) else {}
+    prepared = record.get("prepared") or {}
+    asked = dict(inputs["preset"])
+    settings = {k: v for k, v in (record.get("settings") or {}).items() if k in asked}
+    classes = list(inputs["classes"] or data["classes"])
+    labels = {k: n for k, n in data["labels"].get("train", {}).items() if k in classes and n}
+    epochs, shown = Preset(**{"summary": "", **asked}).epochs_for(prepared.get("images") or 0)
+    stops_early = bool(asked.get("patience"))
+    pairs = {
+        "weights": (Path(str(record.get("start_asked"))).name, inputs["weights"]),
+        "epochs": (record.get("epochs"), epochs),
+        "images shown": (record.get("passes"), record.get("passes") if stops_early else epochs * shown),
+        "task": (record.get("task"), inputs["task"]),
+        "seed": (record.get("seed"), inputs["seed"]),
+        "settings": (settings, json.loads(json.dumps(asked))),
+        "classes": (record.get("classes"), classes),
+        "images": ((prepared.get("pictures") or {}).get("train"), data["images"].get("train")),
+        "labels": ((prepared.get("objects") or {}).get("train"), labels),
+    }
+    if "weights_sha256" in record:  # earlier versions recorded the path alone
+        pairs["SHA-256 of the weights"] = (record["weights_sha256"], inputs.get("weights_sha256"))
+    _require_equal(job.stage.id, folder, pairs)
+    return cast("TrainingRecord", record)
+
+
+def _check_run(job: StageJob, folder: Path) -> None:
+    record = RunFolder(folder).read_run()
+    spec: Generate = job.stage.spec
+    recipe = read_recipe(spec.recipe, spec.settings).recipe
+    recorded = RecordedRun.from_record(record, folder / RUN_FILE).recipe
+    source = job.needs["of"]
+    seed = job.request.seed
+    dataset = read_dataset(source.dataset, options=source.reader_options)
+    keys = []
+    for splits in (spec.splits, SPLITS):  # made from the splits that are needed, or from all
+        part = replace(dataset, images=tuple(i for i in dataset.images if i.split in splits))
+        keys.append(make_plan(recipe, part, seed).key["backgrounds"])
+    backgrounds = (record.get("key") or {}).get("backgrounds")
+    pairs = {
+        "seed": (record.get("seed"), seed),
+        "version": (record.get("infrablend"), __version__),
+        "renderer": ((record.get("machine") or {}).get("renderer"), job.request.renderer),
+        "recipe": (deciding_fields(recorded), deciding_fields(recipe)),
+        "backgrounds": (backgrounds, backgrounds if backgrounds in keys else keys[0]),
+        "labels": ((folder / "coco").is_dir(), True),
+    }
+    _require_equal(job.stage.id, folder, pairs)
+
+
+def _adopt_file(folder: Path, source: Path, target: Path) -> Path:
+    if leaves_folder(source, folder):
+        raise DatasetError(f"{source}: {LINK_OUT}")
+    return link_or_copy(source, target)
+
+
+def _require_equal(stage_id: str, folder: Path, pairs: Mapping[str, tuple[Any, Any]]) -> None:
+    problems = [
+        Problem(f"{stage_id}, {what}", "adopt-other", json.dumps(found), json.dumps(expected))
+        for what, (found, expected) in pairs.items()
+        if found != expected
+    ]
+    if problems:
+        raise DatasetError(f"{folder}: does not match {stage_id}", problems)

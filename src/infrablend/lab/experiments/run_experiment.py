@@ -17,12 +17,11 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, workspace
 from infrablend.errors import BusyError, InfraBlendError, Interrupted, OutputError, Problem
 from infrablend.lab.experiments import experiment_forecast
-from infrablend.lab.experiments.adopting import adopt_result
 from infrablend.lab.experiments.experiment_forecast import LEARNING, estimate_bytes
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.experiments.graph import OTHER_SCALES
 from infrablend.lab.experiments.makers import MAKERS
-from infrablend.lab.experiments.prepare import PreparedExperiment
+from infrablend.lab.experiments.prepare import PreparedExperiment, adopt_result
 from infrablend.lab.experiments.result_record import ExperimentRecord, StageRecord
 from infrablend.lab.experiments.results import collect_results
 from infrablend.lab.experiments.stage import RECORD, FinishedStage, Stage, StageJob, find_finished, stage_folder

@@ -2,26 +2,34 @@
 
 A finished stage is `WORK/<kind>/<key>/`: `out/` is its output, `stage.json` its record. The key is a digest of all that
 decides the result, including the keys of the stages it needs, so the same training in two experiments is one stage.
+
+Datasets are read and described here, too: the facts that stages record, and the evenly spread part of a limited source.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+from infrablend.annotation.looseness import loosened_counts
+from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
 from infrablend.core.file_names import leaves_folder, real_path
 from infrablend.core.files import read_object
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import OtherSettingsError
+from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 from infrablend.lab.experiments.experiment_request import ExperimentRequest
 from infrablend.lab.experiments.result_record import (
     CompareResult,
     DataResult,
+    DatasetFacts,
     EvaluateResult,
     StageRecord,
     TrainResult,
@@ -178,3 +186,65 @@ class StageJob:
     def relative(self, path: Path) -> str:
         """Return a path relative to the stage's folder, as records store it."""
         return os.path.relpath(real_path(path), self.out.parent)
+
+
+def read_dataset(
+    folder: Path, *, splits: Sequence[str] | None = None, options: Mapping[str, str] | None = None
+) -> Dataset:
+    """Return the dataset in a folder, its format detected."""
+    return dataset_folder.read(folder, Reading(splits=splits, options=options or {}))
+
+
+def dataset_facts(dataset: Dataset) -> DatasetFacts:
+    """Return images and labels per split, classes and kinds of labels. Regions to ignore are not a class."""
+    ignored = {c.name for c in dataset.categories if c.ignore}
+    objects = [o for i in dataset.images for o in i.instances if o.category not in ignored]
+    labels: dict[str, dict[str, int]] = {}
+    for split in SPLITS:
+        found = Counter(o.category for i in dataset.images if i.split == split for o in i.instances)
+        labels[split] = {n: k for n, k in sorted(found.items()) if n not in ignored}
+    kinds = {
+        "AABB": bool(objects),
+        "OBB": any(o.corners_xy is not None for o in objects),
+        "Masks": any(o.mask is not None for o in objects),
+    }
+    return {
+        "images": {s: n for s in SPLITS if (n := sum(i.split == s for i in dataset.images))},
+        "labels": labels,
+        "classes": [c.name for c in dataset.categories if not c.ignore],
+        "label_kinds": [k for k, present in kinds.items() if present],
+        "format": dataset.format,
+    }
+
+
+def data_result(dataset: Dataset, folder: str = "out", counts: Mapping[str, object] | None = None) -> DataResult:
+    """Return the result of a stage that makes data.
+
+    Args:
+        dataset: The data.
+        folder: Where they are, relative to the stage's folder.
+        counts: What was counted on the way; those of loosened boxes are recorded.
+    """
+    facts = dataset_facts(dataset)
+    result = {**facts, **loosened_counts(counts or {}), "dataset": folder, "there": [folder]}
+    return cast("DataResult", result)
+
+
+def spread_images(dataset: Dataset, limits: Mapping[str, int]) -> Iterator[ImageRecord]:
+    """Yield up to `limits` images per split: first one per class, rarest class first, then evenly spread ones."""
+    for split in SPLITS:
+        images = [i for i in dataset.images if i.split == split]
+        n = limits.get(split, len(images))
+        if len(images) <= n:
+            yield from images
+            continue
+        counts = Counter(o.category for i in images for o in i.instances)
+        chosen: set[int] = set()
+        for name, _ in sorted(counts.items(), key=lambda pair: (pair[1], pair[0])):
+            if len(chosen) < n and not any(o.category == name for k in chosen for o in images[k].instances):
+                chosen.add(next(k for k, i in enumerate(images) if any(o.category == name for o in i.instances)))
+        for k in range(n):
+            if len(chosen) < n:
+                wanted = k * len(images) // n
+                chosen.add(min((j for j in range(len(images)) if j not in chosen), key=lambda j: (abs(j - wanted), j)))
+        yield from (images[k] for k in sorted(chosen))

@@ -26,7 +26,7 @@ from infrablend.lab.pages.realism_report import (
     score_table,
     slope_table,
 )
-from infrablend.lab.realism.contrasts import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_LEAST_RATIO
+from infrablend.lab.realism.class_comparison import MAX_QUARTILE_DIFFERENCE, MAX_SLOPE_DIFFERENCE, MIN_LEAST_RATIO
 from infrablend.lab.realism.realism_record import (
     ClassFacts,
     CollectedClass,

@@ -14,8 +14,7 @@ from PIL import Image
 from infrablend.annotation.measured_looseness import BoxFigures, FiguresAgainst
 from infrablend.compositing.object_contrast import SlopeFigures
 from infrablend.core.rng import stream
-from infrablend.lab.realism.class_comparison import ClassComparison
-from infrablend.lab.realism.contrasts import QUANTILES
+from infrablend.lab.realism.class_comparison import QUANTILES, ClassComparison
 from infrablend.lab.realism.features import FEATURES, MEASURES, Measured
 from infrablend.lab.realism.realism_record import (
     ClassFacts,

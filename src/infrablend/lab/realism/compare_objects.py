@@ -22,7 +22,7 @@ from infrablend.core.arguments import require_choice, require_names, require_who
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, KnownClass, known_class, named_as
 from infrablend.core.file_names import distinct_names, file_name, real_path
 from infrablend.core.files import write_bytes, write_text
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.rng import stream
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import Executor, OnProgress, Task, WorkerSpec, paced
@@ -34,13 +34,13 @@ from infrablend.lab.pages.realism_report import CropSheet, html_report, sheets_o
 from infrablend.lab.realism.class_comparison import (
     ClassComparison,
     compare_class,
+    compare_contrasts,
     compare_floor,
     contrast_ratio,
     pair_by_size,
     validity,
 )
 from infrablend.lab.realism.classify import require_sklearn
-from infrablend.lab.realism.contrasts import compare_contrasts
 from infrablend.lab.realism.controls import SENSOR_STEPS
 from infrablend.lab.realism.features import Measured
 from infrablend.lab.realism.measure_objects import Measurements, MeasuringSettings, PictureJob, image_key
@@ -49,7 +49,7 @@ from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 from infrablend.pipeline.execution.serial import Serial
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.planning import LEVELS_SAMPLE
-from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.pipeline.runs.record import RecordedRun
 
 Time = Literal["night", "day", "all"]
 

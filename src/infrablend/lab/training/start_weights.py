@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import sha256_of, write_bytes
-from infrablend.core.user_folders import weights_folder
+from infrablend.core.files import sha256_of, weights_folder, write_bytes
 from infrablend.detection.detections import TASKS, Task
 from infrablend.errors import FetchError, ModelError
 from infrablend.lab.training.presets import SUFFIX, Preset
@@ -60,7 +59,7 @@ def find_start(wanted: str, preset: Preset, task: Task, cache: Path | None = Non
             available, else from scratch.
         preset: Settings that name the network.
         task: Task of the network.
-        cache: Folder for downloaded weights; `core.user_folders.weights_folder()` by default.
+        cache: Folder for downloaded weights; `core.files.weights_folder()` by default.
 
     Raises:
         FetchError: There is no such file, and published weights of that name cannot be downloaded.

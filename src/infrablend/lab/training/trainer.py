@@ -25,11 +25,11 @@ from typing import Any
 from infrablend.core.child_process import die_with_parent, watch_parent
 from infrablend.core.files import load_json, replace_atomically
 from infrablend.core.rng import stream
-from infrablend.detection.scale import MARK
-from infrablend.detection.training_folder import (
+from infrablend.detection.scale import (
     CHECKPOINT,
     DAMAGED,
     LOG,
+    MARK,
     NEW_CHECKPOINT,
     RUN,
     ULTRALYTICS,

@@ -17,7 +17,7 @@ from infrablend.core.files import read_regular
 from infrablend.core.format_table import writer_for_task
 from infrablend.detection import tiles
 from infrablend.detection.detections import TASKS
-from infrablend.detection.training_folder import DATA, EIGHT_BIT, TILES
+from infrablend.detection.scale import DATA, EIGHT_BIT, TILES
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
 from infrablend.formats.pictures.listing import read_size

@@ -17,7 +17,7 @@ from typing import cast
 from infrablend.core.file_names import real_path
 from infrablend.core.files import output_error, write_json
 from infrablend.core.tasks import OnProgress, Progress
-from infrablend.detection.training_folder import DATA, JOB, LOG, RECORD
+from infrablend.detection.scale import DATA, JOB, LOG, RECORD
 from infrablend.errors import DatasetError, InfraBlendError, Interrupted, RenderError
 from infrablend.lab.training import trainer
 from infrablend.lab.training.presets import Preset

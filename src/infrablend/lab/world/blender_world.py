@@ -19,14 +19,13 @@ from infrablend.core.surface_kinds import SURFACES
 from infrablend.core.tasks import Task
 from infrablend.lab.world.buildings import building
 from infrablend.lab.world.fixtures import TREE_KINDS, furniture, tree_matrix, tree_prototype
-from infrablend.lab.world.frame_files import FinishedFrame, make_frame
+from infrablend.lab.world.frame_files import FinishedFrame, Label, VisibleSamples, label_object, make_frame
 from infrablend.lab.world.ground import ground_kelvin, ground_surfaces
 from infrablend.lab.world.people import cycle, person
 from infrablend.lab.world.scene_plan import WorldPlan
 from infrablend.lab.world.thermal_surfaces import Surface, placed
 from infrablend.lab.world.vehicles import vehicle
 from infrablend.lab.world.world_flight import Flight, begin_flight, flight_frame
-from infrablend.lab.world.world_labels import Label, VisibleSamples, label_object
 from infrablend.rendering.engine.process import BlenderProcess
 from infrablend.rendering.engine.programs import find_blender
 from infrablend.rendering.engine.renderer import camera_message, channel

@@ -20,7 +20,7 @@ from PIL import Image
 from infrablend.formats.cameras import flir_block, xmp
 from infrablend.formats.cameras.header_facts import DJI, FLIR, PIX4D, fov_of_35mm
 from infrablend.formats.cameras.jpeg_segments import APP1, APP3
-from infrablend.thermal.flir import ObjectSettings, Planck
+from infrablend.thermal.radiometry import ObjectSettings, Planck
 
 Maker = Literal["dji", "flir"]
 MAKERS: tuple[Maker, ...] = ("dji", "flir")

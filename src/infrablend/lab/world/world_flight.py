@@ -24,23 +24,26 @@ from infrablend.core.files import write_bytes
 from infrablend.core.mesh import FloatArray
 from infrablend.core.rng import stream
 from infrablend.formats.pictures.images import png_bytes
-from infrablend.lab.world.draw_plan import sample_world
-from infrablend.lab.world.frame_files import FinishedFrame, PlanRenderer
-from infrablend.lab.world.scene_plan import WorldPlan
-from infrablend.lab.world.setting import FOCAL_PX, world_camera
-from infrablend.lab.world.thermal_image import (
+from infrablend.lab.world.frame_files import (
     HIGH_GREY,
     LOW_GREY,
     MEAN_GREY,
+    MIN_PIXELS,
+    MIN_VISIBILITY,
+    FinishedFrame,
+    Label,
+    PlanRenderer,
     codec,
     detail,
     gain,
     noise,
     optics,
+    sample_world,
     vignette,
 )
+from infrablend.lab.world.scene_plan import WorldPlan
+from infrablend.lab.world.setting import FOCAL_PX, world_camera
 from infrablend.lab.world.world_frames import FPS, FrameFacts
-from infrablend.lab.world.world_labels import MIN_PIXELS, MIN_VISIBILITY, Label
 from infrablend.sampling.paths import sway
 
 # The map is so many frames wide and high, seen from so many times the height of the flight.

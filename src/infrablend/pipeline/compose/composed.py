@@ -8,7 +8,7 @@ from pathlib import Path
 
 from infrablend.annotation.looseness import Looseness, loosen_image
 from infrablend.core.dataset import ImageRecord
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.ledger import DoneFrame
 from infrablend.pipeline.plans.plan import PlannedFrame
 

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from infrablend.assets.model import ObjectModel
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
-from infrablend.core.placed import PlacedScene
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult
 from infrablend.errors import ArgumentError
 from infrablend.formats.pictures.images import Background, load_background
 from infrablend.sampling.scene_sampler import RecipeSampler, sample_scene
@@ -56,7 +55,7 @@ class SceneSampler(Protocol):
     """A sampler that decides what is where in a frame. The same request must give the same scene."""
 
     def sample(self, request: SceneRequest) -> PlacedScene:
-        """Return the scene; `request.by_recipe()` returns the usual one, and `core.placed.place` builds another."""
+        """Return the scene; `request.by_recipe()` returns the usual one, and `core.render.place` builds another."""
         ...
 
 

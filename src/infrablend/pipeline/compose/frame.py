@@ -27,9 +27,8 @@ from infrablend.compositing.sensor import Sensor, SensorStrength, fit_sensor, fo
 from infrablend.config.modes import recipe_from_json
 from infrablend.config.recipe import MetricRecipe
 from infrablend.core.dataset import Instance
-from infrablend.core.frame_record import FrameRecord, Remains
-from infrablend.core.placed import PlacedScene
-from infrablend.core.render import Renderer, RenderResult
+from infrablend.core.frame_row import FrameRecord, Remains
+from infrablend.core.render import PlacedScene, Renderer, RenderResult
 from infrablend.core.rle_masks import Mask
 from infrablend.core.rng import integer_seed, stream
 from infrablend.core.temperature import TemperatureScale

@@ -1,15 +1,25 @@
-"""The workers that compose frames: on demand, started by `pool`, and for the folder of a run, started by `runs.run`."""
+"""The workers that compose frames: for the folder of a run, started by `runs.run`, and on demand, by `FramePool`.
+
+Those of a pool stay warm when the recipe, dataset or seed changes.
+"""
 
 from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 from infrablend.core.files import write_bytes
 from infrablend.core.machine import take_core
 from infrablend.core.run_folder import RunFolder
-from infrablend.core.tasks import Task
+from infrablend.core.tasks import Task, TaskResult, WorkerSpec
 from infrablend.pipeline.compose.composed import ComposedFrame, MadeFrame
 from infrablend.pipeline.compose.frame import FrameComposer
-from infrablend.pipeline.compose.pool import FrameJob
 from infrablend.pipeline.compose.settings import FrameSettings
+from infrablend.pipeline.execution.process_pool import PoolSettings, WarmPool
+from infrablend.pipeline.execution.serial import WarmSerial
+from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.rendering import make_renderer
 
@@ -63,3 +73,67 @@ class FrameMaker(_Worker):
         composed = self._composer.compose(task.payload)
         write_bytes(self._folder.image(composed.record.image), composed.image_bytes)
         return MadeFrame.of(composed.record, len(composed.image_bytes), composed.seconds)
+
+
+FACTORY = "infrablend.pipeline.compose.frame_worker:FrameWorker"
+
+
+@dataclass(frozen=True)
+class FrameJob:
+    """Payload of a task.
+
+    Attributes:
+        context: Number of the settings, so that a worker loads recipe and models once for many frames.
+        settings: Recipe, seed and levels.
+        frame: Frame to compose.
+    """
+
+    context: int
+    settings: FrameSettings
+    frame: PlannedFrame
+
+
+class FrameWorkers:
+    """Warm workers that compose frames.
+
+    They start with `start` or with the first frame, and end with `close` or with this process.
+    """
+
+    def __init__(self, execution: Execution) -> None:
+        self._owner = os.getpid()
+        worker = WorkerSpec(FACTORY, execution)
+        self._contexts = itertools.count()
+        self._last: FrameSettings | None = None
+        self._context = 0
+        self._count = 1 if execution.in_process else execution.worker_count()
+        self._pool: WarmPool | WarmSerial = (
+            WarmSerial(worker) if execution.in_process else WarmPool(worker, PoolSettings(workers=self._count))
+        )
+
+    def start(self) -> None:
+        """Start all workers, which load Blender while the caller prepares."""
+        self._pool.start(self._count)
+
+    def compose(self, frames: Iterable[PlannedFrame], settings: FrameSettings) -> Iterator[TaskResult]:
+        """Yield a result per frame in the order of completion, with a `ComposedFrame`; `frames` is read as needed."""
+        if settings != self._last:
+            self._last, self._context = settings, next(self._contexts)
+        context = self._context
+        yield from self._pool.run(Task(f.frame_id, FrameJob(context, settings, f)) for f in frames)
+
+    def compose_one(self, frame: PlannedFrame, settings: FrameSettings) -> ComposedFrame:
+        """Return one frame.
+
+        Raises:
+            InfraBlendError: It cannot be composed.
+        """
+        (result,) = self.compose([frame], settings)
+        if result.failure is not None:
+            raise result.failure.to_exception()
+        composed: ComposedFrame = result.value
+        return composed
+
+    def close(self) -> None:
+        """End the workers, unless they are those of the process that this one was forked from."""
+        if os.getpid() == self._owner:
+            self._pool.close()

@@ -13,8 +13,7 @@ from infrablend.compositing.mapping import GreyImage
 from infrablend.config.recipe import Recipe
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.dataset import Instance
-from infrablend.core.placed import PlacedScene
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult
 from infrablend.pipeline.compose.looks import least_contrast
 from infrablend.sampling.site import Site
 

@@ -25,8 +25,7 @@ from infrablend.config.recipe import (
     Recipe,
 )
 from infrablend.core.capture import TimeOfDay
-from infrablend.core.placed import PlacedScene
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult
 from infrablend.core.rng import stream
 from infrablend.errors import ArgumentError
 from infrablend.formats.pictures.images import Background

@@ -15,7 +15,7 @@ from infrablend.annotation.looseness import Looseness
 from infrablend.config.loading import read_recipe
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Category, ImageRecord, Instance
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.scene import SceneSpec
 from infrablend.core.tasks import TaskResult
 from infrablend.errors import ArgumentError, Problem
@@ -24,9 +24,9 @@ from infrablend.formats.pictures.images import decode_image
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.composed import ComposedFrame, labelled_image
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
-from infrablend.pipeline.compose.pool import FrameWorkers
+from infrablend.pipeline.compose.frame_worker import FrameWorkers
 from infrablend.pipeline.compose.settings import FrameSettings, settings_for
-from infrablend.pipeline.plans.levels import dataset_levels
+from infrablend.pipeline.plans.backgrounds import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings

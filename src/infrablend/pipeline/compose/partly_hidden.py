@@ -19,9 +19,8 @@ from infrablend.core.boxes import box_of_points
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
 from infrablend.core.mesh import FloatArray
-from infrablend.core.placed import PlacedScene
 from infrablend.core.raster import project_triangles, silhouette
-from infrablend.core.render import RenderResult
+from infrablend.core.render import PlacedScene, RenderResult
 from infrablend.sampling.placement import PlacementRequest
 
 # Places with less texture than this share of what has to be hidden, this far around them, are not examined further.

@@ -21,7 +21,7 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.recipe import MetricRecipe, Motion
 from infrablend.config.sensor_profile import find_profile
 from infrablend.core.mesh import FloatArray
-from infrablend.core.placed import PlacedObject, PlacedScene
+from infrablend.core.render import PlacedObject, PlacedScene
 from infrablend.core.rng import integer_seed, stream
 from infrablend.errors import DatasetError
 from infrablend.imaging.camera_shift import moved

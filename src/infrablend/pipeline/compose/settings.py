@@ -11,7 +11,7 @@ from pathlib import Path
 from infrablend.core.dataset import ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, Extensions
-from infrablend.pipeline.plans.levels import Load
+from infrablend.pipeline.plans.backgrounds import Load
 from infrablend.pipeline.plans.plan import PlannedSequence, RunPlan
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution
 from infrablend.sampling.labelled_ground import LabelledGround, Picture, learn_ground

@@ -23,10 +23,10 @@ from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.formats import dataset_folder
 from infrablend.formats.read_write import READ_ALL, Reading
+from infrablend.pipeline.compose.frame_worker import FrameWorkers
 from infrablend.pipeline.compose.memory_frames import Frame, as_frame
-from infrablend.pipeline.compose.pool import FrameWorkers
 from infrablend.pipeline.compose.settings import settings_for
-from infrablend.pipeline.plans.levels import dataset_levels
+from infrablend.pipeline.plans.backgrounds import dataset_levels
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.run_request import ONE_WORKER, Execution, Settings

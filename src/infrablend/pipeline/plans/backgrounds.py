@@ -1,21 +1,25 @@
-"""Checks backgrounds for physical matching and returns their facts for the frame record."""
+"""Facts of backgrounds: what physical matching needs of one, and the range of grey levels that a dataset uses."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from infrablend.compositing.mapping import measure_levels
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, Background
+from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, Background, load_background
 from infrablend.formats.pictures.temperature_scale import CHECK_SCALE, IMPLAUSIBLE, shows_ground
+from infrablend.pipeline.plans.plan import RunPlan
 
 # With a smaller span, the picture does not show how grey levels depend on temperature.
 MIN_SPAN_LEVELS = 4
@@ -97,3 +101,48 @@ def background_facts(source: ImageRecord, background: Background, data_root: Pat
         **({} if source.capture.time_from is None else {"time_from": source.capture.time_from}),
         "source_id": source.source_id,
     }
+
+
+Load = Callable[[ImageRecord], Background]
+
+
+def _load_file(image: ImageRecord) -> Background:
+    return load_background(image.path, image.size_wh)
+
+
+def dataset_levels(plan: RunPlan, load: Load = _load_file) -> tuple[float, float]:
+    """Return the darkest and brightest grey level of the dataset, measured on at most 64 evenly spread pictures.
+
+    Raises:
+        DatasetError: None of these pictures can be read, or some have 8 and others 16 bits.
+    """
+    pictures = []
+    for image in plan.sample or plan.dataset.images:
+        with contextlib.suppress(DatasetError):  # reported when its frame is rendered
+            pictures.append(load(image))
+    if not pictures:
+        raise DatasetError(f"{plan.dataset.root}: none of the pictures can be read; grey levels cannot be measured")
+    if not plan.recipe.matching.needs_temperatures:  # these leave frames of 8 bits out one by one
+        require_one_depth(plan.dataset.root, {p.bit_depth for p in pictures})
+    return measure_levels([p.pixels for p in pictures])
+
+
+def recorded_levels(levels: Sequence[float] | None) -> tuple[float, float] | None:
+    """Return the levels that the record of a run, or the plan that its shards share, has under `levels`."""
+    if levels is None:
+        return None
+    low, high = levels
+    return float(low), float(high)
+
+
+def require_one_depth(root: Path, depths: Collection[int]) -> None:
+    """Refuse pictures of several bit depths, whose levels have no common range.
+
+    Raises:
+        DatasetError: There are several.
+    """
+    if len(depths) > 1:
+        raise DatasetError(
+            f"{root}: found pictures of 8 and of 16 bits, whose levels have no common range; expected one bit depth. "
+            "Put them in two folders"
+        )

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from infrablend.core.boxes import boxes_mask
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import real_path
-from infrablend.core.files import load_json, sha256_of, write_json
-from infrablend.core.user_folders import cache_folder
+from infrablend.core.files import cache_folder, load_json, sha256_of, write_json
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.images import load_background
 from infrablend.imaging.camera_path import MOST_ERROR_PX, Moment, follow_camera, moment_from_json, moment_to_json

@@ -17,8 +17,7 @@ from infrablend.annotation.looseness import Looseness
 from infrablend.config.agc import Agc
 from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.files import has_size, sha256_of
-from infrablend.core.frame_record import FrameRecord
-from infrablend.core.frame_row import FrameRow
+from infrablend.core.frame_row import FrameRecord, FrameRow
 from infrablend.core.ledger import LEDGER, Ledger
 from infrablend.core.run_folder import EIGHT_BIT, EXCLUDED, IMAGES, RUN_FILE, TRACKS, VIDEO, WORKERS_LOG, RunFolder
 from infrablend.core.run_record import DrawStatistics
@@ -36,17 +35,18 @@ from infrablend.formats.sequence_writing import Frames, by_sequence, places_of
 from infrablend.pipeline.compose.composed import labelled_image
 from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
-from infrablend.pipeline.runs.inserted import count_objects, nothing_inserted
 from infrablend.pipeline.runs.run_card import run_card
 from infrablend.report.card import CARD_FILE, is_own, write_card
-from infrablend.report.run.run_warnings import (
+from infrablend.report.run_warnings import (
     absent_warnings,
     air_warnings,
+    count_objects,
     doubt_codes,
     frame_warnings,
     hiding_warnings,
     horizon_warnings,
     limit_warnings,
+    nothing_inserted,
     track_warnings,
 )
 

@@ -20,16 +20,14 @@ from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFi
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.core.workspace import Existing, Workspace, is_being_written, partial_of, workspace
 from infrablend.errors import OutputError
-from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.plans.plan import RunPlan, Shard
 from infrablend.pipeline.plans.run_request import Execution
-from infrablend.pipeline.plans.shard import Shard
-from infrablend.pipeline.runs.inserted import nothing_inserted
-from infrablend.pipeline.runs.key import require_same_key
-from infrablend.pipeline.runs.packed_shard import pack
+from infrablend.pipeline.runs.begun_run import require_same_key
+from infrablend.pipeline.runs.packed_shard import pack, require_pyarrow
 from infrablend.pipeline.runs.run import FrameSource, RunReport, run_plan
-from infrablend.pipeline.runs.shard_table import require_pyarrow
 from infrablend.pipeline.runs.sharded import ShardedRun
 from infrablend.pipeline.storage.store import Store
+from infrablend.report.run_warnings import nothing_inserted
 
 log = logging.getLogger(__name__)
 

@@ -18,12 +18,11 @@ from infrablend.core.tasks import OnProgress, Task, TaskResult
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.pipeline.execution.interrupt import STOPPED, Interruption
-from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.plans.plan import RunPlan, Shard
 from infrablend.pipeline.plans.run_request import Execution
-from infrablend.pipeline.plans.shard import Shard
-from infrablend.pipeline.runs.key import differences
+from infrablend.pipeline.runs.begun_run import differences
 from infrablend.pipeline.runs.make_shards import make_shards
-from infrablend.pipeline.runs.recorded import RecordedRun
+from infrablend.pipeline.runs.record import RecordedRun
 from infrablend.pipeline.runs.run import FrameSource, RunReport, run_plan
 from infrablend.pipeline.runs.shard_source import FinishedShard, finished_shard
 from infrablend.pipeline.runs.sharded import Layout, ShardedRun, ShardState, SharedPlan, opened_run

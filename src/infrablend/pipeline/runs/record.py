@@ -1,28 +1,46 @@
-"""What the record of a run says about it: a header known before the first frame, and counts of its frames."""
+"""The record of a run: a header known before the first frame, counts of its frames, and the page made from them.
+
+Its parts that reproduce the run are read again, each verified: recipe, data, seed, choice of frames and machine.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
+import shlex
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from infrablend import __version__
+from infrablend.config.modes import recipe_from_json
+from infrablend.config.recipe import Recipe
 from infrablend.core.file_names import real_path
-from infrablend.core.files import NAME_TOO_LONG
-from infrablend.core.machine import describe_machine, installed_versions
+from infrablend.core.files import NAME_TOO_LONG, write_bytes
+from infrablend.core.frame_row import FrameRow
+from infrablend.core.machine import Device, describe_machine, installed_versions
+from infrablend.core.run_folder import RunFolder
 from infrablend.core.run_record import RunRecord, RunTiming
 from infrablend.core.tasks import TaskResult
-from infrablend.errors import Problem
+from infrablend.core.typed_command import run_command
+from infrablend.errors import ArgumentError, OutputError, Problem
+from infrablend.formats.read_write import Reading
 from infrablend.pipeline.compose.composed import MadeFrame
+from infrablend.pipeline.datasets.origin import recipe_yaml
 from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
+from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.run_request import Execution
+from infrablend.pipeline.plans.selection import FrameSelection
 from infrablend.pipeline.runs.exports import LabelSummary
-from infrablend.pipeline.runs.inserted import nothing_first
-from infrablend.pipeline.storage.mirror import origin_of
+from infrablend.pipeline.storage.store import origin_of
 from infrablend.rendering.engine.programs import blender_version
+from infrablend.report.run_facts import RunFacts
+from infrablend.report.run_page import run_page
+from infrablend.report.run_warnings import nothing_first
 
 log = logging.getLogger(__name__)
 
@@ -211,3 +229,153 @@ def run_record(
         "problems": [p.to_json() for p in sorted(set(state.problems(plan, labels)))],
         "timing": timing,
     }
+
+
+def report_run(run: Path) -> Path:
+    """Write the report of a finished run again, and return its path.
+
+    Raises:
+        OutputError: The folder is not a finished run, or cannot be written.
+    """
+    folder = RunFolder(run)
+    with folder.ledger() as ledger:
+        return write_report(folder, ledger.read_run(), ledger.rows(), ledger.excluded())
+
+
+def write_report(layout: RunFolder, record: RunRecord, frames: Iterable[FrameRow], excluded: Mapping[str, str]) -> Path:
+    """Write the report of a run and return its path."""
+    rows = sorted(frames, key=lambda f: f.id)
+    page = run_page(_run_facts(layout.root, record, rows, excluded))
+    # Names from the data may hold what UTF-8 cannot.
+    return write_bytes(layout.report_file, page.encode("utf-8", "replace"))
+
+
+def _run_facts(root: Path, record: RunRecord, frames: Sequence[FrameRow], excluded: Mapping[str, str]) -> RunFacts:
+    recipe = dict(record["recipe"])
+    data = record.get("data", {})
+    return RunFacts(
+        root=root,
+        recipe=str(recipe.get("name", "")),
+        description=str(recipe.get("description") or ""),
+        settings=recipe_yaml(recorded_recipe(record)),
+        command=shlex.join(run_command(record, "recipe.yaml", "DATA", "RUN")),  # of no machine
+        version=str(record["infrablend"]),
+        made=(
+            ("backgrounds", f"{data.get('backgrounds', 0)} pictures, format {data.get('format', 'unknown')}"),
+            ("seed", str(record.get("seed", ""))),
+            ("label formats", ", ".join(record.get("formats", ()))),
+        ),
+        counts=record.get("counts", {}),
+        problems=[Problem(**p) for p in record.get("problems", ())],
+        excluded=excluded,
+        timing=record.get("timing", {}),
+        machine=record.get("machine", {}),
+        frames=frames,
+    )
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """What a run was made from, read from its record.
+
+    Attributes:
+        recipe: Recipe, with the formats of the run.
+        seed: Seed.
+        data: Folder of the backgrounds.
+        request: Choices of the user, as recorded.
+        reading: How the backgrounds were read.
+        selection: Choice of frames.
+        warnings: Problems of the recipe that were reported.
+        machine: Machine of the run, as recorded, with `renderer` and `device`.
+        packages: Versions of the packages.
+    """
+
+    recipe: Recipe
+    seed: int
+    data: Path
+    request: Mapping[str, Any]
+    reading: Reading
+    selection: FrameSelection
+    warnings: tuple[Problem, ...]
+    machine: Mapping[str, Any]
+    packages: Mapping[str, str]
+
+    @property
+    def renderer(self) -> str:
+        """Name of the renderer."""
+        return str(self.machine["renderer"])
+
+    @property
+    def device(self) -> Device:
+        """Device that it rendered on."""
+        device: Device = self.machine["device"]
+        return device
+
+    @property
+    def workers(self) -> int | None:
+        """Number of worker processes; None for the default."""
+        found: int | None = self.machine.get("workers")
+        return found
+
+    @classmethod
+    def read(cls, folder: RunFolder) -> RecordedRun:
+        """Return what a folder's run was made from.
+
+        Raises:
+            OutputError: There is no run, or its record is damaged.
+        """
+        return cls.from_record(folder.read_run(), folder.run_file)
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any], file: Path) -> RecordedRun:
+        """Return what a run was made from; `file` contains the record.
+
+        Raises:
+            OutputError: The record is damaged.
+        """
+        try:
+            request = dict(record.get("request") or {})
+            return cls(
+                recipe=recorded_recipe(record),
+                seed=record["seed"],
+                data=Path(record["data"]["root"]),
+                request=request,
+                reading=Reading(**request.get("reading", {})),
+                selection=FrameSelection(**request.get("selection", {})),
+                warnings=tuple(Problem(**p) for p in request.get("warnings", ())),
+                machine=record["machine"],
+                packages=record["packages"],
+            )
+        except (LookupError, TypeError, ValueError, AttributeError, ArgumentError) as error:
+            raise OutputError(
+                f"{file}: cannot be read ({type(error).__name__}: {error}); expected the record of a run as "
+                f"`infrablend generate` {__version__} writes it. Make the run again with --overwrite."
+            ) from error
+
+    def select(self, frames: tuple[str, ...]) -> RecordedRun:
+        """Return the same run with these frames only."""
+        chosen = {**self.request, "selection": {"frames": list(frames)}}
+        return replace(self, request=chosen, selection=FrameSelection(frames=frames))
+
+    def plan(self, data: Path | None) -> RunPlan:
+        """Return the plan of the run, made again from its backgrounds.
+
+        Args:
+            data: Folder of the backgrounds, if it has moved.
+
+        Raises:
+            InfraBlendError: The backgrounds cannot be read.
+        """
+        plan = plan_folder(self.recipe, data or self.data, self.seed, self.reading, self.selection, self.warnings)
+        return replace(plan, request=self.request)
+
+
+def recorded_recipe(record: Mapping[str, Any]) -> Recipe:
+    """Return the recipe of a run with this record, with the formats of the run.
+
+    Raises:
+        LookupError, TypeError, ValueError: The record is that of another version, or damaged.
+    """
+    recipe = dict(record["recipe"])
+    recipe["output"] = {**recipe["output"], "formats": record["formats"]}
+    return recipe_from_json(json.dumps(recipe))

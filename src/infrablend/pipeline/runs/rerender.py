@@ -18,7 +18,7 @@ from infrablend.compositing.sensor import Sensor
 from infrablend.config.modes import recipe_from_json
 from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of, write_bytes
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.machine import take_core
 from infrablend.core.output_checks import require_outside_datasets, require_replaceable
 from infrablend.core.rle_masks import Mask
@@ -29,8 +29,8 @@ from infrablend.errors import DatasetError, OutputError
 from infrablend.formats.pictures.images import encode_image, load_background
 from infrablend.pipeline.compose.partly_hidden import recorded_front
 from infrablend.pipeline.plans.models import ready_model, run_once
-from infrablend.pipeline.runs.recorded import RecordedRun
-from infrablend.pipeline.storage.mirror import local_folder
+from infrablend.pipeline.runs.record import RecordedRun
+from infrablend.pipeline.storage.store import local_folder
 from infrablend.rendering import make_renderer
 from infrablend.sampling.scene_sampler import rebuild_scene
 

@@ -24,8 +24,8 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, WORKER_BYTES, Execution
 from infrablend.pipeline.runs.begun_run import BegunRun, Choice, begin_run, find_earlier, go_on, with_levels
 from infrablend.pipeline.runs.exports import LabelSummary, export_run, list_exports, remove_exports
-from infrablend.pipeline.runs.inserted import NOTHING_INSERTED, count_objects, nothing_first
 from infrablend.pipeline.runs.record import record_header, run_record
+from infrablend.report.run_warnings import NOTHING_INSERTED, count_objects, nothing_first
 
 log = logging.getLogger(__name__)
 
@@ -209,7 +209,7 @@ def _finish_labels(space: Workspace, run: BegunRun, started: float) -> tuple[Run
         labels = _export(space, run)
         record = run_record(run.header, run.plan, run.state, labels, run.state.timing(started, made))
         if run.plan.shard is None:
-            from infrablend.pipeline.runs.run_report import write_report
+            from infrablend.pipeline.runs.record import write_report
 
             record.pop("command", None)  # finished runs are equal, whatever their folders
             rows = run.ledger.rows(f.frame_id for f in run.finished_frames)

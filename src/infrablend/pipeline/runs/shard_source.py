@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from infrablend.core.files import link_or_copy, read_object, sha256_of, write_bytes
-from infrablend.core.frame_record import FrameRecord
+from infrablend.core.frame_row import FrameRecord
 from infrablend.core.ledger import DoneFrame
 from infrablend.core.run_folder import SHARDS_FILE, RunFolder
 from infrablend.core.tasks import Failure
 from infrablend.errors import OtherSettingsError, OutputError
 from infrablend.formats.labels.shard_tar import PackedFrame, key_of, packed_frames
 from infrablend.pipeline.compose.composed import MadeFrame
-from infrablend.pipeline.plans.plan import PlannedFrame
-from infrablend.pipeline.plans.shard import Shard
-from infrablend.pipeline.runs.key import differences
+from infrablend.pipeline.plans.plan import PlannedFrame, Shard
+from infrablend.pipeline.runs.begun_run import differences
 from infrablend.pipeline.runs.packed_shard import ARCHIVE, UNFINISHED
 from infrablend.pipeline.runs.sharded import ShardedRun, SharedPlan
 

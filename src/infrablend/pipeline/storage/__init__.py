@@ -1,1 +1,1 @@
-"""Object storage as output and input: addresses such as `s3://bucket/run`, by way of fsspec."""
+"""Data that is elsewhere: downloads of datasets, their archives, and object storage."""

@@ -17,9 +17,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from infrablend.core.files import existing_part, free_bytes
+from infrablend.core.files import cache_folder, existing_part, free_bytes
 from infrablend.core.machine import installed_version, usable_cores, usable_memory_bytes
-from infrablend.core.user_folders import cache_folder
 from infrablend.errors import InfraBlendError, MissingDependencyError
 from infrablend.rendering.engine.process import blender_process
 from infrablend.rendering.engine.programs import TODO, VARIABLE, Program, absence, candidates

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from importlib.metadata import distributions
 from pathlib import Path
 
+from infrablend.core.files import cache_folder
 from infrablend.core.machine import installed_version
-from infrablend.core.user_folders import cache_folder
 from infrablend.errors import MissingDependencyError
 
 VARIABLE = "INFRABLEND_BLENDER"

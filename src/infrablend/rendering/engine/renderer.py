@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from infrablend.core.camera import CameraSpec
 from infrablend.core.machine import Device
-from infrablend.core.placed import PlacedObject, PlacedScene
-from infrablend.core.render import RenderResult, empty_result
+from infrablend.core.render import PlacedObject, PlacedScene, RenderResult, empty_result
 from infrablend.core.scene import SceneSpec, Weather
 from infrablend.core.wire import CameraMessage, ObjectMessage, SceneMessage
 from infrablend.errors import MissingDependencyError, RenderError, WorkerDiedError

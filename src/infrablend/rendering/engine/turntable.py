@@ -24,7 +24,7 @@ from infrablend.compositing.sensor import Sensor, apply_sensor, grain
 from infrablend.core.camera import CameraSpec
 from infrablend.core.files import write_bytes
 from infrablend.core.mesh import Mesh
-from infrablend.core.placed import PlacedScene, place
+from infrablend.core.render import PlacedScene, place
 from infrablend.core.rng import stream
 from infrablend.core.scene import Appearance, ObjectSpec, PartState, SceneSpec
 from infrablend.core.tasks import Task

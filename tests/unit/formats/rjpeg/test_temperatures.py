@@ -17,7 +17,7 @@ from infrablend.formats.cameras import flir_block
 from infrablend.formats.cameras.jpeg_segments import APP3, APP4, read_header
 from infrablend.formats.cameras.raw_temperatures import fit_scale, read_converted, read_temperatures
 from infrablend.lab.world.rjpeg_writing import PLANCK, Maker, segment_bytes
-from infrablend.thermal.flir import ObjectSettings
+from infrablend.thermal.radiometry import ObjectSettings
 from tests.flights import SIZE_WH, counts, plain_jpeg, shot
 
 SETTINGS = ObjectSettings(0.93, 20.0, 263.15, 278.15, 0.4, 285.0, 0.97)

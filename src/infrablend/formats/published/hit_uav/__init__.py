@@ -8,10 +8,10 @@
 Oriented boxes are `cx, cy, w, h, angle`: angle in radians in [0, pi], positive clockwise on screen, and w the side
 along the angle. An axis-aligned box in a form with integers is that of the oriented box, truncated toward zero.
 
-`reading` asks `json_form` and `xml_form` for what each form states (`records`), and `unite` merges the answers.
+`reading` asks `label_forms` for what each form states (`form_records`), and `unite` merges the answers.
 """
 
-from infrablend.formats.published.hit_uav.forms import (
+from infrablend.formats.published.hit_uav.form_records import (
     CATEGORIES,
     FORMS,
     NAME,

@@ -12,11 +12,9 @@ from infrablend.formats.annotation_files import leave_out
 from infrablend.formats.base import check_splits, shorten, sort_images
 from infrablend.formats.picture_facts import facts_from_name
 from infrablend.formats.pictures.listing import PictureFolder
-from infrablend.formats.published.hit_uav.form_records import FormData
-from infrablend.formats.published.hit_uav.forms import FORMS, NAME, Form, detect, find_forms
-from infrablend.formats.published.hit_uav.json_form import read_json_form
+from infrablend.formats.published.hit_uav.form_records import FORMS, NAME, Form, FormData, detect, find_forms
+from infrablend.formats.published.hit_uav.label_forms import read_json_form, read_xml_form
 from infrablend.formats.published.hit_uav.unite import unite, unite_categories
-from infrablend.formats.published.hit_uav.xml_form import read_xml_form
 
 # Days of the published flights.
 _DATES = (

@@ -29,7 +29,7 @@ from infrablend.formats.base import (
 from infrablend.formats.box_checks import is_rectangle, obb_from_corners
 from infrablend.formats.labels.coco import source_id_field
 from infrablend.formats.losses import Written, count_dropped
-from infrablend.formats.published.hit_uav.forms import DATABASE, Form
+from infrablend.formats.published.hit_uav.form_records import DATABASE, Form
 
 # Digits written for an oriented box, enough to read corners back within 1e-6 px at 1000 px.
 _COORDINATE_DIGITS = 8

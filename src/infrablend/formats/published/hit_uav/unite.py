@@ -15,8 +15,7 @@ from infrablend.core.boxes import box_iou
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, ImageRecord, Instance
 from infrablend.formats.picture_facts import facts_from_name, pitch_note
-from infrablend.formats.published.hit_uav.form_records import FormData, FormObject, FormPicture
-from infrablend.formats.published.hit_uav.forms import Form
+from infrablend.formats.published.hit_uav.form_records import Form, FormData, FormObject, FormPicture
 from infrablend.formats.records import Findings
 
 T = TypeVar("T")

@@ -8,10 +8,17 @@ down. The place of the JSON files, the way they name pictures, keys, units and s
 `Dataset.notes`, checked, and can be set by options. docs/formats/monet.md lists the source of each assumption.
 """
 
-from infrablend.formats.published.monet.annotation_search import NAME, detect, find_files
+from infrablend.formats.published.monet.folders import (
+    ALTITUDE_KEYS,
+    NAME,
+    OPTIONS,
+    PITCH_KEYS,
+    TIME_KEYS,
+    detect,
+    find_files,
+)
 from infrablend.formats.published.monet.monet_reading import read
 from infrablend.formats.published.monet.monet_writing import write
-from infrablend.formats.published.monet.read_options import ALTITUDE_KEYS, OPTIONS, PITCH_KEYS, TIME_KEYS
 from infrablend.formats.published.monet.telemetry import NEST
 
 __all__ = [

@@ -16,9 +16,16 @@ from infrablend.formats.base import check_splits, shorten, sort_images
 from infrablend.formats.labels import coco
 from infrablend.formats.picture_facts import Captures
 from infrablend.formats.pictures.listing import assign_ids, check_name
-from infrablend.formats.published.monet.annotation_search import NAME, find_files
-from infrablend.formats.published.monet.folders import Pictures, sequence_of, split_in, split_in_stem
-from infrablend.formats.published.monet.read_options import MonetOptions, check_options
+from infrablend.formats.published.monet.folders import (
+    NAME,
+    MonetOptions,
+    Pictures,
+    check_options,
+    find_files,
+    sequence_of,
+    split_in,
+    split_in_stem,
+)
 from infrablend.formats.published.monet.telemetry import (
     BEYOND_DEG,
     Frame,

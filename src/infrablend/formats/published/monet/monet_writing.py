@@ -17,8 +17,7 @@ from infrablend.errors import Problem
 from infrablend.formats.base import Numbered, in_order, number_ids, require_size
 from infrablend.formats.labels import coco
 from infrablend.formats.losses import Written
-from infrablend.formats.published.monet.folders import split_in
-from infrablend.formats.published.monet.read_options import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS
+from infrablend.formats.published.monet.folders import ALTITUDE_KEYS, PITCH_KEYS, TIME_KEYS, split_in
 from infrablend.formats.published.monet.telemetry import NEST, Place, Telemetry
 
 _INFO: Mapping[str, object] = {"description": "MONET layout, written by InfraBlend"}

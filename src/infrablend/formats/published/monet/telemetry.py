@@ -14,8 +14,7 @@ from infrablend.core.json_records import is_list
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import shorten
 from infrablend.formats.picture_facts import Captures
-from infrablend.formats.published.monet.folders import below_split
-from infrablend.formats.published.monet.read_options import MonetOptions
+from infrablend.formats.published.monet.folders import MonetOptions, below_split
 from infrablend.formats.records import table_of
 from infrablend.formats.values import to_int, to_number, to_time
 

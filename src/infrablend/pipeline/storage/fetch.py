@@ -23,7 +23,7 @@ from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats.annotation_files import read_json
 from infrablend.formats.dataset_folder import detect
 from infrablend.formats.published.sources import SOURCES, Archive, Source, find_source
-from infrablend.pipeline.fetching.archive import download, require_url, unpack, without_wrapper
+from infrablend.pipeline.storage.archive import download, require_url, unpack, without_wrapper
 
 _WORK = ".fetch"
 

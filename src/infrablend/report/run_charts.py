@@ -10,7 +10,7 @@ from itertools import pairwise
 
 from infrablend.core.frame_row import FrameRow
 from infrablend.report.figures import compact
-from infrablend.report.run.run_facts import Filters
+from infrablend.report.run_facts import Filters
 
 BINS = 12
 MAP_WH = (8, 6)
