@@ -13,7 +13,7 @@ from infrablend.core.dataset import Category, Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError
 from infrablend.pipeline.extraction.camera_motion import write_motion
 from infrablend.pipeline.plans.sequence_motion import find_motion, sequences_of
-from tests.unit.motion.test_sequence import frame, path, scene
+from tests.unit.imaging.test_sequence import frame, path, scene
 
 PAN_PX = 7 * 6.3
 

@@ -16,7 +16,7 @@ from infrablend.errors import ArgumentError, DatasetError, OutputError, RecipeEr
 from infrablend.imaging.paint_out import Shown
 from infrablend.pipeline.compose.looks import Earlier, PhysicalLook
 from infrablend.pipeline.compose.sequence_objects import Sequences
-from tests.unit.motion.test_sequence import frame, path, scene
+from tests.unit.imaging.test_sequence import frame, path, scene
 
 STATED = ["camera.pitch={fixed_deg: 60}", "camera.altitude={fixed_m: 40}", "camera.roll_deg=[0, 0]"]
 MOVING = ["objects.0.motion={kind: walk}", "objects.0.count=3", "placement.where=anywhere", "output.image=png"]

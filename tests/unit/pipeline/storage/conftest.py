@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.unit.fetching.server import BODY, Handler, Server
+from tests.unit.pipeline.storage.server import BODY, Handler, Server
 
 
 @pytest.fixture(autouse=True)

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from tests.command_line import done, said
-from tests.unit.pipeline.test_run import dataset
 
 from infrablend.core.surface_kinds import SURFACES
 from infrablend.imaging.surfaces import DRIVE, STAND, find_surfaces, model_version
+from tests.command_line import done, said
+from tests.unit.pipeline.test_run import dataset
 
 __all__ = ["dataset"]
 

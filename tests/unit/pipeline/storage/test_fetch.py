@@ -20,7 +20,7 @@ from infrablend.formats.published.sources import CC_BY_4, HIT_UAV, Archive, Sour
 from infrablend.pipeline.storage import fetch as fetching
 from infrablend.pipeline.storage.fetch import FetchProgress
 from tests.samples import SAMPLES
-from tests.unit.fetching.server import BODY, tree, zip_entry, zipped
+from tests.unit.pipeline.storage.server import BODY, tree, zip_entry, zipped
 
 COMMIT = "f" * 40
 CONTENT = {

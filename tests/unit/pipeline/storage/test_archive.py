@@ -22,7 +22,7 @@ import pytest
 from infrablend.errors import DatasetError, FetchError, OutputError
 from infrablend.pipeline.storage import archive as archives
 from infrablend.pipeline.storage.archive import Unpacked, download, unpack, without_wrapper
-from tests.unit.fetching.server import BODY, Handler, Server, member, tarred, tree, zip_entry, zipped
+from tests.unit.pipeline.storage.server import BODY, Handler, Server, member, tarred, tree, zip_entry, zipped
 
 
 def get(url: str, file: Path, on_bytes: Callable[[int, int | None], None] = lambda done, total: None) -> str:

@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 from PIL import Image
-from tests.command_line import done, said
-from tests.run_files import records
-from tests.unit.places.test_surfaces import road_by_night
 
 from infrablend import api
 from infrablend.config.loading import recipe_text
 from infrablend.imaging.surfaces import model_version
+from tests.command_line import done, said
+from tests.run_files import records
+from tests.unit.imaging.test_surfaces import road_by_night
 
 FIELDS = [
     "objects.0.count=3", "camera.calibrate=false", "placement.min_contrast=off", "placement.max_relief_grey=0",
