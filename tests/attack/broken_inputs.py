@@ -23,7 +23,7 @@ import yaml
 from infrablend.config.sensor_profile import PROFILES
 from infrablend.core.file_names import is_inside
 from infrablend.core.workspace import partial_of
-from infrablend.pipeline.runs.choose import REVIEW_FILE
+from infrablend.pipeline.runs.review_file import REVIEW_FILE
 from tests.attack.child import TIMED_OUT, Outcome, fork_command
 from tests.attack.findings import Finding
 from tests.attack.models import choose_model, write_models

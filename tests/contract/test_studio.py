@@ -26,7 +26,7 @@ from tests.studio_runs import frame_record, write_run, write_sequence
 from infrablend import api
 from infrablend.config.loading import load_recipe
 from infrablend.pipeline.plans.run_request import Execution
-from infrablend.pipeline.runs.choose import Verdict, read_verdicts
+from infrablend.pipeline.runs.review_file import Verdict, read_verdicts
 
 pytestmark = pytest.mark.slow
 WAIT_MS = 60_000

@@ -89,7 +89,7 @@ from infrablend.pipeline.plans.selection import FrameSelection as FrameSelection
 from infrablend.pipeline.compose.memory_frames import Frame as Frame, Frames as Frames, FramesRequest as FramesRequest
 from infrablend.pipeline.plans.run_request import Execution as Execution, RunRequest as RunRequest
 from infrablend.pipeline.runs.run import RunReport as RunReport
-from infrablend.pipeline.plans.plan import ShardRequest as ShardRequest
+from infrablend.pipeline.plans.shard import ShardRequest as ShardRequest
 from infrablend.pipeline.runs.sharded import ShardState as ShardState
 from infrablend.pipeline.datasets.split import SplitReport as SplitReport
 from infrablend.lab.training.train import TrainReport as TrainReport

@@ -15,9 +15,9 @@ from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
 from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
 from infrablend.pipeline.compose.trial import Trial, TrialRequest, Trials
-from infrablend.pipeline.plans.plan import ShardRequest
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, ONE_WORKER, Execution, RunRequest, Settings
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.runs.choose import BY_HAND, ChoiceReport, ExclusionRequest, choose_frames
 from infrablend.pipeline.runs.generate import describe_run, run_request
 from infrablend.pipeline.runs.merge import merge_shards

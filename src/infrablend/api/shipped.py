@@ -11,7 +11,7 @@ from infrablend.config import loading
 from infrablend.pipeline.plans import add_model as adding
 from infrablend.pipeline.plans.add_model import ModelAnswers, ModelSurvey
 from infrablend.pipeline.plans.models import ready_model, run_once
-from infrablend.rendering.engine import blender_files
+from infrablend.rendering.engine import process
 
 
 def list_models() -> dict[str, str]:
@@ -60,4 +60,4 @@ def show_recipe(name: str) -> str:
 
 def write_infrared_effect(path: str | Path) -> Path:
     """Write the InfraredEffect node group as a .blend file to append from; return its path."""
-    return blender_files.write_infrared_effect(Path(path))
+    return process.write_infrared_effect(Path(path))

@@ -317,7 +317,8 @@ def exclude(
     data: BackgroundsOption = None,
 ) -> None:
     """Leave frames out of a finished run: labels, splits, card and counts follow, and the files are kept apart."""
-    from infrablend.pipeline.runs.choose import BY_HAND, REVIEW_FILE
+    from infrablend.pipeline.runs.choose import BY_HAND
+    from infrablend.pipeline.runs.review_file import REVIEW_FILE
 
     with shown_progress(session, "excluding") as on_progress:
         changed = api.exclude(

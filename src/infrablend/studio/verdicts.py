@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
-from infrablend.pipeline.runs.choose import Verdict, read_verdicts, write_verdicts
+from infrablend.pipeline.runs.review_file import Verdict, read_verdicts, write_verdicts
 
 REASONS = ("too bright", "too dark", "too sharp or blurred", "wrong size", "wrong place", "barely visible")
 """Usual reasons to reject a frame, offered by number."""

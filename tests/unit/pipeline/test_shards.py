@@ -13,8 +13,8 @@ from infrablend.core import spool
 from infrablend.core.ledger import Ledger
 from infrablend.core.workspace import workspace
 from infrablend.errors import ArgumentError
-from infrablend.pipeline.plans.plan import Shard, ShardRequest
 from infrablend.pipeline.plans.run_request import Execution
+from infrablend.pipeline.plans.shard import Shard, ShardRequest
 from infrablend.pipeline.runs import sharded as sharded_run
 from tests.command_line import done, run
 from tests.flat_renderer import render_flat

@@ -12,10 +12,9 @@ import pytest
 from infrablend.core.frame_row import FrameRow, InsertRow
 from infrablend.core.run_folder import RunFolder
 from infrablend.errors import DatasetError, OutputError, Problem
-from infrablend.pipeline.runs.choose import Verdict, read_verdicts
+from infrablend.pipeline.runs.review_file import Verdict, read_verdicts
 from infrablend.studio.frame_index import View
-from infrablend.studio.opened_run import OpenedRun
-from infrablend.studio.row_reading import RowReading
+from infrablend.studio.opened_run import OpenedRun, RowReading
 from infrablend.studio.verdicts import Review
 from tests.studio_runs import frame_record, write_run, write_sequence
 

@@ -18,7 +18,7 @@ from infrablend.pipeline.execution.process_pool import PoolSettings, ProcessPool
 
 log = logging.getLogger(__name__)
 
-IMPORTER = "infrablend.rendering.engine.blender_files:make_importer"
+IMPORTER = "infrablend.rendering.engine.process:make_importer"
 IMPORT_CPU_SECONDS = 120
 IMPORT_SECONDS = 600.0
 IMPORT_MEMORY_BYTES = 3 * 2**30

@@ -14,8 +14,8 @@ from infrablend.core.machine import Device, available_cores
 from infrablend.core.workspace import Existing, require_existing
 from infrablend.errors import ArgumentError
 from infrablend.formats.read_write import READ_ALL, Reading
-from infrablend.pipeline.plans.plan import ShardRequest
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection
+from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.rendering import RENDERERS
 
 log = logging.getLogger(__name__)

@@ -1,17 +1,13 @@
-"""Excludes frames from a finished run and includes them again; labels, splits, card and counts follow.
-
-`review.json` in the folder of a run has the accepted and rejected frames, with reasons.
-"""
+"""Excludes frames from a finished run and includes them again; labels, splits, card and counts follow."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from infrablend.core.file_names import real_path
-from infrablend.core.files import load_json, write_json
 from infrablend.core.run_folder import RunFolder
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import partial_of
@@ -21,6 +17,7 @@ from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.plans.selection import similar
 from infrablend.pipeline.runs.begun_run import Choice
 from infrablend.pipeline.runs.record import RecordedRun
+from infrablend.pipeline.runs.review_file import read_verdicts
 from infrablend.pipeline.runs.run import run_plan
 
 BY_HAND = "by hand"
@@ -208,52 +205,3 @@ def _changed(before: Mapping[str, str], choice: ExclusionRequest, plan: RunPlan,
     if len(after) >= len(plan.frames):
         raise ArgumentError("all frames of the run would be excluded; expected at least one to stay. Delete the run")
     return after
-
-
-REVIEW_FILE = "review.json"
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """A verdict on a frame.
-
-    Attributes:
-        word: `accept` or `reject`.
-        reason: Reason in words; may be empty.
-    """
-
-    word: Literal["accept", "reject"]
-    reason: str = ""
-
-
-def read_verdicts(path: Path) -> dict[str, Verdict]:
-    """Return the verdicts of a review by frame id.
-
-    Raises:
-        OutputError: The file cannot be read.
-    """
-    try:
-        frames: Mapping[str, Any] = load_json(path)["frames"]
-        found = {str(k): Verdict(v["verdict"], str(v.get("reason") or "")) for k, v in frames.items()}
-        wrong = sorted({str(v.word) for v in found.values()} - {"accept", "reject"})
-        if wrong:
-            raise ValueError(f"verdict {wrong[0]!r}")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(
-            f"{path}: cannot be read as a review ({type(error).__name__}: {error}); expected "
-            '{"frames": {"test/a_c0": {"verdict": "reject", "reason": "too bright"}}}, with verdicts accept and reject'
-        ) from error
-    return found
-
-
-def write_verdicts(path: Path, verdicts: Mapping[str, Verdict]) -> None:
-    """Write a review, whole or not at all; it survives a power cut.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
-    frames = {
-        frame_id: {"verdict": verdict.word, **({"reason": verdict.reason} if verdict.reason else {})}
-        for frame_id, verdict in verdicts.items()
-    }
-    write_json(path, {"frames": frames}, indent=1, durable=True)

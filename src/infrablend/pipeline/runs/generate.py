@@ -18,9 +18,10 @@ from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
 from infrablend.pipeline.plans.checks import HEIGHT_REPLACED, LENS_REPLACED, PITCH_REPLACED
 from infrablend.pipeline.plans.left_out import LEFT_OUT
-from infrablend.pipeline.plans.plan import RunPlan, ShardRequest
+from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.run_request import RunRequest
+from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import estimate_run, forecast_objects
 from infrablend.pipeline.runs.make_shards import make_shards

@@ -20,8 +20,9 @@ from infrablend.core.run_folder import RUN_FILE, SHARDS_FILE, RunFolder, ShardFi
 from infrablend.core.tasks import OnProgress, Progress
 from infrablend.core.workspace import Existing, Workspace, is_being_written, partial_of, workspace
 from infrablend.errors import OutputError
-from infrablend.pipeline.plans.plan import RunPlan, Shard
+from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.run_request import Execution
+from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.begun_run import require_same_key
 from infrablend.pipeline.runs.packed_shard import pack, require_pyarrow
 from infrablend.pipeline.runs.run import FrameSource, RunReport, run_plan

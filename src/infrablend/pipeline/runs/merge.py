@@ -18,8 +18,9 @@ from infrablend.core.tasks import OnProgress, Task, TaskResult
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, Interrupted, OtherSettingsError, OutputError, Problem
 from infrablend.pipeline.execution.interrupt import STOPPED, Interruption
-from infrablend.pipeline.plans.plan import RunPlan, Shard
+from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.run_request import Execution
+from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.begun_run import differences
 from infrablend.pipeline.runs.make_shards import make_shards
 from infrablend.pipeline.runs.record import RecordedRun

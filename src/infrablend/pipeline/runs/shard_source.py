@@ -17,7 +17,8 @@ from infrablend.core.tasks import Failure
 from infrablend.errors import OtherSettingsError, OutputError
 from infrablend.formats.labels.shard_tar import PackedFrame, key_of, packed_frames
 from infrablend.pipeline.compose.composed import MadeFrame
-from infrablend.pipeline.plans.plan import PlannedFrame, Shard
+from infrablend.pipeline.plans.plan import PlannedFrame
+from infrablend.pipeline.plans.shard import Shard
 from infrablend.pipeline.runs.begun_run import differences
 from infrablend.pipeline.runs.packed_shard import ARCHIVE, UNFINISHED
 from infrablend.pipeline.runs.sharded import ShardedRun, SharedPlan

@@ -40,7 +40,8 @@ from infrablend.core.typed_command import recorded_command
 from infrablend.core.workspace import NOTE, is_being_written, partial_of
 from infrablend.errors import OtherSettingsError, OutputError, StorageError
 from infrablend.pipeline.plans.backgrounds import dataset_levels, recorded_levels
-from infrablend.pipeline.plans.plan import MAX_SHARDS, RunPlan, Shard
+from infrablend.pipeline.plans.plan import RunPlan
+from infrablend.pipeline.plans.shard import MAX_SHARDS, Shard
 from infrablend.pipeline.runs.begun_run import differences
 from infrablend.pipeline.runs.packed_shard import damage_of
 from infrablend.pipeline.storage.store import Store

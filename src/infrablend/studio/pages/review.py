@@ -17,7 +17,7 @@ from nicegui.events import KeyEventArguments
 from infrablend.core.capture import TimeOfDay
 from infrablend.core.frame_row import FrameRow, RemovedLabel
 from infrablend.errors import DatasetError, InfraBlendError
-from infrablend.pipeline.runs.choose import Verdict
+from infrablend.pipeline.runs.review_file import Verdict
 from infrablend.studio.frame_index import SORTS, View
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.pages.layout import (
