@@ -61,6 +61,38 @@ def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str) -> None:
     assert (again.pixels == ramp(np.uint16)).all() and again.bit_depth == 16
 
 
+def photometric(path: Path, value: int | None) -> Path:
+    """State another PhotometricInterpretation in a TIFF file, or none."""
+    data = bytearray(path.read_bytes())
+    (directory,) = struct.unpack_from("<I", data, 4)
+    (entries,) = struct.unpack_from("<H", data, directory)
+    for at in range(directory + 2, directory + 2 + 12 * entries, 12):
+        if struct.unpack_from("<H", data, at) == (262,):
+            struct.pack_into(*(("<H", data, at, 263) if value is None else ("<H", data, at + 8, value)))
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("compression", [None, "tiff_lzw"])
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_white_is_zero_is_hot_is_zero_in_any_depth(
+    tmp_path: Path, dtype: type, white: int, compression: str | None
+) -> None:
+    """github.com/python-pillow/Pillow/issues/4804: Pillow inverts 8 bits, but not 16."""
+    stored = ramp(dtype)
+    source = load_background(photometric(save(tmp_path / "a.tif", stored, compression=compression), 0))
+    assert (source.pixels == white - stored).all() and source.problems == ()
+    again = load_background(save_image(tmp_path / "b.tif", source.pixels, source))
+    assert (again.pixels == source.pixels).all()
+
+
+def test_a_tiff_whose_zero_is_unknown_or_that_is_no_grey_is_refused(tmp_path: Path) -> None:
+    for dtype in (np.uint8, np.uint16):
+        assert refused(photometric(save(tmp_path / "a.tif", ramp(dtype)), None)) == "image-mode"
+    for value in (2, 3, 5):
+        assert refused(photometric(save(tmp_path / "a.tif", ramp(np.uint16)), value)) == "image-unreadable"
+
+
 def test_png_on_request_is_lossless_and_the_same_bytes(tmp_path: Path) -> None:
     source = load_background(save(tmp_path / "a.jpg", np.repeat(ramp()[..., None], 3, axis=2), quality=75))
     assert output_suffix(source.path, "png") == ".png" and output_suffix(source.path, "same") == ".jpg"

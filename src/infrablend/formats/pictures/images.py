@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, JpegImagePlugin
+from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION
 
 from infrablend.core.files import or_lfs_pointer, write_bytes
 from infrablend.errors import DatasetError, Problem
@@ -158,10 +159,12 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
         problems.append(Problem(path.name, code, found, expected, todo, "warning"))
 
     mode = str(picture.mode)
+    white_is_zero = picture.format == "TIFF" and _white_is_zero(picture, path)
     if mode == "L":
         return np.array(picture, np.uint8), "L", problems
     if mode.startswith("I;16"):
-        return np.array(picture).astype(np.uint16), "I;16", problems
+        levels = np.array(picture).astype(np.uint16)
+        return (65535 - levels if white_is_zero else levels), "I;16", problems
     if mode == "I":
         values = np.array(picture)
         if values.min(initial=0) < 0 or values.max(initial=0) > 65535:
@@ -186,6 +189,20 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
     found = f"{COLOURS}; converted to grey levels, which do not follow temperature"
     warn(IN_COLOUR, found, "a thermal picture in grey", COLOUR_REMEDY)
     return np.array(picture.convert("L"), np.uint8), "RGB", problems
+
+
+def _white_is_zero(picture: Any, path: Path) -> bool:
+    """Return whether a TIFF's level 0 is white: Pillow inverts such pictures of up to 8 bits, but not those of 16.
+
+    Raises:
+        DatasetError: The file does not say what 0 is, so that hot and cold cannot be told apart.
+    """
+    photometric = picture.tag_v2.get(PHOTOMETRIC_INTERPRETATION)
+    if photometric is None:
+        found = "a TIFF that does not say whether 0 is black or white (no PhotometricInterpretation, tag 262)"
+        todo = "state it, for example with tiffset -s 262 1 FILE where 0 is black"
+        raise _refuse(path, "image-mode", found, "1 (0 is black) or 0 (0 is white)", todo)
+    return bool(photometric == 0)
 
 
 def grey_of_rgb(rgb: NDArray[Any]) -> NDArray[Any]:
