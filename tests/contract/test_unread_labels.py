@@ -312,6 +312,21 @@ PARTS: dict[str, tuple[dict[str, str], list[str]]] = {
 }
 
 
+def test_pictures_of_other_kinds_are_read_or_named(tmp_path: Path) -> None:
+    files = {
+        f"images/train/{n}": "" for n in ("a.jpg", "b.webp", "c.jfif", "d.jpe", "e.jp2", "f.heic", "g.PGM", "a.dng")
+    }
+    labels = {f"labels/train/{stem}.txt": ROW for stem in "abcde"}
+    root = put(tmp_path / "data", {"data.yaml": "train: images/train\nnames: [deer]\n", **labels})
+    for k, name in enumerate(files):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        picture(root / "x.jpg", k).rename(root / name) if name[-3:] != "ebp" else picture(root / name, k)
+    done = run("check", root)
+    assert "4 images (1 .jfif, 1 .jpe, 1 .jpg, 1 .webp), 4 objects" in done.output
+    (problem,) = [p for p in api.read_dataset(root).problems if p.code == "image-kind"]
+    assert "3 picture(s) of kinds that are not read (1 .heic, 1 .jp2, 1 .pgm)" in problem.found
+
+
 @pytest.mark.parametrize("kind", PARTS)
 def test_pictures_without_a_record_are_one_warning_per_folder(tmp_path: Path, kind: str) -> None:
     files, places = PARTS[kind]

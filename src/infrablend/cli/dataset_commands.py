@@ -183,7 +183,8 @@ def _check_lines(report: CheckReport) -> list[str]:
             if len(alike) > SHOWN_EACH:
                 lines.append(f"    ... and {len(alike) - SHOWN_EACH} more; --json lists all")
     how = "pictures decoded" if report.decoded else "pictures not decoded"
-    what = f"{report.format or 'unreadable'}, {report.images} images, {report.objects} objects, {how}"
+    kinds = f" ({', '.join(f'{n} {kind}' for kind, n in report.suffixes.items())})" if len(report.suffixes) > 1 else ""
+    what = f"{report.format or 'unreadable'}, {report.images} images{kinds}, {report.objects} objects, {how}"
     totals = f"{len(report.errors)} error(s), {len(report.warnings)} warning(s)"
     return [*lines, f"{report.root}: {what}: {totals if report.problems else 'clean'}"]
 

@@ -14,6 +14,7 @@ from PIL import Image
 from infrablend.errors import DatasetError
 from infrablend.formats.pictures import images as module
 from infrablend.formats.pictures.images import encode_image, load_background, output_suffix, save_image
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES, PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
 
 def ramp(dtype: type = np.uint8) -> np.ndarray:
@@ -51,6 +52,38 @@ def test_lossless_types_come_back_bit_for_bit(tmp_path: Path, suffix: str) -> No
     source = load_background(save(tmp_path / f"a{suffix}", ramp()))
     again = load_background(save_image(tmp_path / f"b{suffix}", source.pixels, source))
     assert (again.pixels == ramp()).all() and again.file_type == source.file_type
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_webp_of_grey_levels_is_grey(tmp_path: Path, lossless: bool) -> None:
+    """WebP has no grey: a decoder's green may differ by one from red and blue."""
+    source = load_background(save(tmp_path / "a.webp", ramp(), lossless=lossless))
+    assert (source.mode, source.file_type, source.problems) == ("RGB", "WEBP", ())
+    assert np.abs(source.pixels.astype(int) - ramp()).max() <= (0 if lossless else 8)
+    again = load_background(save_image(tmp_path / "b.webp", source.pixels, source))
+    assert (again.pixels == source.pixels).all()
+    colour = np.stack([ramp(), ramp() + 9, ramp()], axis=2)
+    assert [p.code for p in load_background(save(tmp_path / "c.webp", colour)).problems] == ["image-colour"]
+
+
+@pytest.mark.parametrize("suffix", JPEG_SUFFIXES)
+def test_jpeg_has_several_suffixes(tmp_path: Path, suffix: str) -> None:
+    source = load_background(save(tmp_path / f"a{suffix}", ramp(), format="JPEG"))
+    assert save_image(tmp_path / f"b{suffix}", source.pixels, source).is_file()
+
+
+def test_every_kind_of_picture_that_pillow_opens_is_read_or_named() -> None:
+    Image.init()
+    # Icons, drawings, documents, and what is a video or a table for us.
+    others = {
+        "AVIF": ".avifs", "BLP": ".blp", "BUFR": ".bufr", "CUR": ".cur", "DCX": ".dcx", "DDS": ".dds",
+        "EPS": ".ps .eps", "FLI": ".fli .flc", "FTEX": ".ftc .ftu", "GBR": ".gbr", "GRIB": ".grib", "HDF5": ".h5 .hdf",
+        "ICNS": ".icns", "ICO": ".ico", "IPTC": ".iim", "MPEG": ".mpg .mpeg", "MSP": ".msp", "PALM": ".palm",
+        "PCD": ".pcd", "PDF": ".pdf", "PIXAR": ".pxr", "SGI": ".rgba", "WMF": ".wmf .emf", "XBM": ".xbm",
+        "XPM": ".xpm",
+    }  # fmt: skip
+    known = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES, *" ".join(others.values()).split()}
+    assert set(Image.registered_extensions()) - known == set()
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif"])

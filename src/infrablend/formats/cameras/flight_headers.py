@@ -24,11 +24,11 @@ from infrablend.core.workspace import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.cameras.header_facts import EXIF_TIME, FIELDS, UTC_TAG, CameraFacts, Fact, read_facts, zone_of
 from infrablend.formats.picture_facts import pitch_note
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES
 from infrablend.formats.values import is_place, to_time
 from infrablend.thermal.daytime import time_of_sun
 from infrablend.thermal.sky import sun_position, time_of
 
-_JPEG = (".jpg", ".jpeg")
 _TIFF = (".tif", ".tiff")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
@@ -127,7 +127,7 @@ def _key(image: ImageRecord) -> str:
     return f"{image.split}/{image.id}"
 
 
-def _is_file(image: ImageRecord, suffixes: Sequence[str] = _JPEG) -> bool:
+def _is_file(image: ImageRecord, suffixes: Sequence[str] = JPEG_SUFFIXES) -> bool:
     """Return whether a picture is a file with one of these suffixes, and no link; a pipe would wait for ever."""
     path = image.path
     return path.suffix.lower() in suffixes and path.is_file() and not path.is_symlink()

@@ -15,14 +15,18 @@ from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION
 
 from infrablend.core.files import or_lfs_pointer, write_bytes
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.pictures.listing import MAX_PIXELS, open_picture
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES, MAX_PIXELS, READABLE, open_picture
 
 PixelMode = Literal["L", "RGB", "I;16"]
 SaveKind = Literal["same", "png"]
 
-_SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",), "BMP": (".bmp",), "TIFF": (".tif", ".tiff")}
+_SUFFIXES = {
+    "JPEG": JPEG_SUFFIXES, "PNG": (".png",), "BMP": (".bmp",), "TIFF": (".tif", ".tiff"), "WEBP": (".webp",),
+}  # fmt: skip
 
 
+# WebP has no grey: a decoder rounds the green of a grey level in another way than red and blue.
+_WEBP_ROUNDING = 1
 IN_COLOUR = "image-colour"
 """Code of the warning about a picture in colour."""
 COLOURS = "in colour (visible light, or thermal with a palette)"
@@ -38,7 +42,7 @@ class Background:
         pixels: (h, w) grey levels, uint8, or uint16 for a 16-bit picture, read-only.
         mode: Mode of the file: `L`, `RGB` (written back with three equal channels), `I;16`.
         bit_depth: 8 or 16, of one channel.
-        file_type: `JPEG`, `PNG`, `BMP` or `TIFF`.
+        file_type: `JPEG`, `PNG`, `BMP`, `TIFF` or `WEBP`.
         quantization: The JPEG's own quantisation tables, 64 numbers each; empty for other types.
         subsampling: The JPEG's chroma subsampling: 0 is 4:4:4, 1 is 4:2:2, 2 is 4:2:0; -1 unknown or grey.
         problems: Warnings: what was converted or left out.
@@ -81,8 +85,7 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
         raise _refuse(path, "image-too-large", str(error), f"at most {MAX_PIXELS} px", "scale it down") from error
     except Exception as error:  # PIL's decoders raise what they like on broken headers
         found = "no picture that can be read"
-        expected = "a JPEG, PNG, BMP or TIFF file"
-        raise _refuse(path, "image-unreadable", found, expected, "replace or remove it") from error
+        raise _refuse(path, "image-unreadable", found, READABLE, "replace or remove it") from error
     with picture:
         size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] > MAX_PIXELS:
@@ -159,6 +162,7 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
         problems.append(Problem(path.name, code, found, expected, todo, "warning"))
 
     mode = str(picture.mode)
+    is_webp = picture.format == "WEBP"  # what `convert` returns does not know it
     white_is_zero = picture.format == "TIFF" and _white_is_zero(picture, path)
     if mode == "L":
         return np.array(picture, np.uint8), "L", problems
@@ -183,6 +187,8 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
     if picture.mode == "L":
         return np.array(picture, np.uint8), "L", problems
     rgb = np.array(picture, np.uint8)
+    if is_webp and np.ptp(rgb, axis=2).max(initial=0) <= _WEBP_ROUNDING:
+        return np.ascontiguousarray(rgb[..., 0]), "RGB", problems
     grey = grey_of_rgb(rgb)
     if grey.ndim == 2:
         return grey, "RGB", problems
@@ -240,6 +246,8 @@ def encode_image(pixels: NDArray[np.uint8] | NDArray[np.uint16], like: Backgroun
             options["subsampling"] = like.subsampling
     elif file_type == "PNG":
         options = {"compress_level": 6}
+    elif file_type == "WEBP":  # the file does not tell its quality
+        options = {"lossless": True}
     out = io.BytesIO()
     picture.save(out, file_type, **options)
     return out.getvalue()
