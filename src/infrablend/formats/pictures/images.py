@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +27,8 @@ _SUFFIXES = {
 }  # fmt: skip
 
 
+REFUSED_COLOUR = "grey levels computed from them do not follow temperature, so generate refuses them"
+_LOOKED_AT = 3
 # WebP has no grey: a decoder rounds the green of a grey level in another way than red and blue.
 _WEBP_ROUNDING = 1
 IN_COLOUR = "image-colour"
@@ -121,6 +125,15 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             subsampling = int(JpegImagePlugin.get_sampling(picture))
         bit_depth = 16 if pixels.dtype == np.uint16 else 8
         return Background(path, pixels, mode, bit_depth, file_type, quantization, subsampling, tuple(problems))
+
+
+def some_in_colour(paths: Sequence[Path]) -> dict[Path, bool]:
+    """Return whether pictures are in colour, of a few that are spread over those given and can be read."""
+    found = {}
+    for path in paths[:: max(1, len(paths) // _LOOKED_AT)][:_LOOKED_AT]:
+        with suppress(DatasetError):  # reported by what reads the picture
+            found[path] = any(p.code == IN_COLOUR for p in load_background(path).problems)
+    return found
 
 
 def _require_one_frame(picture: Any, path: Path) -> None:
