@@ -316,8 +316,8 @@ def split(
     reading: ReadingOfAllSplits,
 ) -> None:
     """Write a dataset with new splits that do not share neighbouring frames; pictures are hard links."""
-    if rule.gap is not None and rule.by != "gap":
-        raise typer.BadParameter("--gap goes with --by gap", param_hint="--gap")
+    if rule.gap is not None and rule.by not in ("gap", "time"):
+        raise typer.BadParameter("--gap goes with --by gap or --by time", param_hint="--gap")
     if to is not None and lists:
         raise typer.BadParameter("--list writes no dataset; leave out --to", param_hint="--to")
     report = api.split(data, out, rule, to=to or "native", lists=lists, reading=reading, overwrite=overwrite)

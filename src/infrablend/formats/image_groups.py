@@ -23,12 +23,14 @@ from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import check_splits, sort_images
 from infrablend.formats.picture_facts import facts_from_name
+from infrablend.formats.values import to_time
 
 Grouping = Literal["sequence", "date", "gap"]
 GROUPINGS: tuple[Grouping, ...] = ("sequence", "date", "gap")
 
 # Frames whose numbers differ by at most this much count as neighbours.
 NEAR = 5
+_DATE = len("2026-01-31")
 # Number of orders in which groups are assigned; the best result is used.
 _TRIES = 8
 _OPTION = "--val-share"
@@ -202,6 +204,60 @@ def group_images(images: Sequence[ImageRecord], by: Grouping, gap: int = NEAR) -
     return {name: tuple(groups[name]) for name in sorted(groups)}
 
 
+def time_blocks(
+    images: Sequence[ImageRecord], shares: Sequence[float], gap: int
+) -> dict[Split, tuple[ImageRecord, ...]]:
+    """Return one block of time per split with a share, in the order train, val, test, as of a single flight.
+
+    The order is that of the times of capture if all pictures have one, else that of sequences and frame numbers. In
+    blocks of many pictures, the sun moves: what they show differs more than in a random split.
+
+    Args:
+        images: Pictures.
+        shares: Shares of train, val and test among the pictures that are kept, with a sum of 1.
+        gap: Pictures left out between two blocks, so that none is next to one of another split.
+
+    Raises:
+        DatasetError: Neither times nor numbers of all pictures are known, or the gaps leave a block without a picture.
+    """
+    ordered = _in_time(images)
+    wanted = [(split, share) for split, share in zip(SPLITS, shares, strict=True) if share > 0]
+    kept = len(ordered) - gap * (len(wanted) - 1)
+    if kept < len(wanted):
+        found = f"{len(ordered)} picture(s), {gap} of which to leave out between each two of {len(wanted)} blocks"
+        problem = Problem("--by time", "group-single", found, "a picture in each block", "use a smaller --gap")
+        raise DatasetError("cannot cut the pictures into blocks of time", [problem])
+    blocks: dict[Split, tuple[ImageRecord, ...]] = {}
+    start = 0
+    share_before = 0.0
+    for number, (split, share) in enumerate(wanted):
+        later = len(wanted) - number - 1  # blocks that need a picture each
+        share_before += share
+        end = min(max(round(kept * share_before) + gap * number, start + 1), len(ordered) - later * (gap + 1))
+        blocks[split] = tuple(ordered[start:end])
+        start = end + gap
+    return blocks
+
+
+def _in_time(images: Sequence[ImageRecord]) -> list[ImageRecord]:
+    """Return pictures in the order of `time_blocks`; DatasetError if it is unknown."""
+    times = [to_time(c) if (c := i.capture.captured) is not None and len(c) > _DATE else None for i in images]
+    known = [t for t in times if t is not None]
+    if len(known) == len(images) and len({t.tzinfo is None for t in known}) == 1:
+        return [i for _, _, i in sorted(zip(known, range(len(images)), images, strict=True))]
+    places = frame_places(images)
+    without = [i.name for i, place in zip(images, places, strict=True) if place is None]
+    if without:
+        found = (
+            f"{len(without)} of {len(images)} images without a time of capture or a number: {', '.join(without[:3])}"
+        )
+        todo = "state captured in metadata.csv"
+        problem = Problem("--by time", "group-unknown", found, "a time or a frame number for every image", todo)
+        raise DatasetError("cannot group by time", [problem])
+    numbered = ((place, k) for k, place in enumerate(places) if place is not None)
+    return [images[k] for _, k in sorted(numbered)]
+
+
 def _runs(images: Sequence[ImageRecord], gap: int) -> dict[str, str | None]:
     places = zip(images, frame_places(images), strict=True)
     found: dict[str, str | None] = {i.id: None for i in images}
@@ -292,15 +348,15 @@ def _by_day(dataset: Dataset, training: Sequence[ImageRecord]) -> tuple[dict[str
     (whole,) = by_day
     if len(by_sequence) == 1:
         found = f"all {len(training)} training pictures are of {next(iter(by_sequence))}"
-        raise _refused(dataset, "group-single", found, "at least two days or sequences", _by_hand(dataset))
+        raise _refused(dataset, "group-single", found, "at least two days or sequences", _by_hand(dataset, "time"))
     found = f"all training pictures are of {whole}, so train and val show different sequences of one day"
     todo = "judge detectors on pictures of another day"
     problem = Problem(_OPTION, "val-same-day", found, "sequences of several days", todo, "warning")
     return dict(sorted(by_sequence.items())), [problem]
 
 
-def _by_hand(dataset: Dataset) -> str:
-    command = f"infrablend split {shlex.quote(str(dataset.root))} OUT --by gap"
+def _by_hand(dataset: Dataset, by: str = "gap") -> str:
+    command = f"infrablend split {shlex.quote(str(dataset.root))} OUT --by {by}"
     return f"leave --val-share out, or divide the data before ({command}) and give the result as data"
 
 
