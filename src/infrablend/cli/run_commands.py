@@ -266,12 +266,23 @@ def preview(
     obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
     ground: Annotated[
-        bool, typer.Option("--ground", help="Draw the ground grid and people of 1.7 m instead: is the scale right?")
+        bool,
+        typer.Option(
+            "--ground",
+            help="Draw the ground grid and people of 1.7 m instead: is the scale right? Also of a dataset, without a "
+            "run, by what its pictures state; then to ground.png here.",
+        ),
     ] = False,
+    metadata: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --ground, of a dataset: table of pitch, height, lens.")
+    ] = None,
 ) -> None:
     """Write a contact sheet of a run with its labels: all kinds of labels, unless some are chosen."""
     if ground:
-        print_result(str(api.preview_ground(run, out or run / "ground.png", count or 6)))
+        from infrablend.report.ground_preview import is_data
+
+        place = out or (Path() if is_data(run) else run) / "ground.png"
+        print_result(str(api.preview_ground(run, place, count or 6, api.Reading(metadata=metadata))))
         return
     kinds: dict[Draw, bool] = {"boxes": boxes, "obb": obb, "masks": masks}
     chosen = tuple(name for name, on in kinds.items() if on) or tuple(kinds)

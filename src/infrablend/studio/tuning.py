@@ -73,8 +73,9 @@ class Tuned:
     def picture(self, *, boxes: bool, ground: bool = False, base: Rgb | None = None) -> Rgb:
         """Return the picture, or `base`, with boxes, or with the ground and people of 1.7 m on it, twice as large."""
         frame = self.trial.frame
-        if ground and frame.scene is not None and self.has_ground:
-            return draw_ground(to_rgb(frame.pixels) if base is None else base, frame.labels, frame.scene)[0]
+        if ground and frame.scene is not None and (view := frame.scene.view) is not None:
+            plain = to_rgb(frame.pixels) if base is None else base
+            return draw_ground(plain, frame.labels, frame.scene.camera, view.ground_z_m)[0]
         return self.labelled(inserts=boxes, originals=boxes, base=base)
 
     def labelled(self, *, inserts: bool, originals: bool, base: Rgb | None = None) -> Rgb:

@@ -286,7 +286,9 @@ def test_a_flight_that_cannot_be_cut_is_refused(tmp_path: Path) -> None:
         result = run("split", root, tmp_path / "out", "--by", "time", *words)
         assert result.exit_code and said in result.output.casefold()
     for by in ("sequence", "date"):
-        assert "or --by time, which cuts it into blocks" in run("split", root, tmp_path / by, "--by", by).output.casefold()
+        assert (
+            "or --by time, which cuts it into blocks" in run("split", root, tmp_path / by, "--by", by).output.casefold()
+        )
     shutil.rmtree(root / "labels")
     (root / "metadata.csv").unlink()
     for k, path in enumerate(sorted(root.rglob("*.png"))):
