@@ -136,11 +136,9 @@ def losses_by_format(losses: Mapping[str, int], record: str) -> list[str]:
 
     What they lose is in the record, under `losses`, and in words on the card.
     """
-    kinds = Counter(key.rpartition(".")[0] for key in losses)
-    if not kinds:
-        return []
-    named = ", ".join(f"{name} ({n})" for name, n in kinds.items())
-    return [f"lost: kinds of facts that a format cannot hold, in {named}, in no other: README.md, `losses` in {record}"]
+    named = ", ".join(f"{name} ({n})" for name, n in Counter(key.rpartition(".")[0] for key in losses).items())
+    line = f"lost: kinds of facts that a format cannot hold, in {named}, in no other: README.md, `losses` in {record}"
+    return [line] if losses else []
 
 
 def facts(data: Mapping[str, object]) -> dict[str, str]:

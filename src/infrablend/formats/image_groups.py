@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import PurePosixPath
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,24 +193,17 @@ def group_images(images: Sequence[ImageRecord], by: Grouping, gap: int = NEAR) -
         keys = {i.id: i.capture.sequence for i in images}
         lacks = "a sequence"
         todo = "use --by gap, which needs numbers in the file names"
-    without = [i.name for i in images if keys[i.id] is None]
-    if without:
-        found = f"{len(without)} of {len(images)} images without {lacks}: {', '.join(without[:3])}"
-        problem = Problem(f"--by {by}", "group-unknown", found, "one for every image", todo)
-        raise DatasetError(f"cannot group by {by}", [problem])
+    _require_all(images, (keys[i.id] for i in images), by, lacks, todo)
     groups: dict[str, list[ImageRecord]] = {}
     for image in images:
         groups.setdefault(str(keys[image.id]), []).append(image)
     return {name: tuple(groups[name]) for name in sorted(groups)}
 
 
-def time_blocks(
-    images: Sequence[ImageRecord], shares: Sequence[float], gap: int
-) -> dict[Split, tuple[ImageRecord, ...]]:
-    """Return one block of time per split with a share, in the order train, val, test, as of a single flight.
+def time_blocks(images: Sequence[ImageRecord], shares: Sequence[float], gap: int) -> list[tuple[ImageRecord, ...]]:
+    """Return one block of time per split with a share, with that split, in the order train, val, test.
 
-    The order is that of the times of capture if all pictures have one, else that of sequences and frame numbers. In
-    blocks of many pictures, the sun moves: what they show differs more than in a random split.
+    The order is that of the times of capture if all pictures have one, else that of sequences and frame numbers.
 
     Args:
         images: Pictures.
@@ -221,20 +214,19 @@ def time_blocks(
         DatasetError: Neither times nor numbers of all pictures are known, or the gaps leave a block without a picture.
     """
     ordered = _in_time(images)
-    wanted = [(split, share) for split, share in zip(SPLITS, shares, strict=True) if share > 0]
+    wanted = [k for k, share in enumerate(shares) if share > 0]
     kept = len(ordered) - gap * (len(wanted) - 1)
     if kept < len(wanted):
         found = f"{len(ordered)} picture(s), {gap} of which to leave out between each two of {len(wanted)} blocks"
         problem = Problem("--by time", "group-single", found, "a picture in each block", "use a smaller --gap")
         raise DatasetError("cannot cut the pictures into blocks of time", [problem])
-    blocks: dict[Split, tuple[ImageRecord, ...]] = {}
+    blocks = []
     start = 0
-    share_before = 0.0
-    for number, (split, share) in enumerate(wanted):
-        later = len(wanted) - number - 1  # blocks that need a picture each
-        share_before += share
-        end = min(max(round(kept * share_before) + gap * number, start + 1), len(ordered) - later * (gap + 1))
-        blocks[split] = tuple(ordered[start:end])
+    for n, k in enumerate(wanted):
+        end = round(kept * sum(shares[: k + 1])) + gap * n
+        # No block is empty.
+        end = min(max(end, start + 1), len(ordered) - (len(wanted) - n - 1) * (gap + 1))
+        blocks.append(tuple(replace(i, split=SPLITS[k]) for i in ordered[start:end]))
         start = end + gap
     return blocks
 
@@ -242,20 +234,20 @@ def time_blocks(
 def _in_time(images: Sequence[ImageRecord]) -> list[ImageRecord]:
     """Return pictures in the order of `time_blocks`; DatasetError if it is unknown."""
     times = [to_time(c) if (c := i.capture.captured) is not None and len(c) > _DATE else None for i in images]
-    known = [t for t in times if t is not None]
-    if len(known) == len(images) and len({t.tzinfo is None for t in known}) == 1:
-        return [i for _, _, i in sorted(zip(known, range(len(images)), images, strict=True))]
-    places = frame_places(images)
-    without = [i.name for i, place in zip(images, places, strict=True) if place is None]
+    # With and without a time zone, times cannot be compared.
+    known = len({None if t is None else t.tzinfo is None for t in times}) == 1 and None not in times
+    keys: Sequence[Any] = times if known else frame_places(images)
+    _require_all(images, keys, "time", "a time of capture or a frame number", "state captured in metadata.csv")
+    return [i for _, i in sorted(zip(keys, images, strict=True), key=lambda pair: pair[0])]
+
+
+def _require_all(images: Sequence[ImageRecord], keys: Iterable[object], by: str, lacks: str, todo: str) -> None:
+    """Raise a DatasetError that counts the images without a key."""
+    without = [i.name for i, key in zip(images, keys, strict=True) if key is None]
     if without:
-        found = (
-            f"{len(without)} of {len(images)} images without a time of capture or a number: {', '.join(without[:3])}"
-        )
-        todo = "state captured in metadata.csv"
-        problem = Problem("--by time", "group-unknown", found, "a time or a frame number for every image", todo)
-        raise DatasetError("cannot group by time", [problem])
-    numbered = ((place, k) for k, place in enumerate(places) if place is not None)
-    return [images[k] for _, k in sorted(numbered)]
+        found = f"{len(without)} of {len(images)} images without {lacks}: {', '.join(without[:3])}"
+        problem = Problem(f"--by {by}", "group-unknown", found, "one for every image", todo)
+        raise DatasetError(f"cannot group by {by}", [problem])
 
 
 def _runs(images: Sequence[ImageRecord], gap: int) -> dict[str, str | None]:

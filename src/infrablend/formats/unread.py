@@ -407,21 +407,23 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
         if not lines:
             return "error" if stem in pictures.folders else None
         clip = pictures.are_of_clip(stem)
-        if (stem in pictures.folders and _NUMBERS.match(lines[0])) or (
-            _TRUTH.search(stem) and any(map(_NUMBERS.match, lines))
+        truth = _TRUTH.search(stem)
+        records = suffix in {".xml", *_JSON_SUFFIXES, *_YAML_SUFFIXES}
+        if (
+            (stem in pictures.folders and _NUMBERS.match(lines[0]))
+            or (truth and any(map(_NUMBERS.match, lines)))
+            or (not records and (clip or truth) and any(map(_TUPLE.search, lines)))
+            or (not records and clip and _OF_LABELS.search(stem) and any(map(_NUMBERS.search, lines)))
         ):
             return "error"
-        if suffix in {".xml", *_JSON_SUFFIXES, *_YAML_SUFFIXES}:
+        if records:
             return _said_in_records(text, lines, pictures, suffix, alone=alone or clip)
-        if (clip or _TRUTH.search(stem)) and any(map(_TUPLE.search, lines)):
-            return "error"
-        if clip and _OF_LABELS.search(stem) and any(map(_NUMBERS.search, lines)):
-            return "error"
         if suffix in (".csv", ".tsv", ".txt"):
-            says = _said_in_table(lines, pictures, suffix, alone=alone)
-            if says is None and _are_keyed(lines, pictures):
-                return "error" if _OF_LABELS.search(stem) else "warning"
-            return says or ("warning" if clip and _NUMBERS.match(lines[0]) else None)
+            if says := _said_in_table(lines, pictures, suffix, alone=alone):
+                return says
+            keyed = _are_keyed(lines, pictures)
+            labels = keyed and _OF_LABELS.search(stem)
+            return "error" if labels else "warning" if keyed or (clip and _NUMBERS.match(lines[0])) else None
         return "error" if any(map(pictures.named_in, lines)) else None
     return None
 
@@ -460,10 +462,8 @@ def _said_in_records(
     said = {name for value, name, key in _TEXT.findall(text) if value or key} if is_json else set()
     if not pictures.stems.isdisjoint(said) or any(map(pictures.named_in, lines)):
         return "error" if labels else "warning"
-    if is_json and labels:
-        said.update(_PICTURE_NUMBER.findall(text))
-        return "error" if any(map(pictures.is_number, said)) else None
-    return None
+    said.update(_PICTURE_NUMBER.findall(text))
+    return "error" if is_json and labels and any(map(pictures.is_number, said)) else None
 
 
 def _said_in_table(lines: Sequence[str], pictures: _Pictures, suffix: str, *, alone: bool) -> Severity | None:

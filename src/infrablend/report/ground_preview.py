@@ -109,8 +109,7 @@ def data_ground_sheet(dataset: Dataset, out_png: Path, count: int = 6) -> Path:
         problem = Problem(dataset.root.name, "flight-missing", found, "pitch, height and lens of the camera", todo)
         raise DatasetError(f"{dataset.root}: the ground cannot be drawn", [problem])
     chosen = [i for i in stated if i.instances] or stated
-    cells = [_data_cell(chosen[k]) for k in spread(len(chosen), count)]
-    return _write(cells, out_png)
+    return _write([_data_cell(chosen[k]) for k in spread(len(chosen), count)], out_png)
 
 
 def _data_cell(image: ImageRecord) -> Rgb:
@@ -119,9 +118,8 @@ def _data_cell(image: ImageRecord) -> Rgb:
     background = load_background(image.path, image.size_wh)
     stated_m = capture.altitude_m
     focal_mm = _SENSOR_MM / 2 / math.tan(math.radians(capture.hfov_deg) / 2)
-    roll_rad = math.radians(capture.roll_deg or 0.0)
-    camera = CameraSpec(1.0, math.radians(capture.pitch_deg), roll_rad, focal_mm, _SENSOR_MM, background.size_wh)
-    camera = at_height(camera, stated_m)
+    turns = (math.radians(capture.pitch_deg), math.radians(capture.roll_deg or 0.0))
+    camera = at_height(CameraSpec(1.0, *turns, focal_mm, _SENSOR_MM, background.size_wh), stated_m)
     prior = PRIORS.get(str(capture.altitude_from), FROM_TABLE)
     by_labels = calibrate(camera, stated_m, _real(image.instances), prior)
     canvas, spacing = draw_ground(to_rgb(background.pixels), image.instances, camera, ground_z_m(camera, stated_m))

@@ -17,9 +17,10 @@ _HEIGHT = "height-at-limit"
 _SUN = "sun-below-horizon"
 
 
-def in_words(reasons: Mapping[str, int]) -> str:
-    """Return reasons why objects were left out in words, each with its number and its name in the records."""
-    return ", ".join(f"{name} {n}" + (f" ({WHY[name]})" if name in WHY else "") for name, n in reasons.items())
+def in_words(reasons: Mapping[str, int], words: Mapping[str, str] | None = None) -> str:
+    """Return reasons in words, each with its number and its name in the records; without `words`, those of `WHY`."""
+    words = WHY if words is None else words
+    return ", ".join(f"{name} {n}" + (f" ({words[name]})" if name in words else "") for name, n in reasons.items())
 
 
 def frame_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
@@ -107,12 +108,15 @@ WHY: Mapping[str, str] = {
     "min_visibility": "too little of it would be visible",
     "too_hidden": "structures of the background hide too much of it",
     "low_contrast": "its contrast with the background is too low",
+}
+"""Why an object was left out, in words; other reasons are in words already."""
+_REFUSED: Mapping[str, str] = {
     "unfit_ground": "the ground there does not suit it: a car needs a road, for example",
+    "no_ground": "there is no ground",
     "beyond_ground": "it would be below the ground",
     "too_small": "it would be too small",
     "overlap": "another object is there",
 }
-"""Why an object was left out, or a place for it was refused, in words; other reasons are in words already."""
 _LEAST_ABSENT = 0.5
 _LOOKS_DOWN = (
     "at these distances (objects.N.range_m) and the recipe's height of the camera, objects would be below the ground: "
@@ -144,7 +148,7 @@ def absent_warnings(draws: DrawStatistics) -> list[Problem]:
     if missing and missing >= _LEAST_ABSENT * wanted:
         most = sorted(draws["rejected"].items(), key=lambda r: (-r[1], r[0]))[:3]
         found = f"{missing} of {wanted} objects were not inserted: {in_words(absent)}"
-        found += f"; places refused: {in_words(dict(most))}" if most else ""
+        found += f"; places refused: {in_words(dict(most), _REFUSED)}" if most else ""
         todo = (
             "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
         )
@@ -364,15 +368,17 @@ def few_inserted(recipe: Recipe, counts: Mapping[str, Any], draws: DrawStatistic
     See `nothing_inserted` for the arguments.
     """
     by_kind: Mapping[str, Mapping[str, int]] = counts.get("objects_by_kind", {})
-    refused = Counter((draws or {}).get("rejected", {})).most_common(2)
-    why = f"; left out of all kinds: {in_words(counts.get('objects_left_out', {}))}"
-    why += f"; places refused: {in_words(dict(refused))}" if refused else ""
-    todo = _OTHER_GROUND if refused and refused[0][0] == "unfit_ground" else "check placement and the camera"
+    refused = dict(Counter((draws or {}).get("rejected", {})).most_common(2))
+    why = f"left out of all kinds: {in_words(counts.get('objects_left_out', {}))}"
+    why += f"; places refused: {in_words(refused, _REFUSED)}" if refused else ""
+    todo = _OTHER_GROUND if "unfit_ground" in refused else "check placement and the camera"
     problems = []
     for where, n in by_kind.items() if len(by_kind) > 1 else ():
         if 0 < n["inserted"] <= _LEAST_ABSENT * n["asked"]:
             kind = recipe.objects[int(where.rpartition(".")[2])]
-            found = f"{n['asked'] - n['inserted']} of {n['asked']} {kind.category or kind.model} were not inserted{why}"
+            found = (
+                f"{n['asked'] - n['inserted']} of {n['asked']} {kind.category or kind.model} were not inserted; {why}"
+            )
             problems.append(Problem(where, "objects-absent", found, "most objects inserted", todo, "warning"))
     return problems
 

@@ -265,7 +265,8 @@ def test_run_without_a_place_for_objects_reports_it(tmp_path):
     settings = ["objects=[{model: person}]", "camera.pitch={fixed_deg: -20}"]
     report = generate(data, tmp_path / "run", settings=settings)
     (found,) = [p for p in report.problems if p.code == "objects-absent"]
-    assert found.found == "1 of 1 objects were not inserted (no_place 1; places refused: no_ground 200)"
+    why = "no_place 1 (no place was found where it fits); places refused: no_ground 200 (there is no ground)"
+    assert found.found == f"1 of 1 objects were not inserted: {why}"
     assert not [p for p in generate(data, tmp_path / "good").problems if p.code == "objects-absent"]
 
 

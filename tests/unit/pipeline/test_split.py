@@ -267,8 +267,10 @@ def test_blocks_of_time_follow_the_shares_and_lose_only_the_gaps(count: int, sha
     capture = Capture(sequence="one")
     images = [ImageRecord(str(k), Path(f"{k}.png"), "train", None, (), replace(capture, frame=k)) for k in range(count)]
     blocks = time_blocks(images[::-1], shares, 2)
-    assert [split for split, share in zip(("train", "val", "test"), shares, strict=True) if share] == list(blocks)
-    numbers = [[i.capture.frame for i in block] for block in blocks.values()]
+    assert [split for split, share in zip(("train", "val", "test"), shares, strict=True) if share] == [
+        b[0].split for b in blocks
+    ]
+    numbers = [[i.capture.frame for i in block] for block in blocks]
     assert all(n == list(range(n[0], n[-1] + 1)) for n in numbers) and numbers[0][0] == 0
     assert all(after[0] - before[-1] == 3 for before, after in itertools.pairwise(numbers))
     assert numbers[-1][-1] == count - 1
@@ -278,7 +280,7 @@ def test_blocks_of_time_follow_the_shares_and_lose_only_the_gaps(count: int, sha
 
 
 def test_a_flight_that_cannot_be_cut_is_refused(tmp_path: Path) -> None:
-    root = one_flight(tmp_path / "data", 7)
+    root = one_flight(tmp_path / "data", 8)
     for words, said in (
         (("--gap", "3"), "use a smaller --gap"),
         (("--test", "one"), "the last block of time is test"),
@@ -292,9 +294,9 @@ def test_a_flight_that_cannot_be_cut_is_refused(tmp_path: Path) -> None:
     shutil.rmtree(root / "labels")
     (root / "metadata.csv").unlink()
     for k, path in enumerate(sorted(root.rglob("*.png"))):
-        path.rename(path.with_name("abcdefg"[k] + ".png"))
+        path.rename(path.with_name("abcdefgh"[k] + ".png"))
     result = run("split", root, tmp_path / "out", "--by", "time", "--to", "coco")
-    assert result.exit_code and "without a time of capture or a number" in result.output
+    assert result.exit_code and "without a time of capture or a frame number" in " ".join(result.output.split())
 
 
 def flown(root: Path, flights: dict[str, tuple[str, str, int]], split: str = "train") -> Path:

@@ -219,8 +219,7 @@ def _white_is_zero(picture: Any, path: Path) -> bool:
     photometric = picture.tag_v2.get(PHOTOMETRIC_INTERPRETATION)
     if photometric is None:
         found = "a TIFF that does not say whether 0 is black or white (no PhotometricInterpretation, tag 262)"
-        todo = "state it, for example with tiffset -s 262 1 FILE where 0 is black"
-        raise _refuse(path, "image-mode", found, "1 (0 is black) or 0 (0 is white)", todo)
+        raise _refuse(path, "image-mode", found, "1 (0 is black) or 0", "state it, as with tiffset -s 262 1 FILE")
     return bool(photometric == 0)
 
 

@@ -128,8 +128,8 @@ def split_dataset(
     if rule.by not in get_args(SplitBy):
         raise DatasetError(f"by: found {rule.by!r}, expected one of {', '.join(get_args(SplitBy))}")
     by = rule.by
-    few = math.ceil(len(dataset.images) / _GAPS_PER_FLIGHT) if rule.by == "time" else NEAR
-    gap = min(NEAR, few) if rule.gap is None else rule.gap
+    gap = min(NEAR, math.ceil(len(dataset.images) / _GAPS_PER_FLIGHT)) if by == "time" else NEAR
+    gap = gap if rule.gap is None else rule.gap
     seed = rule.seed
     wanted = check_shares(rule.shares)
     if gap < 1:
@@ -140,10 +140,19 @@ def split_dataset(
         problem = Problem(str(dataset.root), "format-unwritable", found, "a format to write", "give --to, or --list")
         raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
     names = [c.name for c in dataset.categories if not c.ignore]
-    if by == "time":
-        groups, of_group = _blocks(dataset, rule, wanted, gap)
-    else:
-        groups, of_group = _whole_groups(dataset, rule, wanted, gap, names)
+    groups = _groups(dataset, by, gap, wanted)
+    if unknown := sorted(set(rule.test) - (set(groups) if by != "time" else set())):
+        expected = f"names of groups by {by}, such as {', '.join([*groups][:3])}"
+        expected = "nothing: the last block of time is test" if by == "time" else expected
+        wrong = [Problem("--test", "group-none", name, expected) for name in unknown]
+        raise DatasetError(f"{dataset.root}: no such group", wrong)
+    of_group: dict[str, Split] = dict.fromkeys(rule.test, "test")
+    others = [name for name in groups if name not in of_group]
+    rest = wanted[0] + wanted[1]
+    shares = (wanted[0] / rest, wanted[1] / rest, 0.0) if of_group else wanted
+    chosen = assign_groups(group_weights((groups[n] for n in others), names), shares, seed)
+    of_group |= zip(others, (SPLITS[k] for k in chosen), strict=True)
+    of_group = {name: group[0].split for name, group in groups.items()} if by == "time" else of_group
     images = [replace(i, split=of_group[name]) for name, group in groups.items() for i in group]
     report = SplitReport(
         out,
@@ -172,52 +181,30 @@ def split_dataset(
     return report
 
 
-def _blocks(
-    dataset: Dataset, rule: SplitRule, wanted: tuple[float, float, float], gap: int
-) -> tuple[dict[str, tuple[ImageRecord, ...]], dict[str, Split]]:
-    """Return one block of time per split, and the split of each."""
-    if rule.test:
-        problem = Problem("--test", "group-none", ", ".join(rule.test), "--by sequence, date or gap", "leave it out")
-        raise DatasetError(f"{dataset.root}: the last block of time is test", [problem])
-    blocks = time_blocks(dataset.images, wanted, gap)
-    named = {f"{split} {block[0].name} to {block[-1].name}": split for split, block in blocks.items()}
-    return {name: blocks[split] for name, split in named.items()}, named
-
-
-def _left_out(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
-    """Return a warning that counts the pictures of a dataset that are in none of the new splits."""
-    pictures = len(dataset.images) - len(images)
-    if not pictures:
-        return []
-    objects = sum(len(i.instances) for i in dataset.images) - sum(len(i.instances) for i in images)
-    found = f"{pictures} picture(s) with {objects} object(s) between the blocks are left out"
-    expected = "no picture next to one of another split"
-    return [Problem("split by time", "split-gap", found, expected, "use --gap to leave out fewer or more", "warning")]
-
-
-def _whole_groups(
-    dataset: Dataset, rule: SplitRule, wanted: tuple[float, float, float], gap: int, names: Sequence[str]
-) -> tuple[dict[str, tuple[ImageRecord, ...]], dict[str, Split]]:
-    """Return the groups of images that stay together, and the split of each."""
-    by = rule.by
-    assert by != "time"
+def _groups(
+    dataset: Dataset, by: SplitBy, gap: int, wanted: tuple[float, float, float]
+) -> dict[str, tuple[ImageRecord, ...]]:
+    """Return the images that stay together by the name of their group; blocks of time are in their new splits."""
+    if by == "time":
+        blocks = time_blocks(dataset.images, wanted, gap)
+        return {f"{block[0].split} {block[0].name} to {block[-1].name}": block for block in blocks}
     groups = group_images(dataset.images, by, gap)
     if by == "gap" and len(groups) == len(dataset.images) > 1 and not all(map(states_frame, dataset.images)):
         found = f"no two of {len(groups)} images have frame numbers at most {gap} apart, such as {next(iter(groups))}"
         todo = "use a larger --gap if these count frames, else --by sequence or --by date"
         problem = Problem("--by gap", "group-single", found, "numbers that count frames", todo)
         raise DatasetError("cannot group by gap: every group is one picture", [problem])
-    if unknown := sorted(set(rule.test) - set(groups)):
-        expected = f"names of groups by {by}, such as {', '.join([*groups][:3])}"
-        wrong = [Problem("--test", "group-none", name, expected) for name in unknown]
-        raise DatasetError(f"{dataset.root}: no such group", wrong)
-    of_group: dict[str, Split] = dict.fromkeys(rule.test, "test")
-    others = [name for name in groups if name not in of_group]
-    rest = wanted[0] + wanted[1]
-    shares = (wanted[0] / rest, wanted[1] / rest, 0.0) if of_group else wanted
-    chosen = assign_groups(group_weights((groups[n] for n in others), names), shares, rule.seed)
-    of_group |= zip(others, (SPLITS[k] for k in chosen), strict=True)
-    return groups, of_group
+    return groups
+
+
+def _left_out(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning that counts the pictures of a dataset that are in none of the new splits."""
+    if len(images) == len(dataset.images):
+        return []
+    objects = sum(len(i.instances) for i in dataset.images) - sum(len(i.instances) for i in images)
+    found = f"{len(dataset.images) - len(images)} picture(s) with {objects} object(s) between the blocks are left out"
+    expected = "no picture next to one of another split"
+    return [Problem("split by time", "split-gap", found, expected, "use --gap to leave out fewer or more", "warning")]
 
 
 def _objects_per_split(images: Sequence[ImageRecord], names: Iterable[str]) -> dict[str, dict[str, int]]:
@@ -250,8 +237,8 @@ def split_warnings(
 ) -> tuple[Problem, ...]:
     """Return warnings for splits without images, and for classes of which a split has no or hardly any objects."""
     problems = []
-    smaller = "try another --seed" + (", or --by gap, whose groups are smaller" if by != "gap" else "")
-    smaller = "use other --shares, or --by gap, which balances classes" if by == "time" else smaller
+    smaller = "use other --shares" if by == "time" else "try another --seed"
+    smaller += ", or --by gap, whose groups are smaller" if by != "gap" else ""
     total = Counter(o.category for i in images for o in i.instances)
     shares = dict(zip(SPLITS, wanted, strict=True))
     empty = [s for s in SPLITS if shares[s] > 0 and all(i.split != s for i in images)]
@@ -294,12 +281,11 @@ def _write_dataset(
     records = sort_images(_renamed(sized))
     written = writing.write(to, out, records, source.categories, source=source)
     done = f"The same pictures and labels in other splits, by {report.by}, seed {report.seed}; see `{SPLIT_FILE}`."
-    left_out = [p.found for p in _left_out(source, images)]
     card = dataset_card(
         origin_of(source, records, {}),
         records,
         source.categories,
-        changes=[done, *left_out],
+        changes=[done, *(p.found for p in _left_out(source, images))],
         to=report.format,
         losses=written.losses,
         layout=written_layout(out, written.files, SPLIT_FILE),
