@@ -12,7 +12,6 @@ from infrablend.core.arguments import require_whole
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, InfraBlendError
-from infrablend.formats import dataset_folder
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSource, Extensions
 from infrablend.pipeline.compose.memory_frames import Frames, FramesRequest
@@ -217,6 +216,7 @@ def preview_ground(run: str | Path, out: str | Path, count: int = 6, reading: Re
 
     In place of a run, a dataset whose pictures state pitch, height and lens is shown; `reading` says how to read it.
     """
+    from infrablend.formats import dataset_folder
     from infrablend.report.ground_preview import data_ground_sheet, ground_sheet, is_data
 
     require_whole("count", count, 1)
