@@ -127,6 +127,25 @@ def fiftyone_detections(root: Path) -> Path:
     return put(root, "data/f1.jpg", **{"labels.json": {"classes": ["deer"], "labels": labels}})
 
 
+def vedai(root: Path) -> Path:
+    """A table for all pictures, keyed by their stems without `_ir`: github.com/AlexeyAB/darknet/issues/1089."""
+    rows = "".join(f"0000000{k} 40.0 40.0 0.1 20 60 60 20 30 30 50 50 1 1 0\n" for k in range(2))
+    pictures = [f"Vehicules512/0000000{k}_{form}.jpg" for k in range(2) for form in ("co", "ir")]
+    return put(root, *pictures, **{"Annotations512/annotation512.txt": rows})
+
+
+def nps_drones(root: Path) -> Path:
+    """A text of tuples per clip: github.com/mwaseema/Drone-Detection/issues/2."""
+    rows = "".join(f"time_layer: {k} detections: (30, 2{k}, 50, 6{k})\n" for k in range(9))
+    return put(root, "Videos/Clip_1/0000.jpg", "Videos/Clip_1/0001.jpg", **{"annotations/Clip_1_gt.txt": rows})
+
+
+def results_of_coco(root: Path) -> Path:
+    """Boxes by the numbers of pictures in another file: cocodataset.org/#format-results."""
+    rows = [{"image_id": 480000 + k, "category_id": 1, "bbox": [4, 6, 10, 12], "score": 0.5} for k in range(2)]
+    return put(root, "images/f1.jpg", **{"results.json": rows})
+
+
 NAMED: dict[Callable[[Path], Path], str] = {
     open_images: "train-annotations-bbox.csv",
     supervisely: "ds0/ann/f1.jpg.json",
@@ -139,6 +158,9 @@ NAMED: dict[Callable[[Path], Path], str] = {
     tf_record: "train.record-00000-of-00010",
     detections: "predictions.json",
     fiftyone_detections: "labels.json",
+    vedai: "Annotations512/annotation512.txt",
+    nps_drones: "annotations/Clip_1_gt.txt",
+    results_of_coco: "results.json",
 }
 
 
@@ -263,7 +285,7 @@ def test_videos_of_visdrone(tmp_path: Path) -> None:
 # Files that only name classes, folders or all that annotators drew.
 BESIDE = {"data.yaml", "meta.json", "index.json"}
 # An empty text file of these says that its picture shows nothing, or nothing at all.
-EMPTY_IS_NONE = ("valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider",
+EMPTY_IS_NONE = ("valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider", "vedai",
                  "04-central-label-files/data-27d-mot")  # fmt: skip
 # Too large for memory or, of pictures, in pixels; JSON may have any size, but is read in other ways beyond this one.
 TEN_TIMES = {".json": 2 * WHOLE_JSON, ".jpg": 0, ".tiff": 0}

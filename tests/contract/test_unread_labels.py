@@ -189,6 +189,39 @@ def test_a_name_after_the_first_megabyte_is_found(tmp_path: Path, size: int, fil
     assert unread(root) == [file]
 
 
+IR = [f"ir/{k:06}_ir.jpg" for k in range(4)]
+CLIP = [f"Clip_1/images/{k:04}.jpg" for k in range(4)]
+FRAMES = [f"f/frame_{k:05}.jpg" for k in range(4)]
+# A file, its text, and whether it is an error, a warning, or harmless.
+KEYED: dict[str, tuple[list[str], str, str, str | None]] = {
+    "stem without form": (IR, "a.txt", "".join(f"{k:06} 40 40 0.1 20\n" for k in range(4)), "error"),
+    "number without zeros": (IR, "labels.txt", "".join(f"{k} 40 40 0.1 20\n" for k in range(4)), "error"),
+    "numbers that may be others": (IR, "a.txt", "".join(f"{k} 40 40 0.1 20\n" for k in range(4)), "warning"),
+    "number under a title": (IR, "a.csv", "id,x1,y1,x2,y2,class\n1,1,2,3,4,car\n", "error"),
+    "number after a word": (FRAMES, "a.json", '{"2": [[1, 2, 3, 4]]}', "error"),
+    "number of a frame": (FRAMES, "a.json", '[{"frame": 2, "bbox": [1, 2, 3, 4]}]', "error"),
+    "results without numbers of pictures": (FRAMES, "a.jsonl", '{"image_id": 77, "bbox": [1, 2, 3, 4]}\n', "error"),
+    "tuple of a clip": (CLIP, "Clip_1_gt.txt", "time_layer: 0 detections: (30, 20, 50, 60)\n", "error"),
+    "numbers of a clip": (CLIP, "a/Clip_1-boxes.txt", "frame 0: 30 20 50 60\n", "error"),
+    "lists of a clip": (CLIP, "a/Clip_1.txt", "0 : [30.5, 20, 50, 60]\n", "error"),
+    "records of a clip": (CLIP, "a/Clip_1.json", '{"frames": [{"id": 0, "boxes": []}]}', "error"),
+    "motion of a clip": (CLIP, "Clip_1_imu.txt", "0.1 0.2 0.3 0.4\n", "warning"),
+    "log": (CLIP, "Clip_1_log.txt", "2023-01-01 10:00:00.123 start 1 2 3 4\n", None),
+    "telemetry": (IR, "telemetry.csv", "frame,lat,lon,alt,yaw\n0,59.1,12.2,100,5\n1,59.1,12.2,100,5\n", None),
+    "epochs": (IR, "results.csv", "epoch,loss,a,b,c\n1,0.5,0.4,0.3,0.2\n2,0.5,0.4,0.3,0.2\n", None),
+    "matrix": (IR, "calib.txt", "1 0 0 0\n0 1 0 0\n0 0 1 0\n", None),
+    "camera": (IR, "camera.json", '{"intrinsics": [500, 500, 320, 256]}', None),
+}
+
+
+@pytest.mark.parametrize("kind", KEYED)
+def test_a_file_is_one_of_labels_if_its_keys_are_those_of_pictures(tmp_path: Path, kind: str) -> None:
+    pictures, file, text, severity = KEYED[kind]
+    root = put(tmp_path / "data", {**dict.fromkeys(pictures, ""), file: text})
+    found = [(p.where, p.severity) for p in api.read_dataset(root).problems if p.code == "label-unread"]
+    assert found == ([(file, severity)] if severity else [])
+
+
 # -- pictures ------------------------------------------------------------------------------------------------------
 
 
@@ -277,6 +310,21 @@ PARTS: dict[str, tuple[dict[str, str], list[str]]] = {
     ),
     "many": (YOLO | {f"part{k}/x{k}.jpg": "" for k in range(9)}, ["data"]),
 }
+
+
+def test_pictures_of_other_kinds_are_read_or_named(tmp_path: Path) -> None:
+    files = {
+        f"images/train/{n}": "" for n in ("a.jpg", "b.webp", "c.jfif", "d.jpe", "e.jp2", "f.heic", "g.PGM", "a.dng")
+    }
+    labels = {f"labels/train/{stem}.txt": ROW for stem in "abcde"}
+    root = put(tmp_path / "data", {"data.yaml": "train: images/train\nnames: [deer]\n", **labels})
+    for k, name in enumerate(files):
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        picture(root / "x.jpg", k).rename(root / name) if name[-3:] != "ebp" else picture(root / name, k)
+    done = run("check", root)
+    assert "4 images (1 .jfif, 1 .jpe, 1 .jpg, 1 .webp), 4 objects" in done.output
+    (problem,) = [p for p in api.read_dataset(root).problems if p.code == "image-kind"]
+    assert "3 picture(s) of kinds that are not read (1 .heic, 1 .jp2, 1 .pgm)" in problem.found
 
 
 @pytest.mark.parametrize("kind", PARTS)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from infrablend.core.addresses import require_folder, require_known
+from infrablend.core.arguments import require_whole
 from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing
 from infrablend.errors import ArgumentError, InfraBlendError
@@ -210,11 +211,18 @@ def preview(
     return preview_run(Path(run), Path(out), count, draw)
 
 
-def preview_ground(run: str | Path, out: str | Path, count: int = 6) -> Path:
-    """Write frames of a metric run with the ground grid and people of 1.7 m, to check the scale; return the path."""
-    from infrablend.report.ground_preview import ground_sheet
+def preview_ground(run: str | Path, out: str | Path, count: int = 6, reading: Reading = READ_ALL) -> Path:
+    """Write frames of a metric run with the ground grid and people of 1.7 m, to check the scale; return the path.
 
-    return ground_sheet(Path(run), Path(out), count)
+    In place of a run, a dataset whose pictures state pitch, height and lens is shown; `reading` says how to read it.
+    """
+    from infrablend.formats import dataset_folder
+    from infrablend.report.ground_preview import data_ground_sheet, ground_sheet, is_data
+
+    require_whole("count", count, 1)
+    if not is_data(Path(run)):
+        return ground_sheet(Path(run), Path(out), count)
+    return data_ground_sheet(dataset_folder.read(Path(run), reading), Path(out), count)
 
 
 def frames(

@@ -183,7 +183,8 @@ def _check_lines(report: CheckReport) -> list[str]:
             if len(alike) > SHOWN_EACH:
                 lines.append(f"    ... and {len(alike) - SHOWN_EACH} more; --json lists all")
     how = "pictures decoded" if report.decoded else "pictures not decoded"
-    what = f"{report.format or 'unreadable'}, {report.images} images, {report.objects} objects, {how}"
+    kinds = f" ({', '.join(f'{n} {kind}' for kind, n in report.suffixes.items())})" if len(report.suffixes) > 1 else ""
+    what = f"{report.format or 'unreadable'}, {report.images} images{kinds}, {report.objects} objects, {how}"
     totals = f"{len(report.errors)} error(s), {len(report.warnings)} warning(s)"
     return [*lines, f"{report.root}: {what}: {totals if report.problems else 'clean'}"]
 
@@ -315,8 +316,8 @@ def split(
     reading: ReadingOfAllSplits,
 ) -> None:
     """Write a dataset with new splits that do not share neighbouring frames; pictures are hard links."""
-    if rule.gap is not None and rule.by != "gap":
-        raise typer.BadParameter("--gap goes with --by gap", param_hint="--gap")
+    if rule.gap is not None and rule.by not in ("gap", "time"):
+        raise typer.BadParameter("--gap goes with --by gap or --by time", param_hint="--gap")
     if to is not None and lists:
         raise typer.BadParameter("--list writes no dataset; leave out --to", param_hint="--to")
     report = api.split(data, out, rule, to=to or "native", lists=lists, reading=reading, overwrite=overwrite)

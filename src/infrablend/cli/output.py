@@ -8,6 +8,7 @@ import logging
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -120,7 +121,7 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def loss_lines(losses: Mapping[str, int]) -> list[str]:
-    """Return a line for each kind of loss, from counts by kind or by `<format>.<kind>`."""
+    """Return a line for each kind of loss, from counts by kind or by `<form>.<kind>`."""
     from infrablend.formats.losses import LOSSES
 
     by_kind: dict[str, list[str]] = {}
@@ -128,6 +129,16 @@ def loss_lines(losses: Mapping[str, int]) -> list[str]:
         of, _, kind = key.rpartition(".")
         by_kind.setdefault(kind, []).append(f"{of} {n}".lstrip())
     return [f"lost: {kind} {', '.join(counts)}: {LOSSES[kind]}" for kind, counts in by_kind.items()]
+
+
+def losses_by_format(losses: Mapping[str, int], record: str) -> list[str]:
+    """Return one line that says which of several formats lose something, from counts by `<format>.<kind>`; or none.
+
+    What they lose is in the record, under `losses`, and in words on the card.
+    """
+    named = ", ".join(f"{name} ({n})" for name, n in Counter(key.rpartition(".")[0] for key in losses).items())
+    line = f"lost: kinds of facts that a format cannot hold, in {named}, in no other: README.md, `losses` in {record}"
+    return [line] if losses else []
 
 
 def facts(data: Mapping[str, object]) -> dict[str, str]:

@@ -34,7 +34,7 @@ from infrablend.cli.options import (
 )
 from infrablend.cli.output import (
     facts,
-    loss_lines,
+    losses_by_format,
     print_json,
     print_problems,
     print_result,
@@ -133,6 +133,10 @@ def generate(
         planned = api.plan(recipe, data, out, **options, shard=part, price_per_core_hour=price).to_json()
         brief = {k: v for k, v in planned.items() if k != "warnings"}
         dropped = planned.get("dropped_fields")
+        from infrablend.report.run_warnings import in_words
+
+        if absent := planned.get("expected_left_out"):
+            brief["expected_left_out"] = in_words(absent)
         brief["dropped_fields"] = len(dropped) if dropped else None  # --json has their names
         show_result(session, planned, lambda: table(facts(brief)))
         if not session.json:
@@ -166,12 +170,14 @@ def _show_run(report: api.RunReport, session: Session) -> None:
     rows = _run_rows(report.counts)
     if page.is_file():
         rows["report"] = str(page)
-    lines = [table(rows), *loss_lines(report.losses), shown(report.out)]
+    lines = [table(rows), *losses_by_format(report.losses, shown(record)), shown(report.out)]
     show_report(session, report, record, report.to_json(), lambda: "\n".join(lines).lstrip("\n"))
 
 
 def _run_rows(counts: Mapping[str, Any]) -> dict[str, str]:
     """Return the rows of a run's counts; formats that hold the same labels share one."""
+    from infrablend.report.run_warnings import in_words
+
     rows: dict[str, Any] = {}
     for key, value in counts.items():
         if key == "labels" and (by_format := counts.get("labels_by_format")):
@@ -179,6 +185,8 @@ def _run_rows(counts: Mapping[str, Any]) -> dict[str, str]:
             for name, held in by_format.items():
                 alike.setdefault(json.dumps(held), []).append(name)
             rows |= {f"labels in {', '.join(names)}": json.loads(held) for held, names in alike.items()}
+        elif key == "objects_left_out":
+            rows[key] = in_words(value)
         elif key != "labels_by_format":
             rows[key] = value
     return facts(rows)
@@ -258,12 +266,23 @@ def preview(
     obb: Annotated[bool, typer.Option("--obb", help="Draw oriented boxes.")] = False,
     masks: Annotated[bool, typer.Option("--masks", help="Draw masks.")] = False,
     ground: Annotated[
-        bool, typer.Option("--ground", help="Draw the ground grid and people of 1.7 m instead: is the scale right?")
+        bool,
+        typer.Option(
+            "--ground",
+            help="Draw the ground grid and people of 1.7 m instead: is the scale right? Also of a dataset, without a "
+            "run, by what its pictures state; then to ground.png here.",
+        ),
     ] = False,
+    metadata: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With --ground, of a dataset: table of pitch, height, lens.")
+    ] = None,
 ) -> None:
     """Write a contact sheet of a run with its labels: all kinds of labels, unless some are chosen."""
     if ground:
-        print_result(str(api.preview_ground(run, out or run / "ground.png", count or 6)))
+        from infrablend.report.ground_preview import is_data
+
+        place = out or (Path() if is_data(run) else run) / "ground.png"
+        print_result(str(api.preview_ground(run, place, count or 6, api.Reading(metadata=metadata))))
         return
     kinds: dict[Draw, bool] = {"boxes": boxes, "obb": obb, "masks": masks}
     chosen = tuple(name for name, on in kinds.items() if on) or tuple(kinds)

@@ -188,7 +188,7 @@ def _nothing_to_read(root: Path) -> Problem:
     """Return what is in a folder that has no picture to read, and so no format."""
     files = [name for name in files_below(root) if not is_picture_name(name)]
     named = f", but {len(files)} other file(s), such as {', '.join(files[:3])}" if files else " and no other file"
-    found = f"no picture (JPEG, PNG, BMP, TIFF) to read{named}"
+    found = f"no picture (JPEG, PNG, BMP, TIFF, WebP) to read{named}"
     todo = "check the path; unpack archives; put labels and pictures into one folder"
     return Problem(shown(root), "not-this-format", found, "a dataset in a format of docs/formats, or pictures", todo)
 

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import PurePosixPath
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +23,14 @@ from infrablend.core.rng import stream
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.base import check_splits, sort_images
 from infrablend.formats.picture_facts import facts_from_name
+from infrablend.formats.values import to_time
 
 Grouping = Literal["sequence", "date", "gap"]
 GROUPINGS: tuple[Grouping, ...] = ("sequence", "date", "gap")
 
 # Frames whose numbers differ by at most this much count as neighbours.
 NEAR = 5
+_DATE = len("2026-01-31")
 # Number of orders in which groups are assigned; the best result is used.
 _TRIES = 8
 _OPTION = "--val-share"
@@ -191,15 +193,61 @@ def group_images(images: Sequence[ImageRecord], by: Grouping, gap: int = NEAR) -
         keys = {i.id: i.capture.sequence for i in images}
         lacks = "a sequence"
         todo = "use --by gap, which needs numbers in the file names"
-    without = [i.name for i in images if keys[i.id] is None]
-    if without:
-        found = f"{len(without)} of {len(images)} images without {lacks}: {', '.join(without[:3])}"
-        problem = Problem(f"--by {by}", "group-unknown", found, "one for every image", todo)
-        raise DatasetError(f"cannot group by {by}", [problem])
+    _require_all(images, (keys[i.id] for i in images), by, lacks, todo)
     groups: dict[str, list[ImageRecord]] = {}
     for image in images:
         groups.setdefault(str(keys[image.id]), []).append(image)
     return {name: tuple(groups[name]) for name in sorted(groups)}
+
+
+def time_blocks(images: Sequence[ImageRecord], shares: Sequence[float], gap: int) -> list[tuple[ImageRecord, ...]]:
+    """Return one block of time per split with a share, with that split, in the order train, val, test.
+
+    The order is that of the times of capture if all pictures have one, else that of sequences and frame numbers.
+
+    Args:
+        images: Pictures.
+        shares: Shares of train, val and test among the pictures that are kept, with a sum of 1.
+        gap: Pictures left out between two blocks, so that none is next to one of another split.
+
+    Raises:
+        DatasetError: Neither times nor numbers of all pictures are known, or the gaps leave a block without a picture.
+    """
+    ordered = _in_time(images)
+    wanted = [k for k, share in enumerate(shares) if share > 0]
+    kept = len(ordered) - gap * (len(wanted) - 1)
+    if kept < len(wanted):
+        found = f"{len(ordered)} picture(s), {gap} of which to leave out between each two of {len(wanted)} blocks"
+        problem = Problem("--by time", "group-single", found, "a picture in each block", "use a smaller --gap")
+        raise DatasetError("cannot cut the pictures into blocks of time", [problem])
+    blocks = []
+    start = 0
+    for n, k in enumerate(wanted):
+        end = round(kept * sum(shares[: k + 1])) + gap * n
+        # No block is empty.
+        end = min(max(end, start + 1), len(ordered) - (len(wanted) - n - 1) * (gap + 1))
+        blocks.append(tuple(replace(i, split=SPLITS[k]) for i in ordered[start:end]))
+        start = end + gap
+    return blocks
+
+
+def _in_time(images: Sequence[ImageRecord]) -> list[ImageRecord]:
+    """Return pictures in the order of `time_blocks`; DatasetError if it is unknown."""
+    times = [to_time(c) if (c := i.capture.captured) is not None and len(c) > _DATE else None for i in images]
+    # With and without a time zone, times cannot be compared.
+    known = len({None if t is None else t.tzinfo is None for t in times}) == 1 and None not in times
+    keys: Sequence[Any] = times if known else frame_places(images)
+    _require_all(images, keys, "time", "a time of capture or a frame number", "state captured in metadata.csv")
+    return [i for _, i in sorted(zip(keys, images, strict=True), key=lambda pair: pair[0])]
+
+
+def _require_all(images: Sequence[ImageRecord], keys: Iterable[object], by: str, lacks: str, todo: str) -> None:
+    """Raise a DatasetError that counts the images without a key."""
+    without = [i.name for i, key in zip(images, keys, strict=True) if key is None]
+    if without:
+        found = f"{len(without)} of {len(images)} images without {lacks}: {', '.join(without[:3])}"
+        problem = Problem(f"--by {by}", "group-unknown", found, "one for every image", todo)
+        raise DatasetError(f"cannot group by {by}", [problem])
 
 
 def _runs(images: Sequence[ImageRecord], gap: int) -> dict[str, str | None]:
@@ -292,15 +340,15 @@ def _by_day(dataset: Dataset, training: Sequence[ImageRecord]) -> tuple[dict[str
     (whole,) = by_day
     if len(by_sequence) == 1:
         found = f"all {len(training)} training pictures are of {next(iter(by_sequence))}"
-        raise _refused(dataset, "group-single", found, "at least two days or sequences", _by_hand(dataset))
+        raise _refused(dataset, "group-single", found, "at least two days or sequences", _by_hand(dataset, "time"))
     found = f"all training pictures are of {whole}, so train and val show different sequences of one day"
     todo = "judge detectors on pictures of another day"
     problem = Problem(_OPTION, "val-same-day", found, "sequences of several days", todo, "warning")
     return dict(sorted(by_sequence.items())), [problem]
 
 
-def _by_hand(dataset: Dataset) -> str:
-    command = f"infrablend split {shlex.quote(str(dataset.root))} OUT --by gap"
+def _by_hand(dataset: Dataset, by: str = "gap") -> str:
+    command = f"infrablend split {shlex.quote(str(dataset.root))} OUT --by {by}"
     return f"leave --val-share out, or divide the data before ({command}) and give the result as data"
 
 

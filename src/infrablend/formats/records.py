@@ -212,7 +212,7 @@ class Findings:
         names = list(inside)
         if not inside:
             asked = f" in the splits {', '.join(splits)}" if splits else ""
-            self.add(str(root), "image-missing", "no usable picture" + asked, "JPEG, PNG, BMP or TIFF")
+            self.add(str(root), "image-missing", "no usable picture" + asked, "JPEG, PNG, BMP, TIFF or WebP")
             raise DatasetError(f"{root}: no picture to read", shorten(self.problems))
         table, more = table_of(root, metadata)
         captures = Captures(table, self.problems)

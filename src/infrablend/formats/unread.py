@@ -60,7 +60,7 @@ _TAG = re.compile(rf"<(?:{_LABEL_WORD})[\s/>]", re.IGNORECASE)
 _COORDINATES = re.compile(r"EPSG:|\+proj|WGS", re.IGNORECASE)
 # The end of a picture's name, and what separates names. Names are looked for backwards from their ends: forwards, a
 # line of a megabyte without a separator would be searched from each of its characters.
-_PICTURE_END = re.compile(r"\.(?:jpe?g|png|tiff?|bmp)\b", re.IGNORECASE)
+_PICTURE_END = re.compile(r"\.(?:jpe?g|jpe|jfif|png|tiff?|bmp|webp)\b", re.IGNORECASE)
 _SEPARATOR = re.compile(r"[\\/\"'<>\x00-\x1f\ufffd]")
 # What also separates names, unless it is in one.
 _BREAK = re.compile(r"[ |,;:=]")
@@ -68,17 +68,27 @@ _LONGEST_NAME = 255
 _PIECE = re.compile(r"""[\\/"'<>|,;:= ()\[\]{}#?&-]|[\x00-\x1f\ufffd]""")
 # What Label Studio puts before the names of uploaded pictures.
 _UPLOADED = re.compile(r"[0-9a-f]{8}-(?=.)")
-# Names without a suffix in tables and in JSON; plain numbers and dates are none.
-_TELLING = re.compile(r"(?=.*\d).*[^\d.+-]", re.DOTALL)
+# Names without a suffix in tables and in JSON; plain numbers and dates are none, unless zeros fill them up.
+_TELLING = re.compile(r"(?=.*\d).*[^\d.+-]|0\d{3}", re.DOTALL)
+# What labels leave out of such a name: a word at its end that tells one form of a picture from another, such as `_ir`,
+# and then a word before a number, such as `frame_`.
+_LAST_WORD = re.compile(r"[_\-. ][^\W\d_]{1,12}$")
+_FIRST_WORD = re.compile(r"^[^\W\d_]{1,12}[_\-. ]?(?=\d+$)")
 _CELL = re.compile(r"[,;\s|\"'\[\]()]+")
 _TEXT = re.compile(r'(:\s*)?"([^"\\/]{1,255})"(?=(\s*:)?)')
 # A line of a table of boxes: left, top, width and height at least, perhaps after the frame and the track.
 _NUMBER = r"-?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?"
 _IS_NUMBER = re.compile(_NUMBER).fullmatch
 _BOX = 4
-_NUMBERS = re.compile(rf"(?:{_NUMBER}[,; \t]++){{3,}}{_NUMBER}")
+_NUMBERS = re.compile(rf"(?<![\w.])(?:{_NUMBER}[,; \t]++){{3,}}{_NUMBER}")
+_TUPLE = re.compile(rf"[(\[{{]\s*+{_NUMBER}(?:\s*+[,; \t]\s*+{_NUMBER}){{3}}")
 # In JSON, four numbers as the value of a key, perhaps in lists, and characters that are written as numbers.
 _BOX_OF = re.compile(rf'"([^"\\]{{1,255}})"\s*:\s*\[[\s\[]*+{_NUMBER}(?:\s*,\s*{_NUMBER}){{3}}')
+# Keys of JSON with the number of a picture; and those of a list of results, which may be numbers of another file.
+_PICTURE_NUMBER = re.compile(
+    r'"(?:image|img|picture|file|frame)[_ ]?(?:id|no|nr|num|number|index|idx)?"\s*:\s*"?(\d+)\b', re.IGNORECASE
+)
+_RESULTS = re.compile(r'\s*\[?\s*\{(?=[^{}]*"image_id"\s*:)(?=[^{}]*"(?:bbox|segmentation)"\s*:)')
 _ESCAPED = re.compile(r"\\u([0-9a-fA-F]{4})")
 _TRUTH = re.compile(r"(?:^|[\W_])(?:gt|det|ground_?truth)(?:[\W_]|$)")
 _HEAD_BYTES = 1_000_000
@@ -272,6 +282,11 @@ def files_below(root: Path) -> Iterator[str]:
         yield from (prefix + n for n in sorted(names) if not is_hidden(n))
 
 
+def _parts_below(folder: Path, root: Path) -> tuple[str, ...]:
+    """Return the names of the folders from below `root` to `folder`; its own name for frames of videos, elsewhere."""
+    return folder.relative_to(root).parts if folder.is_relative_to(root) else (folder.name,)
+
+
 def _place(path: str) -> str:
     """Return a path without suffix and without folders that only separate pictures from labels."""
     return _KIND.sub("", path.rpartition(".")[0])
@@ -310,9 +325,10 @@ class _Pictures:
 
     Attributes:
         names: Names of the files, folded.
-        stems: Those without suffix, unless they look like numbers.
-        numbers: Those that are numbers, without zeros before them.
-        folders: Names of the folders that they are in, folded.
+        stems: Those without suffix, unless they look like numbers; also without a word such as `_ir` at the end.
+        numbers: Those that are numbers, perhaps but for a word before them, without zeros before them.
+        folders: Names of the folders below the dataset's that they are in, folded.
+        clips: Those of the folders whose names are of one clip, not of a kind or a split.
         words: Number of words of the longest name, see `_BREAK`.
         ends: The last pieces of the names, see `_PIECE`.
     """
@@ -321,6 +337,7 @@ class _Pictures:
     stems: frozenset[str]
     numbers: frozenset[str]
     folders: frozenset[str]
+    clips: tuple[str, ...]
     words: int
     ends: frozenset[str]
 
@@ -328,12 +345,21 @@ class _Pictures:
     def of(cls, dataset: Dataset) -> _Pictures:
         paths = [i.path for i in dataset.images]
         names = frozenset(fold_name(p.name) for p in paths)
-        stems = frozenset(p.stem for p in paths)
-        folders = frozenset(fold_name(p.parent.name) for p in paths)
-        numbers = frozenset(s.lstrip("0") for s in stems if s.isdecimal())
+        stems = {p.stem for p in paths}
+        stems |= {_LAST_WORD.sub("", s) for s in stems}
+        places = {p.parent for p in paths}
+        folders = {fold_name(n) for place in places for n in _parts_below(place, dataset.root)}
+        clips = tuple(f for f in sorted(folders) if _TELLING.match(f))
+        plain = (_FIRST_WORD.sub("", s) for s in stems)
+        numbers = frozenset(s.lstrip("0") for s in plain if s.isdecimal())
         words = 1 + max((len(_BREAK.findall(n)) for n in names), default=0)
         ends = frozenset(_PIECE.split(n)[-1] for n in names)
-        return cls(names, frozenset(s for s in stems if _TELLING.match(s)), numbers, folders, words, ends)
+        telling = frozenset(s for s in stems if _TELLING.match(s))
+        return cls(names, telling, numbers, frozenset(folders), clips, words, ends)
+
+    def are_of_clip(self, stem: str) -> bool:
+        """Return whether a folded stem is the name of a folder of pictures, or begins with that of a clip."""
+        return stem in self.folders or any(stem.startswith(c) and not stem[len(c)].isalnum() for c in self.clips)
 
     def may_be_in(self, text: str) -> bool:
         """Return whether a name of a picture may be in a text, as fast as a text of many megabytes needs it."""
@@ -353,7 +379,11 @@ class _Pictures:
     def are_keys_of_boxes(self, text: str) -> bool:
         """Return whether four numbers follow the name of a picture in JSON."""
         said = (m[1] for m in _BOX_OF.finditer(text))
-        return any(n in self.stems or self.named_in(n) for n in said)
+        return any(n in self.stems or self.is_number(n) or self.named_in(n) for n in said)
+
+    def is_number(self, text: str) -> bool:
+        """Return whether a text is the number of a picture, whatever zeros are before it."""
+        return text.isdecimal() and text.lstrip("0") in self.numbers
 
 
 def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | None:
@@ -376,14 +406,24 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
         lines = [line for line in map(str.strip, text.splitlines()) if line]
         if not lines:
             return "error" if stem in pictures.folders else None
-        if (stem in pictures.folders and _NUMBERS.match(lines[0])) or (
-            _TRUTH.search(stem) and any(map(_NUMBERS.match, lines))
+        clip = pictures.are_of_clip(stem)
+        truth = _TRUTH.search(stem)
+        records = suffix in {".xml", *_JSON_SUFFIXES, *_YAML_SUFFIXES}
+        if (
+            (stem in pictures.folders and _NUMBERS.match(lines[0]))
+            or (truth and any(map(_NUMBERS.match, lines)))
+            or (not records and (clip or truth) and any(map(_TUPLE.search, lines)))
+            or (not records and clip and _OF_LABELS.search(stem) and any(map(_NUMBERS.search, lines)))
         ):
             return "error"
-        if suffix in {".xml", *_JSON_SUFFIXES, *_YAML_SUFFIXES}:
-            return _said_in_records(text, lines, pictures, suffix, alone=alone)
+        if records:
+            return _said_in_records(text, lines, pictures, suffix, alone=alone or clip)
         if suffix in (".csv", ".tsv", ".txt"):
-            return _said_in_table(lines, pictures, suffix, alone=alone)
+            if says := _said_in_table(lines, pictures, suffix, alone=alone):
+                return says
+            keyed = _are_keyed(lines, pictures)
+            labels = keyed and _OF_LABELS.search(stem)
+            return "error" if labels else "warning" if keyed or (clip and _NUMBERS.match(lines[0])) else None
         return "error" if any(map(pictures.named_in, lines)) else None
     return None
 
@@ -417,13 +457,13 @@ def _said_in_records(
         text = _ESCAPED.sub(lambda m: chr(int(m[1], 16)), text)
         lines = text.splitlines()
     labels = bool(keys.search(text)) or (is_json and pictures.are_keys_of_boxes(text))
-    if alone and labels:
+    if labels and (alone or (is_json and _RESULTS.match(text))):
         return "error"
     said = {name for value, name, key in _TEXT.findall(text) if value or key} if is_json else set()
     if not pictures.stems.isdisjoint(said) or any(map(pictures.named_in, lines)):
         return "error" if labels else "warning"
-    numbers = {name.lstrip("0") for name in said if name.isdecimal()}
-    return "error" if labels and not pictures.numbers.isdisjoint(numbers) else None
+    said.update(_PICTURE_NUMBER.findall(text))
+    return "error" if is_json and labels and any(map(pictures.is_number, said)) else None
 
 
 def _said_in_table(lines: Sequence[str], pictures: _Pictures, suffix: str, *, alone: bool) -> Severity | None:
@@ -447,7 +487,7 @@ def _said_in_table(lines: Sequence[str], pictures: _Pictures, suffix: str, *, al
             continue
         stem = next((c for c in cells if c in pictures.stems), None)
         boxed = _count_numbers(cells) >= _BOX
-        numbered = labels and boxed and next(filter(None, cells)).lstrip("0") in pictures.numbers
+        numbered = labels and boxed and pictures.is_number(next(filter(None, cells)))
         if name is None and not numbered and (stem is None or not (labels or boxed)):
             continue
         if labels:
@@ -457,6 +497,17 @@ def _said_in_table(lines: Sequence[str], pictures: _Pictures, suffix: str, *, al
             return "error"
         says = "warning"
     return "error" if listed and any(map(_NUMBERS.match, lines)) else says
+
+
+def _are_keyed(lines: Iterable[str], pictures: _Pictures) -> bool:
+    """Return whether each line has the number of a picture and then four others; one alone may be anything."""
+    keys = set()
+    for line in lines:
+        cells = list(filter(None, _CELL.split(line)))
+        if _count_numbers(cells) <= _BOX or not pictures.is_number(cells[0]):
+            return False
+        keys.add(cells[0])
+    return len(keys) > 1
 
 
 def _titles(line: str) -> list[str]:

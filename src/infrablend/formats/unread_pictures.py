@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -17,7 +17,7 @@ from infrablend.errors import Problem, Severity
 from infrablend.formats.base import SPLIT_FOLDERS, stated_split
 from infrablend.formats.labels import folder
 from infrablend.formats.pictures import video
-from infrablend.formats.pictures.listing import is_picture_name
+from infrablend.formats.pictures.listing import READABLE, UNREAD_SUFFIXES, is_picture_name
 from infrablend.formats.records import LEFT_OUT
 
 # Words that tell one form of a picture from another, as in `rgb/f1.jpg`, `DJI_0001_W.JPG` and `f1_depth.png`.
@@ -46,6 +46,7 @@ _LEAST_CLASSES = 2
 _SAMPLING = {"every", "frames"}
 _CHOOSING = {"form", "modality", "camera"}
 _UNLISTED = "in no record of the dataset, which are not read"
+_CONVERT_THEM = "if they belong to the dataset, convert them to PNG without changing their pixels; else move them out"
 _LIST_THEM = (
     "if they belong to the dataset, add them to its labels or lists (`test:` in YOLO's data.yaml); if they are another "
     "one, give their folder; else move them out"
@@ -55,7 +56,7 @@ _LIST_THEM = (
 def unread_pictures(
     dataset: Dataset, files: Sequence[str], splits: Collection[str] | None, options: Collection[str]
 ) -> list[Problem]:
-    """Return a warning per folder with pictures that are in no record of the dataset.
+    """Return a warning per folder with pictures that are in no record of the dataset, and one about other kinds.
 
     None are: other forms of pictures that were read, those of splits that were not asked for or that options leave out,
     what problems already name, and what is no part of a dataset by the name of its folder.
@@ -74,7 +75,7 @@ def unread_pictures(
     read = set(known)
     left = defaultdict[str, list[str]](list)
     for name in files:
-        if is_picture_name(name) and name not in read:
+        if (is_picture_name(name) and name not in read) or PurePosixPath(name).suffix.lower() in UNREAD_SUFFIXES:
             left[name.rpartition("/")[0]].append(name)
     if not left:
         return []
@@ -84,6 +85,7 @@ def unread_pictures(
     labelled = {(n.partition("/")[0], _stem(n)) for n in files if n.lower().endswith(_OWN_LABELS)}
     labelled = {(top, stem) for top, stem in labelled if top not in forms.tops}
     unlisted = {}
+    others: list[str] = []
     for place, names in left.items():
         taken = place in forms.places
         top = place.partition("/")[0]
@@ -97,8 +99,9 @@ def unread_pictures(
             continue
         if len(own) <= _FEW:
             own = [n for n in own if _NO_DATA.isdisjoint(_words(_stem(n)))]
+        others += [n for n in own if not is_picture_name(n)]
         # Left out with a problem of their own, or of their label files.
-        if own := [n for n in own if fold_name(_stem(n)) not in named]:
+        if own := [n for n in own if is_picture_name(n) and fold_name(_stem(n)) not in named]:
             unlisted[place] = own
     problems = [(place, f"{len(own)} picture(s) {_UNLISTED}, such as {own[0]}") for place, own in unlisted.items()]
     if len(problems) > _MOST_NAMED:
@@ -109,7 +112,18 @@ def unread_pictures(
     return [
         Problem(w or dataset.root.name or ".", "image-unlisted", f, expected, _LIST_THEM, "warning")
         for w, f in problems
-    ]
+    ] + _of_other_kinds(dataset, others)
+
+
+def _of_other_kinds(dataset: Dataset, names: Sequence[str]) -> list[Problem]:
+    """Return a warning of pictures that no reader takes because of their kinds, with the number of each."""
+    if not names:
+        return []
+    kinds = Counter(PurePosixPath(n).suffix.lower() for n in names)
+    counts = ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
+    found = f"{len(names)} picture(s) of kinds that are not read ({counts}), such as {names[0]}"
+    where = dataset.root.name or "."
+    return [Problem(where, "image-kind", found, READABLE, _CONVERT_THEM, "warning")]
 
 
 def path_below(root: Path) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import stat
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ class CheckReport:
         objects: Number of labels read.
         decoded: Whether the pictures were decoded.
         problems: All errors and warnings.
+        suffixes: Number of images by the suffix of the picture.
     """
 
     root: Path
@@ -43,6 +44,7 @@ class CheckReport:
     objects: int
     decoded: bool
     problems: tuple[Problem, ...]
+    suffixes: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def errors(self) -> tuple[Problem, ...]:
@@ -68,6 +70,7 @@ class CheckReport:
             "root": str(self.root),
             "format": self.format,
             "images": self.images,
+            "suffixes": dict(self.suffixes),
             "objects": self.objects,
             "decoded": self.decoded,
             "errors": len(self.errors),
@@ -107,6 +110,7 @@ class Checking:
         self._problems: list[Problem] = []
         self._copies: dict[bytes, list[str]] = {}
         self._images = self._objects = 0
+        self._suffixes: Counter[str] = Counter()
         self._root = Path()
         self._format = ""
 
@@ -135,6 +139,7 @@ class Checking:
                 self._copies.setdefault(print_, []).append(where)
             self._problems += check_objects(image, where, size_wh, duplicates=not compares)
             self._images += 1
+            self._suffixes[image.path.suffix.lower()] += 1
             self._objects += len(image.instances)
             if on_image is not None:
                 on_image(self._images, max(self._images, total or len(dataset.images)))
@@ -146,7 +151,8 @@ class Checking:
         """Return the problems of all images together, and further ones of the dataset."""
         copies = [p for group in self._copies.values() for p in _check_copies(group)]
         problems = _sorted([*self._problems, *copies, *further])
-        return CheckReport(self._root, self._format, self._images, self._objects, self._decode, problems)
+        kinds = dict(sorted(self._suffixes.items()))
+        return CheckReport(self._root, self._format, self._images, self._objects, self._decode, problems, kinds)
 
 
 def unreadable(root: Path, error: DatasetError) -> CheckReport:

@@ -17,6 +17,12 @@ _HEIGHT = "height-at-limit"
 _SUN = "sun-below-horizon"
 
 
+def in_words(reasons: Mapping[str, int], words: Mapping[str, str] | None = None) -> str:
+    """Return reasons in words, each with its number and its name in the records; without `words`, those of `WHY`."""
+    words = WHY if words is None else words
+    return ", ".join(f"{name} {n}" + (f" ({words[name]})" if name in words else "") for name, n in reasons.items())
+
+
 def frame_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
     """Return the warnings about backgrounds, merged into one per kind."""
     seen: dict[str, dict[str, Problem]] = {}
@@ -94,6 +100,23 @@ _REASONS: Mapping[str, _Reason] = {
         0.2,
     ),
 }
+WHY: Mapping[str, str] = {
+    "no_place": "no place was found where it fits",
+    "no_ground": "no ground in this background suits it",
+    "no_horizon": "no horizon was found in this background",
+    "behind_camera": "its place is behind the camera",
+    "min_visibility": "too little of it would be visible",
+    "too_hidden": "structures of the background hide too much of it",
+    "low_contrast": "its contrast with the background is too low",
+}
+"""Why an object was left out, in words; other reasons are in words already."""
+_REFUSED: Mapping[str, str] = {
+    "unfit_ground": "the ground there does not suit it: a car needs a road, for example",
+    "no_ground": "there is no ground",
+    "beyond_ground": "it would be below the ground",
+    "too_small": "it would be too small",
+    "overlap": "another object is there",
+}
 _LEAST_ABSENT = 0.5
 _LOOKS_DOWN = (
     "at these distances (objects.N.range_m) and the recipe's height of the camera, objects would be below the ground: "
@@ -124,8 +147,8 @@ def absent_warnings(draws: DrawStatistics) -> list[Problem]:
     missing = sum(absent.values())
     if missing and missing >= _LEAST_ABSENT * wanted:
         most = sorted(draws["rejected"].items(), key=lambda r: (-r[1], r[0]))[:3]
-        found = f"{missing} of {wanted} objects were not inserted ({', '.join(f'{k} {n}' for k, n in absent.items())}"
-        found += f"; places refused: {', '.join(f'{k} {n}' for k, n in most)})" if most else ")"
+        found = f"{missing} of {wanted} objects were not inserted: {in_words(absent)}"
+        found += f"; places refused: {in_words(dict(most), _REFUSED)}" if most else ""
         todo = (
             "check the camera's pitch, height and lens, and placement.size_px; `draws` in run.json counts every reason"
         )
@@ -316,7 +339,7 @@ def nothing_inserted(recipe: Recipe, counts: Mapping[str, Any], draws: DrawStati
         return []
     left_out = counts.get("objects_left_out", {})
     reasons = Counter(left_out) + Counter(counts.get("objects_without_label", {}))
-    why = ", ".join(f"{reason} {n}" for reason, n in reasons.most_common()) or "for a reason that was not recorded"
+    why = in_words(dict(reasons.most_common())) or "for a reason that was not recorded"
     total = sum(n["asked"] for n in by_kind.values())
     remedies = absent_warnings(draws or {"wanted": total, "absent": left_out, "rejected": {}})
     todo = "; or ".join(dict.fromkeys(p.todo for p in remedies))
@@ -337,6 +360,27 @@ def nothing_inserted(recipe: Recipe, counts: Mapping[str, Any], draws: DrawStati
         )
         for where, n in missing.items()
     ]
+
+
+def few_inserted(recipe: Recipe, counts: Mapping[str, Any], draws: DrawStatistics | None) -> list[Problem]:
+    """Return a warning per entry of `objects`, of several, of which some are inserted, but at most half.
+
+    See `nothing_inserted` for the arguments.
+    """
+    by_kind: Mapping[str, Mapping[str, int]] = counts.get("objects_by_kind", {})
+    refused = dict(Counter((draws or {}).get("rejected", {})).most_common(2))
+    why = f"left out of all kinds: {in_words(counts.get('objects_left_out', {}))}"
+    why += f"; places refused: {in_words(refused, _REFUSED)}" if refused else ""
+    todo = _OTHER_GROUND if "unfit_ground" in refused else "check placement and the camera"
+    problems = []
+    for where, n in by_kind.items() if len(by_kind) > 1 else ():
+        if 0 < n["inserted"] <= _LEAST_ABSENT * n["asked"]:
+            kind = recipe.objects[int(where.rpartition(".")[2])]
+            found = (
+                f"{n['asked'] - n['inserted']} of {n['asked']} {kind.category or kind.model} were not inserted; {why}"
+            )
+            problems.append(Problem(where, "objects-absent", found, "most objects inserted", todo, "warning"))
+    return problems
 
 
 def nothing_first(problems: Iterable[Problem]) -> list[Problem]:

@@ -38,6 +38,7 @@ from infrablend.pipeline.runs.record import RecordedRun
 from infrablend.rendering.engine.turntable import draw_model
 from infrablend.report.ground_preview import draw_ground
 from infrablend.report.preview import Rgb, decode_picture, draw_labels, to_rgb
+from infrablend.report.run_warnings import WHY
 from infrablend.studio.object_form import model_problems
 from infrablend.studio.opened_run import OpenedRun
 from infrablend.studio.page_pictures import cached_picture, cached_thumbnail, enlarged, with_originals
@@ -45,15 +46,6 @@ from infrablend.studio.studio_request import StudioRequest
 from infrablend.thermal.radiometry import ZERO_C_K
 
 _CROP_PX = 240
-_WHY = {
-    "no_place": "no place was found where it fits",
-    "no_ground": "no ground in this background suits it",
-    "no_horizon": "no horizon was found in this background",
-    "behind_camera": "its place is behind the camera",
-    "min_visibility": "too little of it would be visible",
-    "too_hidden": "structures of the background hide too much of it",
-    "low_contrast": "its contrast with the background is too low",
-}
 FIRST_RECIPE = "hit-uav-drone-physical"
 """Recipe to tune where neither a recipe nor a run is given."""
 
@@ -81,8 +73,9 @@ class Tuned:
     def picture(self, *, boxes: bool, ground: bool = False, base: Rgb | None = None) -> Rgb:
         """Return the picture, or `base`, with boxes, or with the ground and people of 1.7 m on it, twice as large."""
         frame = self.trial.frame
-        if ground and frame.scene is not None and self.has_ground:
-            return draw_ground(to_rgb(frame.pixels) if base is None else base, frame.labels, frame.scene)[0]
+        if ground and frame.scene is not None and (view := frame.scene.view) is not None:
+            plain = to_rgb(frame.pixels) if base is None else base
+            return draw_ground(plain, frame.labels, frame.scene.camera, view.ground_z_m)[0]
         return self.labelled(inserts=boxes, originals=boxes, base=base)
 
     def labelled(self, *, inserts: bool, originals: bool, base: Rgb | None = None) -> Rgb:
@@ -137,7 +130,7 @@ class Tuned:
         found = {}
         for number, reason in sorted(scene.left_out.items()):
             name = f", {names[number]}" if number < len(names) else ""
-            why = _WHY.get(reason, reason.replace("_", " "))
+            why = WHY.get(reason, reason.replace("_", " "))
             if reason == "no_place" and most:
                 why += f" (of the frame's {scene.draws['attempts']} draws, {most})"
             found[number] = f"Object {number + 1}{name}, was left out: {why}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -16,9 +17,10 @@ from infrablend import api
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import DatasetError
 from infrablend.formats.cameras import flight_headers as flight_data
-from infrablend.lab.world.rjpeg_writing import Maker
+from infrablend.formats.pictures.images import REFUSED_COLOUR
+from infrablend.lab.world.rjpeg_writing import Maker, Shot, radiometric_jpeg
 from tests.command_line import run
-from tests.flights import START, flight, plain_jpeg, shot, with_exif_size, with_xmp
+from tests.flights import START, counts, flight, grey, plain_jpeg, shot, with_exif_size, with_xmp
 from tests.samples import SAMPLES, picture
 
 
@@ -215,6 +217,22 @@ def test_a_folder_of_radiometric_pictures_gets_a_hint(maker: Maker, tmp_path: Pa
         and "the temperatures are not used" in found.todo
         and f"infrablend temperatures {tmp_path} --out {tmp_path.name}_k" in found.todo
     )
+
+
+def test_inspect_says_that_generate_refuses_a_palette_as_it_does(tmp_path: Path) -> None:
+    data = tmp_path / "a flight"
+    data.mkdir()
+    for k in range(2):
+        level = grey(k)
+        palette = np.stack([level, 255 - level, level // 2], axis=2)
+        one = replace(Shot(), captured=START + timedelta(seconds=k))
+        (data / f"DJI_{k:04}_T.JPG").write_bytes(radiometric_jpeg("dji", palette, counts(k), one))
+    (found,) = api.inspect(data).problems
+    assert "2 of 2 that were looked at are in colour" in found.found and REFUSED_COLOUR in found.found
+    assert "go on" not in found.todo and "infrablend temperatures" in found.todo and "artistic" in found.todo
+    report = api.generate("sar-people", data, tmp_path / "run", execution=api.Execution(renderer="flat"))
+    refused = [p.found for p in report.problems if p.code == "image-colour-mapped"]
+    assert len(refused) == 2 and all(REFUSED_COLOUR in text for text in refused)
 
 
 def test_radiometric_insertion_into_camera_files_names_the_command(tmp_path: Path) -> None:

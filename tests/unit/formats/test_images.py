@@ -14,6 +14,7 @@ from PIL import Image
 from infrablend.errors import DatasetError
 from infrablend.formats.pictures import images as module
 from infrablend.formats.pictures.images import encode_image, load_background, output_suffix, save_image
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES, PICTURE_SUFFIXES, UNREAD_SUFFIXES
 
 
 def ramp(dtype: type = np.uint8) -> np.ndarray:
@@ -53,12 +54,76 @@ def test_lossless_types_come_back_bit_for_bit(tmp_path: Path, suffix: str) -> No
     assert (again.pixels == ramp()).all() and again.file_type == source.file_type
 
 
+@pytest.mark.parametrize("lossless", [True, False])
+def test_webp_of_grey_levels_is_grey(tmp_path: Path, lossless: bool) -> None:
+    """WebP has no grey: a decoder's green may differ by one from red and blue."""
+    source = load_background(save(tmp_path / "a.webp", ramp(), lossless=lossless))
+    assert (source.mode, source.file_type, source.problems) == ("RGB", "WEBP", ())
+    assert np.abs(source.pixels.astype(int) - ramp()).max() <= (0 if lossless else 8)
+    again = load_background(save_image(tmp_path / "b.webp", source.pixels, source))
+    assert (again.pixels == source.pixels).all()
+    colour = np.stack([ramp(), ramp() + 9, ramp()], axis=2)
+    assert [p.code for p in load_background(save(tmp_path / "c.webp", colour)).problems] == ["image-colour"]
+
+
+@pytest.mark.parametrize("suffix", JPEG_SUFFIXES)
+def test_jpeg_has_several_suffixes(tmp_path: Path, suffix: str) -> None:
+    source = load_background(save(tmp_path / f"a{suffix}", ramp(), format="JPEG"))
+    assert save_image(tmp_path / f"b{suffix}", source.pixels, source).is_file()
+
+
+def test_every_kind_of_picture_that_pillow_opens_is_read_or_named() -> None:
+    Image.init()
+    # Icons, drawings, documents, and what is a video or a table for us.
+    others = {
+        "AVIF": ".avifs", "BLP": ".blp", "BUFR": ".bufr", "CUR": ".cur", "DCX": ".dcx", "DDS": ".dds",
+        "EPS": ".ps .eps", "FLI": ".fli .flc", "FTEX": ".ftc .ftu", "GBR": ".gbr", "GRIB": ".grib", "HDF5": ".h5 .hdf",
+        "ICNS": ".icns", "ICO": ".ico", "IPTC": ".iim", "MPEG": ".mpg .mpeg", "MSP": ".msp", "PALM": ".palm",
+        "PCD": ".pcd", "PDF": ".pdf", "PIXAR": ".pxr", "SGI": ".rgba", "WMF": ".wmf .emf", "XBM": ".xbm",
+        "XPM": ".xpm",
+    }  # fmt: skip
+    known = {*PICTURE_SUFFIXES, *UNREAD_SUFFIXES, *" ".join(others.values()).split()}
+    assert set(Image.registered_extensions()) - known == set()
+
+
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 def test_sixteen_bits_are_kept(tmp_path: Path, suffix: str) -> None:
     source = load_background(save(tmp_path / f"a{suffix}", ramp(np.uint16)))
     assert (source.mode, source.bit_depth, source.pixels.dtype) == ("I;16", 16, np.uint16)
     again = load_background(save_image(tmp_path / f"b{suffix}", source.pixels, source))
     assert (again.pixels == ramp(np.uint16)).all() and again.bit_depth == 16
+
+
+def photometric(path: Path, value: int | None) -> Path:
+    """State another PhotometricInterpretation in a TIFF file, or none."""
+    data = bytearray(path.read_bytes())
+    (directory,) = struct.unpack_from("<I", data, 4)
+    (entries,) = struct.unpack_from("<H", data, directory)
+    for at in range(directory + 2, directory + 2 + 12 * entries, 12):
+        if struct.unpack_from("<H", data, at) == (262,):
+            struct.pack_into(*(("<H", data, at, 263) if value is None else ("<H", data, at + 8, value)))
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("compression", [None, "tiff_lzw"])
+@pytest.mark.parametrize(("dtype", "white"), [(np.uint8, 255), (np.uint16, 65535)])
+def test_white_is_zero_is_hot_is_zero_in_any_depth(
+    tmp_path: Path, dtype: type, white: int, compression: str | None
+) -> None:
+    """github.com/python-pillow/Pillow/issues/4804: Pillow inverts 8 bits, but not 16."""
+    stored = ramp(dtype)
+    source = load_background(photometric(save(tmp_path / "a.tif", stored, compression=compression), 0))
+    assert (source.pixels == white - stored).all() and source.problems == ()
+    again = load_background(save_image(tmp_path / "b.tif", source.pixels, source))
+    assert (again.pixels == source.pixels).all()
+
+
+def test_a_tiff_whose_zero_is_unknown_or_that_is_no_grey_is_refused(tmp_path: Path) -> None:
+    for dtype in (np.uint8, np.uint16):
+        assert refused(photometric(save(tmp_path / "a.tif", ramp(dtype)), None)) == "image-mode"
+    for value in (2, 3, 5):
+        assert refused(photometric(save(tmp_path / "a.tif", ramp(np.uint16)), value)) == "image-unreadable"
 
 
 def test_png_on_request_is_lossless_and_the_same_bytes(tmp_path: Path) -> None:

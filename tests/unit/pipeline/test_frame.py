@@ -16,7 +16,7 @@ from infrablend.errors import DatasetError, MissingDependencyError, RecipeError
 from infrablend.pipeline.compose.looks import local_settings
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.runs.generate import plan_request
-from tests.command_line import done
+from tests.command_line import done, run
 from tests.recipes import ANYWHERE
 from tests.run_files import records
 
@@ -265,7 +265,8 @@ def test_run_without_a_place_for_objects_reports_it(tmp_path):
     settings = ["objects=[{model: person}]", "camera.pitch={fixed_deg: -20}"]
     report = generate(data, tmp_path / "run", settings=settings)
     (found,) = [p for p in report.problems if p.code == "objects-absent"]
-    assert found.found == "1 of 1 objects were not inserted (no_place 1; places refused: no_ground 200)"
+    why = "no_place 1 (no place was found where it fits); places refused: no_ground 200 (there is no ground)"
+    assert found.found == f"1 of 1 objects were not inserted: {why}"
     assert not [p for p in generate(data, tmp_path / "good").problems if p.code == "objects-absent"]
 
 
@@ -345,17 +346,35 @@ def test_the_ground_preview_shows_as_many_frames_as_asked(tmp_path, options, row
         assert picture.height // (2 * 256) == rows
 
 
-@pytest.mark.parametrize(("recipe", "stands"), [("hit-uav-drone-physical", False), ("monet-deer-physical", True)])
-def test_the_ground_preview_compares_only_what_stands_on_the_ground(tmp_path, recipe, stands):
+def test_the_ground_preview_compares_only_real_labels(tmp_path):
+    """Inserted people have the size that the camera gives them: compared with people, they would prove any scale."""
     from infrablend.core.dataset import Instance
-    from infrablend.report.ground_preview import comparable
+    from infrablend.report.ground_preview import draw_ground
 
     data = folder(tmp_path / "data", {f"{RECORDS[0]}.png": Image.fromarray(scenery(0))})
-    generate(data, tmp_path / "run", recipe)
+    generate(data, tmp_path / "run", "monet-deer-physical")
     (record,) = records(tmp_path / "run")
-    inserted = list(record.inserted)
-    original = Instance(inserted[0].category, np.array([1.0, 1, 9, 9]))
-    assert comparable([original, *inserted], record.scene) == [original, *(inserted if stands else [])]
+    plain = np.repeat(scenery(0)[..., None], 3, axis=2)
+    scene = record.scene
+    real = Instance("person", np.array([300.0, 300, 312, 330]))
+    without, only_inserted, with_real = (
+        draw_ground(plain, labels, scene.camera, scene.view.ground_z_m)[0]
+        for labels in ([], list(record.inserted), [real])
+    )
+    assert record.inserted and (without == only_inserted).all() and (without != with_real).any()
+
+
+def test_the_ground_of_a_dataset_is_drawn_before_any_run(tmp_path, monkeypatch):
+    data = folder(tmp_path / "data", {"a.png": Image.fromarray(scenery(0)), "b.png": Image.fromarray(scenery(1))})
+    monkeypatch.chdir(tmp_path)
+    refused = run("preview", data, "--ground")
+    output = " ".join(refused.output.split())
+    assert refused.exit_code and "hfov_deg" in output and "--metadata FILE" in output
+    (tmp_path / "facts.csv").write_text("file,pitch_deg,altitude_m,hfov_deg\na.png,60,80,40\nb.png,60,80,\n")
+    said = done("preview", data, "--ground", "--metadata", tmp_path / "facts.csv")
+    assert said.output.strip() == "ground.png" and not (data / "ground.png").exists()
+    with Image.open(tmp_path / "ground.png") as sheet:
+        assert sheet.height // (2 * 512) == 1 and sheet.width < 4 * 640  # one picture states all three
 
 
 @pytest.mark.parametrize(("width", "rows"), [(200, 4), (320, 2), (640, 1), (2560, 1)])

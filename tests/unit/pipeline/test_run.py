@@ -21,7 +21,7 @@ from infrablend.core.tasks import Progress
 from infrablend.core.workspace import partial_of
 from infrablend.errors import DatasetError, Interrupted, MissingDependencyError, OutputError, Problem, RecipeError
 from infrablend.pipeline.plans.planning import make_plan
-from infrablend.report.run_warnings import absent_warnings, limit_warnings
+from infrablend.report.run_warnings import absent_warnings, few_inserted, limit_warnings
 from tests.run_files import edit_ledger, hashes, records
 
 NAMES = ["0_60_50_0_00001", "1_80_90_0_00002", "1_100_30_0_00003", "0_130_70_0_00004"]
@@ -684,6 +684,18 @@ def test_pictures_that_look_down_have_no_place_for_a_recipe_of_the_sky():
     assert "use a recipe for cameras that look down" in found.todo
     (other,) = absent_warnings({**draws, "rejected": {"overlap": 1200, "beyond_ground": 3}})
     assert "look down" not in other.todo
+
+
+def test_a_kind_of_which_few_are_inserted_is_said_in_words():
+    recipe = load_recipe("hit-uav-cars", {"objects": [{"model": "person"}, {"model": "car", "category": "Car"}]})
+    by_kind = {"objects.0": {"asked": 30, "inserted": 26}, "objects.1": {"asked": 24, "inserted": 2}}
+    draws: DrawStatistics = {"wanted": 54, "absent": {"no_place": 26}, "rejected": {"unfit_ground": 900, "overlap": 9}}
+    counts = {"objects_by_kind": by_kind, "objects_left_out": {"no_place": 26}}
+    (found,) = few_inserted(recipe, counts, draws)
+    assert (found.where, found.code, found.severity) == ("objects.1", "objects-absent", "warning")
+    assert found.found.startswith("22 of 24 Car were not inserted; ") and "a car needs a road" in found.found
+    assert "no place was found where it fits" in found.found and "placement.where" in found.todo
+    assert few_inserted(recipe, {"objects_by_kind": {"objects.1": by_kind["objects.1"]}}, draws) == []
 
 
 def test_visible_pictures_without_pitch_are_called_so_first(tmp_path):

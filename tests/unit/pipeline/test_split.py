@@ -16,9 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from infrablend import api
-from infrablend.core.dataset import Dataset
+from infrablend.core.capture import Capture
+from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.errors import ArgumentError, DatasetError, OutputError
-from infrablend.formats.image_groups import assign_groups
+from infrablend.formats.image_groups import assign_groups, time_blocks
 from infrablend.pipeline.datasets.split import check_shares, split_warnings
 from tests.command_line import done, run
 from tests.samples import SAMPLES, picture
@@ -221,6 +222,81 @@ def test_shares_are_met_within_the_largest_group(groups: int, classes: int, seed
 def test_split_with_share_zero_is_empty() -> None:
     assert set(assign_groups(np.ones((20, 1)), (0.8, 0.0, 0.2), 0)) == {0, 2}
     assert check_shares((8, 0, 2)) == (0.8, 0.0, 0.2)
+
+
+def one_flight(root: Path, count: int, times: bool = True) -> Path:
+    """A flight whose names are in another order than its times, if it has times; without, names count frames."""
+    rows = ["file,captured,sequence"]
+    for k in range(count):
+        name = f"{'f' if times else ''}{(7 * k) % count if times else k:04}.png"
+        picture(root / "images" / name, k)
+        label = root / "labels" / f"{name[:-4]}.txt"
+        label.parent.mkdir(parents=True, exist_ok=True)
+        label.write_text("0 0.5 0.5 0.1 0.1\n")
+        rows.append(f"{name},2026-01-12T07:{k // 60:02}:{k % 60:02},one")
+    (root / "data.yaml").write_text("train: images\nnames: [fox]\n")
+    if times:
+        (root / "metadata.csv").write_text("\n".join(rows))
+    return root
+
+
+@pytest.mark.parametrize("times", [True, False])
+def test_one_flight_is_cut_into_blocks_of_time_with_a_gap(tmp_path: Path, times: bool) -> None:
+    root = one_flight(tmp_path / "data", 100, times)
+    said = done("split", root, tmp_path / "out", "--by", "time").output
+    record = json.loads((tmp_path / "out/split.json").read_text())
+    assert record["images"] == {"train": 63, "val": 9, "test": 18} and record["gap"] == 5
+    assert "10 picture(s) with 10 object(s) between the blocks are left out" in said
+    assert "10 picture(s) with 10 object(s)" in (tmp_path / "out/README.md").read_text()
+    place = {f"f{(7 * k) % 100:04}.png" if times else f"{k:04}.png": k for k in range(100)}
+    held: dict[str, list[int]] = {}
+    for image in api.read_dataset(tmp_path / "out").images:
+        held.setdefault(image.split, []).append(place[image.name])
+    assert {s: (min(v), max(v), len(v)) for s, v in held.items()} == {
+        "train": (0, 62, 63), "val": (68, 76, 9), "test": (82, 99, 18),
+    }  # fmt: skip
+    if not times:
+        assert [one["near"] for one in record["leakage_after"]] == [0, 0, 0]
+    api.split(root, tmp_path / "second", api.SplitRule(by="time"))
+    assert tree(tmp_path / "out") == tree(tmp_path / "second")
+
+
+@pytest.mark.parametrize("count", [7, 8, 20, 21, 1000])
+@pytest.mark.parametrize("shares", [(0.7, 0.1, 0.2), (0.98, 0.01, 0.01), (0.01, 0.01, 0.98), (0.5, 0, 0.5)])
+def test_blocks_of_time_follow_the_shares_and_lose_only_the_gaps(count: int, shares: tuple[float, ...]) -> None:
+    capture = Capture(sequence="one")
+    images = [ImageRecord(str(k), Path(f"{k}.png"), "train", None, (), replace(capture, frame=k)) for k in range(count)]
+    blocks = time_blocks(images[::-1], shares, 2)
+    assert [split for split, share in zip(("train", "val", "test"), shares, strict=True) if share] == [
+        b[0].split for b in blocks
+    ]
+    numbers = [[i.capture.frame for i in block] for block in blocks]
+    assert all(n == list(range(n[0], n[-1] + 1)) for n in numbers) and numbers[0][0] == 0
+    assert all(after[0] - before[-1] == 3 for before, after in itertools.pairwise(numbers))
+    assert numbers[-1][-1] == count - 1
+    kept = sum(map(len, numbers))
+    for n, share in zip(numbers, (s for s in shares if s), strict=True):
+        assert abs(len(n) - kept * share) <= 2
+
+
+def test_a_flight_that_cannot_be_cut_is_refused(tmp_path: Path) -> None:
+    root = one_flight(tmp_path / "data", 8)
+    for words, said in (
+        (("--gap", "3"), "use a smaller --gap"),
+        (("--test", "one"), "the last block of time is test"),
+    ):
+        result = run("split", root, tmp_path / "out", "--by", "time", *words)
+        assert result.exit_code and said in result.output.casefold()
+    for by in ("sequence", "date"):
+        assert (
+            "or --by time, which cuts it into blocks" in run("split", root, tmp_path / by, "--by", by).output.casefold()
+        )
+    shutil.rmtree(root / "labels")
+    (root / "metadata.csv").unlink()
+    for k, path in enumerate(sorted(root.rglob("*.png"))):
+        path.rename(path.with_name("abcdefgh"[k] + ".png"))
+    result = run("split", root, tmp_path / "out", "--by", "time", "--to", "coco")
+    assert result.exit_code and "without a time of capture or a frame number" in " ".join(result.output.split())
 
 
 def flown(root: Path, flights: dict[str, tuple[str, str, int]], split: str = "train") -> Path:

@@ -24,11 +24,12 @@ from infrablend.core.workspace import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.cameras.header_facts import EXIF_TIME, FIELDS, UTC_TAG, CameraFacts, Fact, read_facts, zone_of
 from infrablend.formats.picture_facts import pitch_note
+from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, REFUSED_COLOUR, some_in_colour
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES
 from infrablend.formats.values import is_place, to_time
 from infrablend.thermal.daytime import time_of_sun
 from infrablend.thermal.sky import sun_position, time_of
 
-_JPEG = (".jpg", ".jpeg")
 _TIFF = (".tif", ".tiff")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
@@ -97,7 +98,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     images = _with_flights([_complete(i, facts.get(_key(i))) for i in kept])
     known = [facts[_key(i)] for i in kept if _key(i) in facts]
     problems += _missing(dataset, images) + _cameras(dataset, known) + _clocks(dataset, facts.values())
-    problems += _with_temperatures(dataset, known)
+    problems += _with_temperatures(dataset, [(i, facts[_key(i)]) for i in kept if _key(i) in facts])
     rows = _rows(kept, facts)
     note = {
         "pictures": len(images),
@@ -127,7 +128,7 @@ def _key(image: ImageRecord) -> str:
     return f"{image.split}/{image.id}"
 
 
-def _is_file(image: ImageRecord, suffixes: Sequence[str] = _JPEG) -> bool:
+def _is_file(image: ImageRecord, suffixes: Sequence[str] = JPEG_SUFFIXES) -> bool:
     """Return whether a picture is a file with one of these suffixes, and no link; a pipe would wait for ever."""
     path = image.path
     return path.suffix.lower() in suffixes and path.is_file() and not path.is_symlink()
@@ -320,18 +321,20 @@ def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
     return problems
 
 
-def _with_temperatures(dataset: Dataset, known: Sequence[CameraFacts]) -> list[Problem]:
-    makers = [f.raw for f in known if f.raw]
+def _with_temperatures(dataset: Dataset, known: Sequence[tuple[ImageRecord, CameraFacts]]) -> list[Problem]:
+    makers = [f.raw for _, f in known if f.raw]
     if not makers:
         return []
     which = " and ".join(sorted(set(makers)))
     found = f"{len(makers)} of {len(known)} pictures are radiometric ({which}), but read as plain pictures"
     layers = shlex.quote(f"{dataset.root.resolve().name}_k")
-    todo = (
-        "go on if the grey levels suffice: the temperatures are not used; to use them, run "
-        f"infrablend temperatures {shlex.quote(str(dataset.root))} --out {layers} and take {layers} as data"
-    )
+    command = f"infrablend temperatures {shlex.quote(str(dataset.root))} --out {layers} and take {layers} as data"
+    todo = f"go on if the grey levels suffice: the temperatures are not used; to use them, run {command}"
     expected = "pictures whose grey levels are all that is needed"
+    looked_at = some_in_colour([i.path for i, f in known if f.raw])
+    if any(looked_at.values()):
+        found += f"; {sum(looked_at.values())} of {len(looked_at)} that were looked at are {COLOURS}; {REFUSED_COLOUR}"
+        todo = f"run {command}; or {COLOUR_REMEDY}, or use appearance.mode: artistic for a palette"
     return [_warning(dataset, "image-radiometric", found, expected, todo)]
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION
 
 from infrablend.core.temperature import Radiometry, TemperatureScale, describe_plausible, implausible_median
 from infrablend.errors import DatasetError
@@ -113,6 +114,7 @@ def read_converted(path: Path, unit: str, layer_wh: tuple[int, int]) -> NDArray[
             pages = int(getattr(picture, "n_frames", 1))
             too_large = picture.width * picture.height > MAX_LAYER_PIXELS
             values = None if pages != 1 or too_large else np.asarray(picture, np.float64)
+            white_is_zero = picture.mode == "I;16" and picture.tag_v2.get(PHOTOMETRIC_INTERPRETATION) == 0
     except Exception as error:  # Pillow raises what it likes on broken pictures
         found = f"no TIFF that can be read ({type(error).__name__})"
         raise refuse("image-unreadable", found, "a TIFF with one temperature per pixel") from error
@@ -124,6 +126,8 @@ def read_converted(path: Path, unit: str, layer_wh: tuple[int, int]) -> NDArray[
     if values.shape[1] * layer_wh[1] != values.shape[0] * layer_wh[0]:
         found = f"{values.shape[1]}x{values.shape[0]} px, not of the shape of the layer of {layer_wh[0]}x{layer_wh[1]}"
         raise refuse("raw-size", found, "the temperatures of the same picture, not cropped")
+    if white_is_zero:
+        values = 65535 - values
     slope, offset = CONVERTED_UNITS[unit]
     kelvin = values * slope + offset
     kelvin[~(kelvin > 0)] = np.nan  # programs mark missing values with large negative numbers

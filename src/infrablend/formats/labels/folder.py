@@ -56,7 +56,7 @@ def detect(root: Path) -> Match:
     if not root.is_dir():
         return Match(NAME, False, "no such folder")
     if not list_pictures(root, _SKIP):
-        return Match(NAME, False, "no picture (JPEG, PNG, BMP, TIFF) in it or below")
+        return Match(NAME, False, "no picture (JPEG, PNG, BMP, TIFF, WebP) in it or below")
     return Match(NAME, True, "a folder with pictures")
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import warnings
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,17 +13,24 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, JpegImagePlugin
+from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION
 
 from infrablend.core.files import or_lfs_pointer, write_bytes
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.pictures.listing import MAX_PIXELS, open_picture
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES, MAX_PIXELS, READABLE, open_picture
 
 PixelMode = Literal["L", "RGB", "I;16"]
 SaveKind = Literal["same", "png"]
 
-_SUFFIXES = {"JPEG": (".jpg", ".jpeg"), "PNG": (".png",), "BMP": (".bmp",), "TIFF": (".tif", ".tiff")}
+_SUFFIXES = {
+    "JPEG": JPEG_SUFFIXES, "PNG": (".png",), "BMP": (".bmp",), "TIFF": (".tif", ".tiff"), "WEBP": (".webp",),
+}  # fmt: skip
 
 
+REFUSED_COLOUR = "grey levels computed from them do not follow temperature, so generate refuses them"
+_LOOKED_AT = 3
+# WebP has no grey: a decoder rounds the green of a grey level in another way than red and blue.
+_WEBP_ROUNDING = 1
 IN_COLOUR = "image-colour"
 """Code of the warning about a picture in colour."""
 COLOURS = "in colour (visible light, or thermal with a palette)"
@@ -37,7 +46,7 @@ class Background:
         pixels: (h, w) grey levels, uint8, or uint16 for a 16-bit picture, read-only.
         mode: Mode of the file: `L`, `RGB` (written back with three equal channels), `I;16`.
         bit_depth: 8 or 16, of one channel.
-        file_type: `JPEG`, `PNG`, `BMP` or `TIFF`.
+        file_type: `JPEG`, `PNG`, `BMP`, `TIFF` or `WEBP`.
         quantization: The JPEG's own quantisation tables, 64 numbers each; empty for other types.
         subsampling: The JPEG's chroma subsampling: 0 is 4:4:4, 1 is 4:2:2, 2 is 4:2:0; -1 unknown or grey.
         problems: Warnings: what was converted or left out.
@@ -80,8 +89,7 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
         raise _refuse(path, "image-too-large", str(error), f"at most {MAX_PIXELS} px", "scale it down") from error
     except Exception as error:  # PIL's decoders raise what they like on broken headers
         found = "no picture that can be read"
-        expected = "a JPEG, PNG, BMP or TIFF file"
-        raise _refuse(path, "image-unreadable", found, expected, "replace or remove it") from error
+        raise _refuse(path, "image-unreadable", found, READABLE, "replace or remove it") from error
     with picture:
         size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] > MAX_PIXELS:
@@ -117,6 +125,15 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
             subsampling = int(JpegImagePlugin.get_sampling(picture))
         bit_depth = 16 if pixels.dtype == np.uint16 else 8
         return Background(path, pixels, mode, bit_depth, file_type, quantization, subsampling, tuple(problems))
+
+
+def some_in_colour(paths: Sequence[Path]) -> dict[Path, bool]:
+    """Return whether pictures are in colour, of a few that are spread over those given and can be read."""
+    found = {}
+    for path in paths[:: max(1, len(paths) // _LOOKED_AT)][:_LOOKED_AT]:
+        with suppress(DatasetError):  # reported by what reads the picture
+            found[path] = any(p.code == IN_COLOUR for p in load_background(path).problems)
+    return found
 
 
 def _require_one_frame(picture: Any, path: Path) -> None:
@@ -158,10 +175,13 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
         problems.append(Problem(path.name, code, found, expected, todo, "warning"))
 
     mode = str(picture.mode)
+    is_webp = picture.format == "WEBP"  # what `convert` returns does not know it
+    white_is_zero = picture.format == "TIFF" and _white_is_zero(picture, path)
     if mode == "L":
         return np.array(picture, np.uint8), "L", problems
     if mode.startswith("I;16"):
-        return np.array(picture).astype(np.uint16), "I;16", problems
+        levels = np.array(picture).astype(np.uint16)
+        return (65535 - levels if white_is_zero else levels), "I;16", problems
     if mode == "I":
         values = np.array(picture)
         if values.min(initial=0) < 0 or values.max(initial=0) > 65535:
@@ -180,12 +200,27 @@ def _grey(picture: Any, path: Path) -> tuple[NDArray[np.uint8] | NDArray[np.uint
     if picture.mode == "L":
         return np.array(picture, np.uint8), "L", problems
     rgb = np.array(picture, np.uint8)
+    if is_webp and np.ptp(rgb, axis=2).max(initial=0) <= _WEBP_ROUNDING:
+        return np.ascontiguousarray(rgb[..., 0]), "RGB", problems
     grey = grey_of_rgb(rgb)
     if grey.ndim == 2:
         return grey, "RGB", problems
     found = f"{COLOURS}; converted to grey levels, which do not follow temperature"
     warn(IN_COLOUR, found, "a thermal picture in grey", COLOUR_REMEDY)
     return np.array(picture.convert("L"), np.uint8), "RGB", problems
+
+
+def _white_is_zero(picture: Any, path: Path) -> bool:
+    """Return whether a TIFF's level 0 is white: Pillow inverts such pictures of up to 8 bits, but not those of 16.
+
+    Raises:
+        DatasetError: The file does not say what 0 is, so that hot and cold cannot be told apart.
+    """
+    photometric = picture.tag_v2.get(PHOTOMETRIC_INTERPRETATION)
+    if photometric is None:
+        found = "a TIFF that does not say whether 0 is black or white (no PhotometricInterpretation, tag 262)"
+        raise _refuse(path, "image-mode", found, "1 (0 is black) or 0", "state it, as with tiffset -s 262 1 FILE")
+    return bool(photometric == 0)
 
 
 def grey_of_rgb(rgb: NDArray[Any]) -> NDArray[Any]:
@@ -223,6 +258,8 @@ def encode_image(pixels: NDArray[np.uint8] | NDArray[np.uint16], like: Backgroun
             options["subsampling"] = like.subsampling
     elif file_type == "PNG":
         options = {"compress_level": 6}
+    elif file_type == "WEBP":  # the file does not tell its quality
+        options = {"lossless": True}
     out = io.BytesIO()
     picture.save(out, file_type, **options)
     return out.getvalue()

@@ -20,12 +20,21 @@ from infrablend.core.run_folder import kept_aside
 from infrablend.errors import Problem
 from infrablend.formats.base import SPLIT_FOLDERS
 
-PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
+JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif")
+PICTURE_SUFFIXES = (*JPEG_SUFFIXES, ".png", ".bmp", ".tif", ".tiff", ".webp")
+UNREAD_SUFFIXES = frozenset({
+    ".apng", ".avif", ".bw", ".cr2", ".cr3", ".dib", ".dng", ".exr", ".fff", ".fit", ".fits", ".gif", ".hdr", ".heic",
+    ".heif", ".hif", ".icb", ".im", ".j2c", ".j2k", ".jp2", ".jpc", ".jpf", ".jps", ".jpx", ".jxl", ".jxr", ".mpo",
+    ".nef", ".pam", ".pbm", ".pcx", ".pfm", ".pgm", ".pic", ".pnm", ".ppm", ".psd", ".pxm", ".qoi", ".ras", ".rgb",
+    ".sgi", ".sr", ".tga", ".vda", ".vst",
+})  # fmt: skip
+"""Suffixes of pictures that are not read: what Pillow and OpenCV open, and what cameras write."""
 SEQUENCE_DEPTH = 3
 """Folders of sequences are at most so far below that of the dataset."""
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
-PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
+PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF", "WEBP")
+READABLE = "a JPEG, PNG, BMP, TIFF or WebP file"
 # Folders of pictures whose pixels say which object is where in the picture of the same stem.
 _MASK_FOLDER = re.compile(
     r"(?:^|/)(?:segmentation(?:class|object)\w*|(?:\w+[_-])?masks?|ann_dir|annotations?|labels?)(?:/|$)", re.IGNORECASE
@@ -338,7 +347,7 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         found = str(error)
     except Exception as error:  # PIL's decoders raise what they like on broken headers
         found = f"no readable picture ({error or type(error).__name__})".replace(str(path), path.name)
-        expected = "a JPEG, PNG, BMP or TIFF file"
+        expected = READABLE
         todo = "replace or remove the file"
         return None, or_lfs_pointer(Problem(where, "image-unreadable", found, expected, todo), path)
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")

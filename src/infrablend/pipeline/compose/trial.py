@@ -22,6 +22,7 @@ from infrablend.core.dataset import Dataset, Instance
 from infrablend.core.yaml_text import read_yaml
 from infrablend.errors import DatasetError, InfraBlendError, Problem
 from infrablend.formats import dataset_folder
+from infrablend.formats.pictures.listing import PICTURE_SUFFIXES
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.pipeline.compose.frame_worker import FrameWorkers
 from infrablend.pipeline.compose.memory_frames import Frame, as_frame
@@ -39,7 +40,6 @@ POLL_S = 0.02
 _DATA_POLL_S = 0.5
 _DATA_POLL_SHARE = 0.1
 _MOST_POLLS = 50
-_PICTURES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff")
 
 _State = tuple[str, int, int] | None
 """Path, time of change and size of a file; None if it does not exist."""
@@ -258,7 +258,7 @@ class Trials:
         for folder, subfolders, files in os.walk(self._request.data):
             subfolders.sort()
             states.append(_state(Path(folder)))
-            names = (name for name in sorted(files) if not name.lower().endswith(_PICTURES))
+            names = (name for name in sorted(files) if not name.lower().endswith(PICTURE_SUFFIXES))
             states += [_state(Path(folder, name)) for name in names]
         return states
 

@@ -99,19 +99,23 @@ class SelectionFacts(TypedDict):
 SELECT_ALL = Selection()
 
 
+SplitBy = Literal["sequence", "date", "gap", "time"]
+
+
 @dataclass(frozen=True)
 class SplitRule:
     """Rule for splitting a dataset.
 
     Attributes:
-        by: What stays in one split: a flight, a day, or a run of frame numbers.
-        gap: End a run where the next frame is more than N away [default: 5].
+        by: What stays in one split: a flight, a day, a run of frame numbers, or one block of time per split.
+        gap: End a run where the next frame is more than N away [default: 5]; with --by time, leave N pictures out
+            between two blocks [default: a twentieth, at most 5].
         shares: Shares of train, val and test [default: 0.7,0.1,0.2].
         seed: The same seed gives the same bytes.
         test: Sequences, days or runs that are test, as `split.json` names them; the others become train and val.
     """
 
-    by: Literal["sequence", "date", "gap"]
+    by: SplitBy
     gap: int | None = None
     shares: Sequence[float] = (0.7, 0.1, 0.2)
     seed: int = 0

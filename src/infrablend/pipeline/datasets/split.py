@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import get_args
 
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord, Split
 from infrablend.core.files import write_text
@@ -17,23 +18,24 @@ from infrablend.errors import DatasetError, Problem
 from infrablend.formats import writing
 from infrablend.formats.base import shorten, sort_images
 from infrablend.formats.image_groups import (
-    GROUPINGS,
     NEAR,
-    Grouping,
     Leakage,
     assign_groups,
     group_images,
     group_weights,
     leakage,
     states_frame,
+    time_blocks,
 )
 from infrablend.formats.pictures.listing import assign_ids, with_sizes
 from infrablend.pipeline.datasets.origin import loosened_before, origin_of
-from infrablend.pipeline.datasets.requests import SplitRule
+from infrablend.pipeline.datasets.requests import SplitBy, SplitRule
 from infrablend.report.card import dataset_card, write_card, written_layout
 
 # A class is scarce in a split that has less than this part of its share of the class's objects.
 _SCARCE = 0.2
+# Between two blocks of time, this part of the pictures is left out, but not more than makes them no neighbours.
+_GAPS_PER_FLIGHT = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,8 @@ class SplitReport:
     Attributes:
         out: Folder that was written.
         by: Grouping: images of one group stay in the same split.
-        gap: Largest distance of frame numbers within a group; only for `by="gap"`.
+        gap: Largest distance of frame numbers within a group, with `by="gap"`; pictures left out between two blocks,
+            with `by="time"`.
         seed: Seed of the order in which groups were assigned.
         wanted: Requested shares of train, val and test.
         images: Number of images per split.
@@ -58,7 +61,7 @@ class SplitReport:
     """
 
     out: Path
-    by: Grouping
+    by: SplitBy
     gap: int
     seed: int
     wanted: tuple[float, float, float]
@@ -81,7 +84,7 @@ class SplitReport:
         """Return plain JSON values, without the output folder."""
         return {
             "by": self.by,
-            "gap": self.gap if self.by == "gap" else None,
+            "gap": self.gap if self.by in ("gap", "time") else None,
             "seed": self.seed,
             "wanted": dict(zip(SPLITS, self.wanted, strict=True)),
             "images": dict(self.images),
@@ -122,10 +125,11 @@ def split_dataset(
         OutputError: `out` is not empty, cannot be written, or another process is writing to it.
     """
     require_apart(dataset.root, out)
-    if rule.by not in GROUPINGS:
-        raise DatasetError(f"by: found {rule.by!r}, expected one of {', '.join(GROUPINGS)}")
+    if rule.by not in get_args(SplitBy):
+        raise DatasetError(f"by: found {rule.by!r}, expected one of {', '.join(get_args(SplitBy))}")
     by = rule.by
-    gap = NEAR if rule.gap is None else rule.gap
+    gap = min(NEAR, math.ceil(len(dataset.images) / _GAPS_PER_FLIGHT)) if by == "time" else NEAR
+    gap = gap if rule.gap is None else rule.gap
     seed = rule.seed
     wanted = check_shares(rule.shares)
     if gap < 1:
@@ -135,23 +139,20 @@ def split_dataset(
         found = f"{dataset.format} without labels has no writer"
         problem = Problem(str(dataset.root), "format-unwritable", found, "a format to write", "give --to, or --list")
         raise DatasetError(f"{dataset.root}: cannot be written in its own format", [problem])
-    groups = group_images(dataset.images, by, gap)
-    if by == "gap" and len(groups) == len(dataset.images) > 1 and not all(map(states_frame, dataset.images)):
-        found = f"no two of {len(groups)} images have frame numbers at most {gap} apart, such as {next(iter(groups))}"
-        todo = "use a larger --gap if these count frames, else --by sequence or --by date"
-        problem = Problem("--by gap", "group-single", found, "numbers that count frames", todo)
-        raise DatasetError("cannot group by gap: every group is one picture", [problem])
-    if unknown := sorted(set(rule.test) - set(groups)):
+    names = [c.name for c in dataset.categories if not c.ignore]
+    groups = _groups(dataset, by, gap, wanted)
+    if unknown := sorted(set(rule.test) - (set(groups) if by != "time" else set())):
         expected = f"names of groups by {by}, such as {', '.join([*groups][:3])}"
+        expected = "nothing: the last block of time is test" if by == "time" else expected
         wrong = [Problem("--test", "group-none", name, expected) for name in unknown]
         raise DatasetError(f"{dataset.root}: no such group", wrong)
-    names = [c.name for c in dataset.categories if not c.ignore]
     of_group: dict[str, Split] = dict.fromkeys(rule.test, "test")
     others = [name for name in groups if name not in of_group]
     rest = wanted[0] + wanted[1]
     shares = (wanted[0] / rest, wanted[1] / rest, 0.0) if of_group else wanted
     chosen = assign_groups(group_weights((groups[n] for n in others), names), shares, seed)
     of_group |= zip(others, (SPLITS[k] for k in chosen), strict=True)
+    of_group = {name: group[0].split for name, group in groups.items()} if by == "time" else of_group
     images = [replace(i, split=of_group[name]) for name, group in groups.items() for i in group]
     report = SplitReport(
         out,
@@ -165,7 +166,7 @@ def split_dataset(
         leakage(dataset.images),
         leakage(images),
         "list" if lists or native is None else native.name,
-        problems=split_warnings(images, names, wanted, by, len(groups)),
+        problems=(*split_warnings(images, names, wanted, by, len(groups)), *_left_out(dataset, images)),
     )
     with workspace(out, "split dataset", SPLIT_FILE, replacing(overwrite)) as space:
         if lists:
@@ -178,6 +179,32 @@ def split_dataset(
             content["counts"] = {**loosened, "labels": dict(sorted(labels.items()))}
         space.finish(content)
     return report
+
+
+def _groups(
+    dataset: Dataset, by: SplitBy, gap: int, wanted: tuple[float, float, float]
+) -> dict[str, tuple[ImageRecord, ...]]:
+    """Return the images that stay together by the name of their group; blocks of time are in their new splits."""
+    if by == "time":
+        blocks = time_blocks(dataset.images, wanted, gap)
+        return {f"{block[0].split} {block[0].name} to {block[-1].name}": block for block in blocks}
+    groups = group_images(dataset.images, by, gap)
+    if by == "gap" and len(groups) == len(dataset.images) > 1 and not all(map(states_frame, dataset.images)):
+        found = f"no two of {len(groups)} images have frame numbers at most {gap} apart, such as {next(iter(groups))}"
+        todo = "use a larger --gap if these count frames, else --by sequence or --by date"
+        problem = Problem("--by gap", "group-single", found, "numbers that count frames", todo)
+        raise DatasetError("cannot group by gap: every group is one picture", [problem])
+    return groups
+
+
+def _left_out(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
+    """Return a warning that counts the pictures of a dataset that are in none of the new splits."""
+    if len(images) == len(dataset.images):
+        return []
+    objects = sum(len(i.instances) for i in dataset.images) - sum(len(i.instances) for i in images)
+    found = f"{len(dataset.images) - len(images)} picture(s) with {objects} object(s) between the blocks are left out"
+    expected = "no picture next to one of another split"
+    return [Problem("split by time", "split-gap", found, expected, "use --gap to leave out fewer or more", "warning")]
 
 
 def _objects_per_split(images: Sequence[ImageRecord], names: Iterable[str]) -> dict[str, dict[str, int]]:
@@ -206,11 +233,12 @@ def check_shares(shares: Sequence[float]) -> tuple[float, float, float]:
 
 
 def split_warnings(
-    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: Grouping, groups: int
+    images: Sequence[ImageRecord], names: Sequence[str], wanted: Sequence[float], by: SplitBy, groups: int
 ) -> tuple[Problem, ...]:
     """Return warnings for splits without images, and for classes of which a split has no or hardly any objects."""
     problems = []
-    smaller = "try another --seed" + (", or --by gap, whose groups are smaller" if by != "gap" else "")
+    smaller = "use other --shares" if by == "time" else "try another --seed"
+    smaller += ", or --by gap, whose groups are smaller" if by != "gap" else ""
     total = Counter(o.category for i in images for o in i.instances)
     shares = dict(zip(SPLITS, wanted, strict=True))
     empty = [s for s in SPLITS if shares[s] > 0 and all(i.split != s for i in images)]
@@ -218,6 +246,7 @@ def split_warnings(
         names_of = f"{' and '.join(empty)} {'is' if len(empty) == 1 else 'are'} empty"
         holds = "one group holds all pictures" if groups == 1 else f"none of the {groups} groups was left"
         todo = "use a smaller --gap, or another --by" if by == "gap" else "use another --by, such as --by gap"
+        todo += ", or --by time, which cuts it into blocks" if groups == 1 else ""
         problems.append(Problem(f"split by {by}", "split-empty", f"{names_of}: {holds}", "", todo, "warning"))
     for split, share in shares.items():
         if share == 0 or split in empty:
@@ -256,7 +285,7 @@ def _write_dataset(
         origin_of(source, records, {}),
         records,
         source.categories,
-        changes=[done],
+        changes=[done, *(p.found for p in _left_out(source, images))],
         to=report.format,
         losses=written.losses,
         layout=written_layout(out, written.files, SPLIT_FILE),

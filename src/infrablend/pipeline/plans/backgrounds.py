@@ -17,7 +17,14 @@ from infrablend.core.file_names import real_path
 from infrablend.core.files import sha256_of
 from infrablend.core.temperature import TemperatureScale, describe_plausible, implausible_counts
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, Background, load_background
+from infrablend.formats.pictures.images import (
+    COLOUR_REMEDY,
+    COLOURS,
+    IN_COLOUR,
+    REFUSED_COLOUR,
+    Background,
+    load_background,
+)
 from infrablend.formats.pictures.temperature_scale import CHECK_SCALE, IMPLAUSIBLE, shows_ground
 from infrablend.pipeline.plans.plan import RunPlan
 
@@ -33,7 +40,7 @@ def require_thermal_levels(background: Background) -> None:
     """
     name = background.path.name
     if any(p.code == IN_COLOUR for p in background.problems):
-        found = f"{COLOURS}; grey levels computed from them do not follow temperature"
+        found = f"{COLOURS}; {REFUSED_COLOUR}"
         expected = "a grey picture, as physical matching needs"
         todo = f"{COLOUR_REMEDY}, or use appearance.mode: artistic for a palette"
         problem = Problem(name, "image-colour-mapped", found, expected, todo)

@@ -10,16 +10,15 @@ from dataclasses import dataclass
 from infrablend.config.recipe import Recipe
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import as_text, is_text
-from infrablend.errors import DatasetError, Problem
+from infrablend.errors import Problem
 from infrablend.formats.cameras.flight_headers import FOR_ALL, was_extracted
-from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, load_background
+from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, IN_COLOUR, some_in_colour
 from infrablend.formats.pictures.temperature_scale import EXTRACT_AGAIN, from_radiometric_files
 
 LEFT_OUT = frozenset(
     ("no-pitch", "no-altitude", "no-field-of-view", "above-horizon", "no-temperature-scale", "image-visible")
 )
 """Codes of the problems that leave a picture out of the run, one per picture."""
-_LOOKED_AT = 3
 
 
 def usable_images(
@@ -50,14 +49,10 @@ def all_in_colour(images: Sequence[ImageRecord]) -> list[Problem]:
     Few visible pictures state pitch and height, so these are missing, too; but stating them would not help.
     """
     unmarked = [image for image in images if image.extra.get("modality") != "visible"]
-    looked_at = unmarked[:: max(1, len(unmarked) // _LOOKED_AT)][:_LOOKED_AT]
-    try:
-        pictures = [load_background(image.path) for image in looked_at]
-    except DatasetError:  # reported by what reads the picture
+    looked_at = some_in_colour([image.path for image in unmarked])
+    if not looked_at or not all(looked_at.values()):
         return []
-    if not pictures or not all(any(p.code == IN_COLOUR for p in picture.problems) for picture in pictures):
-        return []
-    names = ", ".join(_place(image) for image in looked_at)
+    names = ", ".join(_place(image) for image in unmarked if image.path in looked_at)
     found = f"{COLOURS}, as {names}"
     return [Problem("pictures", IN_COLOUR, found, "thermal pictures in grey", COLOUR_REMEDY)]
 

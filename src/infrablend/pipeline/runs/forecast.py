@@ -23,7 +23,7 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.exports import draw_statistics
 from infrablend.rendering import make_renderer
-from infrablend.report.run_warnings import absent_warnings, count_objects, nothing_inserted
+from infrablend.report.run_warnings import absent_warnings, count_objects, few_inserted, nothing_inserted
 from infrablend.sampling.scene_sampler import mean_objects
 
 # Measured by `bench/recipes.py`, with one worker.
@@ -153,7 +153,8 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, object], list[Problem]]:
         **_cameras(plan, placed),
     }
     nothing = [replace(p, severity="warning") for p in nothing_inserted(plan.recipe, counts, draws)]
-    return {k: v for k, v in found.items() if v}, nothing or (absent_warnings(draws) if draws else [])
+    some_absent = [*few_inserted(plan.recipe, counts, draws), *(absent_warnings(draws) if draws else ())]
+    return {k: v for k, v in found.items() if v}, nothing or some_absent
 
 
 def _objects(classes: Sequence[str], by_kind: Mapping[str, Mapping[str, int]], times: float) -> dict[str, int]:

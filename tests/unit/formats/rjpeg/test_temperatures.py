@@ -142,6 +142,11 @@ def test_other_programs_files_are_read_in_the_stated_unit(unit: str, value: floa
         read_converted(tmp_path / "a.tif", "decikelvin", (5, 4))
 
 
+def test_other_programs_files_with_white_as_zero_are_inverted(tmp_path: Path) -> None:
+    Image.fromarray(np.full((4, 5), 65535 - 29_315, np.uint16)).save(tmp_path / "a.tif", tiffinfo={262: 0})
+    assert read_converted(tmp_path / "a.tif", "centikelvin", (5, 4)) == pytest.approx(np.full((4, 5), 293.15))
+
+
 def test_the_scale_of_a_flir_layer_is_fine_enough() -> None:
     scale = TemperatureScale(0.01, 0.0, "centikelvin")
     kelvin = np.linspace(230.0, 400.0, 1000)
