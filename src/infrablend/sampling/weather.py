@@ -15,7 +15,7 @@ from infrablend.core.scene import Sun, Weather
 from infrablend.sampling.site import FrameKey
 from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, time_of_sun
 from infrablend.thermal.radiometry import ZERO_C_K
-from infrablend.thermal.sky import dew_point, irradiance, low_irradiance, sun_position, time_of
+from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
 
 
 def draw_air_k(frame: FrameKey, environment: Environment, rng: np.random.Generator) -> float:
@@ -111,6 +111,5 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
             source = "computed"
         elif frame.capture.time_from != "recipe":
             source = "contradicted"
-    irradiance_of = low_irradiance if is_low else irradiance
-    direct, diffuse = irradiance_of(elevation, cloud)
+    direct, diffuse = irradiance(elevation, cloud)
     return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)
