@@ -153,6 +153,10 @@ MEANINGS: Mapping[str, str] = {
     "pictures.",
     "height-at-limit": "The height of the camera does not fit the sizes of the real objects, so inserted objects "
     "may be too large or too small. Look at the ground with people of 1.7 m: infrablend preview --ground.",
+    "height-contradicted": "Real objects are much larger or smaller than the height of the camera gives, and inserted "
+    "objects are of another size than they.",
+    "height-doubtful": "Real objects are larger or smaller than the height of the camera gives, and inserted objects "
+    "are of another size than they. Check height, pitch and lens.",
     "height-replaced": "The recipe states another height of the camera than the pictures; the recipe's was used.",
     "horizon-absent": "Where the camera looked is a guess in many pictures, because no horizon was found.",
     "lens-replaced": "The recipe states another lens than the pictures; the recipe's was used, so sizes are those "

@@ -40,6 +40,7 @@ from infrablend.pipeline.plans.checks import (
     without_effect,
     without_mask,
 )
+from infrablend.pipeline.plans.labelled_height import height_problems
 from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
@@ -101,6 +102,7 @@ def make_plan(
         chosen = find_frames(selection.frames, renamed.images, names)
         images = _images_of(chosen, images)
     stands = all(m.stands for m in models.values())
+    height = height_problems(recipe, timed.images) if any(m.stands for m in models.values()) else []
     usable, left_out = usable_images(recipe, renamed, images, stands)
     problems = [
         *recipe_warnings,
@@ -118,7 +120,7 @@ def make_plan(
         usable = _images_of(chosen, usable)
         recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
         names = frame_names(renamed.images, recipe)
-    problems += _warnings(recipe, dataset, renamed, usable)
+    problems += [*_warnings(recipe, dataset, renamed, usable), *height]
 
     as_read = {id(new): old for old, new in zip(timed.images, renamed.images, strict=True)}
     frames = [
@@ -195,7 +197,8 @@ def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
     """Return what must match for a run to be resumed, with any choice of frames."""
     key: dict[str, Any] = {
         "version": __version__,
-        "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY})),
+        # Whether a height is accepted does not change frames.
+        "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY, "camera": {"accept_height"}})),
         "seed": seed,
         "backgrounds": fingerprint(used),
     }

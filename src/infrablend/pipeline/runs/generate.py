@@ -17,6 +17,7 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
 from infrablend.pipeline.plans.checks import HEIGHT_REPLACED, LENS_REPLACED, PITCH_REPLACED
+from infrablend.pipeline.plans.labelled_height import require_height
 from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import RunPlan, ShardRequest
 from infrablend.pipeline.plans.planning import plan_folder
@@ -120,6 +121,7 @@ def plan_request(request: RunRequest) -> RunPlan:
     if request.out is not None and address is None and address_of(request.data) is None:
         require_apart(request.data, request.out)
     plan = plan_folder(loaded.recipe, request.data, request.seed, request.reading, request.selection, loaded.warnings)
+    require_height(plan.recipe, plan.problems)
     if request.reading.val_share is not None and "val" not in {f.background.split for f in plan.frames}:
         left_out = [p for p in plan.problems if p.code in LEFT_OUT]
         raise ArgumentError(
