@@ -71,7 +71,7 @@ def test_heights_of_the_pictures_that_labels_cannot_correct_are_refused_too() ->
     high = {"pitch_deg": 60.0, "altitude_m": TRUE_M * 2.2}
     plan = recipe(altitude="metadata")
     (found,) = height_problems(plan, pictures(**high))
-    assert found.code == "height-contradicted" and "120 m above" in found.found
+    assert found.code == "height-contradicted" and "120 m above the ground (132 m as stated), but" in found.found
     assert "stated_heights.factor" in found.todo
     assert codes(recipe(altitude="metadata", stated_heights={"factor": 0.5}), pictures(**high)) == []
     near = {"pitch_deg": 60.0, "altitude_m": TRUE_M / 1.2}

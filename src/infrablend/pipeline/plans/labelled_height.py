@@ -46,12 +46,14 @@ class _Reading:
         which: What tells it from other objects; several pictures may show one track.
         ratio: Logarithm of its size over that at the height used.
         height_m: That height.
+        stated_m: Height that picture or recipe state.
     """
 
     kind: KnownClass
     which: object
     ratio: float
     height_m: float
+    stated_m: float
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class _Statement:
         code: Code of the warning.
         labels: Number of labels by class.
         used_m: Height that a run uses; the nearest of those that are drawn.
+        stated_m: Height that labels have corrected to that, as far as they may.
         shown_m: Height that the labels show.
         error_m: Error of that.
         off: How many times too small or too large objects are inserted.
@@ -70,6 +73,7 @@ class _Statement:
     code: str
     labels: Mapping[KnownClass, int]
     used_m: float
+    stated_m: float
     shown_m: float
     error_m: float
     off: float
@@ -102,11 +106,11 @@ def _readings(recipe: MetricRecipe, image: ImageRecord) -> Iterator[_Reading]:
     own = image.capture
     stated = c.stated_pitch_deg
     pitch = own.pitch_deg if stated is None else (stated[0] + stated[1]) / 2
-    height = own.altitude_m if c.stated_height_m is None else sum(c.stated_height_m) / 2
+    height = given = own.altitude_m if c.stated_height_m is None else sum(c.stated_height_m) / 2
     size_wh = image.size_wh
     if size_wh is None:
         size_wh, _ = read_size(image.path, image.name)
-    if pitch is None or height is None or size_wh is None or _other_view(recipe, image, pitch):
+    if pitch is None or height is None or given is None or size_wh is None or _other_view(recipe, image, pitch):
         return
     lens_mm = c.lens_mm(own.hfov_deg)
     roll = math.radians(own.roll_deg or 0.0)
@@ -118,7 +122,7 @@ def _readings(recipe: MetricRecipe, image: ImageRecord) -> Iterator[_Reading]:
         camera = at_height(camera, height)
     for kind, label, ratio in log_ratios(camera, height, image.instances, prior):
         which = (own.sequence, label.track_id) if label.track_id is not None else id(label)
-        yield _Reading(kind, which, ratio, height)
+        yield _Reading(kind, which, ratio, height, given)
 
 
 def _other_view(recipe: MetricRecipe, image: ImageRecord, pitch_deg: float) -> bool:
@@ -137,16 +141,17 @@ def _statement(recipe: MetricRecipe, readings: Sequence[_Reading]) -> _Statement
     if factor is None:
         return None
     used = float(np.median([r.height_m for r in readings]))
+    given = float(np.median([r.stated_m for r in readings]))
     shown = used / math.exp(factor[0])
     if (stated := recipe.camera.stated_height_m) is not None:  # drawn for each frame
-        used = min(max(shown, stated[0]), stated[1])
+        used = given = min(max(shown, stated[0]), stated[1])
     off, error = abs(math.log(used / shown)), _SURE * factor[1]
     if off <= math.log(_DOUBTFUL) or off <= error:
         return None
     contradicted = off > math.log(_CONTRADICTED) and off > error + math.log(_DOUBTFUL)
     code = HEIGHT_CONTRADICTED if contradicted else HEIGHT_DOUBTFUL
     labels = Counter(r.kind for r in readings)
-    return _Statement(code, labels, used, shown, shown * (math.exp(error) - 1), math.exp(off))
+    return _Statement(code, labels, used, given, shown, shown * (math.exp(error) - 1), math.exp(off))
 
 
 def _factor(readings: Sequence[_Reading]) -> tuple[float, float] | None:
@@ -174,8 +179,10 @@ def _problem(recipe: MetricRecipe, found: _Statement) -> Problem:
     c = recipe.camera
     size = "small" if found.used_m > found.shown_m else "large"
     labels = ", ".join(f"{n} of class {kind}" for kind, n in found.labels.items())
-    text = f"{found.used_m:.3g} m above the ground, but the sizes of labels ({labels}) say {found.shown_m:.3g} m, "
-    text += f"within {found.error_m:.2g}: objects are inserted {found.off:.2f} times too {size}"
+    text = f"{found.used_m:.3g} m above the ground"
+    text += f" ({found.stated_m:.3g} m as stated)" if found.stated_m != found.used_m else ""
+    text += f", but the sizes of labels ({labels}) say {found.shown_m:.3g} m, within {found.error_m:.2g}: "
+    text += f"objects are inserted {found.off:.2f} times too {size}"
     todo = f"set camera.altitude={{fixed_m: {found.shown_m:.2g}}}, or give each picture its height (camera.altitude="
     todo += "metadata with camera.calibrate=true, so that labels correct it)"
     if c.needs_height:
