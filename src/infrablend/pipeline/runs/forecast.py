@@ -23,7 +23,7 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.exports import draw_statistics
 from infrablend.rendering import make_renderer
-from infrablend.report.run_warnings import absent_warnings, count_objects, nothing_inserted
+from infrablend.report.run_warnings import NOTHING_INSERTED, absent_warnings, count_objects, nothing_inserted
 from infrablend.sampling.scene_sampler import mean_objects
 
 # Measured by `bench/recipes.py`, with one worker.
@@ -111,6 +111,7 @@ def objects_per_frame(plan: RunPlan) -> dict[str, float]:
 _OBJECTS = 60
 _FRAMES = (2, 40)
 _PERCENT = (5, 50, 95)
+_LOOK_AT_ONE = "look at one of them (infrablend try), which says why; or use pictures or a recipe that fit each other"
 
 
 def forecast_objects(plan: RunPlan) -> tuple[dict[str, object], list[Problem]]:
@@ -152,7 +153,12 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, object], list[Problem]]:
         "size_px": _sizes(rows),
         **_cameras(plan, placed),
     }
-    nothing = [replace(p, severity="warning") for p in nothing_inserted(plan.recipe, counts, draws)]
+    nothing = nothing_inserted(plan.recipe, counts, draws)
+    if not placed:
+        why = ", ".join(f"{code} {n}" for code, n in unusable.most_common())
+        text = f"nothing can be inserted, as none of the {len(some)} pictures that were tried can be used: {why}"
+        nothing = [Problem("pictures", NOTHING_INSERTED, text, "pictures that the recipe can use", _LOOK_AT_ONE)]
+    nothing = [replace(p, severity="warning") for p in nothing]
     return {k: v for k, v in found.items() if v}, nothing or (absent_warnings(draws) if draws else [])
 
 

@@ -26,6 +26,7 @@ from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import estimate_run, forecast_objects
 from infrablend.pipeline.runs.make_shards import make_shards
 from infrablend.pipeline.runs.run import RunReport, run_plan
+from infrablend.report.run_warnings import NOTHING_INSERTED
 
 
 def run_request(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
@@ -80,6 +81,8 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
         "kept_fields": [str(p) for p in plan.problems if p.code in shown],
         "warnings": format_problems(dict.fromkeys([*absent, *others])),
+        # Of a whole run: one entry of `objects` may find places in the frames that were not tried.
+        "inserts_nothing": any(p.code == NOTHING_INSERTED and "." not in p.where for p in absent),
     }
 
 
