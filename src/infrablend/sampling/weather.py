@@ -17,6 +17,9 @@ from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, time_of_sun
 from infrablend.thermal.radiometry import ZERO_C_K
 from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
 
+# A range of the recipe up to which the air counts as known, kelvin.
+_KNOWN_K = 5.0
+
 
 def draw_air_k(frame: FrameKey, environment: Environment, rng: np.random.Generator) -> float:
     """Return the temperature of the air: a draw from the recipe's range, or that of the picture's file."""
@@ -32,6 +35,14 @@ def air_source(frame: FrameKey, environment: Environment) -> Literal["metadata",
         return "metadata"
     low, high = environment.air_temperature_c
     return "stated" if low == high else "drawn"
+
+
+def knows_air(frame: FrameKey, environment: Environment) -> bool:
+    """Return whether the temperature of the air is known, and not any of a season: from the file, or a narrow range."""
+    low, high = environment.air_temperature_c
+    radiometry = frame.capture.radiometry
+    of_file = environment.air_of_picture and radiometry is not None and radiometry.plausible_air_k is not None
+    return of_file or high - low <= _KNOWN_K
 
 
 def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:
