@@ -258,6 +258,7 @@ class SceneRow:
         stated_height_m: Height that the picture was made with, if its camera is the real one.
         at_limit: Whether the correction of that height reached a limit; None if it was not corrected.
         sun_contradicted: Whether capture time and place have the sun below the horizon by day.
+        motion_px: Length of the motion tail.
     """
 
     configuration: int
@@ -268,6 +269,7 @@ class SceneRow:
     stated_height_m: float | None = None
     at_limit: bool | None = None
     sun_contradicted: bool = False
+    motion_px: float = 0.0
 
     @classmethod
     def from_json(cls, scene: Mapping[str, Any]) -> SceneRow:
@@ -285,6 +287,7 @@ class SceneRow:
             stated_height_m=None if view is None else view["stated_height_m"],
             at_limit=view.get("at_limit", False) if view is not None and view["anchors"] else None,
             sun_contradicted=sun is not None and sun.get("source") == "contradicted",
+            motion_px=math.hypot(*scene.get("motion_px", (0.0,))),
         )
 
 

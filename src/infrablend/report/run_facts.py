@@ -187,6 +187,8 @@ MEANINGS: Mapping[str, str] = {
     "time-replaced": "The recipe states another time of day than the pictures; the recipe's was used.",
     "too-hidden": "Many objects were left out because too much of them would have been hidden.",
     "track-faint": "In some frames nobody can see an object whose track goes on; its label is there.",
+    "track-smeared": "In some frames the camera or an object moves so fast that little of the object can be seen; its "
+    "label is there.",
     "untrusted-left-out": "Objects were left out where the temperature scale of the picture is doubtful.",
     "val-absent": "No pictures are set apart for validation, so a training measures itself on what it has learned, "
     "and its results look better than they are. Divide the dataset: infrablend split.",

@@ -187,17 +187,29 @@ _DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
 
 
 def track_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
-    """Return a warning if labels of tracks are of objects that nobody can see in their frame."""
+    """Return a warning each if labels of tracks are of objects that nobody can see in their frame, or only smeared."""
     faint = 0
+    smeared = 0
     total = 0
     for row in rows:
+        tail_px = 0.0 if row.scene is None else row.scene.motion_px
         faint += row.faint
+        smeared += sum(bool(i.track) and i.size_px < tail_px for i in row.inserts)
         total += sum(bool(i.track) for i in row.inserts)
-    if not faint:
-        return []
-    found = f"{faint} of {total} labels of tracks are of objects fainter in their frame than the least contrast"
-    todo = "the label stays, as its track goes on; see `faint` in the frames' records, or warm the objects (delta_t_k)"
-    return [Problem("tracks", "track-faint", found, "objects that can be seen", todo, "warning")]
+    found = []
+    if faint:
+        text = f"{faint} of {total} labels of tracks are of objects fainter in their frame than the least contrast"
+        todo = (
+            "the label stays, as its track goes on; see `faint` in the frames' records, or warm the objects (delta_t_k)"
+        )
+        found.append(Problem("tracks", "track-faint", text, "objects that can be seen", todo, "warning"))
+    if smeared:
+        text = f"{smeared} of {total} labels of tracks are of objects that motion blurs over more than their size"
+        todo = (
+            "check time_s of the frames, from which speeds follow; or leave out frames in which the camera moves fast"
+        )
+        found.append(Problem("tracks", "track-smeared", text, "objects that can be seen", todo, "warning"))
+    return found
 
 
 def limit_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
