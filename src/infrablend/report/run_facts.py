@@ -6,6 +6,7 @@ anchor is the target of a link, so that the page works without scripts.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import Any
 from infrablend.core.frame_row import Box, FrameRow, InsertRow, RemovedLabel
 from infrablend.core.run_record import RunTiming
 from infrablend.errors import Problem
+from infrablend.thermal.radiometry import ZERO_C_K
 
 _NEAR = 2.0
 _NEAR_PX = 30.0
@@ -205,6 +207,8 @@ def plain_summary(run: RunFacts) -> list[Sentence]:
         text = f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, or cut by the picture's edge."
         found.append((text, "#extremes"))
     found += _times(frames)
+    if weather := run.counts.get("weather"):
+        found.append((f"Weather over the inserted objects: {weather}.", ""))
     if dropped := sum(len(f.missing) for f in frames):
         text = f"{_count(dropped, 'more object')} {_were(dropped)} wanted, but {_are(dropped)} missing or without label"
         found.append((f"{text}, for the reasons listed below.", "#dropped"))
@@ -257,6 +261,27 @@ def _times(frames: Sequence[FrameRow]) -> list[Sentence]:
     times = Counter(f.time_of_day or "at an unknown time" for f in frames)
     text = ", ".join(f"{n} by {t}" if t in ("day", "night") else f"{n} {_at(t)}" for t, n in times.most_common())
     return [(f"Time of day: {text}.", "#charts")] if frames else []
+
+
+def weather_of(frames: Iterable[FrameRow]) -> str:
+    """Return air, sky and sun over a run in words; empty in a look without weather."""
+    found = [f.scene.weather for f in frames if f.scene is not None and f.scene.weather is not None]
+    if not found:
+        return ""
+    skies = Counter("clear" if w.cloud == 0 else "closed" if w.overcast else "partly clouded" for w in found)
+    text = f"air {_span([w.air_k - ZERO_C_K for w in found])} °C; sky "
+    text += ", ".join(f"{sky} in {n} of {len(found)} pictures" for sky, n in skies.most_common())
+    suns = [w.sun for w in found if w.sun is not None]
+    for source in dict.fromkeys(sun.source for sun in suns):
+        high = [math.degrees(sun.elevation_rad) for sun in suns if sun.source == source]
+        how = "by time and place" if source == "computed" else "drawn"
+        text += f"; sun {_span(high)} degrees high ({how}) in {len(high)}"
+    return text
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = f"{min(values):.1f}", f"{max(values):.1f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _at(time: str) -> str:

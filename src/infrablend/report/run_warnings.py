@@ -269,7 +269,8 @@ def doubt_codes(row: FrameRow) -> set[str]:
     codes = {code for kind, (code, *_) in _DOUBTS.items() if kind in row.doubts}
     if row.scene is not None and row.scene.at_limit:
         codes.add(_HEIGHT)
-    if row.scene is not None and row.scene.sun_contradicted:
+    weather = None if row.scene is None else row.scene.weather
+    if weather is not None and weather.sun is not None and weather.sun.source == "contradicted":
         codes.add(_SUN)
     return codes
 
