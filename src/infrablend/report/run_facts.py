@@ -271,11 +271,10 @@ def weather_of(frames: Iterable[FrameRow]) -> str:
     skies = Counter("clear" if w.cloud == 0 else "closed" if w.overcast else "partly clouded" for w in found)
     text = f"air {_span([w.air_k - ZERO_C_K for w in found])} °C; sky "
     text += ", ".join(f"{sky} in {n} of {len(found)} pictures" for sky, n in skies.most_common())
-    suns = [w.sun for w in found if w.sun is not None]
-    for source in dict.fromkeys(sun.source for sun in suns):
-        high = [math.degrees(sun.elevation_rad) for sun in suns if sun.source == source]
-        how = "by time and place" if source == "computed" else "drawn"
-        text += f"; sun {_span(high)} degrees high ({how}) in {len(high)}"
+    if suns := [w.sun for w in found if w.sun is not None]:
+        how = ", ".join(dict.fromkeys("by time and place" if s.source == "computed" else "drawn" for s in suns))
+        high = _span([math.degrees(s.elevation_rad) for s in suns])
+        text += f"; sun {high} degrees high ({how}) in {len(suns)}"
     return text
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -186,30 +186,33 @@ _DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
 }
 
 
-def track_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
+def track_warnings(rows: Sequence[FrameRow]) -> list[Problem]:
     """Return a warning each if labels of tracks are of objects that nobody can see in their frame, or only smeared."""
-    faint = 0
-    smeared = 0
-    total = 0
-    for row in rows:
-        tail_px = 0.0 if row.scene is None else row.scene.motion_px
-        faint += row.faint
-        smeared += sum(bool(i.track) and i.size_px < tail_px for i in row.inserts)
-        total += sum(bool(i.track) for i in row.inserts)
-    found = []
-    if faint:
-        text = f"{faint} of {total} labels of tracks are of objects fainter in their frame than the least contrast"
-        todo = (
-            "the label stays, as its track goes on; see `faint` in the frames' records, or warm the objects (delta_t_k)"
+    tracked = [(i, 0.0 if row.scene is None else row.scene.motion_px) for row in rows for i in row.inserts if i.track]
+    found = {
+        "track-faint": (
+            sum(row.faint for row in rows),
+            "fainter in their frame than the least contrast",
+            "the label stays, as its track goes on; see `faint` in the records, or warm the objects (delta_t_k)",
+        ),
+        "track-smeared": (
+            sum(insert.size_px < tail_px for insert, tail_px in tracked),
+            "blurred by motion over more than their size",
+            "check time_s of the frames, from which speeds follow; or leave out frames of a fast camera",
+        ),
+    }
+    return [
+        Problem(
+            "tracks",
+            code,
+            f"{n} of {len(tracked)} labels of tracks are of objects {what}",
+            "objects that can be seen",
+            todo,
+            "warning",
         )
-        found.append(Problem("tracks", "track-faint", text, "objects that can be seen", todo, "warning"))
-    if smeared:
-        text = f"{smeared} of {total} labels of tracks are of objects that motion blurs over more than their size"
-        todo = (
-            "check time_s of the frames, from which speeds follow; or leave out frames in which the camera moves fast"
-        )
-        found.append(Problem("tracks", "track-smeared", text, "objects that can be seen", todo, "warning"))
-    return found
+        for code, (n, what, todo) in found.items()
+        if n
+    ]
 
 
 def limit_warnings(rows: Iterable[FrameRow]) -> list[Problem]:

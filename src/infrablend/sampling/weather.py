@@ -40,9 +40,7 @@ def air_source(frame: FrameKey, environment: Environment) -> Literal["metadata",
 def knows_air(frame: FrameKey, environment: Environment) -> bool:
     """Return whether the temperature of the air is known, and not any of a season: from the file, or a narrow range."""
     low, high = environment.air_temperature_c
-    radiometry = frame.capture.radiometry
-    of_file = environment.air_of_picture and radiometry is not None and radiometry.plausible_air_k is not None
-    return of_file or high - low <= _KNOWN_K
+    return high - low <= _KNOWN_K or (environment.air_of_picture and air_source(frame, environment) == "metadata")
 
 
 def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:

@@ -80,6 +80,7 @@ def test_heights_of_the_pictures_that_labels_cannot_correct_are_refused_too() ->
 
 
 def test_another_view_on_purpose_is_no_contradiction() -> None:
+    assert codes(recipe(altitude={"fixed_m": 200}), pictures(pitch_deg=0.0)) == []
     level = {"pitch_deg": 30.0, "altitude_m": 60.0}
     assert codes(recipe(altitude={"fixed_m": 200}), pictures(**level)) == []
     assert height_problems(read_recipe("deer-above").recipe, pictures(**level)) == []

@@ -111,7 +111,6 @@ def objects_per_frame(plan: RunPlan) -> dict[str, float]:
 _OBJECTS = 60
 _FRAMES = (2, 40)
 _PERCENT = (5, 50, 95)
-_LOOK_AT_ONE = "look at one of them (infrablend try), which says why; or use pictures or a recipe that fit each other"
 
 
 def forecast_objects(plan: RunPlan) -> tuple[dict[str, object], list[Problem]]:
@@ -155,9 +154,10 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, object], list[Problem]]:
     }
     nothing = nothing_inserted(plan.recipe, counts, draws)
     if not placed:
-        why = ", ".join(f"{code} {n}" for code, n in unusable.most_common())
-        text = f"nothing can be inserted, as none of the {len(some)} pictures that were tried can be used: {why}"
-        nothing = [Problem("pictures", NOTHING_INSERTED, text, "pictures that the recipe can use", _LOOK_AT_ONE)]
+        text = f"nothing can be inserted, as none of the {len(some)} pictures that were tried can be used: "
+        text += ", ".join(f"{code} {n}" for code, n in unusable.most_common())
+        todo = "look at one of them (infrablend try), which says why; or use pictures or a recipe that fit each other"
+        nothing = [Problem("pictures", NOTHING_INSERTED, text, "pictures that the recipe can use", todo)]
     nothing = [replace(p, severity="warning") for p in nothing]
     return {k: v for k, v in found.items() if v}, nothing or (absent_warnings(draws) if draws else [])
 
