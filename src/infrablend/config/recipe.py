@@ -276,7 +276,7 @@ class MetricCamera(Camera):
     accept_height: bool = False
     """Use the height whatever size annotated people, cars and two-wheelers have. Otherwise a run is refused where they
     are more than 1.25 times larger or smaller than the height gives, and warned of where more than 1.08 times, if at
-    least 12 objects agree."""
+    least 8 objects agree."""
 
     @property
     def stated_height_m(self) -> tuple[float, float] | None:

@@ -24,7 +24,7 @@ HEIGHT_CONTRADICTED = "height-contradicted"
 _DOUBTFUL = 1.08
 _CONTRADICTED = 1.25
 # Labels speak about the height if they are of so many objects, and differ by more than twice the standard error.
-_LEAST_OBJECTS = 12
+_LEAST_OBJECTS = 8
 # That is 1.25 times 1.48 median distances from a median over the root of their number (normal errors).
 _TWO_ERRORS = 2 * 1.25 * 1.48
 # Pictures that are looked at, and difference of a stated pitch from a picture's own that shows another view on purpose.
