@@ -36,6 +36,11 @@ class PlanReport:
 
     facts: Mapping[str, Any]
 
+    @property
+    def ok(self) -> bool:
+        """False if the run would insert no object; `warnings` in the facts say why."""
+        return not self.facts.get("inserts_nothing")
+
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values."""
         return dict(self.facts)

@@ -209,4 +209,4 @@ MODEL = aircraft(
     parts_for,
     "bird",
 )
-MODEL = replace(MODEL, animate=animate, cycle_hz=cycle_hz)
+MODEL = replace(MODEL, animate=animate, cycle_hz=cycle_hz, skin_limit_c=40.0)

@@ -611,4 +611,5 @@ MODEL = ObjectModel(
     parts_for=parts_for,
     animate=animate,
     stride_m=stride_m,
+    skin_limit_c=38.0,
 )

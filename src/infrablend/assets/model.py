@@ -177,6 +177,8 @@ class ObjectModel:
             one that stays where it is. None for models without legs.
         cycle_hz: Function that returns the cycles per second of what moves independently of the ground, such as wings;
             0 for one whose phase follows from its way or that keeps still.
+        skin_limit_c: Warmest that the skin of a living body gets, degrees Celsius; None without one. The roles of such
+            a model are those in cool air.
     """
 
     name: str
@@ -195,6 +197,7 @@ class ObjectModel:
     animate: Callable[[Params, float], Params] | None = None
     stride_m: Callable[[Params], float] | None = None
     cycle_hz: Callable[[Params], float] | None = None
+    skin_limit_c: float | None = None
 
     def roles(self, params: Params) -> Mapping[str, PartRange]:
         """Return the thermal role of every part of the individual with these parameters."""

@@ -1006,4 +1006,5 @@ MODEL = ObjectModel(
     animate=animate,
     stride_m=stride_m,
     cycle_hz=cycle_hz,
+    skin_limit_c=36.0,
 )

@@ -106,7 +106,10 @@ def generate(
     reading: ReadingWithVal,
     settings: SettingsOption = None,
     plan: Annotated[
-        bool, typer.Option("--plan", help="Show what the run would produce without writing anything.")
+        bool,
+        typer.Option(
+            "--plan", help="Show what the run would produce without writing anything; exit with 1 for no object."
+        ),
     ] = False,
     price: Annotated[
         float | None, typer.Option(min=0, help="Price of a core-hour, in any currency: --plan then shows the cost.")
@@ -130,8 +133,9 @@ def generate(
         "existing": earlier_output(resume, overwrite),
     }
     if plan:
-        planned = api.plan(recipe, data, out, **options, shard=part, price_per_core_hour=price).to_json()
-        brief = {k: v for k, v in planned.items() if k != "warnings"}
+        forecast = api.plan(recipe, data, out, **options, shard=part, price_per_core_hour=price)
+        planned = forecast.to_json()
+        brief = {k: v for k, v in planned.items() if k not in ("warnings", "inserts_nothing")}
         dropped = planned.get("dropped_fields")
         from infrablend.report.run_warnings import in_words
 
@@ -141,6 +145,8 @@ def generate(
         show_result(session, planned, lambda: table(facts(brief)))
         if not session.json:
             print_warnings(planned.get("warnings", []), "all with --json")
+        if not forecast.ok:
+            raise typer.Exit(PARTIAL)
         return
     with shown_progress(session, "generating") as on_progress:
         if part is None:

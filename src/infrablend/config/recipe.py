@@ -273,6 +273,10 @@ class MetricCamera(Camera):
     in the table)."""
     stated_heights: StatedHeights = StatedHeights()
     """With `calibrate`: how heights in names and tables of the dataset differ from true ones."""
+    accept_height: bool = False
+    """Use the height whatever size annotated people, cars and two-wheelers have. Otherwise a run is refused where they
+    are more than 1.25 times larger or smaller than the height gives, and warned of where more than 1.08 times, if at
+    least 8 objects agree."""
 
     @property
     def stated_height_m(self) -> tuple[float, float] | None:

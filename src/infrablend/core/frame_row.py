@@ -19,7 +19,7 @@ import numpy as np
 from infrablend.core.camera import CameraSpec
 from infrablend.core.dataset import Instance
 from infrablend.core.rle_masks import Mask
-from infrablend.core.scene import SceneSpec
+from infrablend.core.scene import SceneSpec, Weather, weather_from_json
 from infrablend.errors import Problem
 
 
@@ -257,7 +257,8 @@ class SceneRow:
         draws: How the objects were drawn.
         stated_height_m: Height that the picture was made with, if its camera is the real one.
         at_limit: Whether the correction of that height reached a limit; None if it was not corrected.
-        sun_contradicted: Whether capture time and place have the sun below the horizon by day.
+        motion_px: Length of the motion tail.
+        weather: Air, sky and sun; None in a look without them.
     """
 
     configuration: int
@@ -267,14 +268,14 @@ class SceneRow:
     draws: DrawRow
     stated_height_m: float | None = None
     at_limit: bool | None = None
-    sun_contradicted: bool = False
+    motion_px: float = 0.0
+    weather: Weather | None = None
 
     @classmethod
     def from_json(cls, scene: Mapping[str, Any]) -> SceneRow:
         """Return the row of a scene's JSON values, see `SceneSpec.to_json`."""
         camera = scene["camera"]
         view = scene.get("view")
-        sun = (scene.get("weather") or {}).get("sun")
         width, height = camera["size_wh"]
         return cls(
             configuration=scene["configuration"],
@@ -284,7 +285,8 @@ class SceneRow:
             draws=DrawRow.from_json(scene["draws"]),
             stated_height_m=None if view is None else view["stated_height_m"],
             at_limit=view.get("at_limit", False) if view is not None and view["anchors"] else None,
-            sun_contradicted=sun is not None and sun.get("source") == "contradicted",
+            motion_px=math.hypot(*scene.get("motion_px", (0.0,))),
+            weather=weather_from_json(scene.get("weather")),
         )
 
 

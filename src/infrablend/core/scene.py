@@ -149,6 +149,14 @@ class Weather:
         return self.cloud == 1
 
 
+def weather_from_json(data: Mapping[str, Any] | None) -> Weather | None:
+    """Return the weather of a scene's JSON values; None for none."""
+    if not data:
+        return None
+    sun = data.get("sun")
+    return Weather(**{**data, "sun": Sun(**sun) if sun else None})
+
+
 @dataclass(frozen=True)
 class View:
     """The real camera above the real ground: metric placement.
@@ -259,8 +267,7 @@ class SceneSpec:
         camera["size_wh"] = tuple(camera["size_wh"])
         d["camera"] = CameraSpec(**camera)
         d["appearance"] = Appearance(**d["appearance"])
-        if weather := d.get("weather"):
-            d["weather"] = Weather(**weather | {"sun": Sun(**weather["sun"]) if weather.get("sun") else None})
+        d["weather"] = weather_from_json(d.get("weather"))
         dx, dy = d.get("motion_px", (0.0, 0.0))
         d["motion_px"] = (dx, dy)
         d["view"] = View(**d["view"]) if d.get("view") else None

@@ -6,6 +6,7 @@ anchor is the target of a link, so that the page works without scripts.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from typing import Any
 from infrablend.core.frame_row import Box, FrameRow, InsertRow, RemovedLabel
 from infrablend.core.run_record import RunTiming
 from infrablend.errors import Problem
+from infrablend.thermal.radiometry import ZERO_C_K
 
 _NEAR = 2.0
 _NEAR_PX = 30.0
@@ -153,6 +155,10 @@ MEANINGS: Mapping[str, str] = {
     "pictures.",
     "height-at-limit": "The height of the camera does not fit the sizes of the real objects, so inserted objects "
     "may be too large or too small. Look at the ground with people of 1.7 m: infrablend preview --ground.",
+    "height-contradicted": "Real objects are much larger or smaller than the height of the camera gives, and inserted "
+    "objects are of another size than they.",
+    "height-doubtful": "Real objects are larger or smaller than the height of the camera gives, and inserted objects "
+    "are of another size than they. Check height, pitch and lens.",
     "height-replaced": "The recipe states another height of the camera than the pictures; the recipe's was used.",
     "horizon-absent": "Where the camera looked is a guess in many pictures, because no horizon was found.",
     "lens-replaced": "The recipe states another lens than the pictures; the recipe's was used, so sizes are those "
@@ -183,6 +189,8 @@ MEANINGS: Mapping[str, str] = {
     "time-replaced": "The recipe states another time of day than the pictures; the recipe's was used.",
     "too-hidden": "Many objects were left out because too much of them would have been hidden.",
     "track-faint": "In some frames nobody can see an object whose track goes on; its label is there.",
+    "track-smeared": "In some frames the camera or an object moves so fast that little of the object can be seen; its "
+    "label is there.",
     "untrusted-left-out": "Objects were left out where the temperature scale of the picture is doubtful.",
     "val-absent": "No pictures are set apart for validation, so a training measures itself on what it has learned, "
     "and its results look better than they are. Divide the dataset: infrablend split.",
@@ -199,6 +207,8 @@ def plain_summary(run: RunFacts) -> list[Sentence]:
         text = f"{_count(hidden, 'object')} {_were(hidden)} partly hidden, or cut by the picture's edge."
         found.append((text, "#extremes"))
     found += _times(frames)
+    if weather := run.counts.get("weather"):
+        found.append((f"Weather over the inserted objects: {weather}.", ""))
     if dropped := sum(len(f.missing) for f in frames):
         text = f"{_count(dropped, 'more object')} {_were(dropped)} wanted, but {_are(dropped)} missing or without label"
         found.append((f"{text}, for the reasons listed below.", "#dropped"))
@@ -251,6 +261,26 @@ def _times(frames: Sequence[FrameRow]) -> list[Sentence]:
     times = Counter(f.time_of_day or "at an unknown time" for f in frames)
     text = ", ".join(f"{n} by {t}" if t in ("day", "night") else f"{n} {_at(t)}" for t, n in times.most_common())
     return [(f"Time of day: {text}.", "#charts")] if frames else []
+
+
+def weather_of(frames: Iterable[FrameRow]) -> str:
+    """Return air, sky and sun over a run in words; empty in a look without weather."""
+    found = [f.scene.weather for f in frames if f.scene is not None and f.scene.weather is not None]
+    if not found:
+        return ""
+    skies = Counter("clear" if w.cloud == 0 else "closed" if w.overcast else "partly clouded" for w in found)
+    text = f"air {_span([w.air_k - ZERO_C_K for w in found])} °C; sky "
+    text += ", ".join(f"{sky} in {n} of {len(found)} pictures" for sky, n in skies.most_common())
+    if suns := [w.sun for w in found if w.sun is not None]:
+        how = ", ".join(dict.fromkeys("by time and place" if s.source == "computed" else "drawn" for s in suns))
+        high = _span([math.degrees(s.elevation_rad) for s in suns])
+        text += f"; sun {high} degrees high ({how}) in {len(suns)}"
+    return text
+
+
+def _span(values: Sequence[float]) -> str:
+    low, high = f"{min(values):.1f}", f"{max(values):.1f}"
+    return low if low == high else f"{low} to {high}"
 
 
 def _at(time: str) -> str:

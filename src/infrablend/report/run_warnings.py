@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -209,18 +209,33 @@ _DOUBTS: Mapping[Doubt, tuple[str, str, str, str]] = {
 }
 
 
-def track_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
-    """Return a warning if labels of tracks are of objects that nobody can see in their frame."""
-    faint = 0
-    total = 0
-    for row in rows:
-        faint += row.faint
-        total += sum(bool(i.track) for i in row.inserts)
-    if not faint:
-        return []
-    found = f"{faint} of {total} labels of tracks are of objects fainter in their frame than the least contrast"
-    todo = "the label stays, as its track goes on; see `faint` in the frames' records, or warm the objects (delta_t_k)"
-    return [Problem("tracks", "track-faint", found, "objects that can be seen", todo, "warning")]
+def track_warnings(rows: Sequence[FrameRow]) -> list[Problem]:
+    """Return a warning each if labels of tracks are of objects that nobody can see in their frame, or only smeared."""
+    tracked = [(i, 0.0 if row.scene is None else row.scene.motion_px) for row in rows for i in row.inserts if i.track]
+    found = {
+        "track-faint": (
+            sum(row.faint for row in rows),
+            "fainter in their frame than the least contrast",
+            "the label stays, as its track goes on; see `faint` in the records, or warm the objects (delta_t_k)",
+        ),
+        "track-smeared": (
+            sum(insert.size_px < tail_px for insert, tail_px in tracked),
+            "blurred by motion over more than their size",
+            "check time_s of the frames, from which speeds follow; or leave out frames of a fast camera",
+        ),
+    }
+    return [
+        Problem(
+            "tracks",
+            code,
+            f"{n} of {len(tracked)} labels of tracks are of objects {what}",
+            "objects that can be seen",
+            todo,
+            "warning",
+        )
+        for code, (n, what, todo) in found.items()
+        if n
+    ]
 
 
 def limit_warnings(rows: Iterable[FrameRow]) -> list[Problem]:
@@ -280,7 +295,8 @@ def doubt_codes(row: FrameRow) -> set[str]:
     codes = {code for kind, (code, *_) in _DOUBTS.items() if kind in row.doubts}
     if row.scene is not None and row.scene.at_limit:
         codes.add(_HEIGHT)
-    if row.scene is not None and row.scene.sun_contradicted:
+    weather = None if row.scene is None else row.scene.weather
+    if weather is not None and weather.sun is not None and weather.sun.source == "contradicted":
         codes.add(_SUN)
     return codes
 

@@ -8,7 +8,7 @@ two-wheelers of the same image have their real size.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -117,13 +117,8 @@ def calibrate(
     the frame's edge and crowds are left out.
     """
     ratios: dict[KnownClass, list[float]] = {}
-    for label in labels:
-        kind = known_class(label.category)
-        if kind is None or kind not in prior.references or label.truncated or label.is_crowd:
-            continue
-        ratio = size_ratio(camera, ground_z_m(camera, stated_m), label.box_xyxy, REFERENCES[kind])
-        if ratio is not None:
-            ratios.setdefault(kind, []).append(math.log(ratio / prior.box_looseness))
+    for kind, _, ratio in log_ratios(camera, stated_m, labels, prior):
+        ratios.setdefault(kind, []).append(ratio)
     # A box larger than predicted means that the camera is closer than stated.
     weight = 1 / prior.sd**2
     total = math.log(prior.factor) / prior.sd**2
@@ -136,6 +131,19 @@ def calibrate(
     factor = min(max(math.exp(total / weight), low), high)
     anchors: dict[str, int] = {k: len(v) for k, v in sorted(ratios.items())}
     return Calibration(stated_m * factor, factor, weight**-0.5, anchors, factor in (low, high))
+
+
+def log_ratios(
+    camera: CameraSpec, height_m: float, labels: Sequence[Instance], prior: HeightPrior
+) -> Iterator[tuple[KnownClass, Instance, float]]:
+    """Yield the labels of known size of one image with their classes, and the logarithm of `size_ratio`."""
+    for label in labels:
+        kind = known_class(label.category)
+        if kind is None or kind not in prior.references or label.truncated or label.is_crowd:
+            continue
+        ratio = size_ratio(camera, ground_z_m(camera, height_m), label.box_xyxy, REFERENCES[kind])
+        if ratio is not None:
+            yield kind, label, math.log(ratio / prior.box_looseness)
 
 
 def size_ratio(camera: CameraSpec, ground_m: float, box_xyxy: FloatArray, reference: Reference) -> float | None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from infrablend.config.recipe import MetricObject, MetricRecipe, RealGround
 from infrablend.core.boxes import box_of_points, clip_boxes
 from infrablend.core.camera import CameraSpec, object_to_world
-from infrablend.core.dataset import ImageRecord, boxes_of
+from infrablend.core.dataset import ImageRecord, Instance, boxes_of
 from infrablend.core.ground_plane import (
     GroundEdges,
     at_height,
@@ -92,6 +92,17 @@ class MetricPlacer(Placer):
         known = PRIORS.get(str(image.capture.altitude_from))
         return known or prior_of(self.recipe.camera.stated_heights, image.capture)
 
+    def corrected(
+        self, camera: CameraSpec, stated_m: float, labels: Sequence[Instance], prior: HeightPrior
+    ) -> Calibration:
+        """Return the height of a camera, at its stated height, that a run uses.
+
+        A height stated by the recipe is taken literally; only the metadata's height is nominal.
+        """
+        if self.recipe.camera.calibrate and self.recipe.camera.needs_height:
+            return calibrate(camera, stated_m, labels, prior)
+        return Calibration(stated_m, 1.0, 0.0, {})
+
     def arrange(
         self,
         like: CameraSpec,
@@ -136,10 +147,7 @@ class MetricPlacer(Placer):
         stated = c.height_m(site.altitude_m, float(rng.random()))
         roll = like.roll_rad + math.radians(rng.uniform(*c.roll_deg))
         camera = at_height(replace(like, roll_rad=roll), stated)
-        found = Calibration(stated, 1.0, 0.0, {})
-        # A height stated by the recipe is taken literally; only the metadata's height is nominal.
-        if c.calibrate and c.needs_height:
-            found = calibrate(camera, stated, site.labels, site.height_prior)
+        found = self.corrected(camera, stated, site.labels, site.height_prior)
         camera = at_height(camera, found.height_m)
         ground = ground_z_m(camera, found.height_m)
         return camera, View(found.height_m, stated, ground, dict(found.anchors), found.sd, found.at_limit)

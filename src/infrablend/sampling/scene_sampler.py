@@ -26,8 +26,12 @@ from infrablend.sampling.placement import DrawStatistics, PlacementRequest, Pose
 from infrablend.sampling.placer import Placer, Streams
 from infrablend.sampling.shade import in_shade, with_shadow, without_shadow
 from infrablend.sampling.site import FrameKey, Site
-from infrablend.sampling.weather import draw_air_k, draw_weather
+from infrablend.sampling.weather import draw_air_k, draw_weather, knows_air
 from infrablend.thermal.daytime import SKY_COOLING_SHARE
+from infrablend.thermal.radiometry import ZERO_C_K
+
+COOL_AIR_K = ZERO_C_K + 12
+"""Air up to which bodies are as much warmer as their models say."""
 
 PitchFrom = Literal["metadata", "horizon", "recipe", "nothing"]
 
@@ -87,7 +91,7 @@ class RecipeSampler:
         if weather is not None:
             poses = _before_camera(wanted, poses, found.camera, tally)
 
-        light = _Light(air_k, weather, found.camera, site, streams)
+        light = _Light(air_k, weather, found.camera, site, streams, knows_air(frame, recipe.environment))
         objects, meshes = self._in_place(wanted, poses, by_hand, light)
         ends = recipe.appearance.ends
         spec = SceneSpec(
@@ -161,7 +165,7 @@ class RecipeSampler:
             model = item.model
             item, shaded = (item, False) if pose is None else light.fall_on(item, pose)
             # Drawn even if the object found no place, so that the draws of later objects do not depend on that.
-            parts = light.parts(kind, model.roles(item.params), item.mesh)
+            parts = light.parts(kind, model.roles(item.params), item.mesh, model.skin_limit_c)
             if pose is None:
                 continue
             meshes.append(item.mesh)
@@ -251,13 +255,21 @@ class _Light:
     """Air and sun of a frame, and how they warm its objects, one after the other."""
 
     def __init__(
-        self, air_k: float, weather: Weather | None, camera: CameraSpec, site: Site | None, streams: Streams
+        self,
+        air_k: float,
+        weather: Weather | None,
+        camera: CameraSpec,
+        site: Site | None,
+        streams: Streams,
+        knows_air: bool,
     ) -> None:
         """Start the streams of temperatures and emissivities, and in the sun that of surfaces' absorptivities."""
         self._air_k = air_k
+        self._warm = knows_air and air_k > COOL_AIR_K
         self._camera = camera
         self._site = site
         self._sun = None if weather is None else weather.sun
+        self._sun_kw_m2 = 0.0 if self._sun is None else (self._sun.direct_w_m2 + self._sun.diffuse_w_m2) / 1000
         self._overcast = weather is not None and weather.overcast
         self._heat = streams("heat")
         self._lit = None if self._sun is None else streams("sun")
@@ -269,11 +281,14 @@ class _Light:
             return item, False
         return _shade(item, pose, self._camera, self._sun, self._site)
 
-    def parts(self, kind: Object, roles: Mapping[str, PartRange], mesh: Mesh) -> dict[str, PartState]:
+    def parts(
+        self, kind: Object, roles: Mapping[str, PartRange], mesh: Mesh, skin_limit_c: float | None
+    ) -> dict[str, PartState]:
         """Draw the state of every part in an object's mesh.
 
         One draw sets the temperature level of the whole object; a second one per part varies it.
         """
+        limit_k = ZERO_C_K + skin_limit_c if self._warm and skin_limit_c is not None else None
         heat = self._heat.random()
         low, high = kind.delta_t_k
         shift_k = low + (high - low) * float(self._shift.random())
@@ -291,6 +306,8 @@ class _Light:
             delta = role.delta_t_k if sun is None else sun.shade_k
             if self._overcast:
                 delta = under_clouds(role, lit=sun is not None)
+            if limit_k is not None:
+                delta = in_warm_air(delta, self._air_k, limit_k)
             if override and override.delta_t_k:
                 # What a recipe states includes the sun.
                 delta = override.delta_t_k
@@ -301,8 +318,12 @@ class _Light:
             share = 0.7 * heat + 0.3 * own
             if name in mesh.part_names:
                 own_shift_k = 0.0 if role.ground else shift_k
+                temperature_k = self._air_k + delta[0] + (delta[1] - delta[0]) * share + own_shift_k
+                if limit_k is not None and role.kind == "skin" and not (override and override.delta_t_k):
+                    temperature_k = min(temperature_k, limit_k)
+                    rise_k = min(rise_k, (limit_k - temperature_k) / max(self._sun_kw_m2, 1e-3))
                 parts[name] = PartState(
-                    temperature_k=self._air_k + delta[0] + (delta[1] - delta[0]) * share + own_shift_k,
+                    temperature_k=temperature_k,
                     emissivity=emissivity[0] + (emissivity[1] - emissivity[0]) * surface,
                     label=role.label,
                     ior=role.ior,
@@ -336,6 +357,16 @@ def under_clouds(role: PartRange, *, lit: bool) -> Range:
     if lit and role.sun is not None:
         delta_k = role.sun.overcast_k or role.sun.shade_k
     low, high = (SKY_COOLING_SHARE * v if v < 0 or role.sheltered else v for v in delta_k)
+    return low, high
+
+
+def in_warm_air(delta_k: Range, air_k: float, limit_k: float) -> Range:
+    """Return by how much a part of a living body is warmer than air above `COOL_AIR_K`, for which its range holds.
+
+    Heat flows by the difference from the skin to the air, which goes to nothing as the air nears the skin's limit.
+    """
+    share = max(0.0, (limit_k - air_k) / (limit_k - COOL_AIR_K))
+    low, high = (share * v if v > 0 else v for v in delta_k)
     return low, high
 
 

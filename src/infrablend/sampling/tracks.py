@@ -59,12 +59,14 @@ class Footage:
         times_s: (n,) seconds of the frames, ascending.
         size_wh: Size of the pictures.
         other_sizes_wh: Size of the pictures by span, where it is another one.
+        is_timed: Whether the data state the seconds, which are assumed otherwise.
     """
 
     moments: Sequence[Moment]
     times_s: FloatArray
     size_wh: tuple[int, int]
     other_sizes_wh: Mapping[int, tuple[int, int]] = field(default_factory=dict)
+    is_timed: bool = True
 
     def size_of(self, n: int) -> tuple[int, int]:
         """Return the size of a frame's picture."""

@@ -15,7 +15,10 @@ from infrablend.core.scene import Sun, Weather
 from infrablend.sampling.site import FrameKey
 from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, time_of_sun
 from infrablend.thermal.radiometry import ZERO_C_K
-from infrablend.thermal.sky import dew_point, irradiance, low_irradiance, sun_position, time_of
+from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
+
+# A range of the recipe up to which the air counts as known, kelvin.
+_KNOWN_K = 5.0
 
 
 def draw_air_k(frame: FrameKey, environment: Environment, rng: np.random.Generator) -> float:
@@ -32,6 +35,12 @@ def air_source(frame: FrameKey, environment: Environment) -> Literal["metadata",
         return "metadata"
     low, high = environment.air_temperature_c
     return "stated" if low == high else "drawn"
+
+
+def knows_air(frame: FrameKey, environment: Environment) -> bool:
+    """Return whether the temperature of the air is known, and not any of a season: from the file, or a narrow range."""
+    low, high = environment.air_temperature_c
+    return high - low <= _KNOWN_K or (environment.air_of_picture and air_source(frame, environment) == "metadata")
 
 
 def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:
@@ -111,6 +120,5 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
             source = "computed"
         elif frame.capture.time_from != "recipe":
             source = "contradicted"
-    irradiance_of = low_irradiance if is_low else irradiance
-    direct, diffuse = irradiance_of(elevation, cloud)
+    direct, diffuse = irradiance(elevation, cloud)
     return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)

@@ -1,7 +1,7 @@
 """The sky's radiance by zenith angle, the transmittance of the air between object and camera, and the sun.
 
 Irradiance of a clear sky after Haurwitz (1945), which needs the sun's elevation only; clouds after Kasten and Czeplak
-(1980); rays of a low sun after Meinel and Meinel (1976). Position of the sun after the low-precision formulas of the
+(1980); rays after Meinel and Meinel (1976). Position of the sun after the low-precision formulas of the
 Astronomical Almanac (0.01 degrees from 1950 to 2050).
 """
 
@@ -114,29 +114,29 @@ def dew_point(air_k: float, humidity: float) -> float:
 
 
 def irradiance(elevation_rad: float, cloud: float = 0.0) -> tuple[float, float]:
-    """Return direct irradiance at right angles to the rays, and diffuse irradiance of level ground, W m^-2."""
+    """Return direct irradiance at right angles to the rays, and diffuse irradiance of level ground, W m^-2.
+
+    Rays are at most 1353 * 0.7^(AM^0.678) W m^-2 (Meinel and Meinel 1976) at an air mass after Kasten and Young (1989),
+    less what clouds keep back. Below about 45 degrees that is less than a fixed share of Haurwitz' irradiance; the rest
+    of it is diffuse.
+    """
     up = math.sin(elevation_rad)
     if up <= 0:
         return 0.0, 0.0
-    level = 1098 * up * math.exp(-0.059 / up) * (1 - 0.75 * cloud**3.4)
-    diffuse = level * (CLEAR_DIFFUSE_SHARE + (1 - CLEAR_DIFFUSE_SHARE) * cloud**2)
-    return (level - diffuse) / up, diffuse
-
-
-def low_irradiance(elevation_rad: float, cloud: float = 0.0) -> tuple[float, float]:
-    """Return what `irradiance` does, for a sun up to about 10 degrees, of whose light the air scatters half.
-
-    Rays are 1353 * 0.7^(AM^0.678) W m^-2 (Meinel and Meinel 1976) at an air mass after Kasten and Young (1989), less
-    what clouds keep back as in `irradiance`; the rest of Haurwitz' irradiance is diffuse.
-    """
-    direct, diffuse = irradiance(elevation_rad, cloud)
-    up = math.sin(elevation_rad)
+    direct, diffuse = _divided(up, cloud)
     if direct <= 0:
         return direct, diffuse
-    clear, _ = irradiance(elevation_rad)
+    clear, _ = _divided(up, 0.0)
     mass = 1 / (up + 0.50572 * (6.07995 + math.degrees(elevation_rad)) ** -1.6364)
     rays = min(1353 * 0.7 ** (mass**0.678) * direct / clear, direct)
     return rays, diffuse + (direct - rays) * up
+
+
+def _divided(up: float, cloud: float) -> tuple[float, float]:
+    """Return what `irradiance` does, with a share of direct light that only clouds change; `up` is the sine."""
+    level = 1098 * up * math.exp(-0.059 / up) * (1 - 0.75 * cloud**3.4)
+    diffuse = level * (CLEAR_DIFFUSE_SHARE + (1 - CLEAR_DIFFUSE_SHARE) * cloud**2)
+    return (level - diffuse) / up, diffuse
 
 
 def sun_position(when: datetime, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:

@@ -9,6 +9,7 @@ from PIL import Image
 from infrablend import api
 from infrablend.errors import DatasetError, RecipeError
 from infrablend.pipeline.runs import forecast
+from tests.command_line import done, said
 from tests.flat_renderer import render_flat
 from tests.unit.pipeline.test_run import dataset
 
@@ -88,6 +89,17 @@ def test_colour_pictures_are_counted_where_a_recipe_cannot_use_them(dataset):
         Image.fromarray(np.random.default_rng(k).integers(0, 255, (512, 640, 3)).astype(np.uint8)).save(path)
     found, _ = expected(METRIC, dataset, *BROAD)
     assert found["unusable"] == {"image-colour-mapped": found["tried"]} and found["objects"] == {"Person": 0}
+    plan = api.plan(METRIC, dataset, settings=BROAD)
+    assert not plan.ok and plan.facts["warnings"][0].startswith("pictures: nothing can be inserted, as none of the ")
+    assert "image-colour-mapped" in plan.facts["warnings"][0]
+
+
+def test_the_command_fails_where_nothing_can_be_inserted(dataset, tmp_path):
+    words = ("generate", PAPER, "--data", dataset, "--out", tmp_path / "run", "--plan")
+    text = said(*words, "--set", "placement.size_px=[5000, 6000]", "--set", "placement.attempts=4", code=1)
+    assert "none of the" in text and "placement.size_px" in text
+    assert not json.loads(done(*words, "--json").stdout)["inserts_nothing"]
+    done(*words, "--set", "empty_share=1.0")  # that asks for nothing
 
 
 def test_objects_are_told_by_class(dataset):

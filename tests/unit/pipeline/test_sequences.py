@@ -1,6 +1,7 @@
 """Objects that move through sequences: tracks, frozen pictures, cuts, levels, and the same bytes in any order."""
 
 import json
+import math
 import re
 from itertools import pairwise
 from types import SimpleNamespace
@@ -360,3 +361,27 @@ def test_gain_and_offset_are_those_of_the_picture_that_is_matched(polarity):
     turned = (lambda level: low + high - level) if polarity == "black-hot" else (lambda level: level)
     for level in (30.0, 200.0):
         assert g * turned(level) + o == pytest.approx(turned(gain * level + offset))
+
+
+@pytest.mark.parametrize(
+    ("column", "seconds", "smeared"), [("captured", 2.5, None), ("time_s", 1 / 60, True), (None, 0.0, False)]
+)
+def test_blur_follows_from_the_times_of_the_data(tmp_path, column, seconds, smeared):
+    """As far as objects are long: an assumed rate blurs no object over more than itself, a stated one is doubted."""
+    data = clip(tmp_path / "data", panned(4, step=(45.0, 0.5)))
+    if column is not None:
+        times = [k * seconds for k in range(4)]
+        if column == "captured":
+            times = [f"2024-05-01T06:30:{10 + t:06.3f}" for t in times]
+        rows = "".join(f"clip_{k:03}.png,clip,{k},{t}\n" for k, t in enumerate(times))
+        (data / "metadata.csv").write_text(f"file,sequence,frame,{column}\n{rows}")
+    report = generate(data, tmp_path / "run", settings=[*STILL, "objects.0.count=2", "camera.altitude={fixed_m: 42}"])
+    codes = {p.code for p in report.problems}
+    assert any("are assumed" in p.found or "is stated" in p.found for p in report.problems) == (column is None)
+    shown = [api.show(tmp_path / "run", f"train/clip_{k:06}")["scene"] for k in range(4)]
+    tails = [math.hypot(*scene["motion_px"]) for scene in shown if scene["objects"]]
+    assert tails
+    if smeared is None:
+        assert 0 < max(tails) < 0.5 and "track-smeared" not in codes
+    else:
+        assert (max(tails) > 10) == smeared == ("track-smeared" in codes)

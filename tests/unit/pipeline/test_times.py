@@ -104,3 +104,16 @@ def test_pictures_with_a_position_have_the_time_of_the_sun() -> None:
     # Without a zone, the clock may be two hours off.
     found = [time_of_day(f"2021-01-16T{clock}:00", *place) for clock in ("13:00", "18:20", "23:30")]
     assert found == ["day", None, "night"]
+
+
+def test_record_card_and_report_state_the_weather(tmp_path: Path) -> None:
+    data = table(
+        flight(tmp_path / "in", 2), ("2021-01-16T12:00:00+08:00", "day"), ("2021-01-16T23:00:00+08:00", "night")
+    )
+    settings = ["environment.air_temperature_c=25", "environment.overcast_share=1", PLACE, "empty_share=1.0"]
+    report = api.generate("hit-uav-people", data, tmp_path / "run", settings=settings, execution=FLAT)
+    said = "air 25.0 °C; sky closed in 2 of 2 pictures; sun 40.3 degrees high (by time and place) in 1"
+    assert report.counts["weather"] == said
+    assert f"* weather: {said}" in (tmp_path / "run" / "README.md").read_text()
+    assert f"Weather over the inserted objects: {said}." in (tmp_path / "run" / "report.html").read_text()
+    assert "weather" not in api.generate("hit-uav-drone", data, tmp_path / "art", execution=FLAT).counts

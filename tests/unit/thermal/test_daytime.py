@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from infrablend.thermal.daytime import STORED_SHARE, between, time_of_sun
-from infrablend.thermal.sky import irradiance, low_irradiance, sun_position
+from infrablend.thermal.sky import irradiance, sun_position
 
 
 @pytest.mark.parametrize(
@@ -59,13 +59,21 @@ def test_the_course_of_a_day(day: str, latitude_deg: float, expected: str) -> No
 def test_a_low_sun_is_weak_and_half_of_its_light_is_diffuse() -> None:
     for degrees in (1, 2, 5, 8):
         e = math.radians(degrees)
-        (rays, diffuse), (usual, usual_diffuse) = low_irradiance(e), irradiance(e)
-        assert rays <= usual and rays < 400
+        rays, diffuse = irradiance(e)
+        assert rays < 400
         total = rays * math.sin(e) + diffuse
-        assert total == pytest.approx(usual * math.sin(e) + usual_diffuse)
+        assert total == pytest.approx(1098 * math.sin(e) * math.exp(-0.059 / math.sin(e)))  # Haurwitz
         assert 0.3 < diffuse / total < 0.95 or degrees == 1
-        assert low_irradiance(e, 1.0)[0] == 0
-    assert low_irradiance(math.radians(-3)) == (0, 0)
+        assert irradiance(e, 1.0)[0] == 0
+    assert irradiance(math.radians(-3)) == (0, 0) and irradiance(1e-5)[0] == 0
+
+
+def test_rays_grow_with_the_height_of_the_sun_by_one_formula() -> None:
+    rays = [irradiance(math.radians(degrees))[0] for degrees in range(1, 91)]
+    assert rays == sorted(rays)
+    assert irradiance(math.radians(12.7))[0] == pytest.approx(506, abs=1)
+    for degrees in (7.99, 8.01):  # where day begins
+        assert irradiance(math.radians(degrees))[0] == pytest.approx(irradiance(math.radians(8))[0], rel=0.01)
 
 
 def test_what_stores_heat_is_warmest_by_day_and_coldest_at_dawn() -> None:

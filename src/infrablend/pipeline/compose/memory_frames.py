@@ -27,6 +27,7 @@ from infrablend.pipeline.compose.extensions import NO_EXTENSIONS, BackgroundSour
 from infrablend.pipeline.compose.frame_worker import FrameWorkers
 from infrablend.pipeline.compose.settings import FrameSettings, settings_for
 from infrablend.pipeline.plans.backgrounds import dataset_levels
+from infrablend.pipeline.plans.labelled_height import require_height
 from infrablend.pipeline.plans.plan import PlannedFrame
 from infrablend.pipeline.plans.planning import make_plan, reading_for
 from infrablend.pipeline.plans.run_request import DEFAULT_EXECUTION, Execution, Settings
@@ -143,6 +144,7 @@ class Frames:
         self._frames = {f.frame_id: f for f in self._plan.frames}
         self.ids: tuple[str, ...] = tuple(self._frames)
         self.categories: tuple[Category, ...] = self._plan.categories
+        require_height(self._plan.recipe, self._plan.problems)
         self.problems: list[Problem] = list(self._plan.problems)
 
     @property

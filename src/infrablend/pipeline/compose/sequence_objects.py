@@ -9,7 +9,8 @@ anchors have shown are left out again: these have populated it. From then on eac
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -154,8 +155,7 @@ class Sequences:
         camera, view = camera_in(anchored.scene.spec, footage, anchor, m, self._pitch_rad(sequence, span, m))
         models = [self._models[t.placed.spec.model] for t in span.tracks]
         objects = objects_in(span.tracks, models, footage, m, camera, view)
-        in_view = {o.spec.track for o in objects}
-        motion_px = self._motion_px([t for t in span.tracks if t.number in in_view], footage, m)
+        motion_px = self._motion_px(span.tracks, objects, footage, m)
         key = (frame.frame_id, frame.background.id, frame.configuration)
         of_shown = functools.partial(integer_seed, self._settings.seed, shown.key(footage.size_wh).frame_id)
         sensor = anchored.sensor and replace(anchored.sensor, noise_seed=of_shown("sensor"))
@@ -183,13 +183,22 @@ class Sequences:
         # A frame that could not be an anchor says why when it is drawn as one.
         return "no_anchor" if moment.state in ("frozen", "bridged") else None
 
-    def _motion_px(self, tracks: list[Track], footage: Footage, n: int) -> tuple[float, float]:
-        """Return the motion tail of the objects: it stretches to where they come from."""
+    def _motion_px(
+        self, tracks: Sequence[Track], objects: Sequence[PlacedObject], footage: Footage, n: int
+    ) -> tuple[float, float]:
+        """Return the motion tail of the objects in view: it stretches to where they come from.
+
+        A tail longer than the smallest of them does not follow from an assumed frame rate.
+        """
         sensor = self._recipe.sensor
-        if sensor.profile == "off" or not tracks:
+        if sensor.profile == "off" or not objects:
             return 0.0, 0.0
+        in_view = {o.spec.track for o in objects}
         tail_s = find_profile(sensor.profile_at(None)).time_constant_s
-        right, down = velocity_px_s(tracks, footage, n)
+        right, down = velocity_px_s([t for t in tracks if t.number in in_view], footage, n)
+        smallest = min(float((o.box_xyxy[2:] - o.box_xyxy[:2]).max()) for o in objects)
+        if not footage.is_timed and math.hypot(right, down) * tail_s > smallest:
+            return 0.0, 0.0
         return -right * tail_s, -down * tail_s
 
     def _pitch_rad(self, sequence: PlannedSequence, span: _Span, n: int) -> float | None:

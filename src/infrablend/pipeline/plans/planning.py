@@ -40,13 +40,14 @@ from infrablend.pipeline.plans.checks import (
     without_effect,
     without_mask,
 )
+from infrablend.pipeline.plans.labelled_height import height_problems
 from infrablend.pipeline.plans.left_out import all_in_colour, usable_images
 from infrablend.pipeline.plans.models import ready_model
 from infrablend.pipeline.plans.plan import PlannedFrame, PlannedSequence, RunPlan
 from infrablend.pipeline.plans.selection import ALL_FRAMES, FrameSelection, find_frames
 from infrablend.pipeline.plans.sequence_motion import VERSION as MOTION_VERSION
 from infrablend.pipeline.plans.sequence_motion import find_motion, motion_problems, sequences_of
-from infrablend.pipeline.plans.times import time_warnings, with_used_times
+from infrablend.pipeline.plans.times import time_warnings, with_clock_times, with_used_times
 from infrablend.pipeline.storage.store import local_folder
 from infrablend.sampling.scene_sampler import require_parts
 from infrablend.sampling.tracks import Footage
@@ -90,6 +91,7 @@ def make_plan(
     require_loosened(recipe, {*classes})
     require_classes(recipe, "labels.rename", recipe.labels.rename, dataset)
     timed = with_used_times(dataset, recipe)
+    timed = with_clock_times(timed) if recipe.in_sequences else timed
     renamed = rename_classes(timed, recipe.labels.rename)
     require_classes(recipe, "labels.keep_categories", recipe.labels.keep_categories or (), renamed)
     require_distinct_classes(recipe, classes, renamed)
@@ -101,6 +103,7 @@ def make_plan(
         chosen = find_frames(selection.frames, renamed.images, names)
         images = _images_of(chosen, images)
     stands = all(m.stands for m in models.values())
+    height = height_problems(recipe, timed.images) if any(m.stands for m in models.values()) else []
     usable, left_out = usable_images(recipe, renamed, images, stands)
     problems = [
         *recipe_warnings,
@@ -118,7 +121,7 @@ def make_plan(
         usable = _images_of(chosen, usable)
         recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
         names = frame_names(renamed.images, recipe)
-    problems += _warnings(recipe, dataset, renamed, usable)
+    problems += [*_warnings(recipe, dataset, renamed, usable), *height]
 
     as_read = {id(new): old for old, new in zip(timed.images, renamed.images, strict=True)}
     frames = [
@@ -195,7 +198,8 @@ def _key(recipe: Recipe, seed: int, used: Dataset) -> dict[str, Any]:
     """Return what must match for a run to be resumed, with any choice of frames."""
     key: dict[str, Any] = {
         "version": __version__,
-        "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY})),
+        # Whether a height is accepted does not change frames.
+        "recipe": json.loads(recipe.model_dump_json(exclude={"output": NOT_IN_KEY, "camera": {"accept_height"}})),
         "seed": seed,
         "backgrounds": fingerprint(used),
     }
@@ -283,18 +287,20 @@ def plan_sequences(
         log.info("sequence %s: following the camera through %d frames", name, len(images))
         motion = find_motion(name, images)
         times = _times_s(images)
+        is_timed = times is not None
         if times is None:
             lacks = any(i.capture.time_s is None for i in images)
             found_times = "no time stamps" if lacks else "time stamps that do not rise from frame to frame"
-            text = f"{found_times}; {ASSUMED_RATE:g} frames per second are assumed"
-            todo = "a table with time_s"
+            text = f"{found_times}; {ASSUMED_RATE:g} frames per second are assumed, and blur longer than an object is "
+            text += "left out"
+            todo = "a table with time_s, or captured with seconds"
             problems.append(Problem(f"sequence {name}", "frame-rate", text, "seconds of each frame", todo, "warning"))
             times = np.array([(i.capture.frame or 0) / ASSUMED_RATE for i in images])
         problems += motion_problems(motion)
         frames = tuple(PlannedFrame(i, 0, as_read[id(i)], i.id) for i in images)
         ids = {str(i.track_id) for image in images for i in image.instances if i.track_id is not None}
         numbers = [int(i) for i in ids if i.isdecimal() and i.isascii()]  # texts such as "1" count, too
-        footage = Footage(motion.in_own_levels(), times, motion.size_wh, motion.other_sizes_wh)
+        footage = Footage(motion.in_own_levels(), times, motion.size_wh, motion.other_sizes_wh, is_timed)
         # Formats with numbers from 1 give the others, such as 0, the numbers between.
         others = len(ids) - sum(n > 0 for n in numbers)
         without_place = frozenset(n for n, i in enumerate(images) if (i.split, i.id) not in of_place)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
+from itertools import pairwise
 
 from infrablend.config.recipe import Geolocation, Recipe, SkyEnvironment
 from infrablend.core.capture import Capture
@@ -25,6 +28,29 @@ def with_used_times(dataset: Dataset, recipe: Recipe) -> Dataset:
     if sky is None or (sky.place is None and sky.time_of_day is None):
         return dataset
     return replace(dataset, images=tuple(replace(i, capture=used_time(i.capture, sky)) for i in dataset.images))
+
+
+def with_clock_times(dataset: Dataset) -> Dataset:
+    """Return a dataset whose sequences without seconds have those of the clock of their pictures, if it goes on."""
+    sequences: dict[tuple[str, str | None], list[ImageRecord]] = {}
+    for image in dataset.images:
+        sequences.setdefault((image.split, image.capture.sequence), []).append(image)
+    since: dict[int, float] = {}
+    for (_, name), images in sequences.items():
+        images.sort(key=lambda i: i.capture.frame or 0)
+        clock = [_clock_s(i.capture.captured) if i.capture.time_s is None else math.nan for i in images]
+        if name is not None and all(a < b for a, b in pairwise([*clock, math.inf])):
+            since |= {id(i): second - clock[0] for i, second in zip(images, clock, strict=True)}
+    timed = (replace(i, capture=replace(i.capture, time_s=since.get(id(i), i.capture.time_s))) for i in dataset.images)
+    return replace(dataset, images=tuple(timed))
+
+
+def _clock_s(captured: str | None) -> float:
+    """Return the second of a time of capture, without a zone as if in UTC; NaN if it is no time."""
+    with contextlib.suppress(ValueError, OverflowError):
+        when = datetime.fromisoformat(captured or "")
+        return when.replace(tzinfo=when.tzinfo or UTC).timestamp()
+    return math.nan
 
 
 def time_warnings(recipe: Recipe, read: Sequence[ImageRecord], used: Sequence[ImageRecord]) -> list[Problem]:

@@ -37,6 +37,7 @@ from infrablend.pipeline.datasets.eight_bit import eight_bit_copies
 from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.runs.run_card import run_card
 from infrablend.report.card import CARD_FILE, is_own, write_card
+from infrablend.report.run_facts import weather_of
 from infrablend.report.run_warnings import (
     absent_warnings,
     air_warnings,
@@ -290,6 +291,7 @@ def summarize(plan: RunPlan, rows: Sequence[FrameRow], images: Sequence[ImageRec
         "in_front_of": behind if behind.keys() - {"ground"} else {},
         "partly_hidden": hiding_statistics(rows),
         "contrast_grey": contrast_statistics(rows),
+        "weather": weather_of(rows),
     }
     counts = {
         "images": len(images),

@@ -23,7 +23,13 @@ from infrablend.pipeline.plans.plan import PlannedFrame, RunPlan
 from infrablend.pipeline.plans.run_request import Execution
 from infrablend.pipeline.runs.exports import draw_statistics
 from infrablend.rendering import make_renderer
-from infrablend.report.run_warnings import absent_warnings, count_objects, few_inserted, nothing_inserted
+from infrablend.report.run_warnings import (
+    NOTHING_INSERTED,
+    absent_warnings,
+    count_objects,
+    few_inserted,
+    nothing_inserted,
+)
 from infrablend.sampling.scene_sampler import mean_objects
 
 # Measured by `bench/recipes.py`, with one worker.
@@ -152,7 +158,13 @@ def forecast_objects(plan: RunPlan) -> tuple[dict[str, object], list[Problem]]:
         "size_px": _sizes(rows),
         **_cameras(plan, placed),
     }
-    nothing = [replace(p, severity="warning") for p in nothing_inserted(plan.recipe, counts, draws)]
+    nothing = nothing_inserted(plan.recipe, counts, draws)
+    if not placed:
+        text = f"nothing can be inserted, as none of the {len(some)} pictures that were tried can be used: "
+        text += ", ".join(f"{code} {n}" for code, n in unusable.most_common())
+        todo = "look at one of them (infrablend try), which says why; or use pictures or a recipe that fit each other"
+        nothing = [Problem("pictures", NOTHING_INSERTED, text, "pictures that the recipe can use", todo)]
+    nothing = [replace(p, severity="warning") for p in nothing]
     some_absent = [*few_inserted(plan.recipe, counts, draws), *(absent_warnings(draws) if draws else ())]
     return {k: v for k, v in found.items() if v}, nothing or some_absent
 

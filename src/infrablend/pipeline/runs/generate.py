@@ -17,6 +17,7 @@ from infrablend.core.tasks import OnProgress
 from infrablend.core.workspace import Existing, unfinished
 from infrablend.errors import ArgumentError, OutputError, Problem, format_problems
 from infrablend.pipeline.plans.checks import HEIGHT_REPLACED, LENS_REPLACED, PITCH_REPLACED
+from infrablend.pipeline.plans.labelled_height import require_height
 from infrablend.pipeline.plans.left_out import LEFT_OUT
 from infrablend.pipeline.plans.plan import RunPlan
 from infrablend.pipeline.plans.planning import plan_folder
@@ -26,6 +27,7 @@ from infrablend.pipeline.plans.times import TIME_REPLACED
 from infrablend.pipeline.runs.forecast import estimate_run, forecast_objects
 from infrablend.pipeline.runs.make_shards import make_shards
 from infrablend.pipeline.runs.run import RunReport, run_plan
+from infrablend.report.run_warnings import NOTHING_INSERTED
 
 
 def run_request(request: RunRequest, on_progress: OnProgress | None = None) -> RunReport:
@@ -80,6 +82,8 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
         "kept_fields": [str(p) for p in plan.problems if p.code in shown],
         "warnings": format_problems(dict.fromkeys([*absent, *others])),
+        # Of a whole run: one entry of `objects` may find places in the frames that were not tried.
+        "inserts_nothing": any(p.code == NOTHING_INSERTED and "." not in p.where for p in absent),
     }
 
 
@@ -121,6 +125,7 @@ def plan_request(request: RunRequest) -> RunPlan:
     if request.out is not None and address is None and address_of(request.data) is None:
         require_apart(request.data, request.out)
     plan = plan_folder(loaded.recipe, request.data, request.seed, request.reading, request.selection, loaded.warnings)
+    require_height(plan.recipe, plan.problems)
     if request.reading.val_share is not None and "val" not in {f.background.split for f in plan.frames}:
         left_out = [p for p in plan.problems if p.code in LEFT_OUT]
         raise ArgumentError(

@@ -17,7 +17,7 @@ from typing import Any
 
 from infrablend import __version__
 from infrablend.config.modes import recipe_from_json
-from infrablend.config.recipe import Recipe
+from infrablend.config.recipe import MetricCamera, Recipe
 from infrablend.core.file_names import real_path
 from infrablend.core.files import NAME_TOO_LONG, write_bytes
 from infrablend.core.frame_row import FrameRow
@@ -175,9 +175,12 @@ class RunState:
 
 def record_header(plan: RunPlan, execution: Execution) -> RunRecord:
     """Return the part of the run record that is known before the first frame."""
+    recipe = dict(plan.key["recipe"])
+    if isinstance(plan.recipe.camera, MetricCamera) and plan.recipe.camera.accept_height:
+        recipe["camera"] = {**recipe["camera"], "accept_height": True}
     return {
         "infrablend": __version__,
-        "recipe": plan.key["recipe"],
+        "recipe": recipe,
         "formats": list(plan.recipe.output.formats),
         "seed": plan.seed,
         "run": plan.run,

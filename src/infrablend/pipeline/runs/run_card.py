@@ -53,6 +53,7 @@ def run_card(
         made=(
             ("recipe", f"`{recipe.name}`" + (f", {recipe.description}" if recipe.description else "")),
             ("seed", str(plan.seed)),
+            *((name, counts[name]) for name in ("weather",) if name in counts),
             ("all settings, versions and counts", f"`{RUN_FILE}`; `infrablend rerender` renders a single frame again"),
         ),
         inserts=(*source.inserts, run_inserts(recipe, plan.seed, counts["labels_inserted"])),
