@@ -35,6 +35,9 @@ from infrablend.errors import DatasetError, Problem
 MAX_TEXT_BYTES = 50_000_000
 WHOLE_JSON = MAX_RECORD
 """Bytes of the largest JSON file that is parsed as a whole, which is a little faster."""
+_DECLARED = re.compile(rb"""<\?xml[^>]{1,80}encoding\s*=\s*["']([\w.-]{1,40})["']""", re.ASCII)
+_MULTI_BYTE = re.compile(r"gb|hz|big5|euc|shift|cp9|johab|iso2022|utf")
+_WITH_MORE = {"gb2312": "gb18030", "gbk": "gb18030", "shift_jis": "cp932", "euc_kr": "cp949"}
 _files_read: ContextVar[set[Path] | None] = ContextVar("files_read", default=None)
 
 
@@ -228,7 +231,7 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     try:
         problem = _refusal_to_open(path, where, "an XML file", MAX_TEXT_BYTES)
         if problem is None:
-            top = ElementTree.parse(path, forbid_dtd=True).getroot()
+            top = _xml_root(path)
             _note(path)
             return top, None
         return None, problem
@@ -241,10 +244,36 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     except OSError as error:
         found = f"cannot be read ({error.strerror or 'unknown reason'})"
         todo = "check the file and its permissions"
-    except Exception as error:  # unknown encodings, nesting without end
+    except (UnicodeError, LookupError) as error:
+        found = f"XML that is not in the encoding it declares ({error})"[:200]
+        todo = f"write it in UTF-8, as with `iconv -f GB18030 -t UTF-8 {path.name}`, and declare that"
+    except Exception as error:  # nesting without end
         found = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name)
         todo = "fetch it again"
     return None, or_lfs_pointer(Problem(where, "annotation-not-xml", found, "an XML file with labels", todo), path)
+
+
+def _xml_root(path: Path) -> Any:
+    """Return the root element of an XML file; files in encodings that the parser does not know are decoded first.
+
+    Raises:
+        UnicodeError: It is not in its encoding.
+        LookupError: Its encoding is unknown.
+        Exception: What the parser raises.
+    """
+    try:
+        return ElementTree.parse(path, forbid_dtd=True).getroot()
+    except (ValueError, LookupError):  # several bytes a character, or a name that is unknown
+        data = path.read_bytes()
+        declared = _DECLARED.match(data)
+        if declared is None:
+            raise
+        name = codecs.lookup(declared[1].decode()).name
+        if not _MULTI_BYTE.match(name):
+            raise
+        # What Windows calls GB2312 or Shift JIS has more characters.
+        text = data.decode(_WITH_MORE.get(name, name))
+        return ElementTree.fromstring(text.partition("?>")[2], forbid_dtd=True)
 
 
 def child_text(element: Any, key: str) -> str | None:

@@ -8,6 +8,8 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
@@ -25,6 +27,9 @@ SEQUENCE_DEPTH = 3
 """Folders of sequences are at most so far below that of the dataset."""
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
+_ORIENTATION = 0x0112
+_ON_ITS_SIDE = (5, 6, 7, 8)
+_sizes_read: ContextVar[set[Path] | None] = ContextVar("sizes_read", default=None)
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
 # Folders of pictures whose pixels say which object is where in the picture of the same stem.
 _MASK_FOLDER = re.compile(
@@ -332,6 +337,8 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         with open_picture(path) as picture:
             size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] <= MAX_PIXELS:
+            if (noted := _sizes_read.get()) is not None:
+                noted.add(path)
             return size_wh, None
         found = f"{size_wh[0]}x{size_wh[1]} px"
     except Image.DecompressionBombError as error:
@@ -342,6 +349,50 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         todo = "replace or remove the file"
         return None, or_lfs_pointer(Problem(where, "image-unreadable", found, expected, todo), path)
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
+
+
+@contextmanager
+def noting_sizes_read() -> Iterator[set[Path]]:
+    """Collect the pictures whose sizes are read within the block: those of the others are what labels state."""
+    pictures: set[Path] = set()
+    token = _sizes_read.set(pictures)
+    try:
+        yield pictures
+    finally:
+        _sizes_read.reset(token)
+
+
+def size_problem(image: ImageRecord, where: str, size_wh: tuple[int, int] | None) -> Problem | None:
+    """Return the problem of a picture whose labels state another size than its header.
+
+    Args:
+        image: The picture with the size that its labels state.
+        where: Name of the picture in the problem.
+        size_wh: The size in its header; None if that cannot be read, which is another problem.
+    """
+    said = image.size_wh
+    if said is None or size_wh is None or size_wh == said:
+        return None
+    found = f"{size_wh[0]}x{size_wh[1]} px"
+    expected = f"{said[0]}x{said[1]} px as annotated"
+    todo = "correct the annotation or replace the picture"
+    if size_wh == said[::-1]:
+        if _is_turned(image.path):
+            found += " as stored, turned by its EXIF to be shown; the labels were made on the turned picture"
+            todo = "turn the pixels, as with `mogrify -auto-orient`"
+        else:
+            found += ", width and height swapped"
+    return Problem(where, "image-size", found, expected, todo)
+
+
+def _is_turned(path: Path) -> bool:
+    """Return whether EXIF says that a picture is to be turned by 90 degrees to be shown."""
+    try:
+        with warnings.catch_warnings(), open_picture(path) as picture:
+            warnings.simplefilter("ignore")
+            return picture.getexif().get(_ORIENTATION, 1) in _ON_ITS_SIDE
+    except Exception:  # Pillow raises what it likes on broken directories
+        return False
 
 
 def with_sizes(

@@ -110,7 +110,7 @@ def _unite_picture(united: United, stem: str, held: Mapping[Form, FormPicture], 
         found = f"name {file.name!r} does not contain pitch and altitude"
         united.warn(first.where, "name-grammar", found, "T_HHH_AA_W_NNNNN")
     extra: dict[str, object] = {}
-    source_id: int | None = None
+    source_id: int | str | None = None
     size_wh: tuple[int, int] | None = None
     for p in held.values():
         for conflict in capture.conflicts(p.capture):
