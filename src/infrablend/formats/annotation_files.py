@@ -43,7 +43,10 @@ _files_read: ContextVar[set[Path] | None] = ContextVar("files_read", default=Non
 
 @contextmanager
 def noting_files_read() -> Iterator[set[Path]]:
-    """Collect the annotation files that are read without a problem within the block: the others say nothing yet."""
+    """Collect the files that are read without a problem within the block: others say nothing yet.
+
+    Among them are the pictures whose sizes are read, because no label states them.
+    """
     files: set[Path] = set()
     token = _files_read.set(files)
     try:
@@ -52,7 +55,8 @@ def noting_files_read() -> Iterator[set[Path]]:
         _files_read.reset(token)
 
 
-def _note(path: Path) -> None:
+def note_read(path: Path) -> None:
+    """State that a file was read, or of a picture that its size was."""
     files = _files_read.get()
     if files is not None:
         files.add(path)
@@ -61,7 +65,7 @@ def _note(path: Path) -> None:
 def leave_out(files: Iterable[Path]) -> None:
     """State that a reader knows what files are, and that nothing of them was wanted."""
     for path in files:
-        _note(path)
+        note_read(path)
 
 
 def only_looked_at(path: Path) -> None:
@@ -107,7 +111,7 @@ def read_json(path: Path, *, rows: bool = False) -> Any:
         problem = _refusal_to_open(path, path.name, expected, None)
         if problem is None:
             value = _whole(path) if path.stat().st_size <= WHOLE_JSON else (open_rows if rows else open_json)(path)
-            _note(path)
+            note_read(path)
             return value
     except OSError as error:
         problem = Problem(path.name, "annotation-missing", error.strerror or str(error), expected, todo)
@@ -155,7 +159,7 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
             problems.append(problem)
             return
         with open_regular(path) as stream:
-            _note(path)
+            note_read(path)
             number = 0
             while line := stream.readline(MAX_RECORD + 1):
                 number += 1
@@ -219,7 +223,7 @@ def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | Non
         text = path.read_text(encoding="utf-8-sig")
         if text.startswith(LFS_POINTER.decode()):
             return "", or_lfs_pointer(Problem(where, "annotation-unreadable", "", expected), path)
-        _note(path)
+        note_read(path)
         return text, None
     except (OSError, UnicodeDecodeError) as error:
         found = f"not text ({getattr(error, 'strerror', None) or type(error).__name__})"
@@ -232,7 +236,7 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
         problem = _refusal_to_open(path, where, "an XML file", MAX_TEXT_BYTES)
         if problem is None:
             top = _xml_root(path)
-            _note(path)
+            note_read(path)
             return top, None
         return None, problem
     except DefusedXmlException:
@@ -266,9 +270,7 @@ def _xml_root(path: Path) -> Any:
     except (ValueError, LookupError):  # several bytes a character, or a name that is unknown
         data = path.read_bytes()
         declared = _DECLARED.match(data)
-        if declared is None:
-            raise
-        name = codecs.lookup(declared[1].decode()).name
+        name = codecs.lookup(declared[1].decode()).name if declared else ""
         if not _MULTI_BYTE.match(name):
             raise
         # What Windows calls GB2312 or Shift JIS has more characters.

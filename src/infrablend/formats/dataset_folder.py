@@ -26,7 +26,6 @@ from infrablend.formats.pictures import temperature_scale
 from infrablend.formats.pictures.listing import (
     check_link,
     is_picture_name,
-    noting_sizes_read,
     read_size,
     size_problem,
 )
@@ -100,11 +99,11 @@ def read(root: Path, reading: Reading = READ_ALL, *, compare_sizes: bool = True)
     """
     reader = _Reader.of(root, reading)
     splits = reading.splits if reading.val_share is None else None
-    with noting_files_read() as files, noting_sizes_read() as measured:
+    with noting_files_read() as files:
         dataset = reader.module.read(reader.root, splits=splits, **reader.options)
     dataset = reader.completed(dataset)
     if compare_sizes:
-        dataset = replace(dataset, problems=(*dataset.problems, *_other_sizes(dataset.images, measured)))
+        dataset = replace(dataset, problems=(*dataset.problems, *_other_sizes(dataset.images, files)))
     if reading.val_share is not None:
         dataset = with_val(dataset, reading.val_share, reading.splits)
     return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits, reader.options)))
@@ -279,19 +278,16 @@ def _with_regular_pictures(dataset: Dataset) -> Dataset:
     return replace(dataset, images=tuple(kept), problems=tuple(problems))
 
 
-def _other_sizes(images: Iterable[ImageRecord], measured: Collection[Path]) -> Iterator[Problem]:
-    """Yield the problem of each picture whose labels state another size than its header.
+def _other_sizes(images: Iterable[ImageRecord], measured: Collection[Path]) -> list[Problem]:
+    """Return the problem of each picture whose labels state another size than its header.
 
     Args:
         images: Pictures of a dataset.
         measured: Those whose sizes were read from their headers.
     """
-    for image in images:
-        if image.size_wh is not None and image.path not in measured:
-            where = f"{image.split}/{image.name}"
-            problem = size_problem(image, where, read_size(image.path, where)[0])
-            if problem is not None:
-                yield problem
+    stated = (i for i in images if i.size_wh is not None and i.path not in measured)
+    found = (size_problem(i, f"{i.split}/{i.name}", read_size(i.path, i.name)[0]) for i in stated)
+    return [problem for problem in found if problem is not None]
 
 
 def _in_pixels(dataset: Dataset) -> Dataset:

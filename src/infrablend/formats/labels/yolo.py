@@ -61,6 +61,8 @@ _STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb"
 _FAR_SHARE = 10
 # Opposite corners of an oriented box have one middle; in rounded shares of the picture twice that differs by this.
 _UNEVEN = 2e-3
+# A confidence and the number of a track.
+_MOST_ADDED = 2
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 # Folders in the longest end of a path that is looked for in a dataset.
@@ -333,18 +335,15 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
             numbers = []
         values = tuple(numbers[1:])
         polygon = not keypoints and len(values) >= 6 and len(values) % 2 == 0
-        most = 4 + keypoints if keypoints else 8
-        shape = polygon or len(values) in (4, most, most + 1, most + 2) or (len(values) == 5 and not keypoints)
+        size = _size_of_place(len(values), keypoints)
+        shape = polygon or size < len(values) or len(values) in (4, 4 + keypoints)
         said = repr(line[:80])
         todo = "correct the line"
         if not shape or not numbers[0].is_integer() or numbers[0] < 0:
             found.problems.append(Problem(here, "label-malformed", said, _line_text(keypoints), todo))
             continue
         class_ = int(numbers[0])
-        shares = values[:most] if len(values) in (most + 1, most + 2) else values
-        if len(values) in (5, 6) and not keypoints:
-            shares = values[:4]  # the number of a track may be large
-        if not all(abs(v) < _FAR_SHARE for v in shares):
+        if not all(abs(v) < _FAR_SHARE for v in values[:size]):  # the number of a track may be large
             code = "box-outside" if all(map(math.isfinite, values)) else "box-not-finite"
             expected = "shares of the picture, from 0 to 1"
             todo = "divide pixels by its width and height"
@@ -361,6 +360,12 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
 def _line_text(keypoints: int) -> str:
     further = f"then {keypoints} values of keypoints" if keypoints else "or class and three or more x y pairs"
     return f"class cx cy w h, {further}"
+
+
+def _size_of_place(count: int, keypoints: int) -> int:
+    """Return how many of a line's values are the place of its object if it is one that a detector or tracker wrote."""
+    sizes = (4 + keypoints,) if keypoints else (4, 8)
+    return next((size for size in sizes if 1 <= count - size <= _MOST_ADDED), count)
 
 
 def _is_box(values: Sequence[float]) -> bool:
@@ -393,11 +398,10 @@ class _Prediction:
     @classmethod
     def of(cls, values: Sequence[float], keypoints: int) -> _Prediction | None:
         """Return a line's values as those of a prediction; None if they cannot be."""
-        sizes = (4 + keypoints,) if keypoints else (4, 8)
-        size = next((s for s in sizes if len(values) in (s + 1, s + 2)), None)
-        if size is None or not (_is_turned_box(values) if size == 8 and not keypoints else _is_box(values[:4])):
-            return None
+        size = _size_of_place(len(values), keypoints)
         added = values[size:]
+        if not added or not (_is_turned_box(values) if size == 8 and not keypoints else _is_box(values[:4])):
+            return None
         if len(added) == 1:
             number = added[0] if _is_number(added[0]) else None
             return cls(size, number, False) if number is not None or 0 <= added[0] <= 1 else None

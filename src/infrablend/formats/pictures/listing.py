@@ -8,8 +8,6 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
@@ -20,6 +18,7 @@ from infrablend.core.file_names import is_inside, leaves
 from infrablend.core.files import or_lfs_pointer
 from infrablend.core.run_folder import kept_aside
 from infrablend.errors import Problem
+from infrablend.formats.annotation_files import note_read
 from infrablend.formats.base import SPLIT_FOLDERS
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff")
@@ -29,7 +28,6 @@ SEQUENCE_DEPTH = 3
 MAX_PIXELS = 128 * 1024 * 1024
 _ORIENTATION = 0x0112
 _ON_ITS_SIDE = (5, 6, 7, 8)
-_sizes_read: ContextVar[set[Path] | None] = ContextVar("sizes_read", default=None)
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
 # Folders of pictures whose pixels say which object is where in the picture of the same stem.
 _MASK_FOLDER = re.compile(
@@ -337,8 +335,7 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         with open_picture(path) as picture:
             size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] <= MAX_PIXELS:
-            if (noted := _sizes_read.get()) is not None:
-                noted.add(path)
+            note_read(path)
             return size_wh, None
         found = f"{size_wh[0]}x{size_wh[1]} px"
     except Image.DecompressionBombError as error:
@@ -349,17 +346,6 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         todo = "replace or remove the file"
         return None, or_lfs_pointer(Problem(where, "image-unreadable", found, expected, todo), path)
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
-
-
-@contextmanager
-def noting_sizes_read() -> Iterator[set[Path]]:
-    """Collect the pictures whose sizes are read within the block: those of the others are what labels state."""
-    pictures: set[Path] = set()
-    token = _sizes_read.set(pictures)
-    try:
-        yield pictures
-    finally:
-        _sizes_read.reset(token)
 
 
 def size_problem(image: ImageRecord, where: str, size_wh: tuple[int, int] | None) -> Problem | None:

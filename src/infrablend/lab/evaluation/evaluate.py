@@ -101,8 +101,9 @@ def evaluate_detector(
     rival = None if against is None else (against, *read_evaluation(against))
     problems: list[Problem] = []
     with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
-        source = DetectionSource(weights, device, problems)
         split = settings.split or _default_split(dataset, problems)
+        of_split = [i for i in dataset.images if i.split == split]
+        source = DetectionSource(weights, device, problems, of_split, dataset.categories)
         case, numbers, groups, counts = _prepare(dataset, split, source, settings, problems)
         sequences = find_sequences(case, problems) if settings.tracks else None
         evaluated: EvaluatedDataset = {

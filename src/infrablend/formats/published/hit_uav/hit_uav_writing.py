@@ -212,7 +212,7 @@ def _rotate_image(image: ImageRecord, image_id: int | str) -> dict[str, object]:
     }
 
 
-def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int]) -> dict[str, object]:
+def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int | str]) -> dict[str, object]:
     x0, y0, x1, y1 = box_xyxy
     return {
         "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]],

@@ -157,8 +157,7 @@ def _read_json_objects(
         if not isinstance(record, dict):
             data.add(f"{where}: annotation {i}", "annotation-malformed", repr(record)[:80], "an annotation record")
             continue
-        number = record.get("id")
-        number = number if type(number) is int else to_key(number)
+        number = to_key(record.get("id"))
         here = f"{where}: annotation {i if number is None else number}"
         if number is None:
             data.warn(here, "annotation-id", f"id {record.get('id')!r}", "a whole number")
