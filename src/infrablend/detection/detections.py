@@ -234,10 +234,9 @@ _EXPECTED: Mapping[Task, str] = {
 
 def _of_results(rows: list[Any], images: Sequence[ImageRecord], categories: Sequence[Category]) -> dict[str, object]:
     """Return a list of COCO's results as the content of a file, with the images and categories that it refers to."""
-    masks = rows and all(isinstance(row, dict) and "segmentation" in row for row in rows)
     sized = [(i, i.size_wh) for i in images if i.size_wh is not None]
     return {
-        "task": "segment" if masks else "detect",
+        "task": "segment" if all(isinstance(r, dict) and "segmentation" in r for r in rows) and rows else "detect",
         "categories": [{"id": c.id, "name": c.name} for c in categories],
         "images": [
             {"id": i.source_id, "file_name": f"{i.split}/{i.name}", "width": w, "height": h} for i, (w, h) in sized

@@ -23,12 +23,8 @@ from infrablend.formats.cameras.flight_headers import add_flight_data
 from infrablend.formats.image_groups import with_val
 from infrablend.formats.labels import folder
 from infrablend.formats.pictures import temperature_scale
-from infrablend.formats.pictures.listing import (
-    check_link,
-    is_picture_name,
-    read_size,
-    size_problem,
-)
+from infrablend.formats.pictures.images import size_problem
+from infrablend.formats.pictures.listing import check_link, is_picture_name, read_size
 from infrablend.formats.pictures.video import is_video
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields

@@ -15,8 +15,8 @@ import numpy as np
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.box_checks import check_box
-from infrablend.formats.pictures.images import Background, load_background
-from infrablend.formats.pictures.listing import read_size, size_problem
+from infrablend.formats.pictures.images import Background, load_background, size_problem
+from infrablend.formats.pictures.listing import read_size
 
 # HIT-UAV truncates its boxes, which moves them by less than a pixel from the oriented ones.
 AGREE_PX = 1.0

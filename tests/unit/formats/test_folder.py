@@ -127,6 +127,13 @@ def test_a_triangle_is_a_polygon_in_a_dataset_of_polygons(tmp_path: Path) -> Non
     assert codes(d) == ["label-malformed"]
 
 
+def test_no_number_of_a_track_becomes_a_corner_of_a_polygon(tmp_path: Path) -> None:
+    """As trackers write masks: their corners cannot be told from a confidence and a small number."""
+    root = yolo_dataset(tmp_path, "task: segment", f"{TRIANGLE} 0.1 0.3 0.2 0.2 0.9 4")
+    d = dataset_folder.read(root)
+    assert codes(d) == ["label-malformed"] and d.images[0].instances == ()
+
+
 def test_keypoints_may_have_a_confidence_and_a_track_behind_them(tmp_path: Path) -> None:
     lines = (f"{BOX} 0.4 0.4 0.6 0.6 0.9 12", BOX)
     d = dataset_folder.read(yolo_dataset(tmp_path, "kpt_shape: [2, 2]", *lines))

@@ -376,6 +376,14 @@ def _is_turned_box(values: Sequence[float]) -> bool:
     return all(abs(values[k] + values[4 + k] - values[2 + k] - values[6 + k]) <= _UNEVEN for k in (0, 1))
 
 
+def _is_place(values: Sequence[float], plain: Collection[int], only_boxes: bool) -> bool:
+    """Return whether values may be a box or a polygon, and not a polygon with the number of a track behind it."""
+    *others, last = values
+    is_track = last.is_integer() and last > 1 and max(others) <= 1
+    fits = len(values) in plain or not (only_boxes or len(values) % 2)
+    return fits and not is_track and max(values) < _FAR_SHARE
+
+
 def _is_number(value: float) -> bool:
     """Return whether a value may be the number of a track, -1 for none; larger ones are rounded."""
     return value.is_integer() and -1 <= value < 2**53
@@ -447,9 +455,13 @@ def without_predictions(
                 track = p.number if p.scored or tracked or p.number not in (0, 1) else None
                 if p.scored or track is None:
                     found.leave_out("confidences of predicted objects", here)
-                known = None if track is None or track < 0 else int(track)  # -1: not assigned
-                rows.append(row._replace(values=row.values[: p.size], track=known))
-            elif max(row.values) < _FAR_SHARE and (len(row.values) in plain or not (len(row.values) % 2 or keypoints)):
+                rows.append(
+                    row._replace(
+                        values=row.values[: p.size],
+                        track=None if track is None or track < 0 else int(track),  # -1: not assigned
+                    )
+                )
+            elif _is_place(row.values, plain, bool(keypoints)):
                 rows.append(row)
             else:
                 said = repr(" ".join(f"{v:g}" for v in (row.class_, *row.values))[:80])

@@ -26,8 +26,6 @@ SEQUENCE_DEPTH = 3
 """Folders of sequences are at most so far below that of the dataset."""
 # Larger pictures are taken for decompression bombs: 16 times a 4K frame.
 MAX_PIXELS = 128 * 1024 * 1024
-_ORIENTATION = 0x0112
-_ON_ITS_SIDE = (5, 6, 7, 8)
 PICTURE_FORMATS = ("JPEG", "PNG", "BMP", "TIFF")
 # Folders of pictures whose pixels say which object is where in the picture of the same stem.
 _MASK_FOLDER = re.compile(
@@ -346,39 +344,6 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         todo = "replace or remove the file"
         return None, or_lfs_pointer(Problem(where, "image-unreadable", found, expected, todo), path)
     return None, Problem(where, "image-too-large", found, f"at most {MAX_PIXELS} px", "scale it down")
-
-
-def size_problem(image: ImageRecord, where: str, size_wh: tuple[int, int] | None) -> Problem | None:
-    """Return the problem of a picture whose labels state another size than its header.
-
-    Args:
-        image: The picture with the size that its labels state.
-        where: Name of the picture in the problem.
-        size_wh: The size in its header; None if that cannot be read, which is another problem.
-    """
-    said = image.size_wh
-    if said is None or size_wh is None or size_wh == said:
-        return None
-    found = f"{size_wh[0]}x{size_wh[1]} px"
-    expected = f"{said[0]}x{said[1]} px as annotated"
-    todo = "correct the annotation or replace the picture"
-    if size_wh == said[::-1]:
-        if _is_turned(image.path):
-            found += " as stored, turned by its EXIF to be shown; the labels were made on the turned picture"
-            todo = "turn the pixels, as with `mogrify -auto-orient`"
-        else:
-            found += ", width and height swapped"
-    return Problem(where, "image-size", found, expected, todo)
-
-
-def _is_turned(path: Path) -> bool:
-    """Return whether EXIF says that a picture is to be turned by 90 degrees to be shown."""
-    try:
-        with warnings.catch_warnings(), open_picture(path) as picture:
-            warnings.simplefilter("ignore")
-            return picture.getexif().get(_ORIENTATION, 1) in _ON_ITS_SIDE
-    except Exception:  # Pillow raises what it likes on broken directories
-        return False
 
 
 def with_sizes(

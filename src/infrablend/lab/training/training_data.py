@@ -20,7 +20,8 @@ from infrablend.detection.detections import TASKS
 from infrablend.detection.scale import DATA, EIGHT_BIT, TILES
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
-from infrablend.formats.pictures.listing import read_size, size_problem
+from infrablend.formats.pictures.images import size_problem
+from infrablend.formats.pictures.listing import read_size
 from infrablend.formats.pictures.temperature_scale import deep_mode, is_deep
 from infrablend.lab.training.presets import Preset
 from infrablend.lab.training.train_request import TrainRequest
