@@ -85,7 +85,7 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
 
     @property
     def categories(self) -> tuple[Category, ...]:
-        """Classes; a label is the index of its class here."""
+        """Classes; a label is the position of its class here from 1 on, for 0 is the background of detectors."""
         return self._frames().categories
 
     def __len__(self) -> int:
@@ -156,13 +156,14 @@ class InsertDataset(IterableDataset):  # type: ignore[misc] # torch has no types
 
 
 def to_tensors(frame: Frame, categories: tuple[Category, ...]) -> tuple[Any, dict[str, object]]:
-    """Return a frame in the form of torchvision's detectors.
+    """Return a frame in the form of torchvision's detectors, which have one class more than `categories`.
 
     Returns:
         The picture as a float32 tensor (1, h, w) from 0 to 1; and `boxes` (n, 4) float32 x0, y0, x1, y1 in pixels,
-        `labels` (n,) int64 indices of `categories`, `inserted` (n,) bool, and `id`. Ignore regions are left out.
+        `labels` (n,) int64 positions in `categories` from 1 on (0 is the detectors' background), `inserted` (n,) bool,
+        and `id`. Ignore regions are left out.
     """
-    number = {c.name: k for k, c in enumerate(categories)}
+    number = {c.name: k for k, c in enumerate(categories, 1)}
     ignored = {c.name for c in categories if c.ignore}
     labels = [i for i in frame.labels if i.category not in ignored]
     top = np.iinfo(frame.pixels.dtype).max

@@ -280,6 +280,117 @@ def test_videos_of_visdrone(tmp_path: Path) -> None:
     assert dataset.problems == () and first.extra == {"modality": "visible"}
 
 
+LONG = 2**60 + 1
+
+
+@pytest.mark.parametrize("one, other", [(LONG, LONG + 1), ("1e5", "100000"), ("007", "7"), (str(LONG), LONG + 1)])
+def test_ids_of_coco_are_exact(tmp_path: Path, one: Any, other: Any) -> None:
+    """Whole numbers of any size or texts: github.com/cocodataset/cocoapi/pull/595."""
+    both = [coco(one, id=one), coco(other, id=other, bbox=[20, 6, 10, 12])]
+    both[1]["images"][0]["file_name"] = "f2.jpg"
+    top = {k: [*both[0][k], *both[1][k]] for k in ("images", "annotations")} | {"categories": CATEGORIES}
+    root = put(tmp_path / "data", "images/f1.jpg", "images/f2.jpg", **{"annotations.json": top})
+    boxes = [("train", [4, 6, 14, 18]), ("train", [20, 6, 30, 18])]
+    assert objects(root) == boxes
+    for to, options in (("coco", {}), ("hit-uav", {}), ("monet", {"empty": "keep"})):
+        assert run("convert", root, tmp_path / to, "--to", to, "--ids", "source").exit_code == 0
+        images = api.read_dataset(tmp_path / to, api.Reading(options=options)).images
+        assert [str(i.source_id) for i in images] == [str(one), str(other)]
+        assert [o.box_xyxy.tolist() for i in images for o in i.instances] == [box for _, box in boxes]
+
+
+def test_ids_that_are_rounded_are_refused(tmp_path: Path) -> None:
+    root = put(tmp_path / "data", "images/f1.jpg", "images/f2.jpg", **{"annotations.json": coco(2.0**60)})
+    assert {"image-malformed", "annotation-malformed"} <= set(api.check(root, decode=False).by_code())
+    (root / "annotations.json").write_text(json.dumps(coco(1.0)))
+    assert objects(root) == [("train", [4, 6, 14, 18])]
+
+
+def test_a_sequence_may_be_a_number(tmp_path: Path) -> None:
+    top = coco()
+    top["images"][0] |= {"sequence": 12}
+    (image,) = api.read_dataset(put(tmp_path, "images/f1.jpg", **{"annotations.json": top})).images
+    assert image.capture.sequence == "12"
+
+
+@pytest.mark.parametrize("encoding", ["GB2312", "gbk", "GB18030", "Big5", "Shift_JIS", "euc-kr"])
+def test_voc_in_an_encoding_of_several_bytes(tmp_path: Path, encoding: str) -> None:
+    name = {"Big5": "鹿", "Shift_JIS": "シカ", "euc-kr": "사슴"}.get(encoding, "鹿")
+    text = f'<?xml version="1.0" encoding="{encoding}"?>' + voc("f1.jpg", "").replace("deer", name)
+    root = put(tmp_path, "JPEGImages/f1.jpg", **{"Annotations/f1.xml": text.encode(encoding)})
+    assert objects(root) == [("train", [24, 20, 44, 30])]
+    assert [c.name for c in api.read_dataset(root).categories] == [name]
+    picture(root / "JPEGImages" / "f2.jpg", 2)
+    (root / "Annotations" / "f2.xml").write_bytes(text.encode(encoding).replace(name.encode(encoding), b"\x81"))
+    done = run("check", root, "--no-decode")
+    assert done.exit_code == 1 and "iconv" in done.output
+
+
+def labelme(size_wh: tuple[int, int], points: list[list[float]]) -> dict[str, object]:
+    shape = {"label": "deer", "shape_type": "rectangle", "points": points}
+    return {"imagePath": "f1.jpg", "imageWidth": size_wh[0], "imageHeight": size_wh[1], "shapes": [shape]}
+
+
+def of_size(kind: str, root: Path, size_wh: tuple[int, int], box: list[float]) -> Path:
+    """Write labels of a box, as x, y, width and height, which say that a picture of 64 x 48 px has some size."""
+    w, h = size_wh
+    x, y, bw, bh = box
+    edges = dict(zip(("xmin", "ymin", "xmax", "ymax"), (x, y, x + bw, y + bh), strict=True))
+    if kind == "coco":
+        top = coco(bbox=box)
+        top["images"][0] |= {"width": w, "height": h}
+        return put(root, "images/f1.jpg", **{"annotations.json": top})
+    if kind == "labelme":
+        points = [[edges["xmin"], edges["ymin"]], [edges["xmax"], edges["ymax"]]]
+        return put(root, "f1.jpg", **{"f1.json": labelme(size_wh, points)})
+    if kind == "dota":
+        x0, y0, x1, y1 = edges.values()
+        return put(root, "images/f1.jpg", **{"labelTxt/f1.txt": f"{x0} {y0} {x1} {y0} {x1} {y1} {x0} {y1} deer 0\n"})
+    size = f"<size><width>{w}</width><height>{h}</height></size>"
+    box_ = "".join(f"<{k}>{v}</{k}>" for k, v in edges.items())
+    text = f"<annotation>{size}<object><name>deer</name><bndbox>{box_}</bndbox></object></annotation>"
+    return put(root, "JPEGImages/f1.jpg", **{"Annotations/f1.xml": text})
+
+
+@pytest.mark.parametrize("kind", ["coco", "voc", "labelme"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_sizes_in_labels_are_compared_with_the_pictures(tmp_path: Path, kind: str, turned: bool) -> None:
+    """Boxes would be divided by the wrong size: github.com/DLR-RM/BlenderProc/issues/93."""
+    root = of_size(kind, tmp_path / "data", (48, 64), [4, 6, 10, 12])
+    (path,) = root.rglob("f1.jpg")
+    exif = Image.Exif()
+    exif[0x0112] = 6 if turned else 1
+    Image.open(path).save(path, exif=exif)
+    calls: list[tuple[object, ...]] = [
+        ("check", root, "--no-decode"), ("check", root), ("inspect", root),
+        ("convert", root, tmp_path / "out", "--to", "yolo"),
+        ("generate", "hit-uav-drone", "--data", root, "--out", tmp_path / "run", "--plan"),
+    ]  # fmt: skip
+    for command in calls:
+        done = run(*command)
+        said = " ".join(done.output.split())
+        assert said.count("64x48 px") == 1 and "48x64 px as annotated" in said, (command, said)
+        assert ("turned by its EXIF" in said) == turned and ("swapped" in said) == (not turned)
+        assert (done.exit_code == 0) == (command[0] == "inspect")
+
+
+@pytest.mark.parametrize("kind", ["coco", "voc", "labelme", "dota"])
+def test_boxes_in_shares_are_not_taken_for_pixels(tmp_path: Path, kind: str) -> None:
+    """As github.com/swatig007/automlForImages/pull/27 writes them; one box at the corner may be what it is."""
+    root = of_size(kind, tmp_path / "data", (64, 48), [0.125, 0.25, 0.5, 0.125])
+    for command, more in (("check", ()), ("convert", (tmp_path / "out", "--to", "yolo"))):
+        done = run(command, root, *more)
+        assert done.exit_code in (1, 2) and "shares of the picture" in " ".join(done.output.split()), command
+
+
+def test_one_box_in_the_corner_is_no_share(tmp_path: Path) -> None:
+    corner = of_size("voc", tmp_path / "data", (64, 48), [0, 0, 0.75, 1])
+    of_size("voc", tmp_path / "other", (64, 48), [4, 6, 10, 12])
+    shutil.copy(tmp_path / "other/Annotations/f1.xml", corner / "Annotations/f2.xml")
+    picture(corner / "JPEGImages/f2.jpg", 2)
+    assert len(objects(corner)) == 2
+
+
 # -- bad input ----------------------------------------------------------------------------------------------------
 
 # Files that only name classes, folders or all that annotators drew.

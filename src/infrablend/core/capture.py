@@ -80,6 +80,10 @@ def _text(value: Any) -> str:
     return value
 
 
+def _name(value: Any) -> str:
+    return str(value) if type(value) is int else _text(value)
+
+
 @dataclass(frozen=True)
 class Capture:
     """How a picture was taken; None where unknown.
@@ -108,7 +112,7 @@ class Capture:
     hfov_deg: float | None = field(default=None, metadata={"fact": _number(0.1, 170, "degrees")})
     roll_deg: float | None = field(default=None, metadata={"fact": _roll()})
     altitude_from: AltitudeOrigin | None = field(default=None, metadata={"fact": _one_of("take-off", "laser")})
-    sequence: str | None = field(default=None, metadata={"fact": Fact(_text, "a name", "sequence")})
+    sequence: str | None = field(default=None, metadata={"fact": Fact(_name, "a name", "sequence")})
     captured: str | None = field(
         default=None, metadata={"fact": Fact(_text, "a date or time such as 2024-05-01T06:30:00+02:00", "sequence")}
     )

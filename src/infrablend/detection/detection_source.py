@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from infrablend.core.dataset import ImageRecord
+from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.workspace import unfinished
 from infrablend.detection import predict
 from infrablend.detection.detections import MAX_DETECTIONS, PREDICTIONS, TASKS, Predictions, Task, read_predictions
@@ -26,8 +26,23 @@ class DetectionSource:
         task: What the detector finds; None if it could not be loaded.
     """
 
-    def __init__(self, path: Path, device: str, problems: list[Problem]) -> None:
-        """Load weights or saved detections, and append problems with them to `problems`."""
+    def __init__(
+        self,
+        path: Path,
+        device: str,
+        problems: list[Problem],
+        images: Sequence[ImageRecord],
+        categories: Sequence[Category],
+    ) -> None:
+        """Load weights or saved detections, and append problems with them to `problems`.
+
+        Args:
+            path: The weights or detections.
+            device: Device of a detector.
+            problems: List to append to.
+            images: Images to whose ids saved detections may refer.
+            categories: Categories to whose ids they may refer.
+        """
         self.name = path.name
         self.classes: tuple[str, ...] | None = None
         self.task: Task | None = None
@@ -37,7 +52,7 @@ class DetectionSource:
         try:
             file = _file_of(path)
             if file.suffix == ".json":
-                self._saved = read_predictions(file)
+                self._saved = read_predictions(file, images, categories)
                 self.classes = self._saved.classes
                 self.task = self._saved.task
             else:

@@ -9,7 +9,7 @@ be evaluated:
 
 `file_name` is `<split>/<name>`; `corners` are the eight coordinates of an oriented box, clockwise; `segmentation` holds
 run lengths. Numbers are rounded (1e-3 px, 1e-6 for scores) before anything is computed, so that evaluating the file
-gives the figures of the original run.
+gives the figures of the original run. A list of annotations alone, COCO's file of results, refers to the dataset's ids.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from infrablend.core.boxes import box_of_points, clockwise
+from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.files import finite, write_json
 from infrablend.core.rle_masks import Mask
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.values import to_key
 
 Task = Literal["detect", "obb", "segment"]
 TASKS: tuple[Task, ...] = ("detect", "obb", "segment")
@@ -148,38 +150,38 @@ def write_predictions(path: Path, predictions: Predictions) -> Path:
     )
 
 
-def read_predictions(path: Path) -> Predictions:
+def read_predictions(
+    path: Path, images: Sequence[ImageRecord] = (), categories: Sequence[Category] = ()
+) -> Predictions:
     """Return the detections that a file holds.
+
+    Args:
+        path: The file.
+        images: Images to whose ids in the source a list of results refers.
+        categories: Categories to whose ids it refers.
 
     Raises:
         DatasetError: The file is not a predictions file; `problems` lists the malformed entries.
     """
-
-    def refuse(found: str, expected: str) -> DatasetError:
-        todo = "give the predictions.json of an earlier evaluation, or weights.pt of a finished `infrablend train`"
-        return DatasetError(
-            f"{path}: not a predictions file", [Problem(path.name, "predictions", found, expected, todo)]
-        )
-
-    try:
-        data = json.loads(path.read_bytes())
-    except OSError as error:
-        raise refuse(f"cannot be read: {error.strerror or error}", "a file") from error
-    except (ValueError, RecursionError) as error:
-        raise refuse(f"not JSON: {error}"[:160], "JSON") from error
+    data = _content(path)
+    if isinstance(data, list):
+        if not images or any(image.source_id is None or image.size_wh is None for image in images):
+            found = "a list of results, whose image_id refers to ids that the dataset does not have"
+            raise _refused(path, found, "labels in COCO with these ids, or a file with images and categories")
+        data = _of_results(data, images, categories)
     if not isinstance(data, dict) or data.get("task", "detect") not in TASKS:
-        raise refuse("no task detect, obb or segment", "COCO JSON whose annotations have scores")
+        raise _refused(path, "no task detect, obb or segment", "COCO JSON whose annotations have scores")
     task: Task = data.get("task", "detect")
     names = _table(data.get("categories"), "name")
     files = _table(data.get("images"), "file_name")
     rows = data.get("annotations")
     if not names or not files or not isinstance(rows, list):
-        raise refuse("no categories, images or annotations", "COCO JSON whose annotations have scores")
+        raise _refused(path, "no categories, images or annotations", "COCO JSON whose annotations have scores")
     sizes = {}
     for image in data["images"]:
         size = image.get("width"), image.get("height")
         if not all(type(v) is int and 0 < v < 2**16 for v in size):
-            raise refuse(f"image {image['file_name']!r} of size {size}", "width and height in px")
+            raise _refused(path, f"image {image['file_name']!r} of size {size}", "width and height in px")
         sizes[str(image["file_name"])] = (int(size[0]), int(size[1]))
     number = {key: k for k, key in enumerate(names)}
     gathered: dict[str, list[tuple[Any, ...]]] = {name: [] for name in files.values()}
@@ -187,15 +189,14 @@ def read_predictions(path: Path) -> Predictions:
     for k, row in enumerate(rows):
         wrong = _row_fault(row, task, names, files)
         if wrong is None:
-            key = files[row["image_id"]]
-            x, y, w, h = (float(v) for v in row.get("bbox") or _bounds(row["corners"]))
+            key = files[to_key(row["image_id"])]
             try:
                 mask = Mask.from_coco(row["segmentation"], sizes[key][::-1]) if task == "segment" else None
             except ValueError as error:
                 wrong = f"a mask with {error}"
             else:
-                box = (x, y, x + w, y + h)
-                gathered[key].append((box, row["score"], number[row["category_id"]], row.get("corners"), mask))
+                class_ = number[to_key(row["category_id"])]
+                gathered[key].append((_edges(row, mask), row["score"], class_, row.get("corners"), mask))
         if wrong is not None:
             problems.append(Problem(f"{path.name}, annotation {k}", "prediction", wrong, _EXPECTED[task]))
     if problems:
@@ -210,6 +211,20 @@ def read_predictions(path: Path) -> Predictions:
     )
 
 
+def _content(path: Path) -> Any:
+    try:
+        return json.loads(path.read_bytes())
+    except OSError as error:
+        raise _refused(path, f"cannot be read: {error.strerror or error}", "a file") from error
+    except (ValueError, RecursionError) as error:
+        raise _refused(path, f"not JSON: {error}"[:160], "JSON") from error
+
+
+def _refused(path: Path, found: str, expected: str) -> DatasetError:
+    todo = "give the predictions.json of an earlier evaluation, or weights.pt of a finished `infrablend train`"
+    return DatasetError(f"{path}: not a predictions file", [Problem(path.name, "predictions", found, expected, todo)])
+
+
 _EXPECTED: Mapping[Task, str] = {
     "detect": "image_id, category_id, bbox of four numbers, score in [0, 1]",
     "obb": "image_id, category_id, corners of eight numbers, score in [0, 1]",
@@ -217,24 +232,40 @@ _EXPECTED: Mapping[Task, str] = {
 }
 
 
-def _table(rows: Any, field_name: str) -> dict[int, str]:
+def _of_results(rows: list[Any], images: Sequence[ImageRecord], categories: Sequence[Category]) -> dict[str, object]:
+    """Return a list of COCO's results as the content of a file, with the images and categories that it refers to."""
+    sized = [(i, i.size_wh) for i in images if i.size_wh is not None]
+    return {
+        "task": "segment" if all(isinstance(r, dict) and "segmentation" in r for r in rows) and rows else "detect",
+        "categories": [{"id": c.id, "name": c.name} for c in categories],
+        "images": [
+            {"id": i.source_id, "file_name": f"{i.split}/{i.name}", "width": w, "height": h} for i, (w, h) in sized
+        ],
+        "annotations": rows,
+    }
+
+
+def _table(rows: Any, field_name: str) -> dict[int | str | None, str]:
     """Return texts by id; empty if any row is malformed or repeated."""
     if not isinstance(rows, list):
         return {}
-    found = {}
+    found: dict[int | str | None, str] = {}
     for row in rows:
-        if not isinstance(row, dict) or type(row.get("id")) is not int or not isinstance(row.get(field_name), str):
+        number = to_key(row.get("id")) if isinstance(row, dict) else None
+        if number is None or not isinstance(row.get(field_name), str):
             return {}
-        found[row["id"]] = row[field_name]
+        found[number] = row[field_name]
     return found if len(found) == len(rows) == len(set(found.values())) else {}
 
 
-def _row_fault(row: Any, task: Task, names: Mapping[int, str], files: Mapping[int, str]) -> str | None:
+def _row_fault(
+    row: Any, task: Task, names: Mapping[int | str | None, str], files: Mapping[int | str | None, str]
+) -> str | None:
     if not isinstance(row, dict):
         return "not a JSON object"
-    if type(row.get("image_id")) is not int or row["image_id"] not in files:
+    if to_key(row.get("image_id")) not in files:
         return f"image_id {row.get('image_id')!r}, which no image has"
-    if type(row.get("category_id")) is not int or row["category_id"] not in names:
+    if to_key(row.get("category_id")) not in names:
         return f"category_id {row.get('category_id')!r}, which no category has"
     score: Any = row.get("score")
     if not _is_number(score) or not 0 <= score <= 1:
@@ -242,7 +273,8 @@ def _row_fault(row: Any, task: Task, names: Mapping[int, str], files: Mapping[in
     wanted = ("corners", 8) if task == "obb" else ("bbox", 4)
     if task == "obb" and "bbox" in row and not _numbers(row["bbox"], 4):
         return f"bbox {row['bbox']!r}"[:80]
-    if not _numbers(row.get(wanted[0]), wanted[1]):
+    of_mask = task == "segment" and not row.get("bbox")
+    if not of_mask and not _numbers(row.get(wanted[0]), wanted[1]):
         return f"{wanted[0]} {row.get(wanted[0])!r}"[:80]
     return "no segmentation" if task == "segment" and "segmentation" not in row else None
 
@@ -256,9 +288,13 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < sys.float_info.max
 
 
-def _bounds(corners: Sequence[float]) -> tuple[float, float, float, float]:
-    x0, y0, x1, y1 = box_of_points(np.array(corners, np.float64).reshape(4, 2)).tolist()
-    return x0, y0, x1 - x0, y1 - y0
+def _edges(row: Mapping[str, Any], mask: Mask | None) -> Sequence[float]:
+    """Return the edges of a detection's box, else those of its corners or mask."""
+    if row.get("bbox"):
+        x, y, w, h = (float(v) for v in row["bbox"])
+        return x, y, x + w, y + h
+    found = box_of_points(np.array(row["corners"], np.float64).reshape(4, 2)) if mask is None else mask.box_xyxy
+    return (0.0, 0.0, 0.0, 0.0) if found is None else tuple(found.tolist())
 
 
 def _collect_detections(rows: Sequence[tuple[Any, ...]], task: Task) -> Detections:

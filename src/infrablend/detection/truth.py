@@ -243,7 +243,9 @@ def evaluated_classes(
         found = match_classes(own, wanted)
         for name, of in found.items():
             if not of:
-                problems.append(Problem("classes", "class-unknown", f"{name!r}", f"some of {', '.join(own)}"))
+                expected = f"some of {', '.join(own)}" if own else "a class of the labels, which have none"
+                todo = "correct --classes" if own else "give a dataset with labels: nothing else tells right from wrong"
+                problems.append(Problem("classes", "class-unknown", f"{name!r}", expected, todo))
         names = [n for k, n in enumerate(own) if any(k in of for of in found.values())]
     if not names:
         problems.append(Problem(dataset.root.name, "no-classes", "no class to evaluate", "labelled classes"))

@@ -35,12 +35,18 @@ from infrablend.errors import DatasetError, Problem
 MAX_TEXT_BYTES = 50_000_000
 WHOLE_JSON = MAX_RECORD
 """Bytes of the largest JSON file that is parsed as a whole, which is a little faster."""
+_DECLARED = re.compile(rb"""<\?xml[^>]{1,80}encoding\s*=\s*["']([\w.-]{1,40})["']""", re.ASCII)
+_MULTI_BYTE = re.compile(r"gb|hz|big5|euc|shift|cp9|johab|iso2022|utf")
+_WITH_MORE = {"gb2312": "gb18030", "gbk": "gb18030", "shift_jis": "cp932", "euc_kr": "cp949"}
 _files_read: ContextVar[set[Path] | None] = ContextVar("files_read", default=None)
 
 
 @contextmanager
 def noting_files_read() -> Iterator[set[Path]]:
-    """Collect the annotation files that are read without a problem within the block: the others say nothing yet."""
+    """Collect the files that are read without a problem within the block: others say nothing yet.
+
+    Among them are the pictures whose sizes are read, because no label states them.
+    """
     files: set[Path] = set()
     token = _files_read.set(files)
     try:
@@ -49,7 +55,8 @@ def noting_files_read() -> Iterator[set[Path]]:
         _files_read.reset(token)
 
 
-def _note(path: Path) -> None:
+def note_read(path: Path) -> None:
+    """State that a file was read, or of a picture that its size was."""
     files = _files_read.get()
     if files is not None:
         files.add(path)
@@ -58,7 +65,7 @@ def _note(path: Path) -> None:
 def leave_out(files: Iterable[Path]) -> None:
     """State that a reader knows what files are, and that nothing of them was wanted."""
     for path in files:
-        _note(path)
+        note_read(path)
 
 
 def only_looked_at(path: Path) -> None:
@@ -104,7 +111,7 @@ def read_json(path: Path, *, rows: bool = False) -> Any:
         problem = _refusal_to_open(path, path.name, expected, None)
         if problem is None:
             value = _whole(path) if path.stat().st_size <= WHOLE_JSON else (open_rows if rows else open_json)(path)
-            _note(path)
+            note_read(path)
             return value
     except OSError as error:
         problem = Problem(path.name, "annotation-missing", error.strerror or str(error), expected, todo)
@@ -152,7 +159,7 @@ def read_lines(path: Path, where: str, expected: str, problems: list[Problem]) -
             problems.append(problem)
             return
         with open_regular(path) as stream:
-            _note(path)
+            note_read(path)
             number = 0
             while line := stream.readline(MAX_RECORD + 1):
                 number += 1
@@ -216,7 +223,7 @@ def read_text(path: Path, where: str, expected: str) -> tuple[str, Problem | Non
         text = path.read_text(encoding="utf-8-sig")
         if text.startswith(LFS_POINTER.decode()):
             return "", or_lfs_pointer(Problem(where, "annotation-unreadable", "", expected), path)
-        _note(path)
+        note_read(path)
         return text, None
     except (OSError, UnicodeDecodeError) as error:
         found = f"not text ({getattr(error, 'strerror', None) or type(error).__name__})"
@@ -228,8 +235,8 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     try:
         problem = _refusal_to_open(path, where, "an XML file", MAX_TEXT_BYTES)
         if problem is None:
-            top = ElementTree.parse(path, forbid_dtd=True).getroot()
-            _note(path)
+            top = _xml_root(path)
+            note_read(path)
             return top, None
         return None, problem
     except DefusedXmlException:
@@ -241,10 +248,34 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
     except OSError as error:
         found = f"cannot be read ({error.strerror or 'unknown reason'})"
         todo = "check the file and its permissions"
-    except Exception as error:  # unknown encodings, nesting without end
+    except (UnicodeError, LookupError) as error:
+        found = f"XML that is not in the encoding it declares ({error})"[:200]
+        todo = f"write it in UTF-8, as with `iconv -f GB18030 -t UTF-8 {path.name}`, and declare that"
+    except Exception as error:  # nesting without end
         found = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name)
         todo = "fetch it again"
     return None, or_lfs_pointer(Problem(where, "annotation-not-xml", found, "an XML file with labels", todo), path)
+
+
+def _xml_root(path: Path) -> Any:
+    """Return the root element of an XML file; files in encodings that the parser does not know are decoded first.
+
+    Raises:
+        UnicodeError: It is not in its encoding.
+        LookupError: Its encoding is unknown.
+        Exception: What the parser raises.
+    """
+    try:
+        return ElementTree.parse(path, forbid_dtd=True).getroot()
+    except (ValueError, LookupError):  # several bytes a character, or a name that is unknown
+        data = path.read_bytes()
+        declared = _DECLARED.match(data)
+        name = codecs.lookup(declared[1].decode()).name if declared else ""
+        if not _MULTI_BYTE.match(name):
+            raise
+        # What Windows calls GB2312 or Shift JIS has more characters.
+        text = data.decode(_WITH_MORE.get(name, name))
+        return ElementTree.fromstring(text.partition("?>")[2], forbid_dtd=True)
 
 
 def child_text(element: Any, key: str) -> str | None:

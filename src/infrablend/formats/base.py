@@ -224,11 +224,11 @@ class Numbered:
     """Images with their ids and those of their objects; yields the chosen ones, as often as asked."""
 
     images: Sequence[ImageRecord]
-    image_ids: Sequence[int]
-    object_ids: Sequence[Sequence[int]]
+    image_ids: Sequence[int | str]
+    object_ids: Sequence[Sequence[int | str]]
     chosen: Sequence[int]
 
-    def __iter__(self) -> Iterator[tuple[ImageRecord, int, Sequence[int]]]:
+    def __iter__(self) -> Iterator[tuple[ImageRecord, int | str, Sequence[int | str]]]:
         """Yield each image with its id and the ids of its objects."""
         return ((self.images[n], self.image_ids[n], self.object_ids[n]) for n in self.chosen)
 
@@ -252,7 +252,7 @@ def number_ids(images: Sequence[ImageRecord], ids: Literal["source", "new"], fir
     With the source's ids, inserted objects get the numbers after the largest.
 
     Raises:
-        ValueError: `ids="source"`, and the source's ids are missing, not integers, or not unique in a split.
+        ValueError: `ids="source"`, and the source's ids are missing or not unique in a split.
     """
     every = range(len(images))
     if ids == "source":
@@ -261,8 +261,8 @@ def number_ids(images: Sequence[ImageRecord], ids: Literal["source", "new"], fir
         for rows in ([[i] for i in image_ids], known):
             for split in SPLITS:
                 values = [v for i, row in zip(images, rows, strict=True) if i.split == split for v in row]
-                if any(type(v) is not int for v in values) or len(set(values)) != len(values):
-                    raise ValueError('ids="source" needs every source_id to be a unique integer; use ids="new"')
+                if None in values or len(set(values)) != len(values):
+                    raise ValueError('ids="source" needs a unique source_id of each; use ids="new"')
         free = itertools.count(max([first - 1, *(v for row in known for v in row if type(v) is int)]) + 1)
         object_ids = [[next(free) if o.source_id is None else o.source_id for o in i.instances] for i in images]
         return Numbered(images, image_ids, object_ids, every)  # type: ignore[arg-type]

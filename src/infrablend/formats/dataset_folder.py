@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from infrablend.core.addresses import address_of, shown
-from infrablend.core.dataset import Dataset
+from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
 from infrablend.core.format_table import FORMATS, Format, find_format
@@ -23,7 +23,8 @@ from infrablend.formats.cameras.flight_headers import add_flight_data
 from infrablend.formats.image_groups import with_val
 from infrablend.formats.labels import folder
 from infrablend.formats.pictures import temperature_scale
-from infrablend.formats.pictures.listing import check_link, is_picture_name
+from infrablend.formats.pictures.images import size_problem
+from infrablend.formats.pictures.listing import check_link, is_picture_name, read_size
 from infrablend.formats.pictures.video import is_video
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
@@ -33,6 +34,8 @@ DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
 PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
+# Smallest side of a picture that is more than a pixel beyond doubt.
+_MANY_PX = 8
 # Read from runs that have it, whatever else they have.
 _FIRST_OF_RUN = "coco"
 _LEAVE_OUT = "leave --format out, or give the folder of the dataset"
@@ -77,12 +80,13 @@ def with_every_frame(reading: Reading, root: Path) -> Reading:
     return replace(reading, options={**reading.options, "every": "1"})
 
 
-def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
+def read(root: Path, reading: Reading = READ_ALL, *, compare_sizes: bool = True) -> Dataset:
     """Read a dataset folder of any format, or one video.
 
     Args:
         root: Folder of the dataset, or a video.
         reading: Format, splits and reader options; by default the format is detected and every split is read.
+        compare_sizes: Whether to compare the sizes that labels state with the headers of the pictures.
 
     Raises:
         UnknownFormatError: No format fits, as there is no picture to read; `detect` gives the reason of each format.
@@ -94,6 +98,8 @@ def read(root: Path, reading: Reading = READ_ALL) -> Dataset:
     with noting_files_read() as files:
         dataset = reader.module.read(reader.root, splits=splits, **reader.options)
     dataset = reader.completed(dataset)
+    if compare_sizes:
+        dataset = replace(dataset, problems=(*dataset.problems, *_other_sizes(dataset.images, files)))
     if reading.val_share is not None:
         dataset = with_val(dataset, reading.val_share, reading.splits)
     return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits, reader.options)))
@@ -174,7 +180,7 @@ class _Reader:
 
     def completed(self, dataset: Dataset) -> Dataset:
         """Return what the module read with the facts and remarks that do not depend on the format."""
-        dataset = with_fitting_fields(_with_regular_pictures(dataset))
+        dataset = _in_pixels(with_fitting_fields(_with_regular_pictures(dataset)))
         if self.stated:
             dataset = temperature_scale.with_scale(dataset, self.scale)
         dataset = add_flight_data(dataset)
@@ -266,6 +272,42 @@ def _with_regular_pictures(dataset: Dataset) -> Dataset:
     if not kept:
         raise DatasetError(f"{dataset.root}: no picture is a file in its folder", shorten(problems))
     return replace(dataset, images=tuple(kept), problems=tuple(problems))
+
+
+def _other_sizes(images: Iterable[ImageRecord], measured: Collection[Path]) -> list[Problem]:
+    """Return the problem of each picture whose labels state another size than its header.
+
+    Args:
+        images: Pictures of a dataset.
+        measured: Those whose sizes were read from their headers.
+    """
+    stated = (i for i in images if i.size_wh is not None and i.path not in measured)
+    found = (size_problem(i, f"{i.split}/{i.name}", read_size(i.path, i.name)[0]) for i in stated)
+    return [problem for problem in found if problem is not None]
+
+
+def _in_pixels(dataset: Dataset) -> Dataset:
+    """Return the dataset without pictures whose boxes are in shares of the picture where the format has pixels.
+
+    Raises:
+        DatasetError: No picture is left.
+    """
+    few = [i for i in dataset.images if i.instances and all(o.box_xyxy[2:].max() <= 1 for o in i.instances)]
+    few = [i for i in few if i.size_wh is not None and min(i.size_wh) >= _MANY_PX]
+    count = sum(len(i.instances) for i in few)
+    # A single box may be the corner of an object outside of the picture.
+    if not few or (count == 1 and any(i.instances for i in dataset.images if i is not few[0])):
+        return dataset
+    box = ", ".join(f"{v:.3g}" for v in few[0].instances[0].box_xyxy)
+    found = f"all boxes of {len(few)} picture(s) lie within 0 to 1 px, such as {box} (edges): shares of the picture, "
+    found += f"normalised by its size; left out with {count} object(s)"
+    todo = "multiply them by the picture's width and height, or convert them with the tool that wrote them"
+    problem = Problem(f"{few[0].split}/{few[0].name}", "box-shares", found, "boxes in px", todo)
+    out = {i.id for i in few}
+    images = tuple(i for i in dataset.images if i.id not in out)
+    if not images:
+        raise DatasetError(f"{dataset.root}: boxes in shares of the picture", [problem])
+    return replace(dataset, images=images, problems=(*dataset.problems, problem))
 
 
 def _picture_fault(path: Path, where: str) -> Problem | None:

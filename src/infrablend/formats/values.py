@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from datetime import date, datetime
 from typing import Any
 
@@ -51,14 +52,29 @@ def iso_date(year: str, month: str, day: str) -> str | None:
 
 
 def to_int(value: object) -> int | None:
-    """Return the whole number that a JSON or XML field means (4, "4", 4.0), or None."""
+    """Return the whole number that a JSON or XML field means (4, "4", 4.0), exact whatever its size, or None."""
+    if isinstance(value, int | str) and not isinstance(value, bool):
+        with suppress(ValueError):
+            return int(value)
     number = to_number(value)
     return int(number) if number is not None and number == int(number) else None
 
 
 def to_id(value: object) -> int | str | None:
-    """Return the id of an image, object or track that a JSON field states, or None."""
+    """Return the exact id of an image, object or track that a JSON field states, or None.
+
+    Floats are whole numbers (1.0); larger ones than these have lost digits, so that they would be the ids of others.
+    """
+    if isinstance(value, float):
+        return int(value) if value.is_integer() and abs(value) < 2**53 else None
     return value if isinstance(value, int | str) and not isinstance(value, bool) else None
+
+
+def to_key(value: object) -> int | str | None:
+    """Return the id by which records refer to each other, or None: the text "7" is 7, but "007" and "1e5" are texts."""
+    found = to_id(value)
+    number = to_int(found) if isinstance(found, str) else None
+    return number if number is not None and str(number) == found else None if found == "" else found
 
 
 def to_bool(value: object) -> bool | None:

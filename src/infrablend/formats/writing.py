@@ -211,11 +211,11 @@ def unwritable(name: str, images: Iterable[ImageRecord], settings: WriteSettings
     if settings.ids == "new" or "ids" not in find_writer(name).takes:
         return None
     ordered = sort_images(images)
-    bad = sum(type(i.source_id) is not int for i in ordered) + sum(
-        type(o.source_id) is not int for i in ordered for o in i.instances if not o.inserted
+    bad = sum(i.source_id is None for i in ordered) + sum(
+        o.source_id is None for i in ordered for o in i.instances if not o.inserted
     )
     if bad:
-        found = f"{bad} image(s) or object(s) without a whole number as id in the source"
+        found = f"{bad} image(s) or object(s) without an id in the source"
         return Problem("ids", "ids-missing", found, "an id for each", "write with new ids: ids new")
     for split in sorted({i.split for i in ordered}):
         part = [i for i in ordered if i.split == split]

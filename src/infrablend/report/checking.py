@@ -15,7 +15,7 @@ import numpy as np
 from infrablend.core.dataset import Dataset, ImageRecord, Instance
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.box_checks import check_box
-from infrablend.formats.pictures.images import Background, load_background
+from infrablend.formats.pictures.images import Background, load_background, size_problem
 from infrablend.formats.pictures.listing import read_size
 
 # HIT-UAV truncates its boxes, which moves them by less than a pixel from the oriented ones.
@@ -171,14 +171,16 @@ def _check_picture(
     """Return a picture's true size, its problems, and a digest of its pixels if they were decoded."""
     if not decode:
         size_wh, problem = read_size(image.path, where)
-        problems = _wrong_size(image, where, size_wh) if problem is None else [problem]
-        return size_wh, problems, None
+        problem = problem or size_problem(image, where, size_wh)
+        return size_wh, [problem] if problem else [], None
     try:
         picture = load_background(image.path)
     except DatasetError as error:
         return None, [replace(p, where=where) for p in error.problems], None
     pixels = picture.pixels
-    problems = [replace(p, where=where) for p in picture.problems] + _wrong_size(image, where, picture.size_wh)
+    problems = [replace(p, where=where) for p in picture.problems]
+    if other := size_problem(image, where, picture.size_wh):
+        problems.append(other)
     if _is_constant(picture):
         found = f"grey levels {pixels.min()} to {pixels.max()}, almost uniform"
         problems.append(Problem(where, "image-constant", found, "a picture with visible content", severity="warning"))
@@ -191,15 +193,6 @@ def _is_constant(picture: Background) -> bool:
     if picture.bit_depth == 16:  # radiometric pictures use only a few of the 65,536 levels
         return int(picture.pixels.max()) - int(picture.pixels.min()) < 3
     return float(picture.pixels.std()) < CONSTANT_LEVELS
-
-
-def _wrong_size(image: ImageRecord, where: str, found: tuple[int, int] | None) -> list[Problem]:
-    said = image.size_wh
-    if said is None or found is None or found == said:
-        return []
-    text = f"{found[0]}x{found[1]} px"
-    expected = f"{said[0]}x{said[1]} px as annotated"
-    return [Problem(where, "image-size", text, expected, "correct the annotation or replace the picture")]
 
 
 def check_objects(

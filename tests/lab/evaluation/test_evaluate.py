@@ -17,6 +17,7 @@ from infrablend import api
 from infrablend.cli.app import build_app
 from infrablend.core.capture import Capture
 from infrablend.core.dataset import SPLITS, Category, Dataset, ImageRecord, Instance
+from infrablend.core.rle_masks import Mask
 from infrablend.core.rng import stream
 from infrablend.core.workspace import workspace
 from infrablend.detection.detections import Predictions, detections, write_predictions
@@ -476,6 +477,55 @@ def test_detections_without_any_match_give_a_warning(saved: Path, tmp_path: Path
     assert "40 detections, hardly any on an object: mAP50 is below 0.001 in every class" in warning.found
     assert warning.found in (tmp_path / "a" / "evaluation.html").read_text()
     assert "no-hits" not in {p.code for p in run(saved, tmp_path / "b").problems}
+
+
+def coco_results(dataset: Dataset, saved: Path) -> tuple[Dataset, list[dict[str, Any]]]:
+    """Return the dataset with ids of COCO, and saved detections as COCO's list of results."""
+    top = json.loads(saved.read_text())
+    number = {i["id"]: i["file_name"] for i in top["images"]}
+    images = tuple(replace(i, source_id=2**60 + k) for k, i in enumerate(dataset.images))
+    of_image = {f"{i.split}/{i.name}": i.source_id for i in images}
+    of_class = {k: next(c.id for c in CATEGORIES if c.name == name) for k, name in enumerate(CLASSES, 1)}
+    rows = [
+        {**a, "image_id": of_image[number[a["image_id"]]], "category_id": of_class[a["category_id"]]}
+        for a in top["annotations"]
+    ]
+    return replace(dataset, images=images), rows
+
+
+def test_a_list_of_results_refers_to_the_ids_of_the_dataset(saved: Path, tmp_path: Path) -> None:
+    """As pycocotools' `loadRes` takes it: github.com/cocodataset/cocoapi/blob/master/PythonAPI/pycocotools/coco.py."""
+    dataset, rows = coco_results(made_up_dataset(), saved)
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps(rows))
+    expected = run(saved, tmp_path / "a").metrics
+    metrics = run(path, tmp_path / "b", dataset).metrics
+    assert metrics["classes"] == expected["classes"] and metrics["counts"]["detections"] == len(rows)
+    run(tmp_path / "b", tmp_path / "c", dataset)  # what it wrote says all itself
+    with pytest.raises(DatasetError, match="refers to ids that the dataset does not have"):
+        run(path, tmp_path / "d")
+    path.write_text(json.dumps([*rows, rows[0] | {"image_id": 2**60 + 99.0}]))
+    with pytest.raises(DatasetError, match="which no image has"):
+        run(path, tmp_path / "d", dataset)
+
+
+def test_masks_of_a_list_of_results_need_no_box(tmp_path: Path) -> None:
+    mask = np.zeros((512, 640), np.bool_)
+    mask[10:30, 20:60] = True
+    person = Instance("Person", np.array([20.0, 10, 60, 30]), mask=Mask.from_array(mask))
+    image = ImageRecord("a", Path("a.png"), "test", (640, 512), (person,), source_id="a1b2")
+    row = {"image_id": "a1b2", "category_id": 0, "segmentation": Mask.from_array(mask).to_coco(), "score": 0.9}
+    (path := tmp_path / "results.json").write_text(json.dumps([row]))
+    report = run(path, tmp_path / "out", Dataset(Path("made-up"), "coco", CATEGORIES, (image,)), classes=["Person"])
+    assert report.metrics["task"] == "segment" and report.metrics["classes"]["Person"]["map50"] > 0.999
+
+
+def test_a_dataset_without_labels_has_no_classes_to_name(saved: Path, tmp_path: Path) -> None:
+    images = tuple(replace(i, instances=()) for i in made_up_dataset().images)
+    with pytest.raises(DatasetError) as caught:
+        run(saved, tmp_path / "out", Dataset(Path("bare"), "folder", (), images), classes=["Person"])
+    said = next(str(p) for p in caught.value.problems if p.code == "class-unknown")
+    assert "which have none" in said and "Give a dataset with labels" in said
 
 
 def test_classes_that_the_detector_lacks(tmp_path: Path) -> None:

@@ -192,7 +192,10 @@ def test_only_rounding_is_moved_onto_the_edge() -> None:
         ("<annotation><object>", "damaged XML (no element found: line 1, column 20)"),
         ('<!DOCTYPE a [<!ENTITY e "x">]><a>&e;</a>', "XML with a document type or entities, which are refused"),
         ('<!DOCTYPE a SYSTEM "file:///etc/passwd"><a/>', "XML with a document type or entities, which are refused"),
-        ('<?xml version="1.0" encoding="nonsense"?><a/>', "XML that cannot be read (unknown encoding: nonsense)"),
+        (
+            '<?xml version="1.0" encoding="nonsense"?><a/>',
+            "XML that is not in the encoding it declares (unknown encoding: nonsense)",
+        ),
     ],
 )
 def test_xml_that_is_refused_is_explained_in_plain_words(text: str, words: str, tmp_path: Path) -> None:

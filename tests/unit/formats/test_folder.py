@@ -7,6 +7,7 @@ import re
 import shlex
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,60 @@ def test_the_stated_task_tells_polygons_of_four_corners_from_oriented_boxes(
 ) -> None:
     (deer,) = dataset_folder.read(yolo_dataset(tmp_path, said, "0 0.2 0.2 0.4 0.2 0.4 0.4 0.2 0.4")).images[0].instances
     assert (deer.corners_xy is not None, deer.mask is not None) == (oriented, not oriented)
+
+
+BOX = "0 0.5 0.5 0.25 0.25"
+TURNED = "0 0.5 0.4 0.6 0.5 0.5 0.6 0.4 0.5"
+TRIANGLE = "0 0.2 0.2 0.4 0.2 0.3 0.4"
+
+
+@pytest.mark.parametrize("place, corners", [(BOX, False), (TURNED, True)])
+@pytest.mark.parametrize(
+    "added, tracks, confidences",
+    [
+        (("0.9 7", "0.8 1", "0.7"), [7, 1, None], 3),
+        (("0.9 0", "1 1"), [0, 1], 2),
+        (("7 0.9", "123456789 0.9"), [7, 123456789], 2),
+        (("0.9 -1", "0.8 2"), [None, 2], 2),
+        (("0", "1", "2"), [0, 1, 2], 0),
+        (("0.9", "1"), [None, None], 2),
+        (("0.9", ""), [None, None], 1),
+    ],
+)
+def test_predictions_are_boxes_with_tracks_and_their_confidences_are_counted(
+    tmp_path: Path, place: str, corners: bool, added: Sequence[str], tracks: list[int | None], confidences: int
+) -> None:
+    """As Ultralytics' trackers write them; a box and two numbers is no triangle: ultralytics 1170 and 22256."""
+    d = dataset_folder.read(yolo_dataset(tmp_path, "task: detect" * (not corners), *(f"{place} {a}" for a in added)))
+    found = d.images[0].instances
+    assert [i.track_id for i in found] == tracks and codes(d) == []
+    assert all(i.mask is None and (i.corners_xy is not None) == corners for i in found)
+    np.testing.assert_allclose(
+        [i.box_xyxy for i in found], [[40, 32, 60, 48] if corners else [37.5, 30, 62.5, 50]] * len(found)
+    )
+    said = [p.found.rpartition(": ")[2] for p in d.problems if p.code == "kind-unread"]
+    assert said == ([f"{confidences} confidences of predicted objects"] if confidences else [])
+
+
+def test_a_triangle_is_a_polygon_in_a_dataset_of_polygons(tmp_path: Path) -> None:
+    """A corner at the edge is as a confidence and a track; a track beyond 1 is none, and a box needs no number more."""
+    lines = (TRIANGLE, "0 0.5 0.5 0.3 0.3 0.4 1", f"{TRIANGLE} 0.1 0.3 0.2 1", f"{BOX} 0.9 3", f"{BOX} 0.9")
+    d = dataset_folder.read(yolo_dataset(tmp_path, "", *lines))
+    assert [(i.mask is not None, i.track_id) for i in d.images[0].instances] == [(True, None)] * 3 + [(False, 3)]
+    assert codes(d) == ["label-malformed"]
+
+
+def test_no_number_of_a_track_becomes_a_corner_of_a_polygon(tmp_path: Path) -> None:
+    """As trackers write masks: their corners cannot be told from a confidence and a small number."""
+    root = yolo_dataset(tmp_path, "task: segment", f"{TRIANGLE} 0.1 0.3 0.2 0.2 0.9 4")
+    d = dataset_folder.read(root)
+    assert codes(d) == ["label-malformed"] and d.images[0].instances == ()
+
+
+def test_keypoints_may_have_a_confidence_and_a_track_behind_them(tmp_path: Path) -> None:
+    lines = (f"{BOX} 0.4 0.4 0.6 0.6 0.9 12", BOX)
+    d = dataset_folder.read(yolo_dataset(tmp_path, "kpt_shape: [2, 2]", *lines))
+    assert [i.track_id for i in d.images[0].instances] == [12, None] and codes(d) == []
 
 
 def test_written_polygons_of_four_corners_are_read_as_polygons(tmp_path: Path) -> None:
@@ -195,7 +250,8 @@ BAD_LINES = (
     ("0 0.5 0.5 0.2 x", "label-malformed"),
     ("-1 0.5 0.5 0.2 0.2", "label-malformed"),
     ("0.5 0.5 0.5 0.2 0.2", "label-malformed"),
-    ("0 0.5 0.5 0.2 0.2 0.9", "label-malformed"),
+    ("0 0.5 0.5 0.2 0.2 1.9", "label-malformed"),
+    ("0 0.5 0.5 0.2 0.2 0.9 98.5", "label-malformed"),
     ("0 nan 0.5 0.2 0.2", "box-not-finite"),
     ("0 0.5 0.5 0 0.2", "box-empty"),
     ("0 1.5 0.5 0.2 0.2", "box-outside"),

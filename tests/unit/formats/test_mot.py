@@ -263,6 +263,20 @@ def test_an_object_twice_in_a_frame_is_kept_with_a_warning(tmp_path: Path) -> No
     assert [(c.id, c.name) for c in d.categories] == [(1, "class_1"), (2, "class_2")]
 
 
+def test_objects_that_no_tracker_has_assigned_have_no_track(tmp_path: Path) -> None:
+    """-1 is no object that jumps through the sequence: github.com/nwojke/deep_sort/issues/236."""
+    rows = "1,-1,1,1,10,8,1,1,1\n1,-1.0,20,1,10,8,1,1,1\n2,-1,1,1,10,8,1,1,1\n2,3,20,1,10,8,1,1,1\n"
+    d = dataset_folder.read(sequence(tmp_path / "in", rows))
+    assert [o.track_id for i in d.images for o in i.instances] == [None, None, None, 3]
+    assert codes(d, "warning") == ["track-missing"] and "3 row(s)" in d.problems[0].found
+    assert d.notes["rows"]["untracked"] == 3
+    written = writing.write("mot", tmp_path / "out", d.images, d.categories)
+    assert written.losses["track_made"] == 3
+    again = dataset_folder.read(tmp_path / "out")
+    tracks = [o.track_id for i in again.images for o in i.instances]
+    assert len(set(tracks)) == 4 and 3 in tracks
+
+
 def test_an_empty_text_and_rows_without_a_picture_are_warnings(tmp_path: Path) -> None:
     sequence(tmp_path, "", name="a")
     sequence(tmp_path, "4,1,1,1,10,8,1,1,1\n", name="b")

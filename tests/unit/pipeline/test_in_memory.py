@@ -6,6 +6,7 @@ import pickle
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from PIL import Image
 
 from infrablend import api
+from infrablend.core.dataset import Category, Instance
 from infrablend.errors import ArgumentError, RecipeError
 from tests.run_files import records
 
@@ -184,6 +186,26 @@ def test_samples_become_lists_of_pictures_and_targets() -> None:
     assert collate([("a", 1), ("b", 2)]) == (["a", "b"], [1, 2])
     assert collate([]) == ([], [])
     assert pickle.loads(pickle.dumps(collate)) is collate  # for a loader's workers
+
+
+def test_no_class_is_the_background_of_detectors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loss of torchvision's detectors: cross entropy with background as 0, and boxes of what is not background."""
+    from infrablend import torch as ours
+
+    fake = {"from_numpy": np.asarray, "tensor": np.array, "int64": np.int64, "bool": np.bool_}
+    monkeypatch.setattr(ours, "torch", SimpleNamespace(**fake))
+    categories = (Category(7, "Person"), Category(3, "Car"), Category(9, "DontCare", ignore=True))
+    names = ("Car", "Person", "DontCare", "Car")
+    labels = tuple(Instance(name, np.array([k, 0.0, k + 4, 8])) for k, name in enumerate(names))
+    frame = SimpleNamespace(id="a", pixels=np.full((12, 16), 255, np.uint8), labels=labels)
+    image, target = ours.to_tensors(frame, categories)
+    assert image.shape == (1, 12, 16) and float(image.max()) == 1
+    logits = np.full((3, len(categories) + 1), -9.0)
+    for row, name in enumerate(n for n in names if n != "DontCare"):
+        logits[row, 1 + [c.name for c in categories].index(name)] = 9  # a detector that knows all of them
+    shares = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
+    assert -np.log(shares[np.arange(3), target["labels"]]).mean() < 1e-6
+    assert target["boxes"][target["labels"] > 0].tolist() == [[0, 0, 4, 8], [1, 0, 5, 8], [3, 0, 7, 8]]
 
 
 def test_a_loader_gives_batches(data: Path) -> None:

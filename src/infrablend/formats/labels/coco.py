@@ -63,7 +63,7 @@ from infrablend.formats.values import (
     to_bool,
     to_floats,
     to_id,
-    to_int,
+    to_key,
     to_number,
     to_share,
     to_size,
@@ -195,7 +195,7 @@ def _videos(images: Iterable[ImageRecord]) -> dict[str, int]:
 
 
 def _file_record(
-    image: ImageRecord, number: int, new: bool, one_scale: bool, videos: Mapping[str, int]
+    image: ImageRecord, number: int | str, new: bool, one_scale: bool, videos: Mapping[str, int]
 ) -> dict[str, object]:
     """Return the record of a picture, with its temperature scale unless all pictures of the file share one."""
     record = _image_record(image, number, new)
@@ -227,7 +227,7 @@ def source_id_field(item: ImageRecord | Instance, new: bool) -> dict[str, object
     return {"source_id": item.extra["source_id"]} if "source_id" in item.extra else {}
 
 
-def _image_record(image: ImageRecord, number: int, new: bool) -> dict[str, object]:
+def _image_record(image: ImageRecord, number: int | str, new: bool) -> dict[str, object]:
     w, h = require_size(image)
     record = {"id": number, "file_name": image.name, "width": w, "height": h} | source_id_field(image, new)
     return record | fact_fields(image)
@@ -500,7 +500,7 @@ def read_records(
     measured = 0
     for i, r in enumerate(top["images"]):
         here = f"{where}: image {r.get('id', i) if isinstance(r, dict) else i}"
-        number = _key(r.get("id")) if isinstance(r, dict) else None
+        number = to_key(r.get("id")) if isinstance(r, dict) else None
         if number is None:
             found.add(here, "image-malformed", repr(r)[:80], "an image record with an id")
             continue
@@ -559,7 +559,7 @@ def _category_names(
     """Return the name of each category of a file by its id; new categories are appended to those of all files."""
     names: dict[int | str, str] = {}
     for i, c in enumerate(rows):
-        number = _key(c.get("id")) if isinstance(c, dict) else None
+        number = to_key(c.get("id")) if isinstance(c, dict) else None
         if number is None or not isinstance(c.get("name"), str) or number in names:
             found.add(f"{where}: category {i}", "category-malformed", repr(c)[:80], "a new id and a name")
             continue
@@ -572,17 +572,11 @@ def _category_names(
     return names
 
 
-def _key(value: object) -> int | str | None:
-    """Return an id: a whole number, or text, which some tools write in its place; None for anything else."""
-    number = to_int(value)
-    return value if number is None and isinstance(value, str) and value else number
-
-
 def _by_image(found: Findings, rows: Iterable[Any], where: str) -> dict[int | str, list[bytes]]:
     """Return the annotations by `image_id`, pickled: as bytes they take a fifth of the memory until they are needed."""
     of_image: dict[int | str, list[bytes]] = {}
     for i, a in enumerate(rows):
-        number = _key(a.get("image_id")) if isinstance(a, dict) else None
+        number = to_key(a.get("image_id")) if isinstance(a, dict) else None
         if number is None:
             found.add(f"{where}: annotation {i}", "annotation-malformed", repr(a)[:80], "an annotation record")
             continue
@@ -590,18 +584,18 @@ def _by_image(found: Findings, rows: Iterable[Any], where: str) -> dict[int | st
     return of_image
 
 
-def _video_names(rows: object) -> dict[int, str]:
+def _video_names(rows: object) -> dict[int | str, str]:
     videos = (v for v in rows if isinstance(v, dict)) if is_list(rows) else ()
-    numbered = ((to_int(v.get("id")), v.get("name")) for v in videos)
+    numbered = ((to_key(v.get("id")), v.get("name")) for v in videos)
     return {number: name for number, name in numbered if number is not None and isinstance(name, str)}
 
 
-def _stated_facts(r: Mapping[str, object], videos: Mapping[int, str]) -> Capture:
+def _stated_facts(r: Mapping[str, object], videos: Mapping[int | str, str]) -> Capture:
     """Return what the record of a picture states; values that cannot be are left out."""
     facts = {**r, **{fact: r.get(key) for fact, key in _KEYS.items()}}
     facts["frame"] = r.get("frame_index") if facts["frame"] is None else facts["frame"]  # TAO's name
-    video = to_int(r.get("video_id"))
-    if not facts.get("sequence") and video is not None:
+    video = to_key(r.get("video_id"))
+    if facts.get("sequence") in (None, "") and video is not None:
         facts["sequence"] = videos.get(video)
     return Capture.from_json(facts, strict=False)
 
@@ -659,15 +653,15 @@ def _read_annotations(
     where: str,
 ) -> tuple[Instance, ...]:
     instances: list[Instance] = []
-    seen: set[int] = set()
+    seen: set[int | str] = set()
     for a in records:
-        number = to_int(a.get("id"))
+        number = to_key(a.get("id"))
         here = f"{where}: annotation {a.get('id')}"
         _leave_out_objects(found, a, _OF_ANNOTATION, "annotations.", here)
         if number is not None and number in seen:
             found.warn(here, "annotation-duplicate", f"a second annotation with id {number}", "each id once")
         seen |= {number} if number is not None else set()
-        category = _key(a.get("category_id"))
+        category = to_key(a.get("category_id"))
         if category is None or category not in names:
             text = f"category_id {a.get('category_id')!r}"
             expected = f"one of {sorted(names, key=str)}"

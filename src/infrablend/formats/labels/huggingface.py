@@ -49,7 +49,7 @@ from infrablend.formats.picture_facts import SURPLUS, UNREAD, csv_rows
 from infrablend.formats.pictures.listing import PictureFolder
 from infrablend.formats.pictures.temperature_scale import scale_of_record
 from infrablend.formats.records import Findings, with_ids
-from infrablend.formats.values import to_bool, to_floats, to_int, to_share, to_size
+from infrablend.formats.values import to_bool, to_floats, to_id, to_int, to_share, to_size
 
 NAME = "huggingface"
 TAKES_TABLE = False  # the lines contain pitch and altitude
@@ -443,7 +443,7 @@ def _read_object(
         row.get("inserted") is True,
         None,
         _read_occlusion(row, size_wh),
-        _text(row.get("track_id")),
+        _text(track) if isinstance(track := row.get("track_id"), str) else to_id(track),
     )
 
 

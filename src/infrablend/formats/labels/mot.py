@@ -63,6 +63,8 @@ _GT = "gt/gt.txt"
 _LABELS = "labels.txt"
 _INFO = "seqinfo.ini"
 _PICTURES = "img1"
+# Id of boxes that no tracker has assigned to an object yet.
+_UNTRACKED = -1
 _ROW = "frame,id,x,y,width,height,conf,class,visibility, counted from 1"
 _CHALLENGE = re.compile(r"(?:2D)?MOT-?(?:20)?(?:15|16|17|20)(?!\d)", re.IGNORECASE)
 _NUMBER = re.compile(r"\d{1,12}", re.ASCII)
@@ -121,7 +123,7 @@ class _Reading(Findings):
 class _Row:
     where: str
     frame: int
-    track: int
+    track: int | None
     xywh: tuple[float, ...]
     category: str
     ignored: bool
@@ -158,7 +160,7 @@ def read(
             reading.counts["sequences"] += 1
             records += _read_sequence(reading, folder, split, unlabelled)
     records = with_names(reading, records)
-    keys = ("sequences", "rows", "read", "ignored", "without_picture", "unlabelled", "without_seqinfo")
+    keys = ("sequences", "rows", "read", "ignored", "untracked", "without_picture", "unlabelled", "without_seqinfo")
     notes = {"labels": NAME, "origin": int(origin), "frames": frames, "rows": reading.rows(*keys)}
     numbered = sorted((number, name) for name, number in reading.numbers.items())
     categories = [Category(number, name, "", is_ignored_name(name)) for number, name in numbered]
@@ -263,9 +265,15 @@ def _read_rows(reading: _Reading, folder: Path, sequence: str) -> list[_Row] | N
         if row is None:
             continue
         rows.append(row)
+        if row.track is None:
+            continue
         seen[row.frame, row.track] += 1
         if seen[row.frame, row.track] > 1:
             reading.track_twice(row.where, row.track, row.frame, "give one of them another id")
+    if untracked := sum(row.track is None for row in rows):
+        reading.counts["untracked"] += untracked
+        found = f"{untracked} row(s) with id {_UNTRACKED}, read as objects without a track"
+        reading.warn(where, "track-missing", found, "ids from 1 on, the same for an object in all its frames")
     if not text.strip():
         todo = "fetch it again, if the sequence shows objects"
         reading.warn(where, "label-empty", f"no line: no object in all of {sequence}", "a line per box", todo)
@@ -275,7 +283,7 @@ def _read_rows(reading: _Reading, folder: Path, sequence: str) -> list[_Row] | N
 def _read_row(reading: _Reading, line: str, where: str, names: Mapping[int, str]) -> _Row | None:
     cells = [c.strip() for c in line.strip().rstrip(",").split(",")]
     numbers = to_floats(cells, len(cells)) if 6 <= len(cells) <= 10 else None
-    frame, track = (to_int(v) for v in numbers[:2]) if numbers else (None, None)
+    frame, track = (to_int(c) for c in cells[:2]) if numbers else (None, None)
     if numbers is None or frame is None or track is None or frame < 1:
         reading.add(where, "row-malformed", repr(line.strip()[:80]), _ROW, "correct the line")
         return None
@@ -290,7 +298,7 @@ def _read_row(reading: _Reading, line: str, where: str, names: Mapping[int, str]
     _enter(reading.numbers, name, number or 0)
     ignored = len(numbers) > 6 and numbers[6] == 0
     visibility = to_share(numbers[8]) if len(numbers) > 8 else None
-    return _Row(where, frame, track, numbers[2:6], name, ignored, visibility)
+    return _Row(where, frame, None if track == _UNTRACKED else track, numbers[2:6], name, ignored, visibility)
 
 
 def _class_names(reading: _Reading, folder: Path) -> Mapping[int, str]:
@@ -358,7 +366,7 @@ def _instances(
         crowd = {"iscrowd": 1} if row.ignored and not is_ignored_name(row.category) else {}
         reading.counts["ignored"] += row.ignored
         reading.counts["read"] += 1
-        track = reading.originals.get((sequence, row.track), row.track)
+        track = None if row.track is None else reading.originals.get((sequence, row.track), row.track)
         instances.append(Instance(row.category, box, visibility=row.visibility, extra=crowd, track_id=track))
     return tuple(instances)
 

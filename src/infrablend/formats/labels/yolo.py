@@ -4,7 +4,7 @@
 
 There is one line per object; coordinates are shares of the picture's width and height. A line of detect is
 `cls cx cy w h`, of OBB `cls x1 y1 x2 y2 x3 y3 x4 y4` (corners clockwise on screen), of seg `cls x1 y1 x2 y2 ...` (one
-closed polygon).
+closed polygon). Detectors and trackers write the confidence, the number of the track, or both in this order behind it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
@@ -59,6 +59,10 @@ _DECIMALS = 10
 _STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb": "obb"}
 # Larger shares of a picture are pixels.
 _FAR_SHARE = 10
+# Opposite corners of an oriented box have one middle; in rounded shares of the picture twice that differs by this.
+_UNEVEN = 2e-3
+# A confidence and the number of a track.
+_MOST_ADDED = 2
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 # Folders in the longest end of a path that is looked for in a dataset.
@@ -295,18 +299,28 @@ def write(
 # -- reading one label file ------------------------------------------------------------------------------------
 
 
+class LabelLine(NamedTuple):
+    """Number of a line, and the class, the place and the track of its object."""
+
+    n: int
+    class_: int
+    values: tuple[float, ...]
+    track: int | None = None
+
+
 @dataclass(frozen=True)
 class LabelLines:
-    """Content of a label file: (line number, class, values) per object, and the problems."""
+    """Content of a label file: a line per object, and the problems."""
 
-    rows: list[tuple[int, int, tuple[float, ...]]] = field(default_factory=list)
+    rows: list[LabelLine] = field(default_factory=list)
     problems: list[Problem] = field(default_factory=list)
 
 
 def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
     """Parse the text of a label file; malformed lines are left out and reported as errors.
 
-    With `keypoints`, see `line_form`, each line is a box, usually with that many further values.
+    With `keypoints`, see `line_form`, each line is a box, usually with that many further values. What detectors and
+    trackers add stays among the values, see `without_predictions`.
     """
     found = LabelLines()
     seen: set[tuple[int, tuple[float, ...]]] = set()
@@ -319,18 +333,17 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
             numbers = [float(w) for w in words]
         except ValueError:
             numbers = []
-        polygon = not keypoints and len(numbers) >= 7 and len(numbers) % 2 == 1
-        shape = len(numbers) in (5, 5 + keypoints) or polygon
+        values = tuple(numbers[1:])
+        polygon = not keypoints and len(values) >= 6 and len(values) % 2 == 0
+        size = _size_of_place(len(values), keypoints)
+        shape = polygon or size < len(values) or len(values) in (4, 4 + keypoints)
         said = repr(line[:80])
         todo = "correct the line"
         if not shape or not numbers[0].is_integer() or numbers[0] < 0:
-            expected = "class cx cy w h, "
-            expected += f"then {keypoints} values of keypoints" if keypoints else "or class and three or more x y pairs"
-            found.problems.append(Problem(here, "label-malformed", said, expected, todo))
+            found.problems.append(Problem(here, "label-malformed", said, _line_text(keypoints), todo))
             continue
         class_ = int(numbers[0])
-        values = tuple(numbers[1:])
-        if not all(abs(v) < _FAR_SHARE for v in values):
+        if not all(abs(v) < _FAR_SHARE for v in values[:size]):  # the number of a track may be large
             code = "box-outside" if all(map(math.isfinite, values)) else "box-not-finite"
             expected = "shares of the picture, from 0 to 1"
             todo = "divide pixels by its width and height"
@@ -340,8 +353,121 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
             text = "a repeated line, kept"
             found.problems.append(Problem(here, "object-duplicate", text, "each object once", severity="warning"))
         seen.add((class_, values))
-        found.rows.append((n, class_, values))
+        found.rows.append(LabelLine(n, class_, values))
     return found
+
+
+def _line_text(keypoints: int) -> str:
+    further = f"then {keypoints} values of keypoints" if keypoints else "or class and three or more x y pairs"
+    return f"class cx cy w h, {further}"
+
+
+def _size_of_place(count: int, keypoints: int) -> int:
+    """Return how many of a line's values are the place of its object if it is one that a detector or tracker wrote."""
+    sizes = (4 + keypoints,) if keypoints else (4, 8)
+    return next((size for size in sizes if 1 <= count - size <= _MOST_ADDED), count)
+
+
+def _is_box(values: Sequence[float]) -> bool:
+    return all(0 <= v <= 1 for v in values) and min(values[2:]) > 0
+
+
+def _is_turned_box(values: Sequence[float]) -> bool:
+    return all(abs(values[k] + values[4 + k] - values[2 + k] - values[6 + k]) <= _UNEVEN for k in (0, 1))
+
+
+def _is_place(values: Sequence[float], plain: Collection[int], only_boxes: bool) -> bool:
+    """Return whether values may be a box or a polygon, and not a polygon with the number of a track behind it."""
+    *others, last = values
+    is_track = last.is_integer() and last > 1 and max(others) <= 1
+    fits = len(values) in plain or not (only_boxes or len(values) % 2)
+    return fits and not is_track and max(values) < _FAR_SHARE
+
+
+def _is_number(value: float) -> bool:
+    """Return whether a value may be the number of a track, -1 for none; larger ones are rounded."""
+    return value.is_integer() and -1 <= value < 2**53
+
+
+@dataclass(frozen=True)
+class _Prediction:
+    """A line as detectors and trackers write it: the values of the place, then a confidence, a whole number, or both.
+
+    Attributes:
+        size: How many values the place has.
+        number: The whole number; None without one. A single value may be either.
+        scored: Whether a confidence is beside the whole number.
+    """
+
+    size: int
+    number: float | None
+    scored: bool
+
+    @classmethod
+    def of(cls, values: Sequence[float], keypoints: int) -> _Prediction | None:
+        """Return a line's values as those of a prediction; None if they cannot be."""
+        size = _size_of_place(len(values), keypoints)
+        added = values[size:]
+        if not added or not (_is_turned_box(values) if size == 8 and not keypoints else _is_box(values[:4])):
+            return None
+        if len(added) == 1:
+            number = added[0] if _is_number(added[0]) else None
+            return cls(size, number, False) if number is not None or 0 <= added[0] <= 1 else None
+        pairs = ((score, number) for score, number in (added, added[::-1]) if 0 <= score <= 1)
+        found = next((number for _, number in pairs if _is_number(number)), None)
+        return None if found is None else cls(size, found, True)
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the values behind the place can be no corner of a polygon."""
+        return self.scored and self.number not in (0, 1)
+
+
+def without_predictions(
+    found: Findings, files: Mapping[str, LabelLines], keypoints: int = 0
+) -> Mapping[str, LabelLines]:
+    """Return the lines of a dataset with their tracks, and without the confidences, which are counted.
+
+    A box and two numbers have as many values as a triangle, an oriented box and two numbers as a pentagon: if the whole
+    number is 0 or 1, the line is a polygon in a dataset that has other polygons.
+
+    Args:
+        found: Problems: lines that are neither.
+        files: Lines of each label file by its name.
+        keypoints: Number of values after a box, see `line_form`.
+    """
+    lines = [row.values for labels in files.values() for row in labels.rows]
+    plain = {4, 4 + keypoints} if keypoints else {4, 8}
+    if all(len(values) in plain for values in lines):
+        return files
+    predictions = {values: _Prediction.of(values, keypoints) for values in lines}
+    polygons = {len(v) for v, p in predictions.items() if p is None and len(v) >= 6 and len(v) % 2 == 0}
+    single = [p.number for p in predictions.values() if p is not None and not p.scored]
+    # Behind boxes alone, 0 and 1 are confidences unless all are whole and others larger.
+    tracked = None not in single and any(number not in (0, 1) for number in single)
+    result = {}
+    for where, labels in files.items():
+        rows = []
+        for row in labels.rows:
+            here = f"{where}: line {row.n}"
+            p = predictions[row.values]
+            if p is not None and (p.is_certain or not polygons - {p.size}):  # `size`: corners without a confidence
+                track = p.number if p.scored or tracked or p.number not in (0, 1) else None
+                if p.scored or track is None:
+                    found.leave_out("confidences of predicted objects", here)
+                rows.append(
+                    row._replace(
+                        values=row.values[: p.size],
+                        track=None if track is None or track < 0 else int(track),  # -1: not assigned
+                    )
+                )
+            elif _is_place(row.values, plain, bool(keypoints)):
+                rows.append(row)
+            else:
+                said = repr(" ".join(f"{v:g}" for v in (row.class_, *row.values))[:80])
+                found.add(here, "label-malformed", said, _line_text(keypoints), "correct the line")
+        result[where] = replace(labels, rows=rows)
+    return result
 
 
 def _instances(
@@ -349,7 +475,7 @@ def _instances(
 ) -> tuple[Instance, ...]:
     found.problems += labels.problems
     instances: list[Instance] = []
-    for n, number, values in labels.rows:
+    for n, number, values, track in labels.rows:
         here = f"{where}: line {n}"
         if number not in names:
             found.add(here, "category-unknown", f"class {number}", f"one of {sorted(names)}", "add it to data.yaml")
@@ -366,7 +492,7 @@ def _instances(
             continue
         corners = clockwise_corners(points) if points is not None and task == "obb" and len(points) == 4 else None
         mask = Mask.from_array(rasterise(points, size_wh)) if points is not None and corners is None else None
-        instances.append(Instance(names[number], box, corners, mask))
+        instances.append(Instance(names[number], box, corners, mask, track_id=track))
     return tuple(instances)
 
 
@@ -459,17 +585,18 @@ def build_records(
         DatasetError: There are labels, but the list of class names is empty.
     """
     root = found.root
-    parsed: dict[Path, LabelLines] = {}
+    parsed: dict[str, LabelLines] = {}
     for p in pictures:
         text = None if p.label is None else found.text(p.label, "a YOLO label file")
         if p.label is not None and text is not None:
             where = found.place(p.label)
-            labels = parse_labels(text, where, keypoints)
-            for n in (n for n, _, values in labels.rows if keypoints and len(values) > 4):
-                found.leave_out("objects' keypoints", f"{where}: line {n}")
-            rows = [(n, c, values[:4]) for n, c, values in labels.rows] if keypoints else labels.rows
-            parsed[p.path] = replace(labels, rows=rows)
-    used = {number for labels in parsed.values() for _, number, _ in labels.rows}
+            parsed[where] = parse_labels(text, where, keypoints)
+    files = without_predictions(found, parsed, keypoints)
+    for where, labels in files.items() if keypoints else ():
+        for row in (row for row in labels.rows if len(row.values) > 4):
+            found.leave_out("objects' keypoints", f"{where}: line {row.n}")
+        labels.rows[:] = [row._replace(values=row.values[:4]) for row in labels.rows]
+    used = {row.class_ for labels in files.values() for row in labels.rows}
     if names is not None and not names and used:
         said = f"no class names, but labels of {len(used)} class(es)"
         expected = "a name for each class"
@@ -480,24 +607,25 @@ def build_records(
         said = f"no data.yaml and no classes.txt; the classes are named {', '.join(known.values())}"
         found.warn(root.name, "names-missing", said, "names of the classes")
     if task is None:
-        longer = [len(v) for labels in parsed.values() for _, _, v in labels.rows if len(v) != 4]
+        longer = [len(row.values) for labels in files.values() for row in labels.rows if len(row.values) != 4]
         task = "obb" if longer and all(n == 8 for n in longer) else "seg"
     records = []
     unlabelled = 0
     for p in pictures:
         size_wh: tuple[int, int] | None = None
         instances: tuple[Instance, ...] = ()
-        if p.label is not None and p.path not in parsed:
+        where = "" if p.label is None else found.place(p.label)
+        if p.label is not None and where not in files:
             continue  # its labels cannot be read: it would pass as a picture without objects
         if p.label is not None:
             size_wh = found.size(p.path, found.place(p.path))
             if size_wh is None:
                 continue
-            instances = _instances(found, parsed[p.path], known, size_wh, found.place(p.label), task)
+            instances = _instances(found, files[where], known, size_wh, where, task)
         else:
             unlabelled += 1
         records.append(ImageRecord("", p.path, p.split, size_wh, instances, file_name=p.name))
-    if parsed and unlabelled:
+    if files and unlabelled:
         said = f"{unlabelled} picture(s) without a label file are read as pictures without objects"
         found.warn(root.name, "label-missing", said, "a label file per picture")
     return records, known

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image, JpegImagePlugin
 from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION
 
+from infrablend.core.dataset import ImageRecord
 from infrablend.core.files import or_lfs_pointer, write_bytes
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.pictures.listing import JPEG_SUFFIXES, MAX_PIXELS, READABLE, open_picture
@@ -22,6 +23,8 @@ from infrablend.formats.pictures.listing import JPEG_SUFFIXES, MAX_PIXELS, READA
 PixelMode = Literal["L", "RGB", "I;16"]
 SaveKind = Literal["same", "png"]
 
+# EXIF's orientations of pictures whose width is the height when they are shown.
+_ON_ITS_SIDE = (5, 6, 7, 8)
 _SUFFIXES = {
     "JPEG": JPEG_SUFFIXES, "PNG": (".png",), "BMP": (".bmp",), "TIFF": (".tif", ".tiff"), "WEBP": (".webp",),
 }  # fmt: skip
@@ -134,6 +137,31 @@ def some_in_colour(paths: Sequence[Path]) -> dict[Path, bool]:
         with suppress(DatasetError):  # reported by what reads the picture
             found[path] = any(p.code == IN_COLOUR for p in load_background(path).problems)
     return found
+
+
+def size_problem(image: ImageRecord, where: str, size_wh: tuple[int, int] | None) -> Problem | None:
+    """Return the problem of a picture whose labels state another size than its header.
+
+    Args:
+        image: The picture with the size that its labels state.
+        where: Name of the picture in the problem.
+        size_wh: The size in its header; None if that cannot be read, which is another problem.
+    """
+    said = image.size_wh
+    if said is None or size_wh is None or size_wh == said:
+        return None
+    found = f"{size_wh[0]}x{size_wh[1]} px"
+    expected = f"{said[0]}x{said[1]} px as annotated"
+    todo = "correct the annotation or replace the picture"
+    if size_wh == said[::-1]:
+        with open_picture(image.path) as picture:
+            turned = _orientation(picture) in _ON_ITS_SIDE
+        if turned:
+            found += " as stored, turned by its EXIF to be shown; the labels were made on the turned picture"
+            todo = "turn the pixels, as with `mogrify -auto-orient`"
+        else:
+            found += ", width and height swapped"
+    return Problem(where, "image-size", found, expected, todo)
 
 
 def _require_one_frame(picture: Any, path: Path) -> None:

@@ -18,6 +18,7 @@ from infrablend.core.file_names import is_inside, leaves
 from infrablend.core.files import or_lfs_pointer
 from infrablend.core.run_folder import kept_aside
 from infrablend.errors import Problem
+from infrablend.formats.annotation_files import note_read
 from infrablend.formats.base import SPLIT_FOLDERS
 
 JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif")
@@ -341,6 +342,7 @@ def read_size(path: Path, where: str) -> tuple[tuple[int, int] | None, Problem |
         with open_picture(path) as picture:
             size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] <= MAX_PIXELS:
+            note_read(path)
             return size_wh, None
         found = f"{size_wh[0]}x{size_wh[1]} px"
     except Image.DecompressionBombError as error:

@@ -175,7 +175,7 @@ def _rows(found: Findings, path: Path) -> dict[int, list[tuple[str, Instance]]]:
         found.counts["objects"] += 1
         here = f"{where}: line {n}"
         numbers = to_floats([c.strip() for c in cells[:8]], 8)
-        frame, track, class_ = (to_int(numbers[k]) if numbers else None for k in (0, 1, 7))
+        frame, track, class_ = (to_int(cells[k]) if numbers else None for k in (0, 1, 7))
         if numbers is None or frame is None or track is None or frame < 0:
             found.add(here, "row-malformed", repr(",".join(cells)[:80]), _COLUMNS)
             continue

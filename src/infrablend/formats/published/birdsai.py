@@ -304,7 +304,7 @@ def _read_table(reading: _Reading, path: Path) -> list[_Row] | None:
             code = "row-incomplete" if len(cells) < 10 or {"", "nan"} & {c.lower() for c in cells} else "row-malformed"
             reading.add(here, code, repr(line[:80]), _COLUMNS, "complete the row")
             continue
-        frame, track, class_, species, occlusion, noise = (to_int(numbers[i]) for i in (0, 1, 6, 7, 8, 9))
+        frame, track, class_, species, occlusion, noise = (to_int(cells[i]) for i in (0, 1, 6, 7, 8, 9))
         if frame is None or track is None:
             reading.add(here, "row-malformed", repr(line[:80]), "whole numbers as frame and object")
             continue

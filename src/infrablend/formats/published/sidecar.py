@@ -86,7 +86,7 @@ def yolo_lines(found: Findings, path: Path) -> list[tuple[str, int, tuple[float,
     found.counts["empty"] += not labels.rows and not labels.problems
     found.counts["objects"] += len(labels.rows)
     found.counts["malformed"] += sum(p.severity == "error" for p in labels.problems)
-    return [(f"{where}: line {n}", number, values) for n, number, values in labels.rows]
+    return [(f"{where}: line {row.n}", row.class_, row.values) for row in labels.rows]
 
 
 def line_reader(expected: str, state: Callable[[str, tuple[int, int]], Stated]) -> ReadLabel:

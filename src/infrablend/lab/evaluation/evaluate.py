@@ -101,8 +101,9 @@ def evaluate_detector(
     rival = None if against is None else (against, *read_evaluation(against))
     problems: list[Problem] = []
     with workspace(out, "evaluation", RECORD, replacing(overwrite)) as space:
-        source = DetectionSource(weights, device, problems)
         split = settings.split or _default_split(dataset, problems)
+        of_split = [i for i in dataset.images if i.split == split]
+        source = DetectionSource(weights, device, problems, of_split, dataset.categories)
         case, numbers, groups, counts = _prepare(dataset, split, source, settings, problems)
         sequences = find_sequences(case, problems) if settings.tracks else None
         evaluated: EvaluatedDataset = {
@@ -255,7 +256,7 @@ def rejected_in(dataset: Dataset, split: str) -> list[Problem]:
     """Return the errors of the reader in a split, without those that surely belong to another one.
 
     An error names a file only. Its split is that of its folder, that of the picture with its name, or, for JSON of
-    many pictures, the one in the file name, as in `instances_val2017.json`.
+    many pictures, the one in the file name, as in `instances_val2017.json`. Sizes are compared later.
     """
     of_stem: dict[str, set[str]] = {}
     for image in dataset.images:
@@ -267,7 +268,8 @@ def rejected_in(dataset: Dataset, split: str) -> list[Problem]:
         words = re.split(r"[^a-z]+", path.stem.lower()) if path.suffix == ".json" else []
         return folders or of_stem.get(path.stem) or {SPLIT_FOLDERS[w] for w in words if w in SPLIT_FOLDERS} or {split}
 
-    return [p for p in dataset.problems if p.severity == "error" and split in splits(p)]
+    errors = (p for p in dataset.problems if p.severity == "error" and p.code != "image-size")
+    return [p for p in errors if split in splits(p)]
 
 
 def image_groups(images: Sequence[ImageRecord], by: str, problems: list[Problem]) -> tuple[str, ...]:

@@ -54,7 +54,7 @@ class TrainRequest:
         return choose_preset(self.preset, self.settings)
 
 
-DEFAULT_TRAINING = TrainRequest()
+DEFAULT_TRAINING: TrainRequest = TrainRequest()
 
 
 def choose_preset(name: str, settings: Mapping[str, object]) -> Preset:

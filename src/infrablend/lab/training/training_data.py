@@ -20,6 +20,7 @@ from infrablend.detection.detections import TASKS
 from infrablend.detection.scale import DATA, EIGHT_BIT, TILES
 from infrablend.errors import DatasetError, OutputError, Problem
 from infrablend.formats import writing
+from infrablend.formats.pictures.images import size_problem
 from infrablend.formats.pictures.listing import read_size
 from infrablend.formats.pictures.temperature_scale import deep_mode, is_deep
 from infrablend.lab.training.presets import Preset
@@ -153,9 +154,8 @@ def _checked(dataset: Dataset, agc: Agc) -> Dataset:
         problems += [problem] if problem is not None else []
         if size_wh is None:
             continue
-        if image.size_wh not in (None, size_wh):
-            expected = f"{image.size_wh} as annotated"
-            problems.append(Problem(image.id, "image-size", f"{size_wh} px", expected, "correct the annotation"))
+        if other := size_problem(image, image.id, size_wh):
+            problems.append(other)
         mode = deep_mode(image)
         if mode.startswith("F"):
             todo = "write it with 16 bits and state the scale: the trainer cannot read floats"

@@ -130,7 +130,7 @@ class FormPicture:
     size_wh: tuple[int, int] | None
     where: str
     capture: Capture = field(default_factory=Capture)
-    source_id: int | None = None
+    source_id: int | str | None = None
     extra: dict[str, object] = field(default_factory=dict)
     objects: list[FormObject] = field(default_factory=list)
 
@@ -149,7 +149,7 @@ class FormObject:
     truncated: bool | None = None
     difficult: bool | None = None
     inserted: bool = False
-    source_id: int | None = None
+    source_id: int | str | None = None
     extra: dict[str, object] = field(default_factory=dict)
 
     def bounds(self) -> NDArray[np.float64]:

@@ -190,13 +190,13 @@ def _json_file(
     }
 
 
-def _normal_image(image: ImageRecord, image_id: int) -> dict[str, object]:
+def _normal_image(image: ImageRecord, image_id: int | str) -> dict[str, object]:
     w, h = require_size(image)
     date = str(image.extra.get("date", ""))
     return {"filename": image.name, "height": h, "width": w, "id": image_id, "date_captured": date}
 
 
-def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, object]:
+def _rotate_image(image: ImageRecord, image_id: int | str) -> dict[str, object]:
     w, h = require_size(image)
     return {
         "id": image_id,
@@ -212,7 +212,7 @@ def _rotate_image(image: ImageRecord, image_id: int) -> dict[str, object]:
     }
 
 
-def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int]) -> dict[str, object]:
+def _normal_object(box_xyxy: Sequence[int], ids: Mapping[str, int | str]) -> dict[str, object]:
     x0, y0, x1, y1 = box_xyxy
     return {
         "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]],

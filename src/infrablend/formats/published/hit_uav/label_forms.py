@@ -26,7 +26,7 @@ from infrablend.formats.published.hit_uav.form_records import (
     FormPicture,
     xml_files,
 )
-from infrablend.formats.values import to_bool, to_int, to_number
+from infrablend.formats.values import to_bool, to_int, to_key, to_number
 
 _TIMES: Mapping[int | None, TimeOfDay] = {0: "day", 1: "night"}
 
@@ -85,10 +85,10 @@ def _read_categories(data: FormData, records: Iterable[object], where: str) -> d
 
 def _read_json_images(
     data: FormData, records: Iterable[object], folder: Path, split: Split, where: str
-) -> dict[int, FormPicture]:
+) -> dict[int | str, FormPicture]:
     """Return the pictures by image id; unusable ones are reported and left out."""
     listing = PictureFolder.scan(folder)
-    pictures: dict[int, FormPicture] = {}
+    pictures: dict[int | str, FormPicture] = {}
     for i, record in enumerate(records):
         if not isinstance(record, dict):
             data.add(f"{where}: image {i}", "image-malformed", repr(record)[:80], "an image record")
@@ -98,9 +98,9 @@ def _read_json_images(
         picture = data.find_picture(listing, record.get("filename"), size, split, here)
         if picture is None:
             continue
-        number = to_int(record.get("id"))
+        number = to_key(record.get("id"))
         if number is None:
-            data.add(here, "image-malformed", f"id {record.get('id')!r}", "a whole number")
+            data.add(here, "image-malformed", f"id {record.get('id')!r}", "a whole number or a text")
         elif number in pictures or picture.stem in data.pictures:
             data.add(here, "image-duplicate", f"{picture.name!r}, id {number}, a second time", "each picture once")
         else:
@@ -144,17 +144,20 @@ def _number_in(
 
 
 def _read_json_objects(
-    data: FormData, records: Iterable[object], pictures: Mapping[int, FormPicture], names: Mapping[int, str], where: str
+    data: FormData,
+    records: Iterable[object],
+    pictures: Mapping[int | str, FormPicture],
+    names: Mapping[int, str],
+    where: str,
 ) -> None:
     fields = TURNED_FIELDS if data.form == "rotate_json" else ("x", "y", "w", "h")
-    seen: set[int] = set()
+    seen: set[int | str] = set()
     items: list[FormObject] = []
     for i, record in enumerate(records):
         if not isinstance(record, dict):
             data.add(f"{where}: annotation {i}", "annotation-malformed", repr(record)[:80], "an annotation record")
             continue
-        number = record.get("id")
-        number = number if type(number) is int else to_int(number)
+        number = to_key(record.get("id"))
         here = f"{where}: annotation {i if number is None else number}"
         if number is None:
             data.warn(here, "annotation-id", f"id {record.get('id')!r}", "a whole number")
@@ -162,7 +165,7 @@ def _read_json_objects(
             data.warn(here, "annotation-duplicate", f"id {number} a second time", "each id once")
         else:
             seen.add(number)
-        image, category = to_int(record.get("image_id")), to_int(record.get("category_id"))
+        image, category = to_key(record.get("image_id")), to_int(record.get("category_id"))
         picture = None if image is None else pictures.get(image)
         name = None if category is None else names.get(category)
         if picture is None:

@@ -110,7 +110,7 @@ def _unite_picture(united: United, stem: str, held: Mapping[Form, FormPicture], 
         found = f"name {file.name!r} does not contain pitch and altitude"
         united.warn(first.where, "name-grammar", found, "T_HHH_AA_W_NNNNN")
     extra: dict[str, object] = {}
-    source_id: int | None = None
+    source_id: int | str | None = None
     size_wh: tuple[int, int] | None = None
     for p in held.values():
         for conflict in capture.conflicts(p.capture):
@@ -119,7 +119,8 @@ def _unite_picture(united: United, stem: str, held: Mapping[Form, FormPicture], 
         capture = capture.over(p.capture)
         united.first("metadata", p.where, "split", first.split, p.split)
         size_wh = united.first("metadata", p.where, "size", size_wh, p.size_wh)
-        source_id = united.first("metadata", p.where, "image id", source_id, p.source_id)
+        united.first("metadata", p.where, "image id", source_id, p.source_id)
+        source_id = p.source_id if source_id is None else source_id
         for key, value in p.extra.items():
             if extra.setdefault(key, value) != value and key != "depth":
                 united.differ("metadata", p.where, f"{key} {value!r}", f"{extra[key]!r}, which is used")

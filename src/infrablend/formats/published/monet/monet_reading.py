@@ -37,7 +37,7 @@ from infrablend.formats.published.monet.telemetry import (
     set_pitches,
 )
 from infrablend.formats.records import Findings
-from infrablend.formats.values import to_int
+from infrablend.formats.values import to_key
 
 _COCO_FIELDS = ("id", "file_name", "width", "height", "source_id")
 
@@ -191,11 +191,10 @@ def _read_file(dataset: _Reading, file: _File, place: tuple[str, int]) -> list[F
     tally = UnusableValues()
     frames = []
     for record in records:
-        number = record.source_id if isinstance(record.source_id, int) else -1
         sequence = sequence_of(record.name, path.stem, real_path(dataset.root).name)
         known = replace(record.capture, sequence=sequence or record.capture.sequence)
         record = replace(record, split=_split_of(dataset, path, record.name), capture=known)
-        frames.append(frame_of(record, where, fields.get(number, {}), dataset.options, tally))
+        frames.append(frame_of(record, where, fields.get(record.source_id, {}), dataset.options, tally))
     expected = {
         "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
         "time": "ISO 8601",
@@ -213,13 +212,13 @@ def _split_of(dataset: _Reading, file: PurePosixPath, picture: str) -> Split:
 
 def _own_part(
     dataset: _Reading, file: _File, place: tuple[str, int]
-) -> tuple[dict[str, object], dict[int, dict[str, object]]]:
+) -> tuple[dict[str, object], dict[int | str | None, dict[str, object]]]:
     """Return an annotation file without pictures of other splits and earlier files, and the pictures' own fields."""
     listing = dataset.listing
     joined = join_lists(file.top)
     images: list[object] = []
-    fields: dict[int, dict[str, object]] = {}
-    skipped: set[int] = set()
+    fields: dict[int | str | None, dict[str, object]] = {}
+    skipped: set[int | str] = set()
     twice = 0
     for r in file.images:
         if not isinstance(r, dict) or check_name(r.get("file_name"), "") is not None:
@@ -229,7 +228,7 @@ def _own_part(
         name = below if below in listing.by_path else listing.folder.by_stem.get(below, below)
         is_there = name in listing.by_path
         r = r | {"file_name": name if is_there else r["file_name"]}
-        number = to_int(r.get("id"))
+        number = to_key(r.get("id"))
         in_split = _split_of(dataset, PurePosixPath(file.where), below)
         if number is not None and (in_split not in dataset.splits or name in dataset.seen):
             twice += in_split in dataset.splits
@@ -243,7 +242,7 @@ def _own_part(
     if twice:
         found = f"{twice} picture(s) that another annotation file contains too; left out here"
         dataset.add(file.where, "image-duplicate", found, "each picture once", "remove one of the files")
-    annotations = (a for a in file.annotations if not isinstance(a, dict) or to_int(a.get("image_id")) not in skipped)
+    annotations = (a for a in file.annotations if not isinstance(a, dict) or to_key(a.get("image_id")) not in skipped)
     return {**file.top, "images": images, "annotations": annotations}, fields
 
 

@@ -138,7 +138,7 @@ def _picture_name(image: ImageRecord, folders: Mapping[str | None, str]) -> str:
     return str(PurePosixPath(folder, "lwir", *parts))
 
 
-def _image_record(image: ImageRecord, number: int, name: str, new: bool) -> dict[str, object]:
+def _image_record(image: ImageRecord, number: int | str, name: str, new: bool) -> dict[str, object]:
     w, h = require_size(image)
     fields: dict[str, object] = dict(image.extra.get("fields", {}))
     places: Telemetry = image.extra.get("telemetry", {})

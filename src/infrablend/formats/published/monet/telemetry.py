@@ -16,7 +16,7 @@ from infrablend.formats.base import shorten
 from infrablend.formats.picture_facts import Captures
 from infrablend.formats.published.monet.folders import MonetOptions, below_split
 from infrablend.formats.records import table_of
-from infrablend.formats.values import to_int, to_number, to_time
+from infrablend.formats.values import to_key, to_number, to_time
 
 # Object in an image record that takes the telemetry if the source had none.
 NEST = "metadata"
@@ -61,14 +61,14 @@ def _find(
     return best[1], best[2] if best[0] > 1 else None
 
 
-def join_lists(top: Mapping[str, object]) -> dict[int, dict[str, object]]:
+def join_lists(top: Mapping[str, object]) -> dict[int | str, dict[str, object]]:
     """Return, per image id, the objects of top-level lists other than annotations: telemetry beside the images."""
-    joined: dict[int, dict[str, object]] = defaultdict(dict)
+    joined: dict[int | str, dict[str, object]] = defaultdict(dict)
     for name, entries in sorted(top.items()):
         if name in ("images", "annotations", "categories", "licenses") or not is_list(entries):
             continue
         for entry in entries:
-            number = to_int(entry.get("image_id")) if isinstance(entry, dict) else None
+            number = to_key(entry.get("image_id")) if isinstance(entry, dict) else None
             if number is not None:
                 joined[number][name] = {k: v for k, v in entry.items() if k != "image_id"}
     return joined
