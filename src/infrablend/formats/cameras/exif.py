@@ -27,6 +27,9 @@ _FOCAL_LENGTH_35MM = 0xA405
 _ZOOM = 0xA404
 _WIDTH, _HEIGHT = 0xA002, 0xA003
 _ORIENTATION = 0x0112
+_OFFSET = 0x9011
+_GPS_TIME = 7
+_GPS_DATE = 29
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,8 @@ class Exif:
         size_wh: Width and height of the picture in pixels as the camera wrote it.
         problems: Faults, as warnings.
         turned: Whether the picture is to be turned or mirrored to be shown.
+        offset: Time zone of the most exact date as written, such as `+02:00`.
+        gps_time: Date and time in UTC by the satellites, as `2024:05:14 19:00:00`.
     """
 
     make: str = ""
@@ -58,6 +63,8 @@ class Exif:
     size_wh: tuple[float, float] | None = None
     problems: tuple[Problem, ...] = ()
     turned: bool = False
+    offset: str = ""
+    gps_time: str = ""
 
 
 def read_exif(header: JpegHeader) -> Exif:
@@ -95,7 +102,16 @@ def read_exif(header: JpegHeader) -> Exif:
         _degrees(gps.get(4), gps.get(3), "W", 180.0),
         None if width is None or height is None else (width, height),
         turned=main.get(_ORIENTATION, 1) != 1,
+        offset=_text(detail.get(_OFFSET)),
+        gps_time=_gps_time(gps),
     )
+
+
+def _gps_time(gps: Mapping[int, Any]) -> str:
+    clock = gps.get(_GPS_TIME)
+    parts = [to_number(v) for v in clock] if isinstance(clock, tuple) else []
+    whole = [int(p) for p in parts if p is not None and 0 <= p < 100]
+    return f"{_text(gps.get(_GPS_DATE))} {':'.join(f'{p:02}' for p in whole)}" if len(whole) == 3 else ""
 
 
 def _text(value: Any) -> str:
