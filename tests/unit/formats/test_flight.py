@@ -205,7 +205,7 @@ def test_an_unknown_time_of_day_is_asked_for(tmp_path: Path) -> None:
     flight(tmp_path, 2, place=None)
     (problem,) = [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-missing"]
     assert "time of day missing in 2 of 2" in problem.found
-    assert "--set environment.time_of_day=day; else they are taken as by night" in problem.todo
+    assert "--set environment.time_of_day=day; else it is taken to be night, without sun" in problem.todo
 
 
 XMP = (

@@ -54,13 +54,14 @@ _NIGHT_BELOW_DEG = -3.0
 _NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
 _ANY_NUMBER = re.compile(r"[+-]?\d[\d.]*(?:[eE][+-]?\d+)?", re.ASCII)
 _ASKED = {
-    "pitch_deg": ("camera pitch", "--set camera.pitch='{fixed_deg: 60}'"),
-    "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
+    "pitch_deg": ("camera pitch", "--set camera.pitch='{fixed_deg: 60}'", ""),
+    "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'", ""),
     "hfov_deg": (
         "field of view",
         "--set camera.model=NAME, or --set camera.focal_length_mm=MM --set camera.pixel_pitch_um=UM, of your camera",
+        "",
     ),
-    "time_of_day": ("time of day", "--set environment.time_of_day=day; else they are taken as by night"),
+    "time_of_day": ("time of day", "--set environment.time_of_day=day", "; else it is taken to be night, without sun"),
 }
 FLIGHT_MISSING = "flight-missing"
 """Code of the warning about pictures without a pitch, a height or a field of view."""
@@ -333,12 +334,12 @@ def _naive(captured: str | None) -> datetime | None:
 
 def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
     problems = []
-    for name, (title, setting) in _ASKED.items():
+    for name, (title, setting, default) in _ASKED.items():
         lacking = [i.name for i in images if getattr(i.capture, name) is None]
         if lacking:
             found = f"{title} missing in {len(lacking)} of {len(images)} pictures: {_some(lacking)}"
             todo = f"give a column {name} in metadata.csv, or {setting}"
-            todo += FOR_ALL if len(lacking) < len(images) else ""
+            todo += (FOR_ALL if len(lacking) < len(images) else "") + default
             problems.append(_warning(dataset, FLIGHT_MISSING, found, "it in EXIF or XMP, or from you", todo))
     return problems
 
