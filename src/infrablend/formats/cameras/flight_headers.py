@@ -77,7 +77,6 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     """
     if not any(f.any_camera for f in FORMATS if f.name == dataset.format):
         return dataset
-    dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
     dataset = replace(dataset, problems=(*dataset.problems, *_unread_tiffs(dataset)))
     jpegs = [i for i in dataset.images if _is_file(i)]
     step = max(1, len(jpegs) // _LOOKED_AT)
@@ -173,13 +172,6 @@ def _unread_tiffs(dataset: Dataset) -> list[Problem]:
     return [_warning(dataset, "flight-tiff", found, "the camera's JPEG files, or a table", todo)]
 
 
-def _without_level_roll(image: ImageRecord) -> ImageRecord:
-    """Return the record without a roll of 0, which only matters where a header states another."""
-    if image.capture.roll_deg != 0 or _is_file(image):
-        return image
-    return replace(image, capture=replace(image.capture, roll_deg=None))
-
-
 def _read(image: ImageRecord) -> CameraFacts | Problem:
     try:
         return read_facts(image.path)
@@ -254,8 +246,6 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
     stated = Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False)
     if image.capture.altitude_m is None and stated.altitude_m is not None:
         stated = replace(stated, altitude_from="laser" if "LRF" in f.facts["altitude_m"].source else "take-off")
-    # Level cameras need no entry: a roll of 0 is written nowhere.
-    stated = replace(stated, roll_deg=stated.roll_deg or None)
     known = replace(image.capture.over(stated), camera=f.camera or image.capture.camera)
     return replace(image, size_wh=image.size_wh or f.size_wh, capture=known)
 
