@@ -28,6 +28,9 @@ _ZOOM = 0xA404
 _WIDTH, _HEIGHT = 0xA002, 0xA003
 _ORIENTATION = 0x0112
 _OFFSET = 0x9011
+_PLANE_X = 0xA20E
+_PLANE_UNIT = 0xA210
+_UNITS_UM = {2: 25_400.0, 3: 10_000.0, 4: 1_000.0, 5: 1.0}
 _GPS_TIME = 7
 _GPS_DATE = 29
 
@@ -48,6 +51,7 @@ class Exif:
         size_wh: Width and height of the picture in pixels as the camera wrote it.
         problems: Faults, as warnings.
         turned: Whether the picture is to be turned or mirrored to be shown.
+        pixel_pitch_um: Distance between the pixels of a picture of this width on the detector, micrometres.
         offset: Time zone of the most exact date as written, such as `+02:00`.
         gps_time: Date and time in UTC by the satellites, as `2024:05:14 19:00:00`.
     """
@@ -63,6 +67,7 @@ class Exif:
     size_wh: tuple[float, float] | None = None
     problems: tuple[Problem, ...] = ()
     turned: bool = False
+    pixel_pitch_um: float | None = None
     offset: str = ""
     gps_time: str = ""
 
@@ -91,6 +96,7 @@ def read_exif(header: JpegHeader) -> Exif:
     }
     width = _positive(detail.get(_WIDTH))
     height = _positive(detail.get(_HEIGHT))
+    per_unit = _positive(detail.get(_PLANE_X))
     return Exif(
         _text(main.get(_MAKE)),
         _text(main.get(_MODEL)),
@@ -102,6 +108,7 @@ def read_exif(header: JpegHeader) -> Exif:
         _degrees(gps.get(4), gps.get(3), "W", 180.0),
         None if width is None or height is None else (width, height),
         turned=main.get(_ORIENTATION, 1) != 1,
+        pixel_pitch_um=_UNITS_UM.get(detail.get(_PLANE_UNIT, 2), 0.0) / per_unit if per_unit else None,
         offset=_text(detail.get(_OFFSET)),
         gps_time=_gps_time(gps),
     )

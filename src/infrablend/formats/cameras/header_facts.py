@@ -128,6 +128,9 @@ _UNREAD_NAMES = {
         r".*(rel(ative)?_?(alt|height)|above_?(ground|take_?off|home)|(alt|altitude|height)_?agl).*", re.IGNORECASE
     ),
 }
+# Pixels of detectors; what EXIF states beyond is a unit or a resolution of something else.
+_LEAST_PITCH_UM = 0.5
+_MOST_PITCH_UM = 60.0
 # Positions of EXIF and XMP are rounded differently; degrees.
 _PLACES_APART_DEG = 0.005
 
@@ -409,6 +412,8 @@ def _lens_statements(
     """Return what the file states about the lens as fields of view without zoom, the most reliable first."""
     found = []
     pitch_um = _PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
+    if pitch_um is None and _LEAST_PITCH_UM <= (exif.pixel_pitch_um or 0.0) <= _MOST_PITCH_UM:
+        pitch_um = exif.pixel_pitch_um
     calibrated = _xmp_number(xmp, *_FOCAL_LENGTHS_PX)
     if exif.focal_length_35mm is not None:
         found.append((fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"))

@@ -165,6 +165,15 @@ def test_the_lens_of_a_known_model(
     assert lenses == ([sold] if model == "FLIR" else [])
 
 
+@pytest.mark.parametrize(("per_unit", "unit", "fov"), [(2116.67, 2, 32.9), (83.333, 4, 32.9), (72.0, 2, None)])
+def test_a_focal_length_with_the_resolution_of_the_detector(
+    per_unit: float, unit: int, fov: float | None, tmp_path: Path
+) -> None:
+    path = plain_jpeg(tmp_path / "a.jpg", (640, 512), {0x010F: "Nobody"})
+    facts = read_facts(with_exif(path, detail={0x920A: 13.0, 0xA20E: per_unit, 0xA210: unit}))
+    assert facts.value("hfov_deg") == (None if fov is None else pytest.approx(fov, abs=0.05))
+
+
 def test_digital_zoom_narrows_the_view() -> None:
     assert math.tan(math.radians(zoomed(40, 2) / 2)) == pytest.approx(math.tan(math.radians(20)) / 2)
 
