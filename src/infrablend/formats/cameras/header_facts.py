@@ -186,9 +186,9 @@ class CameraFacts:
 
     @property
     def states_a_fact(self) -> bool:
-        """Whether lens, place or time of capture are stated, or the file looks like a drone's."""
+        """Whether camera, lens, place or time of capture are stated, or the file looks like a drone's."""
         stated = EXIF_TIME in self.clocks or not self.facts.keys().isdisjoint(("hfov_deg", "latitude_deg"))
-        return stated or self.from_a_drone_camera
+        return bool(self.camera) or stated or self.from_a_drone_camera
 
     def value(self, name: str) -> float | None:
         """Return a known number, or None."""
