@@ -62,7 +62,12 @@ def with_exif_size(path: Path, size_wh: tuple[int, int]) -> Path:
     return with_exif(path, detail={0xA002: size_wh[0], 0xA003: size_wh[1]})
 
 
-def with_exif(path: Path, main: dict[int, Any] | None = None, detail: dict[int, Any] | None = None) -> Path:
+def with_exif(
+    path: Path,
+    main: dict[int, Any] | None = None,
+    detail: dict[int, Any] | None = None,
+    gps: dict[int, Any] | None = None,
+) -> Path:
     """Write further EXIF tags into a JPEG file."""
     header = read_header(path)
     old = header.read(header.find(APP1, _EXIF))
@@ -72,6 +77,8 @@ def with_exif(path: Path, main: dict[int, Any] | None = None, detail: dict[int, 
     for tag, value in (main or {}).items():
         tags[tag] = value
     tags.get_ifd(0x8769).update(detail or {})
+    if gps:
+        tags.get_ifd(0x8825).update(gps)
     new = _EXIF + tags.tobytes().removeprefix(_EXIF)
     data = path.read_bytes()
     assert data.count(segment_bytes(APP1, old)) == 1

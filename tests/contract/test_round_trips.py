@@ -159,6 +159,9 @@ FACT = {
     "frame": 12,
     "time_s": 0.48,
     "camera": "DJI M3T",
+    "latitude_deg": -1.4585,
+    "longitude_deg": -48.4468,
+    "yaw_deg": 61.3,
 }
 
 

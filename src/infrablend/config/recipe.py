@@ -745,7 +745,9 @@ class SkyEnvironment(Environment):
     it is between -6 and 8 degrees."""
     place: Geolocation | None = None
     """Where the backgrounds were taken, for the sun's elevation at their time of capture, and so for day, dusk, night
-    or dawn. Backgrounds without a time and time zone of capture get an elevation from `sun_elevation_deg`."""
+    or dawn. By default their own position, if their files state it; a clock without a time zone is then taken as that
+    of the longitude. Backgrounds without a time of capture get an elevation from `sun_elevation_deg`, and so do those
+    without a time zone where `place` is stated."""
 
     @property
     def sky(self) -> SkyEnvironment:

@@ -100,6 +100,9 @@ class Capture:
         frame: Number of the picture in its sequence, at least 0.
         time_s: Second of the picture in its sequence, from the start of that.
         camera: Maker and model of the camera, from the picture's header.
+        latitude_deg: Latitude of the camera, north positive.
+        longitude_deg: Longitude of the camera, east positive.
+        yaw_deg: Heading of the optical axis, clockwise from north, as the source states it.
         radiometry: Scale of the temperatures of a 16-bit picture, and what its file states about the air. Each format
             has its own form for it.
         time_from: What a run took the time of day from instead of the dataset: its recipe, or the sun at the time of
@@ -121,8 +124,18 @@ class Capture:
     )
     time_s: float | None = field(default=None, metadata={"fact": replace(_number(0, 1e7, "seconds"), field="sequence")})
     camera: str | None = field(default=None, metadata={"fact": Fact(_text, "a name")})
+    latitude_deg: float | None = field(default=None, metadata={"fact": _number(-90, 90, "degrees")})
+    longitude_deg: float | None = field(default=None, metadata={"fact": _number(-180, 180, "degrees")})
+    yaw_deg: float | None = field(default=None, metadata={"fact": _number(-360, 360, "degrees")})
     radiometry: Radiometry | None = None
     time_from: Literal["recipe", "sun"] | None = field(default=None, repr=False)
+
+    @property
+    def place(self) -> tuple[float, float] | None:
+        """Latitude and longitude; None if unknown."""
+        if self.latitude_deg is None or self.longitude_deg is None:
+            return None
+        return self.latitude_deg, self.longitude_deg
 
     @property
     def scale(self) -> TemperatureScale | None:

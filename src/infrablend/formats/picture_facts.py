@@ -19,8 +19,6 @@ from infrablend.formats.values import to_time
 
 TABLE_NAMES = ("metadata.csv", "metadata.json")
 _KEYS = ("file", "file_name", "stem", "sequence")
-# Columns that `infrablend frames` writes for people and other programs.
-UNREAD = ("yaw_deg", "latitude_deg", "longitude_deg")
 # Facts that a row for a whole sequence cannot state, because they are those of one picture.
 _OF_PICTURE = ("sequence", "captured", "frame", "time_s")
 SURPLUS = "\0"
@@ -111,7 +109,7 @@ class Captures:
     sources: Counter[str] = field(default_factory=Counter)
 
     def of(self, name: str, where: str, inside: Capture = UNKNOWN) -> Capture:
-        """Return how a picture was taken; what the annotation says of its sequence precedes a table, too.
+        """Return how a picture was taken.
 
         Args:
             name: Relative path, as in tables; the file name itself may contain the values, too.
@@ -120,6 +118,7 @@ class Captures:
         """
         facts = facts_from_name(name)
         sources = [("annotation", inside), ("file names", facts.capture if facts else UNKNOWN)]
+        flight = inside.sequence
         if self.table is not None:
             row = self.table.find(name)
             if row is not None:
@@ -127,12 +126,12 @@ class Captures:
                     found = f"{conflict} (table, annotation or file name); the table is used"
                     self.problems.append(Problem(where, "metadata-disagrees", found, "the same", severity="warning"))
                 sources.insert(0, (f"table {self.table.name} per file", row))
-            flight = inside.sequence or (row.sequence if row is not None else None)
+                flight = row.sequence or flight
             of_sequence = self.table.rows.get(flight or "")
             if of_sequence is not None and of_sequence is not row:
                 sources.append((f"table {self.table.name} per sequence", of_sequence))
         self.sources[next((kind for kind, c in sources if c.pitch_deg is not None), "none")] += 1
-        known = Capture(**{name: getattr(inside, name) for name in _OF_PICTURE})
+        known = UNKNOWN
         for _, c in sources:
             known = known.over(c)
         return known
@@ -174,7 +173,7 @@ def table_of_rows(path: Path, rows: Sequence[tuple[str, Mapping[str, object]]]) 
         problem = Problem(path.name, "table-columns", found, expected, "rename the columns")
         raise DatasetError(f"{path}: no table of pitch and altitude", [problem])
     problems: list[Problem] = []
-    unknown = sorted(columns - {*_KEYS, *FACTS, *UNREAD, SURPLUS, ""})
+    unknown = sorted(columns - {*_KEYS, *FACTS, SURPLUS, ""})
     if unknown:
         found = f"unknown columns {', '.join(unknown)}, ignored"
         problems.append(Problem(path.name, "table-columns", found, severity="warning"))

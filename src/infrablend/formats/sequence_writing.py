@@ -26,6 +26,7 @@ NAMES_FILE = "names.csv"
 NAMES_COLUMNS = ("file", "name", "sequence", "frame", "captured", "time_s")
 _NAMES_FACTS = NAMES_COLUMNS[2:]
 _TABLE_FACTS = tuple(name for name, fact in FACTS.items() if fact.field == "telemetry")
+_POSITION = ("latitude_deg", "longitude_deg", "yaw_deg")
 _UNNAMED = "pictures"
 PathOf = Callable[[ImageRecord, "Place"], str]
 """Returns the path of a picture below the dataset's folder."""
@@ -216,6 +217,8 @@ class SequenceWriter:
                     self.losses["telemetry_dropped"] += len(fitting) < sum(k in known for k in facts)
                     yield path, *(fitting.get(k, "") for k in facts)
 
+        # Tables without a position have the columns that they always had.
+        facts = [f for f in facts if f not in _POSITION or any(getattr(i.capture, f) is not None for i in self.images)]
         for image, place, path in pictures():
             if link:
                 self.files.append(link_or_copy(image.path, self.out / path))

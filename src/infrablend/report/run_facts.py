@@ -187,6 +187,7 @@ MEANINGS: Mapping[str, str] = {
     "sun-below-horizon": "The pictures are said to be of the day, but the sun was down at that time and place. "
     "Check the clock, its time zone and the place.",
     "time-replaced": "The recipe states another time of day than the pictures; the recipe's was used.",
+    "time-unknown": "Whether some pictures show day or night is not known; they were taken to be by night. State it.",
     "too-hidden": "Many objects were left out because too much of them would have been hidden.",
     "track-faint": "In some frames nobody can see an object whose track goes on; its label is there.",
     "track-smeared": "In some frames the camera or an object moves so fast that little of the object can be seen; its "

@@ -13,7 +13,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.rng import stream
 from infrablend.core.scene import Sun, Weather
 from infrablend.sampling.site import FrameKey
-from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, time_of_sun
+from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, local_moment, time_of_sun
 from infrablend.thermal.radiometry import ZERO_C_K
 from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
 
@@ -111,14 +111,17 @@ def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float
     low, high = LOW_SUN_DEG if is_low else environment.sun_elevation_deg
     elevation = math.radians(low + (high - low) * share)
     source: Literal["computed", "drawn", "contradicted"] = "drawn"
-    when = time_of(frame.capture.captured)
-    place = environment.place
+    stated = environment.place
+    place = frame.capture.place if stated is None else (stated.latitude_deg, stated.longitude_deg)
+    when = exact = time_of(frame.capture.captured)
+    if exact is None and stated is None and place is not None:
+        when = local_moment(frame.capture.captured, place[1])
     if place is not None and when is not None:
-        _, computed = sun_position(when, place.latitude_deg, place.longitude_deg)
+        _, computed = sun_position(when, *place)
         if low <= math.degrees(computed) <= high if is_low else computed > 0:
             elevation = computed
             source = "computed"
-        elif frame.capture.time_from != "recipe":
+        elif exact is not None and frame.capture.time_from != "recipe":
             source = "contradicted"
     direct, diffuse = irradiance(elevation, cloud)
     return Sun(2 * math.pi * turn, elevation, direct, diffuse, source)

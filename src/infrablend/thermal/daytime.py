@@ -8,7 +8,7 @@ commit 7a8fc2b5).
 from __future__ import annotations
 
 import math
-from datetime import datetime
+from datetime import datetime, timedelta, timezone
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.thermal.sky import sun_position
@@ -46,6 +46,19 @@ def time_of_sun(when: datetime, latitude_deg: float, longitude_deg: float) -> Ti
     north = math.sin(elevation) * math.sin(latitude) + math.cos(elevation) * math.cos(latitude) * math.cos(azimuth)
     declination = math.asin(max(-1.0, min(1.0, north)))
     return "dusk" if math.pi / 2 - abs(latitude - declination) > high else "dawn"
+
+
+def local_moment(captured: str | None, longitude_deg: float) -> datetime | None:
+    """Return the time in an ISO 8601 text without a zone, in that of the longitude; None without a time.
+
+    Legal time is at most an hour from it nearly everywhere, mostly ahead; more in the west of Spain or China.
+    """
+    if captured is None or len(captured) <= 10:
+        return None
+    try:
+        return datetime.fromisoformat(captured).replace(tzinfo=timezone(timedelta(hours=round(longitude_deg / 15))))
+    except ValueError:
+        return None
 
 
 def between(night: Range, day: Range, share: float) -> Range:

@@ -33,7 +33,8 @@ def test_every_name_has_its_optics():
         ("flir-vue-pro-640-13", 45), ("flir-vue-pro-640-19", 32),
         ("dji-h20t", hfov_deg(58, 43.27 * 640 / 819.6)),
         ("dji-m30t", hfov_deg(40, 43.27 * 640 / 819.6)),
-        ("dji-m3t", hfov_deg(40, 43.27 * 640 / 819.6)),
+        ("dji-m3t", hfov_deg(40, 43.27 * 640 / 819.6)), ("dji-m4t", hfov_deg(52, 43.27 * 640 / 819.6)),
+        ("dji-m2ea", hfov_deg(9.12, 7.68)), ("autel-640t", hfov_deg(13, 7.68)), ("skydio-x10", hfov_deg(1135.47, 640)),
     ],
 )  # fmt: skip
 def test_field_of_view_is_that_of_the_data_sheet(model, stated_deg):

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 from infrablend.cli.app import build_app
 from infrablend.errors import DatasetError
 from infrablend.formats import dataset_folder
+from infrablend.formats.read_write import Reading
 from tests.flights import plain_jpeg
 
 TABLE = "file,pitch_deg,altitude_m\na.jpg,45.5,1200.5\n"
@@ -65,6 +66,18 @@ def test_a_table_may_hold_sequences_or_dates_alone(table: str, sequence: str | N
     inspected(tmp_path, table)
     (image,) = dataset_folder.read(tmp_path).images
     assert image.capture.sequence == sequence and (image.capture.captured is None) == (sequence is not None)
+
+
+def test_a_row_for_a_picture_precedes_the_annotation_in_all_facts(tmp_path: Path) -> None:
+    """`sequence`, `captured`, `frame` and `time_s`, too; what the row leaves open stays the annotation's."""
+    images = []
+    for n in (1, 2):
+        plain_jpeg(tmp_path / f"{n}.jpg")
+        images.append({"id": n, "file_name": f"{n}.jpg", "width": 160, "height": 128, "sequence": "south", "frame": n})
+    (tmp_path / "annotations.json").write_text(json.dumps({"images": images, "annotations": [], "categories": []}))
+    (table := tmp_path.with_suffix(".csv")).write_text("file,sequence,frame\n1.jpg,north,7\n2.jpg,,9\n")
+    found = dataset_folder.read(tmp_path, Reading(metadata=table)).images
+    assert [(i.capture.sequence, i.capture.frame) for i in found] == [("north", 7), ("south", 9)]
 
 
 @pytest.mark.parametrize("table", ["sequence\nnorth\n", "file\na.jpg\n", "sequence,weather\nnorth,rain\n"])

@@ -20,7 +20,7 @@ from infrablend.formats.cameras import flight_headers as flight_data
 from infrablend.formats.pictures.images import REFUSED_COLOUR
 from infrablend.lab.world.rjpeg_writing import Maker, Shot, radiometric_jpeg
 from tests.command_line import run
-from tests.flights import START, counts, flight, grey, plain_jpeg, shot, with_exif_size, with_xmp
+from tests.flights import START, counts, flight, grey, plain_jpeg, shot, with_exif, with_exif_size, with_xmp
 from tests.samples import SAMPLES, picture
 
 
@@ -190,8 +190,55 @@ def test_day_and_night_come_from_the_sun(tmp_path: Path) -> None:
     for name, hour in (("noon", 12), ("midnight", 0), ("dawn", 7)):
         shot(tmp_path / f"{name}_T.jpg", captured=START.replace(hour=hour))
     assert {i.id: i.capture.time_of_day for i in api.read_dataset(tmp_path).images} == {
-        "noon_T": "day", "midnight_T": "night", "dawn_T": None,
+        "noon_T": "day", "midnight_T": "night", "dawn_T": "dawn",
     }  # fmt: skip
+
+
+def test_a_local_clock_near_dawn_is_that_of_the_longitude_and_says_so(tmp_path: Path) -> None:
+    shot(tmp_path / "a_T.jpg", captured=START.replace(hour=7))
+    (row,) = [r for r in api.read_dataset(tmp_path).notes["flight"]["facts"] if r["field"] == "time_of_day"]
+    assert row["source"] == "sun at place and local clock, taken as UTC+01 by the longitude (+-1 h)"
+    shot(tmp_path / "a_T.jpg", captured=START.replace(hour=7), utc=START.replace(hour=6))
+    (row,) = [r for r in api.read_dataset(tmp_path).notes["flight"]["facts"] if r["field"] == "time_of_day"]
+    assert row["source"] == "sun at time and place"
+
+
+def test_an_unknown_time_of_day_is_asked_for(tmp_path: Path) -> None:
+    flight(tmp_path, 2, place=None)
+    (problem,) = [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-missing"]
+    assert "time of day missing in 2 of 2" in problem.found
+    assert "--set environment.time_of_day=day; else it is taken to be night, without sun" in problem.todo
+
+
+XMP = (
+    b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
+    b'<rdf:Description rdf:about="" xmlns:d="%s" %s/></rdf:RDF></x:xmpmeta>'
+)
+
+
+def test_a_header_counts_whatever_the_maker(tmp_path: Path) -> None:
+    """EXIF of any maker states lens, place and time; what looks like a pitch of an unknown one is named."""
+    path = plain_jpeg(tmp_path / "a.jpg", (640, 512), {0x010F: "Nobody", 0x0110: "N1"})
+    with_exif(path, detail={0xA405: 65, 0x9003: "2024:05:14 12:00:00", 0x9011: "+02:00"})
+    with_xmp(path, XMP % (b"http://nobody.example/1.0/", b'd:CameraTilt="-45.0" d:FlightPitchDegree="3.0"'))
+    dataset = api.read_dataset(tmp_path)
+    capture = dataset.images[0].capture
+    assert (capture.camera, capture.captured) == ("Nobody N1", "2024-05-14T12:00:00+02:00")
+    assert capture.hfov_deg == pytest.approx(29.14, abs=0.01) and capture.pitch_deg is None
+    assert "XMP CameraTilt '-45.0' (http://nobody.example/1.0/) is not read" in codes(dataset)["flight-unread"]
+    # Cameras of other things than drones are not asked for pitch and height.
+    plain_jpeg(path, (640, 512), {0x010F: "Nobody", 0x0110: "N1"})
+    with_exif(path, detail={0xA405: 65, 0x9003: "2024:05:14 12:00:00"}, main={0x0132: "2026:01:01 09:00:00"})
+    dataset = api.read_dataset(tmp_path)
+    assert dataset.images[0].capture.hfov_deg is not None and not codes(dataset)
+
+
+def test_positions_that_contradict_each_other_are_reported(tmp_path: Path) -> None:
+    path = shot(tmp_path / "DJI_0001_T.JPG")
+    with_xmp(path, XMP % (b"http://www.dji.com/drone-dji/1.0/", b'd:GpsLatitude="47.2" d:GpsLongitude="15.1"'))
+    assert (
+        "XMP drone-dji:GpsLatitude 47.20000 15.10000; EXIF is used" in codes(api.read_dataset(tmp_path))["flight-place"]
+    )
 
 
 def test_a_break_starts_another_flight(tmp_path: Path) -> None:

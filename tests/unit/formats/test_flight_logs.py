@@ -121,6 +121,41 @@ def test_heights_above_the_ground_are_preferred(tmp_path: Path) -> None:
     assert log.values["altitude_m"][0] == 33.5
 
 
+LITCHI = (
+    "latitude,longitude,altitude(m),ascent(m),time(millisecond),datetime(utc),gimbalPitchRaw,gimbalRollRaw,gimbalYawRaw,"
+    "isTakingVideo\n"
+) + "".join(
+    f"47.1,9.1,480,{50 + k / 10},{k * 100},2024-05-14 21:00:0{k // 10}.{k % 10}00000,-600,15,100,{int(10 <= k <= 30)}\n"
+    for k in range(41)
+)
+
+
+def test_litchis_heights_are_above_take_off_and_its_angles_tenths(tmp_path: Path) -> None:
+    for text, feet in ((LITCHI, 1.0), (LITCHI.replace("(m)", "(feet)"), 0.3048)):
+        (tmp_path / "litchi.csv").write_text(text)
+        log = read_flight_csv(tmp_path / "litchi.csv")
+        assert log.dialect == "Litchi CSV" and log.in_utc and log.recordings == ((1.0, 3.0),) and not log.problems
+        assert log.values["altitude_m"][:2] == pytest.approx([50.0 * feet, 50.1 * feet])
+        assert [log.values[n][0] for n in ("pitch_deg", "roll_deg", "yaw_deg")] == pytest.approx([60.0, 1.5, 10.0])
+
+
+def test_flytrex_has_heights_alone(tmp_path: Path) -> None:
+    """The header of github.com/mikeemoo/dji-log-parser/issues/7."""
+    text = (
+        "latitude,longitude,altitude(feet),ascent(feet),speed(mph),distance(feet),time(millisecond),datetime(utc),"
+        "satellites,voltage(v),max_altitude(feet),max_ascent(feet),max_speed(mph),max_distance(feet)\n"
+        "14.54,-90.52,4800.2,336.2861,20.9,300.4,334100.0,2016-07-23 22:50:45.288000,19,15.284,4801,337.2,20.9,300.4\n"
+        "14.54,-90.52,4800.5,336.6142,20.7,306.5,334300.0,2016-07-23 22:50:45.590000,19,15.284,4801,337.2,20.9,306.5\n"
+    )
+    (tmp_path / "flytrex.csv").write_text(text)
+    log = read_flight_csv(tmp_path / "flytrex.csv")
+    assert (log.dialect, log.height, log.recordings) == ("Flytrex CSV", "ascent(feet)", ())
+    assert log.values["altitude_m"] == pytest.approx([102.5, 102.6]) and "pitch_deg" not in log.values
+    (tmp_path / "flytrex.csv").write_text(text.replace("ascent", "height"))
+    with pytest.raises(DatasetError, match="not a flight log of a known kind"):
+        read_flight_csv(tmp_path / "flytrex.csv")
+
+
 @pytest.mark.parametrize(
     ("header", "row", "height"),
     [

@@ -292,6 +292,7 @@ def test_negative_heights_and_cameras_that_look_back_are_left_empty(tmp_path: Pa
         "camera pitch missing in 2 of 5",
         "height above the ground missing in 2 of 5",
         "field of view missing in 5 of 5",
+        "time of day missing in 5 of 5",
     ]
     assert [p["found"].split(" pictures")[0] for p in problems] == missing
 

@@ -16,7 +16,7 @@ from infrablend.formats.cameras.header_facts import fov_of_35mm
 from infrablend.lab.world.rjpeg_writing import Maker
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.runs.generate import describe_run, plan_request
-from tests.flights import SIZE_WH, flight, shot
+from tests.flights import SIZE_WH, START, flight, shot
 from tests.run_files import records
 
 FLAT = api.Execution(renderer="flat", in_process=True)
@@ -43,6 +43,32 @@ def test_each_picture_is_seen_through_its_own_lens_from_its_own_height(maker: Ma
     assert np.degrees(narrow.scene.camera.pitch_rad) == pytest.approx(45.0)
     view = narrow.scene.view
     assert view is not None and view.camera_height_m == pytest.approx(25.0)  # not HIT-UAV's 1.15 times as much
+
+
+def test_a_plan_says_where_lens_and_time_of_day_come_from(tmp_path: Path) -> None:
+    data = flight(tmp_path / "in", 2)
+    facts = api.plan("hit-uav-people", data).facts
+    assert facts["lens"] == "EXIF FocalLengthIn35mmFilm (2)"
+    assert "sun at place and local clock" in facts["time_of_day"]
+    facts = api.plan("hit-uav-people", data, settings=["camera.focal_length_mm=100"]).facts
+    assert facts["lens"] == "from the recipe, 20.4 degrees across (2)"
+    nowhere = flight(tmp_path / "nowhere", 2, place=None)
+    plan = api.plan("hit-uav-people", nowhere).facts
+    assert plan["time_of_day"] == "unknown, taken as night (2)"
+    assert "unknown time of day of 2 of 2 picture(s), which are taken as by night, without sun" in str(plan["warnings"])
+    stated = api.plan("hit-uav-people", nowhere, settings=["environment.time_of_day=day"]).facts
+    assert stated["time_of_day"] == "day (recipe) (2)"
+
+
+def test_the_sun_stands_where_the_picture_was_taken(tmp_path: Path) -> None:
+    """By the sun of 12 January at noon in 46.2 N it is 22 degrees high; without a position it is drawn."""
+    for name, place, source in (("there", (46.2, 15.1), "computed"), ("nowhere", None, "drawn")):
+        data = flight(tmp_path / name, 1, captured=START.replace(hour=12), place=place)
+        (data / "metadata.csv").write_text("file,time_of_day\nDJI_0001_T.JPG,day\n")
+        (record,) = run(data, tmp_path / f"{name} out")
+        sun = record.scene.weather.sun
+        assert sun is not None and sun.source == source
+        assert source == "drawn" or np.degrees(sun.elevation_rad) == pytest.approx(22.1, abs=0.3)
 
 
 def test_a_lens_on_the_command_line_counts_more(tmp_path: Path) -> None:

@@ -75,9 +75,12 @@ def warned(captures: list[Capture], *settings: str) -> list[Problem]:
 
 def test_times_without_zone_are_reported() -> None:
     captures = [Capture(captured="2021-01-16T18:20:00"), Capture(captured="2021-01-16T18:20:00+08:00")]
-    (problem,) = warned(captures, PLACE)
+    unknown, problem = warned(captures, PLACE)
     assert problem.code == "capture-zone" and problem.found.startswith("1 picture(s)")
-    assert warned(captures) == [] == warned([Capture(captured="2021-01-16"), Capture(captured="dusk, perhaps")], PLACE)
+    assert unknown.found.startswith("unknown time of day of 1 of 2 picture(s), which are taken as by night")
+    for found in (warned(captures), warned([Capture(captured="2021-01-16"), Capture(captured="some day")], PLACE)):
+        assert [p.code for p in found] == ["time-unknown"]
+    assert warned([Capture(time_of_day="day")]) == [] == warned(captures, DUSK)
 
 
 def test_a_stated_time_keeps_the_air_of_radiometric_pictures_and_says_so() -> None:
@@ -100,10 +103,15 @@ def test_the_artistic_look_has_no_time_of_day(name: str) -> None:
 def test_pictures_with_a_position_have_the_time_of_the_sun() -> None:
     place = 25.0, 102.7
     for clock, expected in (("08:20", "dawn"), ("13:00", "day"), ("18:20", "dusk"), ("23:00", "night")):
-        assert time_of_day(f"2021-01-16T{clock}:00+08:00", *place) == expected
-    # Without a zone, the clock may be two hours off.
-    found = [time_of_day(f"2021-01-16T{clock}:00", *place) for clock in ("13:00", "18:20", "23:30")]
-    assert found == ["day", None, "night"]
+        fact = time_of_day(f"2021-01-16T{clock}:00+08:00", *place)
+        assert fact is not None and (fact.value, fact.source) == (expected, "sun at time and place")
+    # Without a zone, the clock is that of the longitude, here an hour ahead of the legal one.
+    found = [time_of_day(f"2021-01-16T{clock}:00", *place) for clock in ("13:00", "17:20", "23:30")]
+    assert [f.value for f in found if f is not None] == ["day", "dusk", "night"]
+    assert [f.source.rpartition(", ")[2] for f in found if f is not None] == [
+        "sun at place and local clock", "taken as UTC+07 by the longitude (+-1 h)", "sun at place and local clock",
+    ]  # fmt: skip
+    assert time_of_day("2021-01-16T13:00:00", None, None) is None and time_of_day("2021-01-16", *place) is None
 
 
 def test_record_card_and_report_state_the_weather(tmp_path: Path) -> None:

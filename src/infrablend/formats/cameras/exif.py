@@ -27,6 +27,12 @@ _FOCAL_LENGTH_35MM = 0xA405
 _ZOOM = 0xA404
 _WIDTH, _HEIGHT = 0xA002, 0xA003
 _ORIENTATION = 0x0112
+_OFFSET = 0x9011
+_PLANE_X = 0xA20E
+_PLANE_UNIT = 0xA210
+_UNITS_UM = {2: 25_400.0, 3: 10_000.0, 4: 1_000.0, 5: 1.0}
+_GPS_TIME = 7
+_GPS_DATE = 29
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,9 @@ class Exif:
         size_wh: Width and height of the picture in pixels as the camera wrote it.
         problems: Faults, as warnings.
         turned: Whether the picture is to be turned or mirrored to be shown.
+        pixel_pitch_um: Distance between the pixels of a picture of this width on the detector, micrometres.
+        offset: Time zone of the most exact date as written, such as `+02:00`.
+        gps_time: Date and time in UTC by the satellites, as `2024:05:14 19:00:00`.
     """
 
     make: str = ""
@@ -58,6 +67,9 @@ class Exif:
     size_wh: tuple[float, float] | None = None
     problems: tuple[Problem, ...] = ()
     turned: bool = False
+    pixel_pitch_um: float | None = None
+    offset: str = ""
+    gps_time: str = ""
 
 
 def read_exif(header: JpegHeader) -> Exif:
@@ -84,6 +96,7 @@ def read_exif(header: JpegHeader) -> Exif:
     }
     width = _positive(detail.get(_WIDTH))
     height = _positive(detail.get(_HEIGHT))
+    per_unit = _positive(detail.get(_PLANE_X))
     return Exif(
         _text(main.get(_MAKE)),
         _text(main.get(_MODEL)),
@@ -95,7 +108,17 @@ def read_exif(header: JpegHeader) -> Exif:
         _degrees(gps.get(4), gps.get(3), "W", 180.0),
         None if width is None or height is None else (width, height),
         turned=main.get(_ORIENTATION, 1) != 1,
+        pixel_pitch_um=_UNITS_UM.get(detail.get(_PLANE_UNIT, 2), 0.0) / per_unit if per_unit else None,
+        offset=_text(detail.get(_OFFSET)),
+        gps_time=_gps_time(gps),
     )
+
+
+def _gps_time(gps: Mapping[int, Any]) -> str:
+    clock = gps.get(_GPS_TIME)
+    parts = [to_number(v) for v in clock] if isinstance(clock, tuple) else []
+    whole = [int(p) for p in parts if p is not None and 0 <= p < 100]
+    return f"{_text(gps.get(_GPS_DATE))} {':'.join(f'{p:02}' for p in whole)}" if len(whole) == 3 else ""
 
 
 def _text(value: Any) -> str:

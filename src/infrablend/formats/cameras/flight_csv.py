@@ -1,10 +1,12 @@
-"""Flight logs as CSV: AirData's export, and DJI's flight records as decoded by Flight Reader or TXTlogToCSV.
+"""Flight logs as CSV: of AirData, Litchi and Flytrex, and DJI's records as decoded by Flight Reader or TXTlogToCSV.
 
     time(millisecond), datetime(utc), height_above_takeoff(feet), gimbal_pitch(degrees), isVideo, ...
+    latitude, longitude, altitude(m), ascent(m), time(millisecond), datetime(utc), gimbalPitchRaw, isTakingVideo, ...
     CUSTOM.date [local], CUSTOM.updateTime [local], OSD.flyTime [s], OSD.height [ft], GIMBAL.pitch, CAMERA.isVideo, ...
 
 Units are those in the columns' names. Heights above the ground, where AirData knows the terrain, are preferred to
-heights above take-off.
+heights above take-off. Litchi's and Flytrex's `ascent` is above take-off, their `altitude` above the sea; raw angles
+are tenths of a degree.
 """
 
 from __future__ import annotations
@@ -47,10 +49,14 @@ _RECORDING = {"1", "true", "yes", "starting", "recording", "started"}
 
 @dataclass(frozen=True)
 class _Dialect:
-    """Columns of one kind of log, lower case without units, in the order in which they are preferred."""
+    """Columns of one kind of log, lower case without units, in the order in which they are preferred.
+
+    A log of the kind has the column `mark` and one of `own`.
+    """
 
     name: str
     mark: str
+    own: tuple[str, ...]
     elapsed: tuple[str, ...]
     clock: tuple[str, ...]
     date: str
@@ -61,8 +67,17 @@ class _Dialect:
 
 _DIALECTS = (
     _Dialect(
-        "AirData CSV", "time", ("time",), ("datetime",), "",
-        ("height_above_ground_at_drone_location", "height_above_takeoff"),
+        "Litchi CSV", "time", ("gimbalpitchraw", "istakingvideo"), ("time",), ("datetime",), "", ("ascent",),
+        {
+            "pitch": ("gimbalpitchraw",), "roll_deg": ("gimbalrollraw",), "yaw_deg": ("gimbalyawraw",),
+            "latitude_deg": ("latitude",), "longitude_deg": ("longitude",),
+        },
+        ("istakingvideo",),
+    ),
+    _Dialect(
+        "AirData CSV", "time", ("height_above_takeoff", "gimbal_pitch", "gimbal_heading", "isvideo"),
+        ("time",), ("datetime",), "",
+        ("height_above_ground_at_drone_location", "height_above_takeoff", "ascent"),
         {
             "pitch": ("gimbal_pitch",), "roll_deg": ("gimbal_roll",), "yaw_deg": ("gimbal_heading", "gimbal_yaw"),
             "latitude_deg": ("latitude",), "longitude_deg": ("longitude",),
@@ -70,7 +85,12 @@ _DIALECTS = (
         ("isvideo",),
     ),
     _Dialect(
-        "DJI flight record", "custom.updatetime", ("osd.flytime",), ("custom.updatetime",), "custom.date",
+        "Flytrex CSV", "time", ("ascent",), ("time",), ("datetime",), "", ("ascent",),
+        {"latitude_deg": ("latitude",), "longitude_deg": ("longitude",)}, (),
+    ),
+    _Dialect(
+        "DJI flight record", "custom.updatetime", ("gimbal.pitch", "osd.height", "osd.latitude"),
+        ("osd.flytime",), ("custom.updatetime",), "custom.date",
         ("osd.height",),
         {
             "pitch": ("gimbal.pitch",), "roll_deg": ("gimbal.roll",), "yaw_deg": ("gimbal.yaw",),
@@ -157,7 +177,7 @@ def _table(path: Path) -> tuple[_Dialect, dict[str, _Column], list[list[str]]]:
         names = [_name_and_unit(title) for title in line]
         for dialect in _DIALECTS:
             known = {name for name, _ in names}
-            if dialect.mark in known and any(c in known for v in dialect.columns.values() for c in v):
+            if dialect.mark in known and not known.isdisjoint(dialect.own):
                 width = len(line)
                 rows = [[*row, *[""] * (width - len(row))] for row in lines[n + 1 :] if any(c.strip() for c in row)]
                 if rows:
@@ -165,7 +185,8 @@ def _table(path: Path) -> tuple[_Dialect, dict[str, _Column], list[list[str]]]:
                 problem = Problem(path.name, "log-layout", "a header and no rows", "samples", "export the log again")
                 raise DatasetError(f"{path}: an empty {dialect.name}", [problem])
     found = f"columns {', '.join(c.strip() for c in (lines[0] if lines else ()))[:120] or 'none'}"
-    expected = "AirData's columns (time(millisecond), ...) or those of a DJI flight record (CUSTOM.updateTime, ...)"
+    expected = "columns of AirData, Litchi or Flytrex (time(millisecond), ...) or of a DJI flight record "
+    expected += "(CUSTOM.updateTime, ...)"
     problem = Problem(path.name, "log-layout", found, expected, "export the log as CSV with AirData or Flight Reader")
     raise DatasetError(f"{path}: not a flight log of a known kind", [problem])
 
@@ -310,7 +331,7 @@ def _values(
         if column is None:
             continue
         problems += _contradictions(path, column)
-        numbers = column.numbers(taken)
+        numbers = column.numbers(taken) * (0.1 if column.title.lower().endswith("raw") else 1.0)
         if field == "pitch":
             field = "pitch_deg"
             numbers, remarks = gimbal_pitches(numbers, path.name)

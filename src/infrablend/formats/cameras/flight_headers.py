@@ -1,4 +1,4 @@
-"""Completes pictures as DJI and FLIR cameras write them with what their own headers state about the flight.
+"""Completes pictures as cameras write them, drones' above all, with what their own headers state about the flight.
 
 Pitch, height, field of view, time and place of each picture come from its EXIF, XMP and FLIR block (`formats.cameras`).
 What a table, an annotation or a file name states counts more. Pictures of visible light are left out, and what is
@@ -16,18 +16,26 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime, timedelta
 
-from infrablend.core.capture import Capture, TimeOfDay
+from infrablend.core.capture import Capture
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.files import open_regular
 from infrablend.core.format_table import FORMATS
 from infrablend.core.workspace import FRAMES_FILE, TEMPERATURES_FILE
 from infrablend.errors import DatasetError, Problem
-from infrablend.formats.cameras.header_facts import EXIF_TIME, FIELDS, UTC_TAG, CameraFacts, Fact, read_facts, zone_of
+from infrablend.formats.cameras.header_facts import (
+    EXIF_TIME,
+    FIELDS,
+    GPS_TIME,
+    CameraFacts,
+    Fact,
+    read_facts,
+    zone_of,
+)
 from infrablend.formats.picture_facts import pitch_note
 from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, REFUSED_COLOUR, some_in_colour
 from infrablend.formats.pictures.listing import JPEG_SUFFIXES
 from infrablend.formats.values import is_place, to_time
-from infrablend.thermal.daytime import time_of_sun
+from infrablend.thermal.daytime import local_moment, time_of_sun
 from infrablend.thermal.sky import sun_position, time_of
 
 _TIFF = (".tif", ".tiff")
@@ -47,9 +55,14 @@ _NIGHT_BELOW_DEG = -3.0
 _NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
 _ANY_NUMBER = re.compile(r"[+-]?\d[\d.]*(?:[eE][+-]?\d+)?", re.ASCII)
 _ASKED = {
-    "pitch_deg": ("camera pitch", "--set camera.pitch='{fixed_deg: 60}'"),
-    "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'"),
-    "hfov_deg": ("field of view", "--set camera.focal_length_mm=40 (of a sensor 36 mm wide)"),
+    "pitch_deg": ("camera pitch", "--set camera.pitch='{fixed_deg: 60}'", ""),
+    "altitude_m": ("height above the ground", "--set camera.altitude='{fixed_m: 80}'", ""),
+    "hfov_deg": (
+        "field of view",
+        "--set camera.model=NAME, or --set camera.focal_length_mm=MM --set camera.pixel_pitch_um=UM, of your camera",
+        "",
+    ),
+    "time_of_day": ("time of day", "--set environment.time_of_day=day", "; else it is taken to be night, without sun"),
 }
 FLIGHT_MISSING = "flight-missing"
 """Code of the warning about pictures without a pitch, a height or a field of view."""
@@ -65,14 +78,13 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     """
     if not any(f.any_camera for f in FORMATS if f.name == dataset.format):
         return dataset
-    dataset = replace(dataset, images=tuple(_without_level_roll(i) for i in dataset.images))
     dataset = replace(dataset, problems=(*dataset.problems, *_unread_tiffs(dataset)))
     jpegs = [i for i in dataset.images if _is_file(i)]
     step = max(1, len(jpegs) // _LOOKED_AT)
     sample = jpegs[::step][:_LOOKED_AT]
     looked_at = {i.id: f for i in sample if isinstance(f := _read(i), CameraFacts)}
     damaged = [i for i in sample if i.id not in looked_at]
-    if not any(f.from_a_drone_camera for f in looked_at.values()) and not any(map(_names_a_drone_camera, damaged)):
+    if not any(f.states_a_fact for f in looked_at.values()) and not any(map(_names_a_drone_camera, damaged)):
         return _with_missing(dataset)
     faults: list[Problem] = []
     facts: dict[str, CameraFacts] = {}
@@ -95,9 +107,12 @@ def add_flight_data(dataset: Dataset) -> Dataset:
         kept = list(dataset.images)
         left_out = {}
     problems += _left_out_warnings(dataset, left_out)
+    facts |= {_key(i): _with_time_of_day(i, facts[_key(i)]) for i in kept if _key(i) in facts}
     images = _with_flights([_complete(i, facts.get(_key(i))) for i in kept])
     known = [facts[_key(i)] for i in kept if _key(i) in facts]
-    problems += _missing(dataset, images) + _cameras(dataset, known) + _clocks(dataset, facts.values())
+    of_drones = [f for f in facts.values() if f.from_a_drone_camera]
+    problems += _missing(dataset, images) if of_drones else []
+    problems += _cameras(dataset, known) + _clocks(dataset, of_drones)
     problems += _with_temperatures(dataset, [(i, facts[_key(i)]) for i in kept if _key(i) in facts])
     rows = _rows(kept, facts)
     note = {
@@ -156,13 +171,6 @@ def _unread_tiffs(dataset: Dataset) -> list[Problem]:
     found += _some([i.name for i in tiffs])
     todo = "give pitch_deg and altitude_m in metadata.csv; exiftool -csv lists what the files state"
     return [_warning(dataset, "flight-tiff", found, "the camera's JPEG files, or a table", todo)]
-
-
-def _without_level_roll(image: ImageRecord) -> ImageRecord:
-    """Return the record without a roll of 0, which only matters where a header states another."""
-    if image.capture.roll_deg != 0 or _is_file(image):
-        return image
-    return replace(image, capture=replace(image.capture, roll_deg=None))
 
 
 def _read(image: ImageRecord) -> CameraFacts | Problem:
@@ -239,17 +247,21 @@ def _complete(image: ImageRecord, f: CameraFacts | None) -> ImageRecord:
     stated = Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False)
     if image.capture.altitude_m is None and stated.altitude_m is not None:
         stated = replace(stated, altitude_from="laser" if "LRF" in f.facts["altitude_m"].source else "take-off")
-    # Level cameras need no entry: a roll of 0 is written nowhere.
-    stated = replace(stated, roll_deg=stated.roll_deg or None)
     known = replace(image.capture.over(stated), camera=f.camera or image.capture.camera)
-    if known.time_of_day is None:
-        when = time_of_day(known.captured, f.value("latitude_deg"), f.value("longitude_deg"))
-        known = replace(known, time_of_day=when)
     return replace(image, size_wh=image.size_wh or f.size_wh, capture=known)
 
 
-def time_of_day(captured: str | None, latitude: float | None, longitude: float | None) -> TimeOfDay | None:
-    """Return the time of day by the sun; None if time or place are unknown or the clock leaves several open.
+def _with_time_of_day(image: ImageRecord, f: CameraFacts) -> CameraFacts:
+    """Return the facts with the time of day by the sun, at the time and place that count."""
+    known = image.capture.over(Capture.from_json({name: fact.value for name, fact in f.facts.items()}, strict=False))
+    by_sun = time_of_day(known.captured, known.latitude_deg, known.longitude_deg)
+    return f if by_sun is None else replace(f, facts={**f.facts, "time_of_day": by_sun})
+
+
+def time_of_day(captured: str | None, latitude: float | None, longitude: float | None) -> Fact | None:
+    """Return the time of day by the sun, with what it rests on; None if time or place are unknown.
+
+    Where a clock of an unknown zone leaves several open, its zone is taken to be that of the longitude.
 
     Args:
         captured: Time, ISO 8601; without a zone it is local time.
@@ -260,22 +272,24 @@ def time_of_day(captured: str | None, latitude: float | None, longitude: float |
         return None
     if not is_place(latitude, longitude):
         return None
-    exact = time_of(captured)
-    if exact is not None:
-        times = [exact]
-    else:
-        try:
-            local = datetime.fromisoformat(captured).replace(tzinfo=UTC)
-            times = [local - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
-        except (ValueError, OverflowError):
-            return None
-    found = {time_of_sun(t, latitude, longitude) for t in times}
+    if (exact := time_of(captured)) is not None:
+        return Fact(time_of_sun(exact, latitude, longitude), "sun at time and place")
+    moment = local_moment(captured, longitude)
+    if moment is None:
+        return None
+    try:
+        times = [moment.replace(tzinfo=UTC) - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
+        found = {time_of_sun(t, latitude, longitude) for t in times}
+        up = [math.degrees(sun_position(t, latitude, longitude)[1]) for t in times]
+    except OverflowError:
+        return None
+    source = "sun at place and local clock"
     if len(found) == 1:
-        return found.pop()
-    up = [math.degrees(sun_position(t, latitude, longitude)[1]) for t in times]
-    if min(up) > _DAY_ABOVE_DEG:
-        return "day"
-    return "night" if max(up) < _NIGHT_BELOW_DEG else None
+        return Fact(found.pop(), source)
+    if min(up) > _DAY_ABOVE_DEG or max(up) < _NIGHT_BELOW_DEG:
+        return Fact("day" if min(up) > _DAY_ABOVE_DEG else "night", source)
+    zone = f"{moment:%z}"[:3]
+    return Fact(time_of_sun(moment, latitude, longitude), f"{source}, taken as UTC{zone} by the longitude (+-1 h)")
 
 
 def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
@@ -311,12 +325,12 @@ def _naive(captured: str | None) -> datetime | None:
 
 def _missing(dataset: Dataset, images: Sequence[ImageRecord]) -> list[Problem]:
     problems = []
-    for name, (title, setting) in _ASKED.items():
+    for name, (title, setting, default) in _ASKED.items():
         lacking = [i.name for i in images if getattr(i.capture, name) is None]
         if lacking:
             found = f"{title} missing in {len(lacking)} of {len(images)} pictures: {_some(lacking)}"
             todo = f"give a column {name} in metadata.csv, or {setting}"
-            todo += FOR_ALL if len(lacking) < len(images) else ""
+            todo += (FOR_ALL if len(lacking) < len(images) else "") + default
             problems.append(_warning(dataset, FLIGHT_MISSING, found, "it in EXIF or XMP, or from you", todo))
     return problems
 
@@ -459,13 +473,14 @@ def with_agreed_zones(facts: Mapping[str, CameraFacts]) -> tuple[dict[str, Camer
             if zone is not None and zone_of(p.local, p.utc) == zone:
                 continue
             f = facts[p.key]
-            text = f"EXIF DateTimeOriginal is {_hours(p.local - p.utc)} ahead of UTCAtExposure"
+            tag = re.split("[: ]", f.utc_tag)[-1]
+            text = f"EXIF DateTimeOriginal is {_hours(p.local - p.utc)} ahead of {tag}"
             if zone is not None:
                 when = p.utc.replace(tzinfo=UTC).astimezone(zone)
-                changed[p.key] = replace(f, facts={**f.facts, "captured": Fact(when.isoformat(), UTC_TAG)})
-                text += f", but {_hours(zone.utcoffset(None))} in the rest of the flight; UTCAtExposure is used"
+                changed[p.key] = replace(f, facts={**f.facts, "captured": Fact(when.isoformat(), f.utc_tag)})
+                text += f", but {_hours(zone.utcoffset(None))} in the rest of the flight; {tag} is used"
             else:
-                text += ", which is no time zone; EXIF is used"
+                text += f", which is no time zone; {tag if f.utc_tag == GPS_TIME else 'EXIF'} is used"
             apart[text].append(f.path.name)
     return {**facts, **changed}, sorted(apart.items())
 

@@ -6,9 +6,10 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 
+from infrablend.config.camera_models import OPTICS, models_of_header
 from infrablend.core.camera import fov_of_width, is_plausible_roll, pitch_of_gimbal, roll_of_gimbal
 from infrablend.errors import DatasetError, Problem
 from infrablend.formats.cameras.exif import Exif, read_exif
@@ -18,14 +19,32 @@ from infrablend.formats.cameras.raw_temperatures import dji_segments
 from infrablend.formats.cameras.xmp import Xmp, read_xmp
 from infrablend.formats.values import is_place, to_number
 
-FIELDS = ("pitch_deg", "roll_deg", "yaw_deg", "altitude_m", "hfov_deg", "captured", "latitude_deg", "longitude_deg")
+FIELDS = (
+    "pitch_deg",
+    "roll_deg",
+    "yaw_deg",
+    "altitude_m",
+    "hfov_deg",
+    "captured",
+    "latitude_deg",
+    "longitude_deg",
+    "time_of_day",
+)
 """Facts in the order of tables. Pitch is the angle below the horizon, the height is that above the ground."""
 
 DJI = "http://www.dji.com/drone-dji/1.0/"
 FLIR = "http://ns.flir.com/xmp/1.0/"
 PIX4D = "http://pix4d.com/camera/1.0/"
+AUTEL = "http://www.autelrobotics.com/drone/1.0/"
+PARROT = "http://www.parrot.com/drone-parrot/1.0/"
+SKYDIO = "https://www.skydio.com/drone-skydio/1.0/"
+# Words of the addresses of makers' namespaces, which differ between firmwares.
+_MAKERS = {"drone-dji": DJI, "autel": AUTEL, "drone-parrot": PARROT, "skydio": SKYDIO}
 UTC_AT_EXPOSURE = (DJI, "UTCAtExposure")
 UTC_TAG = "XMP drone-dji:UTCAtExposure"
+GPS_TIME = "EXIF GPSTimeStamp"
+UNREAD = "flight-unread"
+"""Code of the warning about properties that look like pitch or height, of an unknown meaning."""
 EXIF_TIME = "EXIF DateTimeOriginal"
 _QUARTER = timedelta(minutes=15)
 _MOST_OFF = timedelta(minutes=1)
@@ -50,19 +69,70 @@ _DIAGONAL_35MM = math.hypot(36.0, 24.0)
 # inside the XT2. Maker and model as in EXIF, and the size of the picture in pixels.
 _PIXEL_PITCH_UM = {("DJI", "FLIR", (640, 512)): 17.0, ("DJI", "FLIR", (336, 256)): 17.0}
 _NUMBER = re.compile(r"([+-]?\d{1,15}(?:\.\d{0,15})?(?:[eE][+-]?\d{1,3})?)(?:/(\d{1,15}))?", re.ASCII)
+_OFFSET = re.compile(r"([+-])(0\d|1[0-4]):([0-5]\d)", re.ASCII)
 _EXIF_DATE = re.compile(r"(\d{4})[:\-](\d\d)[:\-](\d\d)[ T](\d\d):(\d\d):(\d\d)", re.ASCII)
 # DJI's cameras end file names with the lens: wide, zoom, visible; T and R are thermal.
 _VISIBLE_NAME = re.compile(r"_([WZVS])(?:_\d+)?$", re.ASCII)
 _THERMAL_NAME = re.compile(r"_(T|R|IR|THRM)(?:_\d+)?$", re.ASCII)
 
 
+# Angles of the camera in degrees, north-east-down: pitch 0 level, -90 straight down. Autel's names are DJI's. Sources:
+# developer.parrot.com (photo metadata), support.skydio.com (camera and metadata overview), OpenAthena's readers.
+_ANGLES = (
+    (DJI, "Gimbal{}Degree"),
+    (AUTEL, "Gimbal{}Degree"),
+    (PARROT, "Camera{}Degree"),
+    (SKYDIO, "CameraOrientationNED:{}"),
+)
+_HEIGHTS = (
+    (DJI, "RelativeAltitude"),
+    (AUTEL, "RelativeAltitude"),
+    (SKYDIO, "RelativeAltitude"),
+    (FLIR, "MAVRelativeAltitude"),
+    (PIX4D, "AboveGroundAltitude"),
+)
+_LATITUDES = ((DJI, "GpsLatitude"), (AUTEL, "GpsLatitude"), (SKYDIO, "Latitude"))
+# With DJI's own spelling, which Autel has taken over.
+_LONGITUDES = (
+    *((maker, name) for maker in (DJI, AUTEL) for name in ("GpsLongitude", "GpsLongtitude")),
+    (SKYDIO, "Longitude"),
+)
+_FOCAL_LENGTHS_PX = (
+    (DJI, "CalibratedFocalLength"),
+    (AUTEL, "CalibratedFocalLength"),
+    (SKYDIO, "CalibratedFocalLength:X"),
+)
 # Properties that are numbers; a text in one of them is a fault of the file.
 _NUMBERS = (
-    *((DJI, n) for n in ("GimbalPitchDegree", "GimbalRollDegree", "GimbalYawDegree", "RelativeAltitude")),
-    *((DJI, n) for n in ("LRFTargetDistance", "GpsLatitude", "GpsLongitude", "GpsLongtitude")),
-    (DJI, "CalibratedFocalLength"), (FLIR, "MAVRelativeAltitude"),
-)  # fmt: skip
-_PREFIXES = {DJI: "drone-dji", FLIR: "FLIR", PIX4D: "Camera"}
+    *((maker, name.format(axis)) for axis in ("Pitch", "Roll", "Yaw") for maker, name in _ANGLES),
+    *_HEIGHTS,
+    (DJI, "LRFTargetDistance"),
+    *_LATITUDES,
+    *_LONGITUDES,
+    *_FOCAL_LENGTHS_PX,
+)
+_PREFIXES = {
+    DJI: "drone-dji",
+    FLIR: "FLIR",
+    PIX4D: "Camera",
+    AUTEL: "drone",
+    PARROT: "drone-parrot",
+    SKYDIO: "drone-skydio",
+}
+# What properties of other makers are called that state a fact; the aircraft's own pitch is not the camera's.
+_UNREAD_NAMES = {
+    "pitch_deg": re.compile(
+        r"(.*:)?(gimbal|camera|payload|mount)?_?(pitch|tilt)_?(angle)?_?(degrees?|deg)?", re.IGNORECASE
+    ),
+    "altitude_m": re.compile(
+        r".*(rel(ative)?_?(alt|height)|above_?(ground|take_?off|home)|(alt|altitude|height)_?agl).*", re.IGNORECASE
+    ),
+}
+# Pixels of detectors; what EXIF states beyond is a unit or a resolution of something else.
+_LEAST_PITCH_UM = 0.5
+_MOST_PITCH_UM = 60.0
+# Positions of EXIF and XMP are rounded differently; degrees.
+_PLACES_APART_DEG = 0.005
 
 
 @dataclass(frozen=True)
@@ -90,6 +160,7 @@ class CameraFacts:
         zoom: Digital zoom of the picture; the radiometric layer has none.
         turned: Whether EXIF says that the picture is to be turned; nothing says so of the radiometric layer.
         utc: Time of capture in UTC, without time zone; None if not stated.
+        utc_tag: Tag of that time.
     """
 
     path: Path
@@ -104,12 +175,20 @@ class CameraFacts:
     zoom: float = 1.0
     turned: bool = False
     utc: datetime | None = None
+    utc_tag: str = UTC_TAG
 
     @property
     def from_a_drone_camera(self) -> bool:
-        """Whether the file looks like one of a DJI or FLIR camera, or states flight data."""
+        """Whether the file looks like one of a drone's or a FLIR camera, or states flight data."""
         maker = self.camera.split(" ")[0].upper()
-        return bool(self.raw) or maker in ("DJI", "FLIR") or "pitch_deg" in self.facts
+        known = maker in ("DJI", "FLIR", "AUTEL", "PARROT", "SKYDIO", "YUNEEC")
+        return bool(self.raw) or known or "pitch_deg" in self.facts or any(p.code == UNREAD for p in self.problems)
+
+    @property
+    def states_a_fact(self) -> bool:
+        """Whether camera, lens, place or time of capture are stated, or the file looks like a drone's."""
+        stated = EXIF_TIME in self.clocks or not self.facts.keys().isdisjoint(("hfov_deg", "latitude_deg"))
+        return bool(self.camera) or stated or self.from_a_drone_camera
 
     def value(self, name: str) -> float | None:
         """Return a known number, or None."""
@@ -125,7 +204,7 @@ def read_facts(path: Path) -> CameraFacts:
     """
     header = read_header(path)
     exif = read_exif(header)
-    xmp = read_xmp(header)
+    xmp = _with_known_makers(read_xmp(header))
     problems = [*exif.problems, *xmp.problems]
     record = _camera_record(header, problems)
     raw = "FLIR" if header.find(APP1, SIGNATURE) else "DJI" if dji_segments(header) else ""
@@ -140,9 +219,14 @@ def read_facts(path: Path) -> CameraFacts:
 
     for add in (_add_angles, _add_altitude):
         add(facts, exif, xmp, warn)
+    _warn_of_unread(facts, xmp, warn)
     _add_field_of_view(facts, exif, xmp, record, header.size_wh, warn)
     clocks = _clocks(exif, xmp)
-    _add_time_and_place(facts, exif, xmp, record, clocks)
+    utc = _as_time(xmp.values.get(UTC_AT_EXPOSURE, ""))
+    utc_tag = UTC_TAG if utc else GPS_TIME
+    utc = utc or _as_time(exif.gps_time)
+    _add_time(facts, exif, record, clocks, utc, utc_tag)
+    _add_place(facts, exif, xmp, warn)
     source = xmp.values.get((DJI, "ImageSource"), "")
     infrared = "infrared" in source.lower() or "thermal" in source.lower()
     name_says = _VISIBLE_NAME.search(path.stem.upper())
@@ -163,8 +247,16 @@ def read_facts(path: Path) -> CameraFacts:
         tuple(problems),
         max(1.0, exif.zoom or 1.0),
         exif.turned,
-        _as_time(xmp.values.get(UTC_AT_EXPOSURE, "")),
+        utc,
+        utc_tag,
     )
+
+
+def _with_known_makers(xmp: Xmp) -> Xmp:
+    """Return the properties with one namespace per maker."""
+    found = {w: [ns for ns, _ in xmp.values if w in ns.lower()] for w in _MAKERS}
+    makers = {ns: _MAKERS[word] for word, spelled in found.items() for ns in spelled}
+    return Xmp({(makers.get(ns, ns), name): text for (ns, name), text in xmp.values.items()}, xmp.problems)
 
 
 Warn = Callable[[str, str, str], None]
@@ -204,10 +296,23 @@ def _is_flir(exif: Exif) -> bool:
     return exif.make.upper().startswith("FLIR")
 
 
+def _angle(exif: Exif, xmp: Xmp, axis: str) -> tuple[float, str] | None:
+    """Return an angle of the camera: `Pitch`, `Roll` or `Yaw`."""
+    names = [(maker, name.format(axis)) for maker, name in _ANGLES]
+    found = _xmp_number(xmp, *names)
+    # Pix4D's names are used with several zeros; known are FLIR's use of them, MAVLink's, and that of Autel's older
+    # firmware and of Parrot, which is Pix4D's own: 0 straight down, 90 level.
+    pix4d = _xmp_number(xmp, (PIX4D, axis)) if found is None else None
+    if pix4d is None or _is_flir(exif):
+        return found or pix4d
+    value, source = pix4d
+    if not exif.make.upper().startswith(("AUTEL", "PARROT")):
+        return None
+    return (value - 90.0, source) if axis == "Pitch" else pix4d
+
+
 def _add_angles(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> None:
-    # Pix4D's names are used with other zeros too (0 straight down); only FLIR's use of them is known: MAVLink's.
-    pix4d = (PIX4D,) if _is_flir(exif) else ()
-    pitch = _xmp_number(xmp, (DJI, "GimbalPitchDegree"), *((n, "Pitch") for n in pix4d))
+    pitch = _angle(exif, xmp, "Pitch")
     below = None
     if pitch is not None:
         below = pitch_of_gimbal(pitch[0])
@@ -215,21 +320,21 @@ def _add_angles(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> Non
             facts["pitch_deg"] = Fact(round(below, 6), pitch[1])
         else:
             warn("flight-pitch", f"{pitch[1]} {pitch[0]:g}, left out", "-90 (straight down) to 90 degrees")
-    roll = _xmp_number(xmp, (DJI, "GimbalRollDegree"), *((n, "Roll") for n in pix4d))
+    roll = _angle(exif, xmp, "Roll")
     if roll is not None:
         turned = roll_of_gimbal(roll[0])
         if abs(roll[0]) <= 360.0 and is_plausible_roll(turned, below):
             facts["roll_deg"] = Fact(round(turned, 6), roll[1])
         else:
             warn("flight-roll", f"{roll[1]} {roll[0]:g}, left out", "-45 to 45 degrees, or any near straight down")
-    yaw = _xmp_number(xmp, (DJI, "GimbalYawDegree"), *((n, "Yaw") for n in pix4d))
+    yaw = _angle(exif, xmp, "Yaw")
     if yaw is not None and abs(yaw[0]) <= 360.0:
         facts["yaw_deg"] = Fact(*yaw)
 
 
 def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> None:
     """Add the height above the ground: from the laser if it hit it, else that above take-off."""
-    relative = _xmp_number(xmp, (DJI, "RelativeAltitude"), (FLIR, "MAVRelativeAltitude"))
+    relative = _xmp_number(xmp, *_HEIGHTS)
     laser = _xmp_number(xmp, (DJI, "LRFTargetDistance"))
     pitch = facts.get("pitch_deg")
     status = xmp.values.get((DJI, "LRFStatus"), "Normal")
@@ -255,6 +360,18 @@ def _add_altitude(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> N
             warn("flight-altitude", found, "a height above take-off")
 
 
+def _warn_of_unread(facts: Mapping[str, Fact], xmp: Xmp, warn: Warn) -> None:
+    """Warn of a property that looks like a fact that no known one states: its zero and its sign are not known."""
+    for name, pattern in _UNREAD_NAMES.items():
+        likely = [
+            (key, text)
+            for key, text in xmp.values.items()
+            if name not in facts and key not in _NUMBERS and pattern.fullmatch(key[1]) and _as_number(text) is not None
+        ]
+        for (namespace, local), text in likely[:1]:
+            warn(UNREAD, f"XMP {local} {text[:40]!r} ({namespace}) is not read", f"a maker whose {local} is known")
+
+
 def _are_apart(one: float, other: float, factor: float) -> bool:
     """Return whether two numbers above 0 differ by more than a factor; a number that is not above 0 says nothing."""
     return min(one, other) > 0 and max(one, other) > factor * min(one, other)
@@ -273,6 +390,9 @@ def _add_field_of_view(
         return
     found = _lens_statements(exif, xmp, record, size_wh)
     if not found:
+        if sold := models_of_header(exif.make, exif.model, size_wh):
+            lenses = f"{exif.make} {exif.model}, sold with several lenses ({', '.join(sold)}), does not state its own"
+            warn("flight-lens", lenses, "a focal length, or one of these as camera.model")
         return
     (fov, source), *others = found
     for other, name in others:
@@ -292,7 +412,9 @@ def _lens_statements(
     """Return what the file states about the lens as fields of view without zoom, the most reliable first."""
     found = []
     pitch_um = _PIXEL_PITCH_UM.get((exif.make, exif.model, size_wh))
-    calibrated = _as_number(xmp.values.get((DJI, "CalibratedFocalLength")))
+    if pitch_um is None and _LEAST_PITCH_UM <= (exif.pixel_pitch_um or 0.0) <= _MOST_PITCH_UM:
+        pitch_um = exif.pixel_pitch_um
+    calibrated = _xmp_number(xmp, *_FOCAL_LENGTHS_PX)
     if exif.focal_length_35mm is not None:
         found.append((fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"))
     if record is not None and record.hfov_deg is not None:
@@ -300,8 +422,14 @@ def _lens_statements(
     if exif.focal_length_mm is not None and pitch_um is not None:
         fov = fov_of_width(pitch_um * size_wh[0] / 1000, exif.focal_length_mm)
         found.append((fov, f"EXIF FocalLength, {pitch_um:g} um pixels"))
-    if calibrated is not None and calibrated > 0:
-        found.append((fov_of_width(size_wh[0], calibrated), "XMP drone-dji:CalibratedFocalLength"))
+    if calibrated is not None and calibrated[0] > 0:
+        found.append((fov_of_width(size_wh[0], calibrated[0]), calibrated[1]))
+    models = models_of_header(exif.make, exif.model, size_wh)
+    if len(models) == 1:
+        optics = OPTICS[models[0]]
+        lens = f"{optics.focal_length_mm:g} mm, {optics.pixel_pitch_um:g} um pixels"
+        fov = fov_of_width(optics.sensor_width_mm, optics.focal_length_mm)
+        found.append((fov, f"EXIF Model {exif.model}: {lens}"))
     return found
 
 
@@ -364,16 +492,26 @@ def _flir_zone(local: datetime, stamp: datetime) -> timezone | None:
     return timezone(offset) if same and offset else None
 
 
-def _add_time_and_place(
-    facts: dict[str, Fact], exif: Exif, xmp: Xmp, record: CameraRecord | None, clocks: Mapping[str, datetime]
+def _add_time(
+    facts: dict[str, Fact],
+    exif: Exif,
+    record: CameraRecord | None,
+    clocks: Mapping[str, datetime],
+    utc: datetime | None,
+    utc_tag: str,
 ) -> None:
     original = clocks.get(EXIF_TIME)
     if original is not None:
-        utc = _as_time(xmp.values.get(UTC_AT_EXPOSURE, ""))
         source = EXIF_TIME
         zone = None if utc is None else zone_of(original, utc)
         if zone is not None:
-            source += f", {UTC_TAG}"
+            source += f", {utc_tag}"
+        elif (zone := _as_zone(exif.offset)) is not None:
+            source += ", OffsetTimeOriginal"
+        elif utc is not None and utc_tag == GPS_TIME:
+            original = utc
+            zone = UTC
+            source = GPS_TIME
         elif record is not None and record.captured is not None:
             zone = _flir_zone(original, datetime.fromisoformat(record.captured))
             source += "" if zone is None else ", FLIR DateTimeOriginal"
@@ -383,10 +521,29 @@ def _add_time_and_place(
     elif clocks:
         tag, when = next(iter(clocks.items()))
         facts["captured"] = Fact(when.isoformat(), tag)
-    latitude = _xmp_number(xmp, (DJI, "GpsLatitude"))
-    longitude = _xmp_number(xmp, (DJI, "GpsLongitude"), (DJI, "GpsLongtitude"))  # DJI's own spelling
+    elif utc is not None:
+        facts["captured"] = Fact(utc.replace(tzinfo=UTC).isoformat(), utc_tag)
+
+
+def _as_zone(text: str) -> timezone | None:
+    match = _OFFSET.fullmatch(text)
+    if match is None:
+        return None
+    offset = timedelta(hours=int(match[2]), minutes=int(match[3]))
+    return timezone(-offset if match[1] == "-" else offset)
+
+
+def _add_place(facts: dict[str, Fact], exif: Exif, xmp: Xmp, warn: Warn) -> None:
+    latitude = _xmp_number(xmp, *_LATITUDES)
+    longitude = _xmp_number(xmp, *_LONGITUDES)
+    known = latitude is not None and longitude is not None and is_place(latitude[0], longitude[0])
     if exif.latitude_deg is not None and exif.longitude_deg is not None:
         facts["latitude_deg"] = Fact(exif.latitude_deg, "EXIF GPSLatitude")
         facts["longitude_deg"] = Fact(exif.longitude_deg, "EXIF GPSLongitude")
-    elif latitude is not None and longitude is not None and is_place(latitude[0], longitude[0]):
+        if known and latitude and longitude:
+            apart = abs(latitude[0] - exif.latitude_deg), abs(longitude[0] - exif.longitude_deg)
+            if max(apart) > _PLACES_APART_DEG:
+                both = f"EXIF GPS {exif.latitude_deg:.5f} {exif.longitude_deg:.5f}, {latitude[1]} {latitude[0]:.5f} "
+                warn("flight-place", f"{both}{longitude[0]:.5f}; EXIF is used", "one position")
+    elif known and latitude and longitude:
         facts["latitude_deg"], facts["longitude_deg"] = Fact(*latitude), Fact(*longitude)

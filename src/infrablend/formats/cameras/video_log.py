@@ -68,16 +68,17 @@ def value_text(field_name: str, value: float) -> str:
 def telemetry_of(sampled: Sampled, k: int) -> dict[str, str]:
     """Return what a log states at one of the times it was sampled at, by the names of columns; empty where unknown.
 
-    The time of day follows from the sun where time and place leave no doubt.
+    The time of day follows from the sun at time and place.
     """
     row = {name: value_text(name, float(values[k])) for name, values in sampled.values.items()}
     latitude, longitude = (float(row[n]) if row.get(n) else None for n in ("latitude_deg", "longitude_deg"))
     captured = sampled.captured[k] or ""
+    by_sun = time_of_day(captured, latitude, longitude)
     return {
         "captured": captured,
         **row,
         "altitude_from": "take-off" if row.get("altitude_m") else "",
-        "time_of_day": time_of_day(captured, latitude, longitude) or "",
+        "time_of_day": "" if by_sun is None else str(by_sun.value),
     }
 
 

@@ -7,7 +7,7 @@ entity bombs nor external entities. It is the parser that the VOC reader uses al
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from xml.etree.ElementTree import Element, ParseError
 
@@ -39,7 +39,8 @@ class Xmp:
     """Properties of the XMP packets of one file.
 
     Attributes:
-        values: Text of each simple property by namespace and local name; the first wins.
+        values: Text of each simple property by namespace and local name; the first wins. Fields of a structure are
+            called `Structure:Field`.
         problems: Faults, as warnings: the packets concerned are left out.
     """
 
@@ -123,12 +124,21 @@ def _add(values: dict[Name, str], data: bytes, where: str, problems: list[Proble
             _put(values, key, value)
         for child in element:
             _put(values, child.tag, _text(child))
+            for name, value in _fields(child):
+                _put(values, f"{child.tag}:{name.rpartition('}')[2]}", value)
 
 
 def _put(values: dict[Name, str], key: str, value: str | None) -> None:
     if value is not None and key.startswith("{") and not key.startswith(f"{{{_RDF}}}"):
         namespace, _, name = key[1:].partition("}")
         values.setdefault((namespace.rstrip("/") + "/", name), value.strip())
+
+
+def _fields(element: Element) -> Iterator[tuple[str, str | None]]:
+    """Yield name and text of each field of a structure, as attributes or elements, in a description or without one."""
+    for node in (element, *element.findall(_DESCRIPTION)):
+        yield from node.attrib.items()
+        yield from ((field.tag, field.text) for field in node if not field.tag.startswith(f"{{{_RDF}}}"))
 
 
 def _text(element: Element) -> str | None:

@@ -45,7 +45,7 @@ from infrablend.formats.base import (
 )
 from infrablend.formats.box_checks import clockwise_corners, edges_of_xywh, is_near
 from infrablend.formats.losses import BOXES, Written
-from infrablend.formats.picture_facts import SURPLUS, UNREAD, csv_rows
+from infrablend.formats.picture_facts import SURPLUS, csv_rows
 from infrablend.formats.pictures.listing import PictureFolder
 from infrablend.formats.pictures.temperature_scale import scale_of_record
 from infrablend.formats.records import Findings, with_ids
@@ -282,7 +282,7 @@ def detect(root: Path) -> Match:
 
 
 # Columns that are read, or tell nothing more.
-_KNOWN = {"file_name", "width", "height", "image_id", "id", _SCALE, _OBJECTS, *FACTS, *UNREAD}
+_KNOWN = {"file_name", "width", "height", "image_id", "id", _SCALE, _OBJECTS, *FACTS}
 _OF_OBJECTS = {"bbox", "category", "categories", "label", "category_id", "ignore", "inserted", "id", "area", *_OPTIONAL}
 
 

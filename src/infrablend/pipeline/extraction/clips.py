@@ -87,7 +87,8 @@ class FlightFacts:
     """What the user says about the flights.
 
     Attributes:
-        log: DJI subtitles (.SRT), AirData CSV or DJI flight record CSV [default: subtitles beside the video].
+        log: DJI subtitles (.SRT), or CSV of AirData, Litchi, Flytrex or a DJI flight record [default: subtitles beside
+            the video].
         use_log: False to extract without telemetry.
         clock: What is known about the clocks.
         time_of_day: Time of day of the flight [default: by the sun, where known].

@@ -41,7 +41,7 @@ COLUMNS = (
 _NEEDED = {
     "pitch_deg": ("gimbal pitch", "camera.pitch='{fixed_deg: 90}'"),
     "altitude_m": ("height", "camera.altitude='{fixed_m: 60}'"),
-    "hfov_deg": ("field of view", "camera.focal_length_mm=40"),
+    "hfov_deg": ("field of view", "camera.model=NAME (of your camera)"),
 }
 
 

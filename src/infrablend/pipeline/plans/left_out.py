@@ -100,7 +100,8 @@ def telemetry_missing(recipe: Recipe, image: ImageRecord, others: Telemetry) -> 
         lacking.append(_Lacking("no-altitude", found, "an altitude", settings, others.height))
     if lens:
         found = "field of view of " + (image.capture.camera or "the video's camera")
-        settings = "camera.field_of_view to recipe, with the camera's own camera.focal_length_mm"
+        found += " (the lens from the recipe is another camera's)"
+        settings = "camera.field_of_view to recipe, with the camera's own camera.model or camera.focal_length_mm"
         lacking.append(_Lacking("no-field-of-view", found, "a field of view (hfov_deg)", settings, others.lens))
     if not lacking:
         return None

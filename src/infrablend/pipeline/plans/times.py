@@ -69,10 +69,23 @@ def time_warnings(recipe: Recipe, read: Sequence[ImageRecord], used: Sequence[Im
     problems = []
     if sky.time_of_day is not None:
         problems += _replaced(sky.time_of_day, captures, sky)
+    else:
+        problems += _unknown([i.capture for i in used])
     if sky.place is not None:
         problems += [] if sky.time_of_day is not None else _by_night_in_the_sun(captures, sky.place)
         problems += _without_zone(captures)
     return problems
+
+
+def _unknown(captures: Sequence[Capture]) -> list[Problem]:
+    """Return a warning about pictures of an unknown time of day, with what a run takes them for."""
+    count = sum(c.time_of_day is None for c in captures)
+    if not count:
+        return []
+    found = f"unknown time of day of {count} of {len(captures)} picture(s), which are taken as by night, without sun"
+    todo = "set environment.time_of_day=day (or dusk, night, dawn), or give a column time_of_day in metadata.csv"
+    expected = "a time of day, or time and place of capture"
+    return [Problem("environment.time_of_day", "time-unknown", found, expected, todo, "warning")]
 
 
 def _replaced(stated: str, captures: Sequence[Capture], sky: SkyEnvironment) -> list[Problem]:

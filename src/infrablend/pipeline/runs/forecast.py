@@ -16,6 +16,7 @@ import numpy as np
 from infrablend.core.camera import fov_of_width
 from infrablend.core.frame_row import FrameRecord, FrameRow
 from infrablend.errors import DatasetError, Problem
+from infrablend.formats.cameras.flight_headers import GIVEN
 from infrablend.pipeline.compose.frame import FrameComposer
 from infrablend.pipeline.compose.settings import settings_for
 from infrablend.pipeline.plans.backgrounds import dataset_levels
@@ -104,6 +105,30 @@ def estimate_run(
             "about_merge_s": round(labels_s),
         }
     return {**found, "left_out": dict(Counter(p.code for p in plan.problems if p.severity == "error"))}
+
+
+def described_sources(plan: RunPlan) -> dict[str, str]:
+    """Return in words where the lens, and the time of day of a recipe that uses it, come from."""
+    c = plan.recipe.camera
+    images = plan.dataset.images
+    lenses = Counter(_source(plan, "hfov_deg") for i in images if c.needs_lens and i.capture.hfov_deg is not None)
+    across = fov_of_width(c.sensor_width_mm, c.focal_length_mm)
+    lenses[f"from the recipe, {across:.1f} degrees across"] = len(images) - lenses.total()
+    found = {"lens": lenses}
+    if plan.recipe.environment.sky is not None:
+        found["time_of_day"] = Counter(
+            f"{time} ({i.capture.time_from or _source(plan, 'time_of_day')})"
+            if (time := i.capture.time_of_day)
+            else "unknown, taken as night"
+            for i in images
+        )
+    return {k: "; ".join(f"{text} ({n})" for text, n in counts.items() if n) for k, counts in found.items()}
+
+
+def _source(plan: RunPlan, field: str) -> str:
+    """Return the sources of a fact of the pictures, as the reader of their headers lists them."""
+    rows = plan.dataset.notes.get("flight", {}).get("facts", ())
+    return ", ".join(r["source"] for r in rows if r["field"] == field and r["source"]) or GIVEN
 
 
 def objects_per_frame(plan: RunPlan) -> dict[str, float]:

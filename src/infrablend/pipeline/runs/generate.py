@@ -24,7 +24,7 @@ from infrablend.pipeline.plans.planning import plan_folder
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.shard import ShardRequest
 from infrablend.pipeline.plans.times import TIME_REPLACED
-from infrablend.pipeline.runs.forecast import estimate_run, forecast_objects
+from infrablend.pipeline.runs.forecast import described_sources, estimate_run, forecast_objects
 from infrablend.pipeline.runs.make_shards import make_shards
 from infrablend.pipeline.runs.run import RunReport, run_plan
 from infrablend.report.run_warnings import NOTHING_INSERTED
@@ -78,6 +78,7 @@ def describe_run(request: RunRequest, price_per_core_hour: float | None = None) 
         "out": None if request.out is None or wanted else outlook(request.out, request.existing),
         "categories": [c.name for c in plan.categories],
         "new_categories": list(plan.new_categories),
+        **described_sources(plan),
         **{f"expected_{name}": value for name, value in expected.items()},
         "dropped_fields": [str(p) for p in plan.problems if p.code == DROPPED],
         "kept_fields": [str(p) for p in plan.problems if p.code in shown],

@@ -14,7 +14,7 @@ from infrablend.formats.cameras.header_facts import DJI, CameraFacts, fov_of_35m
 from infrablend.formats.cameras.jpeg_segments import APP1, read_header
 from infrablend.formats.cameras.xmp import EXTENDED, MAX_BYTES, STANDARD, read_xmp
 from infrablend.lab.world.rjpeg_writing import Maker, segment_bytes
-from tests.flights import plain_jpeg, shot, with_xmp
+from tests.flights import plain_jpeg, shot, with_exif, with_xmp
 
 HEAD = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">'
 TAIL = b"</rdf:RDF></x:xmpmeta>"
@@ -78,6 +78,100 @@ def test_the_35_mm_equivalent_is_that_of_the_diagonal() -> None:
     # DJI's M30T: 9.1 mm and 12 um pixels, 640 across; it states 40 mm.
     exact = math.degrees(2 * math.atan(640 * 0.012 / 2 / 9.1))
     assert fov_of_35mm(40, (640, 512)) == pytest.approx(exact, abs=0.2)
+
+
+RESOURCE = b"""<rdf:Description rdf:about="" xmlns:d="%s"><d:CameraOrientationNED rdf:parseType="Resource">
+<d:Roll>1.5</d:Roll><d:Pitch>-60.0</d:Pitch><d:Yaw>10</d:Yaw></d:CameraOrientationNED>
+<d:RelativeAltitude>80</d:RelativeAltitude></rdf:Description>"""
+ATTRIBUTES = b"""<rdf:Description rdf:about="" xmlns:d="%s" d:RelativeAltitude="80">
+<d:CameraOrientationFLU d:Roll="9" d:Pitch="9" d:Yaw="9"/>
+<d:CameraOrientationNED d:Roll="1.5" d:Pitch="-60.0" d:Yaw="10"/></rdf:Description>"""
+NESTED = b"""<rdf:Description rdf:about="" xmlns:d="%s" d:RelativeAltitude="80"><d:CameraOrientationNED>
+<rdf:Description d:Roll="1.5" d:Pitch="-60.0" d:Yaw="10"/></d:CameraOrientationNED></rdf:Description>"""
+DJIS = (
+    b'<rdf:Description rdf:about="" xmlns:d="%s" d:GimbalPitchDegree="-60.0" d:GimbalRollDegree="1.5" '
+    b'd:GimbalYawDegree="10" d:RelativeAltitude="+80" d:GpsLatitude="47.1" d:GpsLongtitude="9.1"/>'
+)
+PARROTS = (
+    b'<rdf:Description rdf:about="" xmlns:d="%s" xmlns:c="http://pix4d.com/camera/1.0/" d:CameraPitchDegree="-60.0" '
+    b'd:CameraRollDegree="1.5" d:CameraYawDegree="10" c:Pitch="30.0" c:AboveGroundAltitude="20971520/262144"/>'
+)
+PIX4DS = (
+    b'<rdf:Description rdf:about="" xmlns:d="%s" d:Pitch="30.0" d:Roll="1.5" d:Yaw="10" d:AboveGroundAltitude="80"/>'
+)
+SKYDIO = b"https://www.skydio.com/drone-skydio/1.0/"
+
+
+@pytest.mark.parametrize(
+    ("make", "text", "namespace"),
+    [
+        ("Autel Robotics", DJIS, b"http://www.autelrobotics.com/drone/1.0/"),
+        ("Autel Robotics", DJIS, b"http://www.dji.com/drone-dji/1.0/"),
+        ("Autel Robotics", PIX4DS, b"http://pix4d.com/camera/1.0"),
+        ("Parrot", PARROTS, b"http://www.parrot.com/drone-parrot/1.0/"),
+        ("Skydio", RESOURCE, SKYDIO), ("Skydio", ATTRIBUTES, SKYDIO), ("Skydio", NESTED, SKYDIO),
+    ],
+)  # fmt: skip
+def test_pitch_and_height_of_other_makers(make: str, text: bytes, namespace: bytes, tmp_path: Path) -> None:
+    path = plain_jpeg(tmp_path / "a.jpg", (640, 512), {0x010F: make})
+    facts = read_facts(with_xmp(path, HEAD + text % namespace + TAIL))
+    found = values(facts)
+    assert (found["pitch_deg"], found["roll_deg"], found["yaw_deg"], found["altitude_m"]) == (60.0, 1.5, 10.0, 80.0)
+    assert not facts.problems and facts.from_a_drone_camera
+
+
+def test_pix4ds_angles_of_unknown_makers_are_not_read(tmp_path: Path) -> None:
+    path = plain_jpeg(tmp_path / "a.jpg", (640, 512), {0x010F: "Yuneec"})
+    facts = read_facts(with_xmp(path, HEAD + PIX4DS % b"http://pix4d.com/camera/1.0/" + TAIL))
+    assert "pitch_deg" not in facts.facts and [p.code for p in facts.problems] == ["flight-unread"]
+
+
+GPS = {1: "N", 2: (47.0, 6.0, 0.0), 3: "E", 4: (9.0, 6.0, 0.0), 7: (19.0, 0.0, 1.0), 29: "2024:05:14"}
+
+
+@pytest.mark.parametrize(
+    ("local", "expected"),
+    [
+        ("2024:05:14 21:00:00", "2024-05-14T21:00:00+02:00"),  # a zone away
+        ("2024:05:14 21:07:00", "2024-05-14T19:00:01+00:00"),  # a wrong clock: the satellites' time
+        ("", "2024-05-14T19:00:01+00:00"),
+    ],
+)
+def test_the_time_of_the_satellites_counts(local: str, expected: str, tmp_path: Path) -> None:
+    path = plain_jpeg(tmp_path / "a.jpg", (640, 512), {0x010F: "Autel Robotics"})
+    facts = read_facts(with_exif(path, detail={0x9003: local} if local else {}, gps=GPS))
+    assert facts.facts["captured"].value == expected and "EXIF GPSTimeStamp" in facts.facts["captured"].source
+
+
+@pytest.mark.parametrize(
+    ("make", "model", "size_wh", "fov"),
+    [
+        ("DJI", "MAVIC2-ENTERPRISE-ADVANCED", (640, 512), 46.2),
+        ("DJI", "MAVIC2-ENTERPRISE-ADVANCED", (1600, 1200), None),  # its camera for visible light
+        ("Skydio", "VT300-Z_40IR", (640, 512), 31.5),
+        ("Autel Robotics", "XL709", (640, 512), 32.9),
+        ("DJI", "FLIR", (640, 512), None),
+        ("DJI", "M9X", (640, 512), None),
+    ],
+)
+def test_the_lens_of_a_known_model(
+    make: str, model: str, size_wh: tuple[int, int], fov: float | None, tmp_path: Path
+) -> None:
+    facts = read_facts(plain_jpeg(tmp_path / "a.jpg", size_wh, {0x010F: make, 0x0110: model}))
+    assert facts.value("hfov_deg") == (None if fov is None else pytest.approx(fov, abs=0.05))
+    assert fov is None or f"EXIF Model {model}: " in facts.facts["hfov_deg"].source
+    lenses = [p.found for p in facts.problems]
+    sold = "DJI FLIR, sold with several lenses (dji-xt2-13, dji-xt2-19, dji-xt2-25), does not state its own"
+    assert lenses == ([sold] if model == "FLIR" else [])
+
+
+@pytest.mark.parametrize(("per_unit", "unit", "fov"), [(2116.67, 2, 32.9), (83.333, 4, 32.9), (72.0, 2, None)])
+def test_a_focal_length_with_the_resolution_of_the_detector(
+    per_unit: float, unit: int, fov: float | None, tmp_path: Path
+) -> None:
+    path = plain_jpeg(tmp_path / "a.jpg", (640, 512), {0x010F: "Nobody"})
+    facts = read_facts(with_exif(path, detail={0x920A: 13.0, 0xA20E: per_unit, 0xA210: unit}))
+    assert facts.value("hfov_deg") == (None if fov is None else pytest.approx(fov, abs=0.05))
 
 
 def test_digital_zoom_narrows_the_view() -> None:
