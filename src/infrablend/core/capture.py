@@ -124,9 +124,9 @@ class Capture:
     )
     time_s: float | None = field(default=None, metadata={"fact": replace(_number(0, 1e7, "seconds"), field="sequence")})
     camera: str | None = field(default=None, metadata={"fact": Fact(_text, "a name")})
-    latitude_deg: float | None = field(default=None, metadata={"fact": _number(-90, 90, "degrees")})
-    longitude_deg: float | None = field(default=None, metadata={"fact": _number(-180, 180, "degrees")})
-    yaw_deg: float | None = field(default=None, metadata={"fact": _number(-360, 360, "degrees")})
+    latitude_deg: float | None = field(default=None, repr=False, metadata={"fact": _number(-90, 90, "degrees")})
+    longitude_deg: float | None = field(default=None, repr=False, metadata={"fact": _number(-180, 180, "degrees")})
+    yaw_deg: float | None = field(default=None, repr=False, metadata={"fact": _number(-360, 360, "degrees")})
     radiometry: Radiometry | None = None
     time_from: Literal["recipe", "sun"] | None = field(default=None, repr=False)
 

@@ -38,6 +38,8 @@ def fingerprint(dataset: Dataset) -> str:
         digest.update(f"{c.id}\x1f{c.name}\x1e".encode())
     for image in dataset.images:
         digest.update(repr((image.id, image.split, image.size_wh, image.capture)).encode())
+        if image.capture.place is not None:  # runs begun before places were known have none
+            digest.update(repr(image.capture.place).encode())
         for i in image.instances:
             digest.update(i.category.encode() + i.box_xyxy.tobytes())
             if i.corners_xy is not None:
