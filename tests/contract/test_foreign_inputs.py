@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -396,10 +398,14 @@ def test_one_box_in_the_corner_is_no_share(tmp_path: Path) -> None:
 # Files that only name classes, folders or all that annotators drew.
 BESIDE = {"data.yaml", "meta.json", "index.json"}
 # An empty text file of these says that its picture shows nothing, or nothing at all.
-EMPTY_IS_NONE = ("valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider", "vedai",
-                 "04-central-label-files/data-27d-mot")  # fmt: skip
+EMPTY_IS_NONE = (
+    "valid_obb", "yolo_pixels", "visdrone", "02-roboflow-split-gap", "03-yolo-pose", "wider", "vedai",
+    "04-central-label-files/data-27d-mot", "31-yolo-conf", "36-vedai-table", "37-nps-drones-text", "39-mot-id",
+)  # fmt: skip
+# Lines of seven numbers that are cut have six, and two tuples none; `check` reads no logs.
+UNSEEN = {"truncated": ("31-yolo-conf-and-id", "37-nps-drones-text"), "ten times too large": ("40-litchi-log",)}
 # Too large for memory or, of pictures, in pixels; JSON may have any size, but is read in other ways beyond this one.
-TEN_TIMES = {".json": 2 * WHOLE_JSON, ".jpg": 0, ".tiff": 0}
+TEN_TIMES = {".json": 2 * WHOLE_JSON, ".jpg": 0, ".tif": 0, ".tiff": 0, ".webp": 0}
 BAD = {kind.__name__: kind for kind in (*NAMED, *READ)} | {n: SAMPLES[n] for n in ("visdrone", "labelme", "coco:flir")}
 bad = pytest.mark.parametrize("how", ["truncated", "empty", "ten times too large"])
 
@@ -429,7 +435,7 @@ def check_damaged(root: Path, name: str, how: str) -> None:
     before = api.check(root, decode=False)
     damaged = file_to_damage(root)
     damage(damaged, how)
-    done = run("check", root, *(() if damaged.suffix in (".jpg", ".tif", ".tiff") else ("--no-decode",)))
+    done = run("check", root, *(() if damaged.suffix in (".jpg", ".tif", ".tiff", ".webp") else ("--no-decode",)))
     output = " ".join(done.output.split())
     assert done.exception is None or isinstance(done.exception, SystemExit), (name, output)
     if how == "empty" and name.startswith(EMPTY_IS_NONE):
@@ -446,13 +452,25 @@ def test_bad_input_is_named_and_the_rest_is_read(tmp_path: Path, name: str, how:
     check_damaged(BAD[name](tmp_path / "data"), name, how)
 
 
+@pytest.mark.realdata
+def test_the_shared_kinds_are_as_their_scripts_expect(tmp_path: Path, real_data: Path) -> None:
+    scripts = sorted((real_data / "foreign").glob("*/expect.sh"))
+    if not scripts:
+        pytest.skip("NEEDS REAL DATA: no folder foreign")
+    environment = {**os.environ, "IB": f"{sys.executable} -m infrablend"}
+    for script in scripts:
+        folder = shutil.copytree(script.parent, tmp_path / script.parent.name)
+        done = subprocess.run(["bash", "expect.sh"], cwd=folder, env=environment, capture_output=True, check=False)
+        assert done.returncode == 0, (script.parent.name, done)
+
+
 @bad
 @pytest.mark.realdata
 def test_bad_input_of_the_shared_kinds_is_named(tmp_path: Path, real_data: Path, how: str) -> None:
     folders = sorted((real_data / "foreign").glob("*/data*"))
-    # Those with a script of their own are kinds that are not read rightly yet: damage to them cannot be seen.
-    folders = [f for f in folders if not (f.parent / "expect.sh").is_file()]
     if not folders:
         pytest.skip("NEEDS REAL DATA: no folder foreign")
     for n, folder in enumerate(folders):
-        check_damaged(shutil.copytree(folder, tmp_path / str(n)), f"{folder.parent.name}/{folder.name}", how)
+        name = f"{folder.parent.name}/{folder.name}"
+        if not name.startswith(UNSEEN.get(how, ())):
+            check_damaged(shutil.copytree(folder, tmp_path / str(n)), name, how)
