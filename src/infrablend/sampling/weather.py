@@ -46,19 +46,33 @@ def knows_air(frame: FrameKey, environment: Environment) -> bool:
 def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:
     """Return how a picture was taken with the time of day that counts, and what this is taken from.
 
-    A stated time counts first, then that of the sun by time and place of capture, then the dataset's own. Where one of
-    the last two says day and the other night, something is wrong, and the dataset's own stays.
+    A stated time counts first, then that of the sun by time of capture and stated place, then the dataset's own, then
+    that of the sun by the picture's own place. Where sun and dataset say day and night, something is wrong, and the
+    dataset's own stays.
     """
     if environment.time_of_day is not None:
         return replace(capture, time_of_day=environment.time_of_day, time_from="recipe")
+    stated = environment.place
+    if stated is None:
+        return capture if capture.time_of_day is not None else _by_own_place(capture)
     when = time_of(capture.captured)
-    place = environment.place
-    if when is None or place is None:
+    if when is None:
         return capture
-    found = time_of_sun(when, place.latitude_deg, place.longitude_deg)
+    found = time_of_sun(when, stated.latitude_deg, stated.longitude_deg)
     if {found, capture.time_of_day} == {"day", "night"}:
         return capture
     return replace(capture, time_of_day=found, time_from="sun")
+
+
+def _by_own_place(capture: Capture) -> Capture:
+    """Return the time of day by the sun at a picture's place; a clock without a zone is in that of the longitude."""
+    place = capture.place
+    when = time_of(capture.captured)
+    if place is not None and when is None:
+        when = local_moment(capture.captured, place[1])
+    if place is None or when is None:
+        return capture
+    return replace(capture, time_of_day=time_of_sun(when, *place), time_from="sun")
 
 
 def draw_weather(frame: FrameKey, e: SkyEnvironment, air_k: float, seed: int) -> Weather:
@@ -104,7 +118,7 @@ def _cloud(environment: SkyEnvironment, clear: float, cover: float) -> float:
 def _sun(frame: FrameKey, environment: SkyEnvironment, share: float, turn: float, cloud: float) -> Sun:
     """Return the sun over a frame.
 
-    Its azimuth is relative to the camera's heading, which no dataset states, and is therefore always drawn. `share` and
+    Its azimuth is relative to the camera's heading, which few datasets state, and is always drawn. `share` and
     `turn` are drawn numbers in [0, 1) that set elevation and azimuth; `cloud` is the share that clouds cover.
     """
     is_low = frame.capture.time_of_day != "day"

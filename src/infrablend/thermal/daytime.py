@@ -8,7 +8,7 @@ commit 7a8fc2b5).
 from __future__ import annotations
 
 import math
-from datetime import datetime, timedelta, timezone
+from datetime import UTC, datetime, timedelta, timezone
 
 from infrablend.core.capture import TimeOfDay
 from infrablend.thermal.sky import sun_position
@@ -56,8 +56,9 @@ def local_moment(captured: str | None, longitude_deg: float) -> datetime | None:
     if captured is None or len(captured) <= 10:
         return None
     try:
-        return datetime.fromisoformat(captured).replace(tzinfo=timezone(timedelta(hours=round(longitude_deg / 15))))
-    except ValueError:
+        local = datetime.fromisoformat(captured).replace(tzinfo=timezone(timedelta(hours=round(longitude_deg / 15))))
+        return local if local.astimezone(UTC) else None
+    except (ValueError, OverflowError):  # no time, or the first or last hours that dates can express
         return None
 
 

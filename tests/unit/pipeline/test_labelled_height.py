@@ -49,7 +49,7 @@ def test_a_contradicted_height_is_refused_with_both_figures_and_both_ways_out(st
     assert f"{stated:.3g} m above the ground" in text and ("say 6" in text or "say 5" in text)
     assert "camera.calibrate=true" in text and "camera.accept_height=true" in text
     accepted = recipe(altitude={"fixed_m": stated}, accept_height=True)
-    assert codes(accepted, pictures()) == []
+    assert codes(accepted, pictures()) == ["height-accepted"]
 
 
 def test_smaller_contradictions_are_warnings_and_agreement_is_silent() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from infrablend.formats.cameras.flight_headers import time_of_day
 from infrablend.pipeline.plans.run_request import RunRequest
 from infrablend.pipeline.plans.times import time_warnings, with_used_times
 from infrablend.pipeline.runs.generate import describe_run, plan_request
+from infrablend.sampling.weather import used_time
 from tests.flights import flight
 from tests.recipes import load_anywhere
 from tests.run_files import records
@@ -112,6 +114,22 @@ def test_pictures_with_a_position_have_the_time_of_the_sun() -> None:
         "sun at place and local clock", "taken as UTC+07 by the longitude (+-1 h)", "sun at place and local clock",
     ]  # fmt: skip
     assert time_of_day("2021-01-16T13:00:00", None, None) is None and time_of_day("2021-01-16", *place) is None
+
+
+@pytest.mark.parametrize(("captured", "expected"), [
+    ("2021-01-16T13:00:00+08:00", "day"), ("2021-01-16T13:00:00", "day"), ("2021-01-16T23:00:00", "night"),
+    ("2021-01-16", None), (None, None), ("0001-01-01T00:00:00", None),
+])  # fmt: skip
+def test_any_dataset_that_states_time_and_place_has_the_time_of_the_sun(
+    captured: str | None, expected: str | None
+) -> None:
+    sky = load_recipe("hit-uav-people").environment.sky
+    assert sky is not None
+    capture = Capture(captured=captured, latitude_deg=25.0, longitude_deg=102.7)
+    assert used_time(capture, sky).time_of_day == expected
+    own = replace(capture, time_of_day="dusk")
+    assert used_time(own, sky) == own
+    assert used_time(replace(capture, longitude_deg=None), sky).time_of_day is None
 
 
 def test_record_card_and_report_state_the_weather(tmp_path: Path) -> None:

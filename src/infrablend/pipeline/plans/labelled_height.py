@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -38,13 +39,19 @@ _Ratios = dict[tuple[KnownClass, object], list[float]]
 def height_problems(recipe: Recipe, images: Sequence[ImageRecord]) -> list[Problem]:
     """Return a warning if annotated objects contradict the height that a run uses over these pictures."""
     metric = cast(MetricRecipe, recipe)
-    if not metric.camera.is_real or metric.camera.accept_height:
+    if not metric.camera.is_real:
         return []
     ratios: _Ratios = {}
     some = [image for image in images if image.instances]
     heights = [_collect(metric, image, ratios) for image in some[:: max(1, len(some) // _PICTURES)]]
     known = [height for height in heights if height is not None]
-    return _contradiction(metric, ratios, np.median(known, axis=0)) if len(ratios) >= _LEAST_OBJECTS else []
+    if len(ratios) < _LEAST_OBJECTS:
+        return []
+    found = _contradiction(metric, ratios, np.median(known, axis=0))
+    if metric.camera.accept_height:
+        todo = "as camera.accept_height asks, the height counts"
+        return [replace(p, code="height-accepted", todo=todo) for p in found]
+    return found
 
 
 def require_height(recipe: Recipe, problems: Sequence[Problem]) -> None:

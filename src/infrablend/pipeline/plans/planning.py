@@ -121,7 +121,7 @@ def make_plan(
         usable = _images_of(chosen, usable)
         recipe = recipe.model_copy(update={"configurations": 1 + max(k or 0 for _, k in chosen)})
         names = frame_names(renamed.images, recipe)
-    problems += [*_warnings(recipe, dataset, renamed, usable), *height]
+    problems = [*height, *problems, *_warnings(recipe, dataset, renamed, usable)]
 
     as_read = {id(new): old for old, new in zip(timed.images, renamed.images, strict=True)}
     frames = [

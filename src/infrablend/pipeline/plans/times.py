@@ -25,7 +25,7 @@ TIME_REPLACED = "time-replaced"
 def with_used_times(dataset: Dataset, recipe: Recipe) -> Dataset:
     """Return a dataset whose pictures have the time of day that a run uses; see `sampling.weather.used_time`."""
     sky = recipe.environment.sky
-    if sky is None or (sky.place is None and sky.time_of_day is None):
+    if sky is None:
         return dataset
     return replace(dataset, images=tuple(replace(i, capture=used_time(i.capture, sky)) for i in dataset.images))
 
