@@ -197,8 +197,7 @@ def _prepare(
     numbers = evaluated_classes(dataset, images, settings.classes, source.classes, problems)
     source.check(images, problems)
     if settings.stress and source.is_saved:
-        expected = "the weights (.pt) that they were made with: --stress detects on changed pictures"
-        problems.append(Problem(source.name, "stress-saved", "saved detections", expected))
+        problems.append(Problem(source.name, "stress-saved", "saved detections", "weights (.pt), to detect again"))
     groups = image_groups(images, settings.group, problems)
     errors = [p for p in problems if p.severity == "error"]
     if errors:

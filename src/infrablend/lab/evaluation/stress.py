@@ -28,9 +28,6 @@ from infrablend.lab.evaluation.evaluation_settings import EvaluationSettings
 from infrablend.lab.evaluation.precision import drawn_figures
 from infrablend.lab.evaluation.small_targets import FOUND_IOU, as_one_class, found_and_named
 
-Window = tuple[float, float, float, float]
-"""What a crop keeps: x0, y0, x1, y1 as shares of width and height."""
-
 
 @dataclass(frozen=True)
 class Change:
@@ -41,7 +38,7 @@ class Change:
         border_px: Grey around the picture for the network, exact on the left and above, elsewhere up to its stride;
             None for that of an evaluation.
         shift_xy: How far the picture moves in that grey, px.
-        window: What is kept of the picture.
+        window: What is kept of the picture: x0, y0, x1, y1 as shares of its width and height.
         scale: Factor of the size that the network sees.
         levels: What becomes of (h, w, c) grey levels, which are rounded and clipped after it.
     """
@@ -49,7 +46,7 @@ class Change:
     name: str
     border_px: int | None = None
     shift_xy: tuple[int, int] = (0, 0)
-    window: Window = (0.0, 0.0, 1.0, 1.0)
+    window: tuple[float, ...] = (0.0, 0.0, 1.0, 1.0)
     scale: float = 1.0
     levels: Callable[[NDArray[np.uint8]], NDArray[Any]] = np.asarray
 
@@ -59,8 +56,8 @@ class Change:
         x0, y0, x1, y1 = window_px(self.window, (width, height))
         kept = np.rint(self.levels(pixels[y0:y1, x0:x1])).clip(0, 255).astype(np.uint8)
         # Objects in a crop keep their size for the network.
-        share = max(kept.shape[:2]) / max(height, width)
-        plain = fit_picture(kept, round((image_size or max(height, width)) * share * self.scale), stride)
+        scale = self.scale * (image_size or max(height, width)) / max(height, width)
+        plain = fit_picture(kept, round(max(kept.shape[:2]) * scale), stride)
         w, h = (round(size * scale) for size, scale in zip(plain.size_wh, plain.scale_xy, strict=True))
         x, y = plain.pad_xy
         border = plain.pad_xy if self.border_px is None else (self.border_px, self.border_px)
@@ -71,7 +68,7 @@ class Change:
         return replace(plain, pixels=padded, pad_xy=(left, top))
 
 
-def window_px(window: Window, size_wh: tuple[int, int]) -> tuple[int, ...]:
+def window_px(window: tuple[float, ...], size_wh: tuple[int, int]) -> tuple[int, ...]:
     """Return the edges x0, y0, x1, y1 of a crop of a picture, px."""
     return tuple(round(share * side) for share, side in zip(window, 2 * size_wh, strict=True))
 
@@ -101,7 +98,7 @@ def list_changes(seed: int) -> list[Change]:
     ]
 
 
-def crop_labels(truth: Truth, window: Window) -> Truth:
+def crop_labels(truth: Truth, window: tuple[float, ...]) -> Truth:
     """Return the labels in a crop, without objects outside; those that its edges cut become regions to ignore."""
     x0, y0, x1, y1 = window_px(window, truth.size_wh)
     origin = np.array([x0, y0], np.float64)
@@ -145,7 +142,6 @@ def stress_facts(
         on_image: Called with the number of finished and of all pictures, over all changes.
     """
     regions = sum(int(truth.ignore.sum()) for truth in case.labels)
-    objects = sum(len(truth.ignore) for truth in case.labels) - regions
     changes = list_changes(settings.seed)
     rows: list[StressedFigures] = [
         {"change": "none", "objects_cut": 0, "objects_outside": 0, "classes": _rows(case, confidence)}
@@ -156,7 +152,7 @@ def stress_facts(
         labels = [crop_labels(truth, change.window) for truth in case.labels]
         its = _rows(replace(case, labels=labels, found=compared(found, labels, class_of, case.task)), confidence)
         cut = sum(int(truth.ignore.sum()) for truth in labels) - regions
-        outside = objects - cut - its["all"]["objects"]
+        outside = rows[0]["classes"]["all"]["objects"] - its["all"]["objects"] - cut
         rows.append({"change": change.name, "objects_cut": cut, "objects_outside": outside, "classes": its})
     return {"confidence": confidence, "iou": FOUND_IOU, "changes": rows}
 

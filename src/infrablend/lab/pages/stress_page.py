@@ -42,7 +42,7 @@ def draw_stress(stress: StressFacts) -> bytes:
         ax.plot(known, places, "o", ms=4, color=colour, label=label)
         ax.axvline(known[0], color=colour, lw=0.8, alpha=0.6)
         ax.set_xlim(-0.02, 1.02)
-        legend(ax, loc="lower left")
+        legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return png_bytes(figure)
 
 
