@@ -62,6 +62,11 @@ class DetectionSource:
         except (DatasetError, ModelError) as error:
             problems += error.problems
 
+    @property
+    def is_saved(self) -> bool:
+        """Whether these are saved detections, of which there are no others."""
+        return self._saved is not None
+
     def check(self, images: Sequence[ImageRecord], problems: list[Problem]) -> None:
         """Check that saved detections fit these images, or that a detector can read the images; append problems."""
         if self._saved is not None:
@@ -75,8 +80,12 @@ class DetectionSource:
         image_size: int | None,
         on_image: Callable[[int, int], None] | None,
         problems: list[Problem],
+        fit: predict.Fit | None = None,
     ) -> Predictions:
-        """Return the detections on the images, and append warnings about the image scale to `problems`."""
+        """Return the detections on the images, and append warnings about the image scale to `problems`.
+
+        A detector reads the pictures as `fit` prepares them; saved detections stay as they are.
+        """
         if self._saved is not None:
             used = self._saved.facts.get("image_size")
             if image_size is not None and used != image_size:
@@ -86,7 +95,7 @@ class DetectionSource:
         assert self._detector is not None
         if image_size is None:
             problems += self._detector.scale.warnings(self._path)
-        return predict.predict(self._detector, images, image_size=image_size, on_image=on_image)
+        return predict.predict(self._detector, images, image_size=image_size, on_image=on_image, fit=fit)
 
 
 def _file_of(path: Path) -> Path:

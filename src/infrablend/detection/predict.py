@@ -202,6 +202,7 @@ def predict(
     image_size: int | None = None,
     batch: int | None = None,
     on_image: Callable[[int, int], None] | None = None,
+    fit: Fit | None = None,
 ) -> Predictions:
     """Return the detections on whole images.
 
@@ -213,6 +214,7 @@ def predict(
             detector's training.
         batch: Pictures per batch; by default 16 on a GPU, else 4.
         on_image: Called with the number of finished and of all pictures.
+        fit: Prepares pictures for the network; `fit_picture` by default. Detections are in px of what it was made of.
 
     Raises:
         DatasetError: Pictures cannot be read; `problems` lists all of them. Detection stops at the first one.
@@ -224,7 +226,7 @@ def predict(
     sizes: dict[str, tuple[int, int]] = {}
     problems: list[Problem] = []
     with quiet_ultralytics():
-        for group in _batches(images, detector, scale.image_size, at_once, problems):
+        for group in _batches(images, detector, scale.image_size, at_once, problems, fit or fit_picture):
             ours = _run(detector, group)
             for (image, picture), its in zip(group, ours, strict=True):
                 found[image_key(image)] = its
@@ -280,7 +282,7 @@ def _size_mismatch(image: ImageRecord, size_wh: tuple[int, int]) -> Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class _Picture:
+class FittedPicture:
     """Picture prepared for the network: (h, w, c) uint8 pixels, original size, scale, and padding left and on top."""
 
     pixels: NDArray[np.uint8]
@@ -289,15 +291,17 @@ class _Picture:
     pad_xy: tuple[int, int]
 
 
-_Group = list[tuple[ImageRecord, _Picture]]
+Fit = Callable[[NDArray[np.uint8], int, int], FittedPicture]
+"""Prepares the pixels of a picture, given the image size and the stride, as `fit_picture` does."""
+_Group = list[tuple[ImageRecord, FittedPicture]]
 
 
 def _batches(
-    images: Sequence[ImageRecord], detector: Detector, image_size: int, at_once: int, problems: list[Problem]
+    images: Sequence[ImageRecord], detector: Detector, image_size: int, at_once: int, problems: list[Problem], fit: Fit
 ) -> Iterator[_Group]:
     group: _Group = []
     for image in images:
-        picture = _read(image, detector, image_size, problems)
+        picture = _read(image, detector, image_size, problems, fit)
         if picture is None or problems:  # the detections will not be used, but all problems are to be listed
             continue
         if group and (len(group) >= at_once or group[0][1].pixels.shape != picture.pixels.shape):
@@ -308,7 +312,9 @@ def _batches(
         yield group
 
 
-def _read(image: ImageRecord, detector: Detector, image_size: int, problems: list[Problem]) -> _Picture | None:
+def _read(
+    image: ImageRecord, detector: Detector, image_size: int, problems: list[Problem], fit: Fit
+) -> FittedPicture | None:
     from ultralytics.utils.patches import imread
 
     flags = cv2.IMREAD_GRAYSCALE if detector.channels == 1 else cv2.IMREAD_COLOR
@@ -333,7 +339,7 @@ def _read(image: ImageRecord, detector: Detector, image_size: int, problems: lis
     if image.size_wh is not None and image.size_wh != (width, height):
         problems.append(_size_mismatch(image, (width, height)))
         return None
-    return fit_picture(pixels, image_size, detector.stride)
+    return fit(pixels, image_size, detector.stride)
 
 
 def _by_agc(image: ImageRecord, detector: Detector) -> NDArray[np.uint8] | None:
@@ -345,7 +351,7 @@ def _by_agc(image: ImageRecord, detector: Detector) -> NDArray[np.uint8] | None:
     return levels if detector.channels == 1 else np.repeat(levels[..., None], 3, axis=2)
 
 
-def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> _Picture:
+def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> FittedPicture:
     """Scale to a longer side of `image_size` (0: not at all) and pad with grey on all sides, as in validation.
 
     Each side becomes the multiple of the stride that leaves at least half a stride of padding.
@@ -361,7 +367,7 @@ def fit_picture(pixels: NDArray[np.uint8], image_size: int, stride: int) -> _Pic
     top = round((full_h - h) / 2 - 0.1)
     padded = np.full((full_h, full_w, pixels.shape[2]), _GREY, np.uint8)
     padded[top : top + h, left : left + w] = pixels
-    return _Picture(padded, (width, height), (w / width, h / height), (left, top))
+    return FittedPicture(padded, (width, height), (w / width, h / height), (left, top))
 
 
 def _run(detector: Detector, group: _Group) -> list[Detections]:
@@ -378,7 +384,7 @@ def _run(detector: Detector, group: _Group) -> list[Detections]:
         return [*_run(detector, group[:middle]), *_run(detector, group[middle:])]
 
 
-def _forward(detector: Detector, pictures: Sequence[_Picture]) -> list[Any]:
+def _forward(detector: Detector, pictures: Sequence[FittedPicture]) -> list[Any]:
     import torch
     from ultralytics.utils import nms
 
@@ -407,7 +413,7 @@ def _forward(detector: Detector, pictures: Sequence[_Picture]) -> list[Any]:
         ]
 
 
-def _scaled(rows: Any, picture: _Picture, task: Task, prototypes: Any) -> Detections:
+def _scaled(rows: Any, picture: FittedPicture, task: Task, prototypes: Any) -> Detections:
     """Return Ultralytics' rows (box, score, class, further values) as detections in pixels of the stored picture."""
     masks = None
     if task == "segment":
@@ -424,7 +430,7 @@ def _scaled(rows: Any, picture: _Picture, task: Task, prototypes: Any) -> Detect
     return detections(boxes, values[:, 4], values[:, 5], None, masks)
 
 
-def _masks(rows: Any, picture: _Picture, prototypes: Any) -> tuple[Any, list[Mask]]:
+def _masks(rows: Any, picture: FittedPicture, prototypes: Any) -> tuple[Any, list[Mask]]:
     """Return the rows that have a mask, and their masks in the stored picture instead of the padded one."""
     from ultralytics.utils import ops
 

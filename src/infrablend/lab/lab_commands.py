@@ -152,6 +152,7 @@ def evaluate(
 
 def _evaluation(report: EvaluationReport) -> list[str]:
     from infrablend.lab.pages import evaluation_page as page
+    from infrablend.lab.pages.stress_page import stress_table
     from infrablend.report.figures import decimals, interval
 
     metrics = report.metrics
@@ -178,6 +179,8 @@ def _evaluation(report: EvaluationReport) -> list[str]:
         blocks.append("mAP50-95 on the same images:\n" + grid(head, lines))
     if listed := metrics.get("first_detections"):
         blocks.append(_titled(page.found_table(listed)))
+    if stress := metrics.get("stress"):
+        blocks.append(_titled(stress_table(stress)))
     detector = metrics["detector"]
     if "image_size" in detector:
         size = f"a longer side of {detector['image_size']} px" if detector["image_size"] else "their own size"

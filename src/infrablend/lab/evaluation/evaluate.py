@@ -13,7 +13,7 @@ import numpy as np
 
 from infrablend import __version__
 from infrablend.core.dataset import SPLITS, Dataset, ImageRecord
-from infrablend.core.files import write_bytes, write_text
+from infrablend.core.files import write_bytes, write_json, write_text
 from infrablend.core.workspace import replacing, workspace
 from infrablend.detection.detection_source import DetectionSource, choose_task
 from infrablend.detection.detections import MATCHES, MAX_DETECTIONS, PREDICTIONS, RECORD, FloatArray, write_predictions
@@ -48,11 +48,14 @@ from infrablend.lab.evaluation.evaluation_figures import figures, list_found
 from infrablend.lab.evaluation.evaluation_record import ClassRows, EvaluatedDataset, EvaluationRecord
 from infrablend.lab.evaluation.evaluation_settings import DEFAULT_SETTINGS, EvaluationSettings
 from infrablend.lab.evaluation.small_targets import BODY_BINS, NO_BODY_PX, body_sizes
+from infrablend.lab.evaluation.stress import stress_facts
 from infrablend.lab.evaluation.tracking import require_trackers
 from infrablend.lab.pages.evaluation_page import draw_plots, evaluation_page
+from infrablend.lab.pages.stress_page import STRESS_PAGE, stress_page
 
 PAGE = "evaluation.html"
 PLOTS = "plots"
+STRESS = "stress.json"
 _SHOWN = 5
 _LEAST_AP = 0.001
 
@@ -160,6 +163,10 @@ def evaluate_detector(
             facts["first_detections"] = list_found(case, settings.list_first, settings.list_iou)
         if tracks is not None:
             facts["tracks"] = tracks
+        if settings.stress:
+            facts["stress"] = stress_facts(case, source, class_of, settings, metrics["confidence"], on_image)
+            write_json(space.folder / STRESS, facts["stress"])
+            write_text(space.folder / STRESS_PAGE, stress_page(facts))
         write_matches(space.folder / MATCHES, stored)
         plots = draw_plots(facts)
         for name, data in plots.items():
@@ -189,6 +196,8 @@ def _prepare(
     task = choose_task(settings.task, source, problems)
     numbers = evaluated_classes(dataset, images, settings.classes, source.classes, problems)
     source.check(images, problems)
+    if settings.stress and source.is_saved:
+        problems.append(Problem(source.name, "stress-saved", "saved detections", "weights (.pt), to detect again"))
     groups = image_groups(images, settings.group, problems)
     errors = [p for p in problems if p.severity == "error"]
     if errors:

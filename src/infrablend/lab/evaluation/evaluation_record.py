@@ -180,6 +180,38 @@ class Curves(TypedDict):
     precision: Mapping[str, Sequence[float]]
 
 
+class StressRow(TypedDict):
+    """The figures of a class, or of `all`, under a change; None without objects, `named` also if none is found.
+
+    `found` is a share of the objects, `named` one of those found, and `false_alarms` the number of detections a picture
+    that overlap no object of the class.
+    """
+
+    objects: int
+    map50: float | None
+    map10: float | None
+    found: float | None
+    named: float | None
+    false_alarms: float
+
+
+class StressedFigures(TypedDict):
+    """The figures under a change, and the numbers of objects that it cuts, which are ignored, and leaves outside."""
+
+    change: str
+    objects_cut: int
+    objects_outside: int
+    classes: Mapping[str, StressRow]
+
+
+class StressFacts(TypedDict):
+    """Content of `stress.json`; the first of the changes is none."""
+
+    confidence: float
+    iou: float
+    changes: Sequence[StressedFigures]
+
+
 class EvaluatedDataset(TypedDict):
     """What was evaluated on."""
 
@@ -211,3 +243,4 @@ class EvaluationRecord(TypedDict):
     problems: Sequence[Mapping[str, str]]
     tracks: NotRequired[TrackFacts]
     first_detections: NotRequired[FirstDetections]
+    stress: NotRequired[StressFacts]

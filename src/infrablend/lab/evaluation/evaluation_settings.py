@@ -33,6 +33,7 @@ class EvaluationSettings:
         by_body: Measure what the pictures show of the objects, and give AP by its size from 2 px.
         tracks: Run a tracker on the sequences, and compare with the labelled tracks: HOTA, MOTA, IDF1.
         tracker: Tracker of `--tracks`, with Ultralytics' default settings.
+        stress: Also detect on the same pictures with other borders, places, scales and levels, which must not matter.
 
     Raises:
         ArgumentError: `classes` is no list of names.
@@ -52,6 +53,7 @@ class EvaluationSettings:
     by_body: bool = False
     tracks: bool = False
     tracker: Tracker = "bytetrack"
+    stress: bool = False
 
     def __post_init__(self) -> None:
         require_names("classes", self.classes)

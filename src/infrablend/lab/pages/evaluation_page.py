@@ -21,6 +21,7 @@ from infrablend.lab.evaluation.evaluation_record import (
     Targets,
     TrackFacts,
 )
+from infrablend.lab.pages.stress_page import STRESS_PAGE
 from infrablend.report.charts import COLOURS, curves, legend, matrix, panels, plot_text, png_bytes
 from infrablend.report.figures import decimals, interval
 from infrablend.report.page import Table, render_page
@@ -246,6 +247,7 @@ def evaluation_page(facts: EvaluationRecord, plots: Mapping[str, bytes]) -> str:
         ultralytics=class_table(facts["ultralytics"] or {}),
         paired=_paired_table(facts["paired"]) if facts["paired"] else None,
         strata=[(kind, title, _stratum_table(facts["strata"].get(kind, {}))) for kind, title in STRATA.items()],
+        stress_page=STRESS_PAGE,
         found=found_table(facts["first_detections"]) if "first_detections" in facts else None,
         plots=plots,
         # Files that could not be read are errors, one each; a single warning counts them.
