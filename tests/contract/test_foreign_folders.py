@@ -289,7 +289,7 @@ def test_generate_counts_the_labels_of_each_format(tmp_path: Path) -> None:
     assert re.search(r"^labels in coco, dota +car \d, deer [1-9]", done.output, re.MULTILINE)
     assert re.search(r"^labels in yolo +car \d, deer 0", done.output, re.MULTILINE)
     (lost,) = re.findall(r"^lost: .*", done.output, re.MULTILINE)
-    assert re.search(r"in coco \(\d+\), dota \(\d+\), yolo \(\d+\), in no other: .*`losses` in .*run.json", lost)
+    assert re.search(r"in dota \(\d+\), images \(\d+\), yolo \(\d+\), in no other: .*`losses` in .*run.json", lost)
     assert json.loads((tmp_path / "r" / "run.json").read_text())["losses"]["yolo.ignore_dropped"]
 
 

@@ -48,7 +48,7 @@ def test_all_forms_agree_on_every_object_and_each_file_is_parsed_once(
         d = dataset_folder.read(real_data / "hit-uav")
     monkeypatch.undo()
     annotations = {p for p in opens if p.suffix in (".json", ".xml", ".txt")}
-    assert set(opens) == annotations, "no picture is opened"
+    assert all(n == 1 for p, n in opens.items() if p not in annotations), "no header is read twice"
     assert len(annotations) > 100
     # Detection peeks into the JSON files and parses one of the XML files.
     assert set(opens.values()) <= {1, 2}

@@ -112,7 +112,7 @@ def test_two_cameras_in_one_folder_are_reported(tmp_path: Path) -> None:
     flight(tmp_path, 2)
     shot(tmp_path / "FLIR0001.jpg", "flir")
     text = codes(api.read_dataset(tmp_path))["flight-cameras"]
-    assert "DJI M3T, 160x128" in text and "FLIR Vue Pro R, 160x128" in text
+    assert "DJI WORLD-T, 160x128" in text and "FLIR Vue Pro R, 160x128" in text
 
 
 def test_one_camera_without_a_field_of_view_in_some_pictures_is_one_camera(tmp_path: Path) -> None:

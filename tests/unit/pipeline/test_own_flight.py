@@ -230,7 +230,7 @@ def test_a_roll_that_may_be_a_turned_picture_is_left_out(roll: float, words: str
     ("changes", "code", "words"),
     [
         ({"pitch_deg": -40.0}, "above-horizon", "the whole picture is above the horizon"),
-        ({"focal_length_35mm": None}, "no-field-of-view", "unknown field of view of DJI M3T"),
+        ({"focal_length_35mm": None}, "no-field-of-view", "unknown field of view of DJI WORLD-T"),
         ({"altitude_m": -4.0}, "no-altitude", "unknown camera height"),
         ({"pitch_deg": None}, "no-pitch", "unknown camera pitch"),
     ],

@@ -98,7 +98,7 @@ def segment_bytes(marker: int, data: bytes) -> bytes:
 
 def _exif(maker: Maker, shot: Shot) -> bytes:
     exif = Image.Exif()
-    exif[0x010F], exif[0x0110] = ("DJI", "M3T") if maker == "dji" else ("FLIR Systems AB", "FLIR Vue Pro R")
+    exif[0x010F], exif[0x0110] = ("DJI", "WORLD-T") if maker == "dji" else ("FLIR Systems AB", "FLIR Vue Pro R")
     detail = exif.get_ifd(0x8769)
     if shot.captured is not None:
         detail[0x9003] = shot.captured.strftime("%Y:%m:%d %H:%M:%S")
