@@ -9,6 +9,8 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from io import BufferedReader
+from itertools import compress
+from operator import itemgetter
 from pathlib import Path, PurePosixPath
 
 from infrablend.core.dataset import Dataset
@@ -29,12 +31,26 @@ _YAML_SUFFIXES = {".yaml", ".yml"}
 _SUFFIXES = {
     ".xml", ".txt", ".csv", ".tsv", ".label", ".tfrecord", ".record", ".pkl", *_JSON_SUFFIXES, *_YAML_SUFFIXES,
 }  # fmt: skip
+# Other texts that may be labels: errors if they show boxes, but many of them name pictures for another purpose.
+_RARE_SUFFIXES = {".lst", ".dat", ".log", ".ann", ".gt", ".idl", ".lbl", ".bbox", ".pts", ".xgtf", ""}
 # What cannot be searched as text: the suffix alone says that there may be labels or pictures.
 _ARCHIVES = {".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar"}
 _BINARY = {".mat", ".parquet", ".arrow", ".xlsx", ".xls", ".ods", ".h5", ".hdf5"}
+# Such files of any purpose are common: only their names tell.
+_ARRAYS = {".npy", ".npz"}
 # Names of such files that speak of labels.
 _OF_LABELS = re.compile(
     r"label|annot|(?:^|[\W_])(?:gt|xml|voc|coco|yolo|dota)(?:[\W_]|$)|truth|box|mask", re.IGNORECASE
+)
+# Whole words of names and lines that speak of labels, and of names that speak of something else.
+_WORD_OF_LABELS = re.compile(
+    r"(?:^|[\W_])(?:label(?:s|l?ed)?|annos?|annot(?:ation)?s?|gt|(?:ground_?)?truth|(?:b|bounding_?)?box(?:es)?|bbs?|det(?:ection)?s?|masks?"
+    r"|objects?|rects?|res|voc|coco|yolo|dota)\d*(?=[\W_]|$)",
+    re.IGNORECASE,
+)
+_WORD_OF_OTHERS = re.compile(
+    r"(?:^|[\W_])(?:(?:flight)?log|times?|timestamps?|gps|imu|poses?|homograph(?:y|ies)|calib(?:ration)?|srt|telemetry)"
+    r"(?:[\W_]|$)"
 )
 _PART = re.compile(r"\.part(-\d+)?$")
 _EXPECTED = "a label file that can be read"
@@ -50,7 +66,18 @@ _LABEL_WORD = (
     r"|bounding_?box(?:es)?|polygons?|segmentations?|wkt|rle|encoded_?pixels|shapes|regions|x_?(?:min|max|[012]))"
     r"(?:[_ ]?(?:ids?|names?|title))?|\w{0,40}shape_attributes"
 )
-_TITLE = re.compile(rf"{_LABEL_WORD}|w", re.IGNORECASE)
+_TITLE = re.compile(_LABEL_WORD, re.IGNORECASE)
+# Titles of the sides of a box, of which four make one, and of the column of pictures.
+_SIDE = re.compile(
+    r"(?:(?:b?box|bb|bounding_?box|rect|roi)[_ .-]?)?(?:(?:c|cent(?:er|re)|min|max|[tbul][lr])?[_ ]?[xy]"
+    r"|[xy][_ ]?(?:c|cent(?:er|re)|min|max|[tbul][lr]|left|right|top|bottom|[0-4])|w|h|width|height"
+    r"|(?:(?:top|bottom|upper|lower)[_ ]?)?(?:left|right|top|bottom)(?:[_ ]?[xy])?)(?:[_ ](?:px|pixels?|norm|rel))?",
+    re.IGNORECASE,
+)
+_PICTURE_TITLE = re.compile(
+    r"(?:image|img|picture|frame|file)?[_ ]?(?:id|name|no|nr|num|number|index|idx|image|img|picture|frame|file)",
+    re.IGNORECASE,
+)
 _KEY = re.compile(rf'"(?:{_LABEL_WORD})"\s*:', re.IGNORECASE)
 _YAML_KEY = re.compile(rf"""(?:^[ -]*|[{{,] ?)["']?(?:{_LABEL_WORD})["']?:(?:\s|$)""", re.IGNORECASE | re.MULTILINE)
 # A recipe of ours may name pictures, and has `objects`.
@@ -77,18 +104,22 @@ _FIRST_WORD = re.compile(r"^[^\W\d_]{1,12}[_\-. ]?(?=\d+$)")
 _CELL = re.compile(r"[,;\s|\"'\[\]()]+")
 _TEXT = re.compile(r'(:\s*)?"([^"\\/]{1,255})"(?=(\s*:)?)')
 # A line of a table of boxes: left, top, width and height at least, perhaps after the frame and the track.
-_NUMBER = r"-?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?"
+_NUMBER = r"(?:-?(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?\d++)?|(?i:nan)\b)"
 _IS_NUMBER = re.compile(_NUMBER).fullmatch
 _BOX = 4
 _NUMBERS = re.compile(rf"(?<![\w.])(?:{_NUMBER}[,; \t]++){{3,}}{_NUMBER}")
-_TUPLE = re.compile(rf"[(\[{{]\s*+{_NUMBER}(?:\s*+[,; \t]\s*+{_NUMBER}){{3}}")
+# Also as pairs, each in brackets.
+_TUPLE = re.compile(rf"[(\[{{][\s(\[{{]{{0,9}}+{_NUMBER}(?:(?:[\s)\]}}]*+[,;][\s(\[{{]*+|[ \t]++){_NUMBER}){{3}}")
+_VALUES = re.compile(rf"(?:=\s*+{_NUMBER}[^=]{{1,20}}){{3}}=\s*+{_NUMBER}")
 # In JSON, four numbers as the value of a key, perhaps in lists, and characters that are written as numbers.
 _BOX_OF = re.compile(rf'"([^"\\]{{1,255}})"\s*:\s*\[[\s\[]*+{_NUMBER}(?:\s*,\s*{_NUMBER}){{3}}')
 # Keys of JSON with the number of a picture; and those of a list of results, which may be numbers of another file.
 _PICTURE_NUMBER = re.compile(
     r'"(?:image|img|picture|file|frame)[_ ]?(?:id|no|nr|num|number|index|idx)?"\s*:\s*"?(\d+)\b', re.IGNORECASE
 )
-_RESULTS = re.compile(r'\s*\[?\s*\{(?=[^{}]*"image_id"\s*:)(?=[^{}]*"(?:bbox|segmentation)"\s*:)')
+_RESULTS = re.compile(
+    r'\s*[\[{](?!.*"images"\s*:)(?=.*"image_id"\s*:).*"(?:bbox|segmentation|keypoints)"\s*:', re.DOTALL
+)
 _ESCAPED = re.compile(r"\\u([0-9a-fA-F]{4})")
 _TRUTH = re.compile(r"(?:^|[\W_])(?:gt|det|ground_?truth)(?:[\W_]|$)")
 _HEAD_BYTES = 1_000_000
@@ -150,9 +181,10 @@ def _unread_labels(
     reported = {p.where.partition(":")[0] for p in dataset.problems if p.severity == "error"}
     bare = reported.difference(files)  # readers state some places without their folders
     left = [name for name in files if name not in reported and dataset.root / name not in read]
-    texts = [name for name in left if _is_candidate(name, splits) and PurePosixPath(name).name not in bare]
+    suffixes = _SUFFIXES | _RARE_SUFFIXES
+    texts = [name for name in left if _is_candidate(name, splits, suffixes) and PurePosixPath(name).name not in bare]
     ours = any((dataset.root / name).is_file() for name in (RUN_FILE, SHARDS_FILE))  # with the labels of all formats
-    closed = [] if ours else [name for name in left if _suffix(name) in _ARCHIVES | _BINARY]
+    closed = [] if ours else [name for name in left if _suffix(name) in _ARCHIVES | _BINARY | _ARRAYS]
     if not texts and not masks and not closed:
         return []
     judge = _Judge(dataset, ours)
@@ -166,7 +198,8 @@ def _unread_labels(
         elif problem is not None:
             alike[name.rpartition("/")[0], _suffix(name), problem].append(name)
     for name in closed:
-        alike[name.rpartition("/")[0], _suffix(name), judge.of_closed(name)].append(name)
+        if problem := judge.of_closed(name):
+            alike[name.rpartition("/")[0], _suffix(name), problem].append(name)
     for name, picture in masks.items():
         if fold_name(picture) in judge.labelled:
             alike[name.rpartition("/")[0], "", judge.of_mask(picture)].append(name)
@@ -203,6 +236,9 @@ class _Judge:
             stem = fold_name(image.path.stem)
             self.labelled[stem] = bool(image.instances) or self.labelled.get(stem, False)
         self._any = any(self.labelled.values())
+        # Also by what labels of all forms of a picture are named.
+        forms = ((_LAST_WORD.sub("", stem), has) for stem, has in sorted(self.labelled.items(), key=itemgetter(1)))
+        self._forms = {stem: has for stem, has in forms if _TELLING.match(stem)} | self.labelled
         # Elsewhere in the folders, a file may be that of a picture of the same stem in another split.
         self._places = {_place(os.fspath(i.path)) for i in dataset.images}
 
@@ -218,20 +254,33 @@ class _Judge:
             return _unread(fault, todo, "warning" if fault == _EMPTY and self._any else "error")
         if path.suffix != path.suffix.lower() == ".txt" and stem in self.labelled:
             return _unread(f"labels with the suffix {path.suffix}, which are not read", _RENAME)
-        if self._ours or name in _RECORDS or (path.suffix.lower() == ".txt" and _FOR_PEOPLE.match(path.name)):
+        if self._ours or name in _RECORDS or (path.suffix.lower() in (".txt", "") and _FOR_PEOPLE.match(path.name)):
             return None
         if self.labelled.get(stem) and (self._plain or _place(os.fspath(path)) in self._places):
             return _unread("labels of a picture that has other labels, which are not read", _TODO, "warning")
-        if self._plain and (stem in self.labelled or _is_annotation(path, name)):
+        rare = _suffix(name) in _RARE_SUFFIXES
+        if self._plain and not rare and (stem in self.labelled or _is_annotation(path, name)):
             return _unread(_UNKNOWN, _TODO)
-        says = _tells_of(path, self._pictures, alone=self.labelled.get(stem) is False)
+        alone = self._is_alone(stem)
+        says = _tells_of(path, self._pictures, alone=alone)
+        if rare and (says != "error" or _suffix(name) == ".log"):
+            says = "warning" if says == "error" or alone else None
         if says == "warning":
             return _unread("a file that names pictures, and is not read", _IF_LABELS, says)
         return None if says is None else _unread(_UNKNOWN, _TODO)
 
-    def of_closed(self, name: str) -> Problem:
-        """Return the remark on a file that cannot be searched as text."""
-        lost = _OF_LABELS.search(PurePosixPath(name).stem) and not self._any
+    def _is_alone(self, stem: str) -> bool:
+        """Return whether a folded stem, perhaps but for a word such as `gt`, is that of a picture without objects."""
+        if stem not in self._forms:
+            stem = _WORD_OF_LABELS.sub("", stem).strip("_-. ")
+        return self._forms.get(stem) is False
+
+    def of_closed(self, name: str) -> Problem | None:
+        """Return the remark on a file that cannot be searched as text; None for arrays that are not named for one."""
+        stem = fold_name(PurePosixPath(name).stem)
+        lost = _OF_LABELS.search(stem) and not self._any
+        if _suffix(name) in _ARRAYS and not (lost or stem in self._forms or self._pictures.are_of_clip(stem)):
+            return None
         severity: Severity = "error" if lost else "warning"
         if _suffix(name) in _ARCHIVES:
             todo = "if it holds labels or pictures, unpack it; else move it out of the folder"
@@ -265,14 +314,17 @@ def label_candidates(root: Path) -> Iterator[str]:
     return filter(_is_candidate, files_below(root))
 
 
-def _is_candidate(name: str, splits: Collection[str] | None = None) -> bool:
+def _is_candidate(
+    name: str, splits: Collection[str] | None = None, suffixes: Collection[str] = frozenset(_SUFFIXES)
+) -> bool:
     """Return whether a file may hold labels, unless its path states another split than those asked for."""
-    return _suffix(name) in _SUFFIXES and (splits is None or stated_split(name) in (None, *splits))
+    return _suffix(name) in suffixes and (splits is None or stated_split(name) in (None, *splits))
 
 
 def _suffix(name: str) -> str:
     """Return the suffix of a file, without the number of a part as in `train.record-00000-of-00010`."""
-    return name[name.rfind(".") :].lower().partition("-")[0]
+    name = name.rpartition("/")[2]
+    return name[name.rfind(".") :].lower().partition("-")[0] if "." in name else ""
 
 
 def files_below(root: Path) -> Iterator[str]:
@@ -306,6 +358,7 @@ def _fault(path: Path, name: str) -> str:
         except DatasetError as error:
             return error.problems[0].found
     silent = path.suffix.lower() in (".txt", ".label") and not _TRUTH.search(fold_name(path.stem))
+    silent = silent or _suffix(name) in _RARE_SUFFIXES
     return _EMPTY if not silent and path.is_file() and not path.stat().st_size else ""
 
 
@@ -400,30 +453,38 @@ def _tells_of(path: Path, pictures: _Pictures, *, alone: bool) -> Severity | Non
         return "error"
     with suppress(OSError), open_regular(path) as stream:
         head = _block(stream)
+        if suffix in _RARE_SUFFIXES and b"\0" in head:
+            return None  # no text
         text = as_utf8(head).decode("utf-8", "replace")
         if not pictures.may_be_in(text):
             text = f"{text}\n{_block_with_name(stream, head, pictures)}"
         lines = [line for line in map(str.strip, text.splitlines()) if line]
         if not lines:
-            return "error" if stem in pictures.folders else None
-        clip = pictures.are_of_clip(stem)
+            return "error" if stem in pictures.folders and suffix not in _RARE_SUFFIXES else None
+        named = stem in pictures.folders
+        others = not named and _WORD_OF_OTHERS.search(stem)
+        clip = pictures.are_of_clip(stem) and not others
         truth = _TRUTH.search(stem)
-        records = suffix in {".xml", *_JSON_SUFFIXES, *_YAML_SUFFIXES}
+        word = _WORD_OF_LABELS.search(stem)
+        records = suffix in {".xml", ".xgtf", *_JSON_SUFFIXES, *_YAML_SUFFIXES}
+        tuples = [line for line in lines if _TUPLE.search(line)] if not records and (clip or word) else []
         if (
-            (stem in pictures.folders and _NUMBERS.match(lines[0]))
+            (named and (tuples or _NUMBERS.match(lines[0])))
             or (truth and any(map(_NUMBERS.match, lines)))
-            or (not records and (clip or truth) and any(map(_TUPLE.search, lines)))
-            or (not records and clip and _OF_LABELS.search(stem) and any(map(_NUMBERS.search, lines)))
+            or ((clip or truth) and (word or any(map(_WORD_OF_LABELS.search, tuples))) and tuples)
+            or (not records and clip and word and any(map(_NUMBERS.search, lines)))
         ):
             return "error"
         if records:
             return _said_in_records(text, lines, pictures, suffix, alone=alone or clip)
-        if suffix in (".csv", ".tsv", ".txt"):
+        if suffix in {".csv", ".tsv", ".txt", *_RARE_SUFFIXES}:
             if says := _said_in_table(lines, pictures, suffix, alone=alone):
                 return says
-            keyed = _are_keyed(lines, pictures)
-            labels = keyed and _OF_LABELS.search(stem)
-            return "error" if labels else "warning" if keyed or (clip and _NUMBERS.match(lines[0])) else None
+            keyed = not others and _are_keyed(lines, pictures)
+            if keyed and _OF_LABELS.search(stem):
+                return "error"
+            values = (clip and _NUMBERS.match(lines[0])) or (named and any(map(_VALUES.search, lines)))
+            return "warning" if keyed or tuples or values else None
         return "error" if any(map(pictures.named_in, lines)) else None
     return None
 
@@ -448,7 +509,7 @@ def _said_in_records(
 ) -> Severity | None:
     """Return what `_tells_of` does for JSON, YAML or XML, whose keys or tags speak of labels or do not."""
     is_json = suffix in _JSON_SUFFIXES
-    keys = _TAG if suffix == ".xml" else _KEY
+    keys = _TAG if suffix in (".xml", ".xgtf") else _KEY
     if suffix in _YAML_SUFFIXES:
         keys = _YAML_KEY
         if _RECIPE.search(text):
@@ -474,7 +535,9 @@ def _said_in_table(lines: Sequence[str], pictures: _Pictures, suffix: str, *, al
     if alone and any(_count_numbers(_CELL.split(line)) >= _BOX for line in lines):
         return "error"
     titles = _titles(lines[0])
-    labels = any(map(_TITLE.fullmatch, titles)) or {"x", "y", "width"} <= {t.lower() for t in titles}
+    sides = sum(_SIDE.fullmatch(t) is not None for t in titles)
+    labels = any(map(_TITLE.fullmatch, titles)) or sides >= _BOX - 1
+    of_pictures = [bool(_PICTURE_TITLE.fullmatch(t)) for t in titles]
     fits = len(lines) > 1 and len(titles) == len(_titles(lines[-1])) and not any(_IS_NUMBER(t) for t in titles)
     other = not labels and (fits or _COORDINATES.search(lines[0])) and not pictures.named_in(lines[0])
     says: Severity | None = None
@@ -482,12 +545,17 @@ def _said_in_table(lines: Sequence[str], pictures: _Pictures, suffix: str, *, al
     for line in lines:
         cells = _CELL.split(line)
         name = pictures.named_in(line)
-        if name is not None and suffix == ".txt" and re.split(r"[\\/]", line)[-1] == name:
+        if name is not None and suffix not in (".csv", ".tsv") and re.split(r"[\\/]", line)[-1] == name:
             listed = True
             continue
         stem = next((c for c in cells if c in pictures.stems), None)
         boxed = _count_numbers(cells) >= _BOX
-        numbered = labels and boxed and pictures.is_number(next(filter(None, cells)))
+        numbered = (
+            labels
+            and boxed
+            and (sides >= _BOX or _TUPLE.search(line))
+            and any(map(pictures.is_number, compress(_titles(line), of_pictures)))
+        )
         if name is None and not numbered and (stem is None or not (labels or boxed)):
             continue
         if labels:
@@ -504,7 +572,7 @@ def _are_keyed(lines: Iterable[str], pictures: _Pictures) -> bool:
     keys = set()
     for line in lines:
         cells = list(filter(None, _CELL.split(line)))
-        if _count_numbers(cells) <= _BOX or not pictures.is_number(cells[0]):
+        if _count_numbers(cells) <= _BOX or not pictures.is_number(cells[0].removesuffix(".0")):
             return False
         keys.add(cells[0])
     return len(keys) > 1
