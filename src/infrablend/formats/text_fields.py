@@ -37,8 +37,7 @@ def with_fitting_fields(dataset: Dataset) -> Dataset:
     problems = [_renamed(old, new) for old, new in names.items()]
     if unassigned := counts["unassigned"]:
         found = f"{unassigned} object(s) with track -1, read as objects without a track"
-        expected = "the same id for an object in all its frames"
-        problems.append(Problem(dataset.root.name, "track-missing", found, expected, "", "warning"))
+        problems.append(Problem(dataset.root.name, "track-missing", found, "an id for each object", "", "warning"))
     if total := counts["text"]:
         found = f"{total} text(s) with control characters"
         expected = "texts that label files can hold"
@@ -85,10 +84,8 @@ def _instance(instance: Instance, names: Mapping[str, str], counts: Counter[str]
     category = names.get(instance.category, instance.category)
     extra = _fitting(instance.extra, counts)
     source_id = _fitting(instance.source_id, counts)
-    track_id = _fitting(instance.track_id, counts)
-    if is_unassigned(track_id):
-        track_id = None
-        counts["unassigned"] += 1
+    counts["unassigned"] += is_unassigned(instance.track_id)
+    track_id = None if is_unassigned(instance.track_id) else _fitting(instance.track_id, counts)
     if (category, extra, source_id, track_id) == (
         instance.category,
         instance.extra,

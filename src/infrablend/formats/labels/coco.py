@@ -719,9 +719,8 @@ def _track_id(a: Mapping[str, object]) -> int | str | None:
     """Return the track of an object: COCO's field, that of CocoVID, or CVAT's attribute; None without one."""
     attributes = a.get("attributes")
     of_cvat = attributes.get("track_id") if isinstance(attributes, dict) else None
-    values = (to_id(value) for value in (a.get("track_id"), a.get("instance_id"), of_cvat))
-    stated = [track for track in values if track is not None]
-    return next((track for track in stated if not is_unassigned(track)), stated[0] if stated else None)
+    stated = (to_id(value) for value in (a.get("track_id"), a.get("instance_id"), of_cvat))
+    return next(iter(sorted((track for track in stated if track is not None), key=is_unassigned)), None)
 
 
 def _rotation_rad(a: Mapping[str, object]) -> float:

@@ -339,9 +339,12 @@ def _read_objects(
             found.leave_out(str(row.get("type")), where)
             continue
         here = f"{where}: result {row.get('id', n)}"
-        if (fault := _other_picture(row, size_wh)) is not None:
-            expected = "results on the picture as it is, all of one size"
-            found.add(here, "annotation-malformed", fault, expected, "label the picture as it is again")
+        stated = to_size(row.get("original_width"), row.get("original_height"))
+        if stated not in (None, size_wh) or to_number(row.get("image_rotation") or 0) != 0:
+            said = (
+                f"drawn on {stated} px, image_rotation {row.get('image_rotation', 0)!r}; the picture has {size_wh} px"
+            )
+            found.add(here, "annotation-malformed", said[:160], "the picture as it is", "label it again, not turned")
             continue
         try:
             instance = _read_result(found, row, here)
@@ -357,17 +360,6 @@ def _read_objects(
         else:
             objects[key if key not in objects else f"{key} {n}"] = instance
     return objects.values()
-
-
-def _other_picture(row: Mapping[str, object], size_wh: tuple[int, int] | None) -> str | None:
-    """Return what says that a result was drawn on a picture that is turned or of another size; None if nothing does."""
-    turn = row.get("image_rotation") or 0
-    if to_number(turn) != 0:
-        return f"a result with image_rotation {turn!r}, drawn on the turned picture"[:120]
-    stated = to_size(row.get("original_width"), row.get("original_height"))
-    if stated is None or size_wh is None or stated == size_wh:
-        return None
-    return f"a result for {stated[0]}x{stated[1]} px; the picture's size is said to be {size_wh[0]}x{size_wh[1]} px"
 
 
 def _joined(rows: Sequence[Mapping[str, object]]) -> list[Mapping[str, object]]:

@@ -63,8 +63,10 @@ _FAR_SHARE = 10
 _UNEVEN = 2e-3
 # A confidence and the number of a track.
 _MOST_ADDED = 2
-# Boxes may reach out of the picture, where they are clipped: their shares are within this of 0 to 1.
-_SLACK = 0.5
+_DOUBT = (
+    "remove the last two values if they are a confidence and a track; "
+    "if they are a corner, add `task: segment` to data.yaml"
+)
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 # Folders in the longest end of a path that is looked for in a dataset.
@@ -373,7 +375,8 @@ def _size_of_place(count: int, keypoints: int) -> int:
 
 
 def _is_box(values: Sequence[float]) -> bool:
-    return all(-_SLACK <= v <= 1 + _SLACK for v in values) and min(values[2:]) > 0
+    # A box that reaches out of the picture is clipped later.
+    return all(-0.5 <= v <= 1.5 for v in values) and min(values[2:]) > 0
 
 
 def _is_turned_box(values: Sequence[float]) -> bool:
@@ -396,8 +399,7 @@ def _is_number(value: float) -> bool:
 def _outline_track(values: Sequence[float]) -> float | None:
     """Return what may be the number of a track behind a polygon and a confidence; None if it cannot be one."""
     *corners, score, number = values
-    fits = len(corners) >= 8 and 0 <= score <= 1 and _is_number(number) and max(corners) <= 1
-    return number if fits else None
+    return number if len(corners) >= 8 and 0 <= score <= 1 and _is_number(number) and max(corners) <= 1 else None
 
 
 @dataclass(frozen=True)
@@ -456,7 +458,7 @@ def without_predictions(
     stated = task == "seg" and not keypoints  # lines of an even length are polygons
     predictions = {v: None if stated and len(v) % 2 == 0 else _Prediction.of(v, keypoints) for v in lines}
     outlines = [v for v, p in predictions.items() if p is None and len(v) >= 6 and len(v) % 2 == 0]
-    tracked_outlines, doubtful = ({}, {}) if keypoints else _tracked_outlines(outlines, stated)
+    tracked_outlines, doubtful = _tracked_outlines([] if keypoints else outlines, stated)
     predictions |= tracked_outlines
     polygons = {len(v) for v in outlines if v not in tracked_outlines}
     # Lengths of which some line can only be a prediction, and each may be one.
@@ -485,10 +487,7 @@ def without_predictions(
                 rows.append(row)
             else:
                 said = repr(" ".join(f"{v:g}" for v in (row.class_, *row.values))[:80])
-                todo = "correct the line"
-                if row.values in doubtful:
-                    said += ", perhaps a polygon, a confidence and a track"
-                    todo = "remove the last two values, or add `task: segment` to data.yaml if they are a corner"
+                todo = _DOUBT if row.values in doubtful else "correct the line"
                 found.add(here, "label-malformed", said, _line_text(keypoints), todo)
         result[where] = replace(labels, rows=rows)
     return result
