@@ -1,4 +1,4 @@
-"""Replace texts in a dataset that label files cannot hold, so that writers never meet them."""
+"""Replace texts in a dataset that label files cannot hold, and ids that mean none, so that writers never meet them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import Category, Dataset, Instance
 from infrablend.core.file_names import escape_unfit
 from infrablend.errors import Problem
+from infrablend.formats.values import is_unassigned
 
 _UNNAMED = "unnamed"
 
@@ -18,7 +19,7 @@ _UNNAMED = "unnamed"
 def with_fitting_fields(dataset: Dataset) -> Dataset:
     """Return the dataset with names of classes and texts that every format can hold, and a warning per change.
 
-    Unfit characters are escaped, and blanks around names of classes removed.
+    Unfit characters are escaped, and blanks around names of classes removed. Track -1 is none.
     """
     names = _class_names(dataset.categories)
     counts: Counter[str] = Counter()
@@ -34,7 +35,10 @@ def with_fitting_fields(dataset: Dataset) -> Dataset:
         images.append(image)
     extra = _fitting(dataset.extra, counts) if dataset.extra else dataset.extra
     problems = [_renamed(old, new) for old, new in names.items()]
-    if total := counts.total():
+    if unassigned := counts["unassigned"]:
+        found = f"{unassigned} object(s) with track -1, read as objects without a track"
+        problems.append(Problem(dataset.root.name, "track-missing", found, "an id for each object", "", "warning"))
+    if total := counts["text"]:
         found = f"{total} text(s) with control characters"
         expected = "texts that label files can hold"
         problems.append(Problem(dataset.root.name, "field-unfit", f"{found}, replaced", expected, "", "warning"))
@@ -80,7 +84,8 @@ def _instance(instance: Instance, names: Mapping[str, str], counts: Counter[str]
     category = names.get(instance.category, instance.category)
     extra = _fitting(instance.extra, counts)
     source_id = _fitting(instance.source_id, counts)
-    track_id = _fitting(instance.track_id, counts)
+    counts["unassigned"] += is_unassigned(instance.track_id)
+    track_id = None if is_unassigned(instance.track_id) else _fitting(instance.track_id, counts)
     if (category, extra, source_id, track_id) == (
         instance.category,
         instance.extra,

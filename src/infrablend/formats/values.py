@@ -52,12 +52,15 @@ def iso_date(year: str, month: str, day: str) -> str | None:
 
 
 def to_int(value: object) -> int | None:
-    """Return the whole number that a JSON or XML field means (4, "4", 4.0), exact whatever its size, or None."""
+    """Return the whole number that a JSON or XML field means (4, "4", 4.0), exact whatever its size, or None.
+
+    Larger floats than in `to_id` are none.
+    """
     if isinstance(value, int | str) and not isinstance(value, bool):
         with suppress(ValueError):
             return int(value)
     number = to_number(value)
-    return int(number) if number is not None and number == int(number) else None
+    return int(number) if number is not None and number == int(number) and abs(number) < 2**53 else None
 
 
 def to_id(value: object) -> int | str | None:
@@ -68,6 +71,11 @@ def to_id(value: object) -> int | str | None:
     if isinstance(value, float):
         return int(value) if value.is_integer() and abs(value) < 2**53 else None
     return value if isinstance(value, int | str) and not isinstance(value, bool) else None
+
+
+def is_unassigned(track: object) -> bool:
+    """Return whether the id of a track is -1, which says that no tracker has assigned the object yet."""
+    return track is not None and to_int(track) == -1
 
 
 def to_key(value: object) -> int | str | None:

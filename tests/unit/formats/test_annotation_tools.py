@@ -319,6 +319,26 @@ def test_a_region_of_label_studio_has_its_first_label_and_others_are_counted(tmp
     assert left_out.code == "kind-unread" and left_out.found.endswith(": 2 further labels of a region")
 
 
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"image_rotation": 90},
+        {"image_rotation": "180"},
+        {"image_rotation": "x"},
+        {"original_width": 128, "original_height": 96},
+        {"original_width": 48, "original_height": 64},
+    ],
+)
+def test_a_result_of_label_studio_on_another_form_of_the_picture_is_an_error(
+    tmp_path: Path, more: dict[str, Any]
+) -> None:
+    value = {"x": 25, "y": 25, "width": 12.5, "height": 25, "rectanglelabels": ["deer"]}
+    result = {"type": "rectanglelabels", "value": value, "image_rotation": 0}
+    d = label_studio_objects(tmp_path, {**result, "id": "q"}, {**result, "id": "r", **more})
+    assert codes(d) == ["annotation-malformed"] and d.problems[0].where.endswith("result r")
+    assert len(d.images[0].instances) == 1
+
+
 def test_predictions_of_label_studio_are_counted_where_nobody_annotated(tmp_path: Path) -> None:
     picture(tmp_path / "images" / "a.png", 1)
     guess = {"result": [{"type": "rectanglelabels", "value": {}}, {"type": "rectanglelabels", "value": {}}]}

@@ -127,11 +127,53 @@ def test_a_triangle_is_a_polygon_in_a_dataset_of_polygons(tmp_path: Path) -> Non
     assert codes(d) == ["label-malformed"]
 
 
-def test_no_number_of_a_track_becomes_a_corner_of_a_polygon(tmp_path: Path) -> None:
-    """As trackers write masks: their corners cannot be told from a confidence and a small number."""
-    root = yolo_dataset(tmp_path, "task: segment", f"{TRIANGLE} 0.1 0.3 0.2 0.2 0.9 4")
-    d = dataset_folder.read(root)
-    assert codes(d) == ["label-malformed"] and d.images[0].instances == ()
+QUAD = f"{TRIANGLE} 0.1 0.3"
+PENTAGON = f"{QUAD} 0.1 0.25"
+
+
+@pytest.mark.parametrize(
+    "said, added, tracks, errors",
+    [
+        ("", ("0.9 4", "1 1", "0.8 123"), [4, 1, 123], 0),
+        ("task: segment", ("0.9 4", "0.8 1"), [4, 1], 0),
+        ("", ("0.9 1", "0.8 1"), [], 2),  # corners at the lower edge, or a confidence and the first track
+        ("task: segment", ("0.9 1", "0.8 1"), [None, None], 0),
+        ("", ("0.9 1", "0.8 0.3"), [None, None], 0),
+        ("", ("0.9 1", "0.8 4", ""), [None], 2),
+        ("", ("0.9 1.5",), [None], 0),
+    ],
+)
+@pytest.mark.parametrize("place", [QUAD, PENTAGON])
+def test_no_number_of_a_track_becomes_a_corner_of_a_polygon(
+    tmp_path: Path, said: str, added: Sequence[str], tracks: list[int | None], errors: int, place: str
+) -> None:
+    """As Ultralytics' trackers write masks; what may be either is an error that says how to decide."""
+    d = dataset_folder.read(yolo_dataset(tmp_path, said, *(f"{place} {a}" for a in added)))
+    found = d.images[0].instances
+    assert codes(d) == ["label-malformed"] * errors and [i.track_id for i in found] == tracks
+    for i in found:
+        assert i.mask is not None or place == QUAD
+        if i.track_id is not None:
+            np.testing.assert_allclose(i.box_xyxy, [10, 16, 40, 32])
+
+
+@pytest.mark.parametrize("said, tracks", [("", [1, 2, 1]), ("task: segment", [None, None])])
+def test_lines_of_one_length_are_boxes_with_tracks_or_polygons(
+    tmp_path: Path, said: str, tracks: list[int | None]
+) -> None:
+    lines = (f"{BOX} 0.87 1", "0 0.3 0.3 0.1 0.1 0.9 2", f"{BOX} 0.8 1", f"{QUAD} 0.2 0.2")
+    found = dataset_folder.read(yolo_dataset(tmp_path, said, *lines)).images[0].instances
+    assert [(i.track_id, i.mask is not None) for i in found] == [*((t, t is None) for t in tracks), (None, True)]
+
+
+@pytest.mark.parametrize("box", ["0.5 0.5 1.0000001 0.25", "-0.0001 0.5 0.2 0.25", "0.99 0.5 0.1 1.02"])
+@pytest.mark.parametrize("added", [" 0.9", " 0.9 4"])
+def test_predicted_boxes_are_clipped_as_others(tmp_path: Path, box: str, added: str) -> None:
+    boxes = [
+        dataset_folder.read(yolo_dataset(tmp_path / name, "", f"0 {box}{further}")).images[0].instances[0].box_xyxy
+        for name, further in (("plain", ""), ("predicted", added))
+    ]
+    np.testing.assert_array_equal(*boxes)
 
 
 def test_keypoints_may_have_a_confidence_and_a_track_behind_them(tmp_path: Path) -> None:

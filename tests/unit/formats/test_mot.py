@@ -277,6 +277,13 @@ def test_objects_that_no_tracker_has_assigned_have_no_track(tmp_path: Path) -> N
     assert len(set(tracks)) == 4 and 3 in tracks
 
 
+@pytest.mark.parametrize("track, ok", [("9007199254740993", True), ("9007199254740993.0", False), ("9e15", True)])
+def test_an_id_that_has_lost_digits_is_an_error(tmp_path: Path, track: str, ok: bool) -> None:
+    d = dataset_folder.read(sequence(tmp_path, f"2,{track},1,1,10,8,1,1,1\n"))
+    assert codes(d) == ["row-malformed"] * (not ok)
+    assert [o.track_id for o in d.images[1].instances] == [int(float(track)) + (track[-1] == "3")] * ok
+
+
 def test_an_empty_text_and_rows_without_a_picture_are_warnings(tmp_path: Path) -> None:
     sequence(tmp_path, "", name="a")
     sequence(tmp_path, "4,1,1,1,10,8,1,1,1\n", name="b")

@@ -15,7 +15,7 @@ from infrablend.core.format_table import WRITERS, Writer
 from infrablend.errors import DatasetError
 from infrablend.formats import dataset_folder, writing
 from infrablend.formats.losses import Written
-from infrablend.formats.read_write import Reading
+from infrablend.formats.read_write import Reading, WriteSettings
 from tests.samples import SIZE_WH, codes, picture
 
 CATEGORIES = (Category(0, "drone"), Category(1, "bird"))
@@ -104,6 +104,39 @@ def test_tracks_by_the_names_of_other_tools(tmp_path: Path) -> None:
     assert [[o.track_id for o in i.instances] for i in d.images] == [[4, 8, 1], [None]]
 
 
+@pytest.mark.parametrize(
+    "said, track",
+    [
+        ({"track_id": -1}, None),
+        ({"track_id": "-1"}, None),
+        ({"track_id": -1.0}, None),
+        ({"instance_id": -1}, None),
+        ({"attributes": {"track_id": -1}}, None),
+        ({"track_id": -1, "instance_id": 4}, 4),
+        ({"track_id": -2}, -2),
+    ],
+)
+def test_objects_that_no_tracker_has_assigned_are_no_track(
+    tmp_path: Path, said: dict[str, Any], track: int | None
+) -> None:
+    """-1 is no object that jumps through the sequence."""
+    annotations = [{"image_id": n, **said} for n in (1, 2)]
+    d = dataset_folder.read(coco_file(tmp_path, [{"file_name": "a.png"}, {"file_name": "b.png"}], annotations))
+    assert [o.track_id for i in d.images for o in i.instances] == [track] * 2
+    missing = [p.found for p in d.problems if p.code == "track-missing"]
+    assert missing == ["2 object(s) with track -1, read as objects without a track"] * (track is None)
+
+
+def test_the_sources_ids_stay_texts(tmp_path: Path) -> None:
+    records = [{"file_name": "a.png", "id": "1e5"}, {"file_name": "b.png", "id": "100000"}]
+    annotations = [{"image_id": "1e5", "id": "07"}, {"image_id": 100000, "id": "7"}]
+    d = dataset_folder.read(coco_file(tmp_path / "in", records, annotations))
+    writing.write("coco", tmp_path / "out", d.images, d.categories, settings=WriteSettings(ids="source"))
+    top = json.loads((tmp_path / "out/annotations/instances_train.json").read_text())
+    assert [i["id"] for i in top["images"]] == ["1e5", "100000"]
+    assert [(a["image_id"], a["id"]) for a in top["annotations"]] == [("1e5", "07"), ("100000", "7")]
+
+
 # -- CVAT for video --------------------------------------------------------------------------------------------
 
 
@@ -142,6 +175,12 @@ def test_the_attribute_is_the_track_where_there_is_one(tmp_path: Path) -> None:
     empty = shape(0).replace("></box>", '><attribute name="track_id"></attribute></box>')
     tracks = f'<track id="4" label="deer">{named}</track><track id="5" label="deer">{empty}</track>'
     assert [o.track_id for o in dataset_folder.read(video_task(tmp_path, tracks)).images[0].instances] == ["left", 5]
+
+
+def test_a_track_of_cvat_without_a_number_is_none(tmp_path: Path) -> None:
+    d = dataset_folder.read(video_task(tmp_path, f'<track id="-1" label="deer">{shape(0)}{shape(1)}{shape(2)}</track>'))
+    assert [o.track_id for i in d.images for o in i.instances] == [None] * 3
+    assert codes(d, "warning") == ["track-missing"]
 
 
 def test_frames_are_numbers_of_names_or_positions(tmp_path: Path) -> None:

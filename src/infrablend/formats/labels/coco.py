@@ -58,6 +58,7 @@ from infrablend.formats.pictures.listing import PictureFolder
 from infrablend.formats.pictures.temperature_scale import info_of_scale, scale_of_record
 from infrablend.formats.records import Findings, table_of, with_ids
 from infrablend.formats.values import (
+    is_unassigned,
     known,
     read_occlusion,
     to_bool,
@@ -528,7 +529,7 @@ def read_records(
         stated = replace(_stated_facts(r, videos), radiometry=_read_radiometry(found, r, scale, here))
         capture = captures.of(name, here, stated)
         extra = {"source_id": r["source_id"]} if "source_id" in r else {}
-        records.append(ImageRecord("", file, split, size_wh, instances, capture, number, extra, name))
+        records.append(ImageRecord("", file, split, size_wh, instances, capture, to_id(r.get("id")), extra, name))
     found.problems += _remarks(where, left_out, measured, of_image, _gravity_of_repeats(found.root / where))
     return records
 
@@ -706,7 +707,7 @@ def _read_annotations(
                 to_bool(a.get("truncated")),
                 to_bool(a.get("difficult")),
                 a.get("inserted") is True,
-                number,
+                None if number is None else to_id(a.get("id")),
                 extra,
                 _track_id(a),
             )
@@ -719,7 +720,7 @@ def _track_id(a: Mapping[str, object]) -> int | str | None:
     attributes = a.get("attributes")
     of_cvat = attributes.get("track_id") if isinstance(attributes, dict) else None
     stated = (to_id(value) for value in (a.get("track_id"), a.get("instance_id"), of_cvat))
-    return next((track for track in stated if track is not None), None)
+    return next(iter(sorted((track for track in stated if track is not None), key=is_unassigned)), None)
 
 
 def _rotation_rad(a: Mapping[str, object]) -> float:

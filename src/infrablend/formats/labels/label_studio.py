@@ -48,7 +48,7 @@ from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures.listing import MAX_PIXELS, PictureFolder, check_name
 from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
-from infrablend.formats.values import to_bool, to_floats, to_id, to_share, to_size
+from infrablend.formats.values import to_bool, to_floats, to_id, to_number, to_share, to_size
 
 NAME = "label-studio"
 CONFIG_FILE = "label_config.xml"
@@ -282,7 +282,7 @@ def _read_task(
     stated = [(data.get("width"), data.get("height"))]
     stated += [(r.get("original_width"), r.get("original_height")) for r in rows]
     size_wh = next((s for w, h in stated if (s := to_size(w, h))), None)
-    instances = tuple(_read_objects(found, rows, where))
+    instances = tuple(_read_objects(found, rows, size_wh, where))
     return ImageRecord("", picture, its_split, size_wh, instances, file_name=name)
 
 
@@ -329,7 +329,9 @@ def _names_of(address: str, split: Split) -> Iterator[tuple[str, Split]]:
             yield _PREFIX.sub("", folders[-1], count=1), split
 
 
-def _read_objects(found: Findings, rows: Sequence[Mapping[str, object]], where: str) -> Iterable[Instance]:
+def _read_objects(
+    found: Findings, rows: Sequence[Mapping[str, object]], size_wh: tuple[int, int] | None, where: str
+) -> Iterable[Instance]:
     """Return the objects of a task; a brush whose id is that of a rectangle with an `m` is its mask."""
     objects: dict[str, Instance] = {}
     for n, row in enumerate(_joined(rows)):
@@ -337,6 +339,13 @@ def _read_objects(found: Findings, rows: Sequence[Mapping[str, object]], where: 
             found.leave_out(str(row.get("type")), where)
             continue
         here = f"{where}: result {row.get('id', n)}"
+        stated = to_size(row.get("original_width"), row.get("original_height"))
+        if stated not in (None, size_wh) or to_number(row.get("image_rotation") or 0) != 0:
+            said = (
+                f"drawn on {stated} px, image_rotation {row.get('image_rotation', 0)!r}; the picture has {size_wh} px"
+            )
+            found.add(here, "annotation-malformed", said[:160], "the picture as it is", "label it again, not turned")
+            continue
         try:
             instance = _read_result(found, row, here)
         except ValueError as error:

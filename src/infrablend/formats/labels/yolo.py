@@ -56,13 +56,17 @@ WithoutMask = Literal["omit", "obb"]
 # Ten decimals: the rounding error is at most 640 px * 0.5e-10 = 3e-8 px.
 _DECIMALS = 10
 # What data.yaml may say about lines of nine numbers. Ultralytics reads polygons for `detect`, too.
-_STATED_TASKS: Mapping[object, Task] = {"detect": "seg", "segment": "seg", "obb": "obb"}
+_STATED_TASKS: Mapping[object, Task] = {"detect": "detect", "segment": "seg", "obb": "obb"}
 # Larger shares of a picture are pixels.
 _FAR_SHARE = 10
 # Opposite corners of an oriented box have one middle; in rounded shares of the picture twice that differs by this.
 _UNEVEN = 2e-3
 # A confidence and the number of a track.
 _MOST_ADDED = 2
+_DOUBT = (
+    "remove the last two values if they are a confidence and a track; "
+    "if they are a corner, add `task: segment` to data.yaml"
+)
 # More classes than any detector has, so that a large `nc` cannot exhaust memory.
 _MOST_UNNAMED = 10_000
 # Folders in the longest end of a path that is looked for in a dataset.
@@ -336,6 +340,8 @@ def parse_labels(text: str, where: str, keypoints: int = 0) -> LabelLines:
         values = tuple(numbers[1:])
         polygon = not keypoints and len(values) >= 6 and len(values) % 2 == 0
         size = _size_of_place(len(values), keypoints)
+        if polygon and size == len(values) and _outline_track(values) is not None:
+            size -= _MOST_ADDED
         shape = polygon or size < len(values) or len(values) in (4, 4 + keypoints)
         said = repr(line[:80])
         todo = "correct the line"
@@ -369,7 +375,8 @@ def _size_of_place(count: int, keypoints: int) -> int:
 
 
 def _is_box(values: Sequence[float]) -> bool:
-    return all(0 <= v <= 1 for v in values) and min(values[2:]) > 0
+    # A box that reaches out of the picture is clipped later.
+    return all(-0.5 <= v <= 1.5 for v in values) and min(values[2:]) > 0
 
 
 def _is_turned_box(values: Sequence[float]) -> bool:
@@ -387,6 +394,12 @@ def _is_place(values: Sequence[float], plain: Collection[int], only_boxes: bool)
 def _is_number(value: float) -> bool:
     """Return whether a value may be the number of a track, -1 for none; larger ones are rounded."""
     return value.is_integer() and -1 <= value < 2**53
+
+
+def _outline_track(values: Sequence[float]) -> float | None:
+    """Return what may be the number of a track behind a polygon and a confidence; None if it cannot be one."""
+    *corners, score, number = values
+    return number if len(corners) >= 8 and 0 <= score <= 1 and _is_number(number) and max(corners) <= 1 else None
 
 
 @dataclass(frozen=True)
@@ -424,24 +437,32 @@ class _Prediction:
 
 
 def without_predictions(
-    found: Findings, files: Mapping[str, LabelLines], keypoints: int = 0
+    found: Findings, files: Mapping[str, LabelLines], task: Task | None, keypoints: int = 0
 ) -> Mapping[str, LabelLines]:
     """Return the lines of a dataset with their tracks, and without the confidences, which are counted.
 
-    A box and two numbers have as many values as a triangle, an oriented box and two numbers as a pentagon: if the whole
-    number is 0 or 1, the line is a polygon in a dataset that has other polygons.
+    A box and two numbers have as many values as a triangle, an oriented box and two numbers as a pentagon. Lines of one
+    length are of one kind: if the whole number of none is above 1, they are polygons in a dataset that has others, and
+    where `task` says so. Polygons with both numbers are read if all are such; errors if that is in doubt.
 
     Args:
         found: Problems: lines that are neither.
         files: Lines of each label file by its name.
+        task: What data.yaml or the user says of the lines.
         keypoints: Number of values after a box, see `line_form`.
     """
     lines = [row.values for labels in files.values() for row in labels.rows]
     plain = {4, 4 + keypoints} if keypoints else {4, 8}
     if all(len(values) in plain for values in lines):
         return files
-    predictions = {values: _Prediction.of(values, keypoints) for values in lines}
-    polygons = {len(v) for v, p in predictions.items() if p is None and len(v) >= 6 and len(v) % 2 == 0}
+    stated = task == "seg" and not keypoints  # lines of an even length are polygons
+    predictions = {v: None if stated and len(v) % 2 == 0 else _Prediction.of(v, keypoints) for v in lines}
+    outlines = [v for v, p in predictions.items() if p is None and len(v) >= 6 and len(v) % 2 == 0]
+    tracked_outlines, doubtful = _tracked_outlines([] if keypoints else outlines, stated)
+    predictions |= tracked_outlines
+    polygons = {len(v) for v in outlines if v not in tracked_outlines}
+    # Lengths of which some line can only be a prediction, and each may be one.
+    certain = {len(v) for v, p in predictions.items() if p is not None and p.is_certain} - polygons
     single = [p.number for p in predictions.values() if p is not None and not p.scored]
     # Behind boxes alone, 0 and 1 are confidences unless all are whole and others larger.
     tracked = None not in single and any(number not in (0, 1) for number in single)
@@ -451,7 +472,8 @@ def without_predictions(
         for row in labels.rows:
             here = f"{where}: line {row.n}"
             p = predictions[row.values]
-            if p is not None and (p.is_certain or not polygons - {p.size}):  # `size`: corners without a confidence
+            # `size`: corners without a confidence
+            if p is not None and (p.is_certain or len(row.values) in certain or not polygons - {p.size}):
                 track = p.number if p.scored or tracked or p.number not in (0, 1) else None
                 if p.scored or track is None:
                     found.leave_out("confidences of predicted objects", here)
@@ -461,13 +483,33 @@ def without_predictions(
                         track=None if track is None or track < 0 else int(track),  # -1: not assigned
                     )
                 )
-            elif _is_place(row.values, plain, bool(keypoints)):
+            elif row.values not in doubtful and _is_place(row.values, plain, bool(keypoints)):
                 rows.append(row)
             else:
                 said = repr(" ".join(f"{v:g}" for v in (row.class_, *row.values))[:80])
-                found.add(here, "label-malformed", said, _line_text(keypoints), "correct the line")
+                todo = _DOUBT if row.values in doubtful else "correct the line"
+                found.add(here, "label-malformed", said, _line_text(keypoints), todo)
         result[where] = replace(labels, rows=rows)
     return result
+
+
+def _tracked_outlines(
+    outlines: Sequence[tuple[float, ...]], stated: bool
+) -> tuple[Mapping[tuple[float, ...], _Prediction], Collection[tuple[float, ...]]]:
+    """Return the polygons that have a confidence and a track behind them, and those of which nobody can tell.
+
+    Args:
+        outlines: Values of all lines that may be polygons.
+        stated: Whether data.yaml says that they are.
+    """
+    tracks = {v: number for v in outlines if (number := _outline_track(v)) is not None}
+    complete = len(tracks) == len(outlines)
+    if any(number not in (0, 1) for number in tracks.values()):
+        if complete:
+            return {v: _Prediction(len(v) - _MOST_ADDED, number, True) for v, number in tracks.items()}, ()
+    elif not complete or stated or not all(number == 1 and v[-2] not in (0, 1) for v, number in tracks.items()):
+        return {}, ()
+    return {}, tracks
 
 
 def _instances(
@@ -591,7 +633,7 @@ def build_records(
         if p.label is not None and text is not None:
             where = found.place(p.label)
             parsed[where] = parse_labels(text, where, keypoints)
-    files = without_predictions(found, parsed, keypoints)
+    files = without_predictions(found, parsed, task, keypoints)
     for where, labels in files.items() if keypoints else ():
         for row in (row for row in labels.rows if len(row.values) > 4):
             found.leave_out("objects' keypoints", f"{where}: line {row.n}")
