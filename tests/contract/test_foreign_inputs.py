@@ -376,21 +376,28 @@ def test_sizes_in_labels_are_compared_with_the_pictures(tmp_path: Path, kind: st
         assert (done.exit_code == 0) == (command[0] == "inspect")
 
 
+SHARES = {"edges": [0.125, 0.25, 0.5, 0.125], "centre": [0.95, 0.9, 0.2, 0.3], "beyond": [0.9, 0.95, 0.15, 0.1]}
+
+
 @pytest.mark.parametrize("kind", ["coco", "voc", "labelme", "dota"])
-def test_boxes_in_shares_are_not_taken_for_pixels(tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("order", SHARES)
+def test_boxes_in_shares_are_not_taken_for_pixels(tmp_path: Path, kind: str, order: str) -> None:
     """As github.com/swatig007/automlForImages/pull/27 writes them; one box at the corner may be what it is."""
-    root = of_size(kind, tmp_path / "data", (64, 48), [0.125, 0.25, 0.5, 0.125])
+    root = of_size(kind, tmp_path / "data", (64, 48), SHARES[order])
     for command, more in (("check", ()), ("convert", (tmp_path / "out", "--to", "yolo"))):
         done = run(command, root, *more)
         assert done.exit_code in (1, 2) and "shares of the picture" in " ".join(done.output.split()), command
 
 
-def test_one_box_in_the_corner_is_no_share(tmp_path: Path) -> None:
-    corner = of_size("voc", tmp_path / "data", (64, 48), [0, 0, 0.75, 1])
+@pytest.mark.parametrize("box, share", [([0, 0, 0.75, 1], False), ([1, 1, 1, 1], False), ([0.2, 0, 0.5, 1], True)])
+def test_one_box_among_others_that_is_a_share(tmp_path: Path, box: list[float], share: bool) -> None:
+    corner = of_size("voc", tmp_path / "data", (64, 48), box)
     of_size("voc", tmp_path / "other", (64, 48), [4, 6, 10, 12])
     shutil.copy(tmp_path / "other/Annotations/f1.xml", corner / "Annotations/f2.xml")
     picture(corner / "JPEGImages/f2.jpg", 2)
-    assert len(objects(corner)) == 2
+    dataset = api.read_dataset(corner)
+    assert ("box-shares" in [p.code for p in dataset.problems]) == share
+    assert [len(i.instances) for i in dataset.images] == [1] * (2 - share)
 
 
 # -- bad input ----------------------------------------------------------------------------------------------------
