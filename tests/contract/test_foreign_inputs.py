@@ -343,14 +343,6 @@ def test_voc_in_utf8_that_declares_something_else(tmp_path: Path, declared: str,
     assert [c.name for c in api.read_dataset(root).categories] == [name]
 
 
-@pytest.mark.parametrize("head", ["", '<?xml version="1.0" encoding="utf-8"?>'])
-@pytest.mark.parametrize(("encoding", "name"), [("GB18030", "人"), ("WINDOWS-1252", "vélo")])
-def test_voc_that_is_not_in_utf8_names_its_encoding(tmp_path: Path, head: str, encoding: str, name: str) -> None:
-    text = head + voc("f1.jpg", "").replace("deer", name)
-    root = put(tmp_path, "JPEGImages/f1.jpg", **{"Annotations/f1.xml": text.encode(encoding)})
-    assert f"iconv -f {encoding} -t UTF-8 f1.xml" in " ".join(run("check", root).output.split())
-
-
 def labelme(size_wh: tuple[int, int], points: list[list[float]]) -> dict[str, object]:
     shape = {"label": "deer", "shape_type": "rectangle", "points": points}
     return {"imagePath": "f1.jpg", "imageWidth": size_wh[0], "imageHeight": size_wh[1], "shapes": [shape]}

@@ -48,7 +48,7 @@ def are_shares(boxes_xyxy: FloatArray) -> NDArray[np.bool_]:
     boxes = boxes_xyxy.reshape(-1, 4)
     left_top = boxes[:, :2]
     size = boxes[:, 2:] - left_top
-    small: NDArray[np.bool_] = ((np.abs(left_top) <= 1) & (size > 0) & (size <= 1)).all(1)
+    small: NDArray[np.bool_] = np.all((np.abs(left_top) <= 1) & (size > 0) & (size <= 1), axis=1)
     # Whole pixels may be drawn, and a box in the corner may be what is left of an object outside of the picture.
     small &= (boxes != boxes.round()).any(1) | (boxes <= 1).all(1)
     beyond_doubt = small & (left_top > 0).any(1)
