@@ -391,6 +391,15 @@ def test_sizes_in_labels_are_compared_with_the_pictures(tmp_path: Path, kind: st
         assert (done.exit_code == 0) == (command[0] == "inspect")
 
 
+@pytest.mark.parametrize("turn", [1, 3, 6])
+def test_jpeg_turned_by_exif_is_said_once_without_a_size_in_the_labels(tmp_path: Path, turn: int) -> None:
+    root = put(tmp_path, "images/f1.jpg", **{"labels/f1.txt": "0 0.5 0.5 0.2 0.2\n"})
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    Image.open(root / "images/f1.jpg").save(root / "images/f1.jpg", exif=exif)
+    assert [p.code for p in api.read_dataset(root).problems].count("image-exif-turned") == (turn != 1)
+
+
 SHARES = {"edges": [0.125, 0.25, 0.5, 0.125], "centre": [0.95, 0.9, 0.2, 0.3], "beyond": [0.9, 0.95, 0.15, 0.1]}
 
 

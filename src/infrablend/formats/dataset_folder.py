@@ -26,8 +26,8 @@ from infrablend.formats.cameras.flight_headers import add_flight_data
 from infrablend.formats.image_groups import with_val
 from infrablend.formats.labels import folder
 from infrablend.formats.pictures import temperature_scale
-from infrablend.formats.pictures.images import size_problem
-from infrablend.formats.pictures.listing import check_link, is_picture_name, read_size
+from infrablend.formats.pictures.images import is_turned, size_problem
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES, check_link, is_picture_name, read_size
 from infrablend.formats.pictures.video import is_video
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
@@ -39,6 +39,8 @@ PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
 # Read from runs that have it, whatever else they have.
 _FIRST_OF_RUN = "coco"
+# Pictures whose EXIF is looked at.
+_LOOKED_AT = 64
 _LEAVE_OUT = "leave --format out, or give the folder of the dataset"
 
 
@@ -100,7 +102,9 @@ def read(root: Path, reading: Reading = READ_ALL, *, compare_sizes: bool = True)
         dataset = reader.module.read(reader.root, splits=splits, **reader.options)
     dataset = reader.completed(dataset)
     if compare_sizes:
-        dataset = replace(dataset, problems=(*dataset.problems, *_other_sizes(dataset.images, files)))
+        dataset = replace(
+            dataset, problems=(*dataset.problems, *_other_sizes(dataset.images, files), *_turned(dataset))
+        )
     if reading.val_share is not None:
         dataset = with_val(dataset, reading.val_share, reading.splits)
     return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits, reader.options)))
@@ -285,6 +289,19 @@ def _other_sizes(images: Iterable[ImageRecord], measured: Collection[Path]) -> l
     stated = (i for i in images if i.size_wh is not None and i.path not in measured)
     found = (size_problem(i, f"{i.split}/{i.name}", read_size(i.path, i.name)[0]) for i in stated)
     return [problem for problem in found if problem is not None]
+
+
+def _turned(dataset: Dataset) -> list[Problem]:
+    """Return a warning if EXIF turns JPEG files whose labels do not state a size that could show it."""
+    jpegs = [i for i in dataset.images if i.path.suffix.lower() in JPEG_SUFFIXES and i.instances]
+    looked_at = jpegs[:: max(1, len(jpegs) // _LOOKED_AT)]
+    names = [f"{i.split}/{i.name}" for i in looked_at if is_turned(i.path)]
+    if not names:
+        return []
+    found = f"EXIF says that {len(names)} of {len(looked_at)} JPEG files that were looked at are turned; "
+    found += "labels are taken to be those of the pixels as stored"
+    todo = "if they were made on the turned pictures, turn the pixels, as with `mogrify -auto-orient`"
+    return [Problem(names[0], "image-exif-turned", found, "no EXIF orientation", todo, "warning")]
 
 
 def _in_pixels(dataset: Dataset) -> Dataset:

@@ -194,6 +194,15 @@ def _orientation(picture: Any) -> Any:
         return 1
 
 
+def is_turned(path: Path) -> bool:
+    """Return whether EXIF says that a picture is to be turned to be shown; False for one that cannot be read."""
+    try:
+        with open_picture(path) as picture:
+            return bool(_orientation(picture) != 1)
+    except Exception:  # reported by what reads the picture
+        return False
+
+
 def _refuse(path: Path, code: str, found: str, expected: str, todo: str) -> DatasetError:
     problem = or_lfs_pointer(Problem(path.name, code, found, expected, todo), path)
     return DatasetError(f"{path}: {problem.found}", [problem])
