@@ -328,6 +328,21 @@ def test_voc_in_an_encoding_of_several_bytes(tmp_path: Path, encoding: str) -> N
     assert done.exit_code == 1 and "iconv" in done.output
 
 
+@pytest.mark.parametrize(
+    ("declared", "name", "start"),
+    [
+        ("GB2312", "人员", b""),
+        ("Shift_JIS", "車両", b""),
+        ("ISO-8859-1", "vélo", b""),
+        ("GB2312", "人", b"\xef\xbb\xbf"),
+    ],
+)
+def test_voc_in_utf8_that_declares_something_else(tmp_path: Path, declared: str, name: str, start: bytes) -> None:
+    text = f'<?xml version="1.0" encoding="{declared}"?>' + voc("f1.jpg", "").replace("deer", name)
+    root = put(tmp_path, "JPEGImages/f1.jpg", **{"Annotations/f1.xml": start + text.encode()})
+    assert [c.name for c in api.read_dataset(root).categories] == [name]
+
+
 def labelme(size_wh: tuple[int, int], points: list[list[float]]) -> dict[str, object]:
     shape = {"label": "deer", "shape_type": "rectangle", "points": points}
     return {"imagePath": "f1.jpg", "imageWidth": size_wh[0], "imageHeight": size_wh[1], "shapes": [shape]}
@@ -376,21 +391,37 @@ def test_sizes_in_labels_are_compared_with_the_pictures(tmp_path: Path, kind: st
         assert (done.exit_code == 0) == (command[0] == "inspect")
 
 
+@pytest.mark.parametrize("turn", [1, 3, 6])
+def test_jpeg_turned_by_exif_is_said_once_without_a_size_in_the_labels(tmp_path: Path, turn: int) -> None:
+    root = put(tmp_path, "images/f1.jpg", **{"labels/f1.txt": "0 0.5 0.5 0.2 0.2\n"})
+    exif = Image.Exif()
+    exif[0x0112] = turn
+    Image.open(root / "images/f1.jpg").save(root / "images/f1.jpg", exif=exif)
+    assert [p.code for p in api.read_dataset(root).problems].count("image-exif-turned") == (turn != 1)
+
+
+SHARES = {"edges": [0.125, 0.25, 0.5, 0.125], "centre": [0.95, 0.9, 0.2, 0.3], "beyond": [0.9, 0.95, 0.15, 0.1]}
+
+
 @pytest.mark.parametrize("kind", ["coco", "voc", "labelme", "dota"])
-def test_boxes_in_shares_are_not_taken_for_pixels(tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("order", SHARES)
+def test_boxes_in_shares_are_not_taken_for_pixels(tmp_path: Path, kind: str, order: str) -> None:
     """As github.com/swatig007/automlForImages/pull/27 writes them; one box at the corner may be what it is."""
-    root = of_size(kind, tmp_path / "data", (64, 48), [0.125, 0.25, 0.5, 0.125])
+    root = of_size(kind, tmp_path / "data", (64, 48), SHARES[order])
     for command, more in (("check", ()), ("convert", (tmp_path / "out", "--to", "yolo"))):
         done = run(command, root, *more)
         assert done.exit_code in (1, 2) and "shares of the picture" in " ".join(done.output.split()), command
 
 
-def test_one_box_in_the_corner_is_no_share(tmp_path: Path) -> None:
-    corner = of_size("voc", tmp_path / "data", (64, 48), [0, 0, 0.75, 1])
+@pytest.mark.parametrize("box, share", [([0, 0, 0.75, 1], False), ([1, 1, 1, 1], False), ([0.2, 0, 0.5, 1], True)])
+def test_one_box_among_others_that_is_a_share(tmp_path: Path, box: list[float], share: bool) -> None:
+    corner = of_size("voc", tmp_path / "data", (64, 48), box)
     of_size("voc", tmp_path / "other", (64, 48), [4, 6, 10, 12])
     shutil.copy(tmp_path / "other/Annotations/f1.xml", corner / "Annotations/f2.xml")
     picture(corner / "JPEGImages/f2.jpg", 2)
-    assert len(objects(corner)) == 2
+    dataset = api.read_dataset(corner)
+    assert ("box-shares" in [p.code for p in dataset.problems]) == share
+    assert [len(i.instances) for i in dataset.images] == [1] * (2 - share)
 
 
 # -- bad input ----------------------------------------------------------------------------------------------------

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from infrablend.core.mesh import FloatArray
 
 QUARTER_TURN_RAD = math.pi / 2
+MANY_PX = 8
+"""Smallest side of a picture that is more than a pixel beyond doubt."""
 
 # Areas closer than this (relative) count as equal and the smaller angle wins, so that rounding does not decide.
 _TIE = 1e-12
@@ -36,6 +38,21 @@ def clip_boxes(boxes_xyxy: FloatArray, size_wh: tuple[int, int]) -> FloatArray:
     """Return boxes (..., 4) clipped to the frame; one outside becomes empty, on the frame's edge."""
     w, h = size_wh
     return np.clip(boxes_xyxy, 0.0, np.array([w, h, w, h], np.float64))
+
+
+def are_shares(boxes_xyxy: FloatArray) -> NDArray[np.bool_]:
+    """Return which boxes are in shares of the picture instead of px, of (n, 4) boxes in px of pictures of many px.
+
+    Shares of any order of corners, centres and sizes give boxes of up to a pixel beside the picture's first one.
+    """
+    boxes = boxes_xyxy.reshape(-1, 4)
+    left_top = boxes[:, :2]
+    size = boxes[:, 2:] - left_top
+    small: NDArray[np.bool_] = np.all((np.abs(left_top) <= 1) & (size > 0) & (size <= 1), axis=1)
+    # Whole pixels may be drawn, and a box in the corner may be what is left of an object outside of the picture.
+    small &= (boxes != boxes.round()).any(1) | (boxes <= 1).all(1)
+    beyond_doubt = small & (left_top > 0).any(1)
+    return small if small.all() or beyond_doubt.any() else np.zeros_like(small)
 
 
 def box_iou(a_xyxy: FloatArray, b_xyxy: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from infrablend.core.boxes import box_of_points, clockwise
+from infrablend.core.boxes import MANY_PX, are_shares, box_of_points, clockwise
 from infrablend.core.dataset import Category, ImageRecord
 from infrablend.core.files import finite, write_json
 from infrablend.core.rle_masks import Mask
@@ -37,6 +37,7 @@ TASKS: tuple[Task, ...] = ("detect", "obb", "segment")
 
 FloatArray = NDArray[np.float64]
 _SHOWN = 20
+_OTHER_INPUT = "give the predictions.json of an earlier evaluation, or weights.pt of a finished `infrablend train`"
 
 RECORD = "evaluation.json"
 MATCHES = "matches.npz"
@@ -201,6 +202,11 @@ def read_predictions(
             problems.append(Problem(f"{path.name}, annotation {k}", "prediction", wrong, _EXPECTED[task]))
     if problems:
         raise DatasetError(f"{path}: {len(problems)} of {len(rows)} detections cannot be read", problems[:_SHOWN])
+    boxes = np.array([row[0] for of in gathered.values() for row in of])
+    if len(boxes) and boxes[:, :2].any() and are_shares(boxes).all() and min(map(min, sizes.values())) >= MANY_PX:
+        edges = ", ".join(f"{v:.3g}" for v in boxes[0])
+        found = f"all boxes within 0 to 2 px, such as {edges} (edges): shares of the picture"
+        raise _refused(path, found, "boxes in px", "multiply them by each picture's width and height")
     facts = data.get("facts")
     return Predictions(
         task,
@@ -220,8 +226,7 @@ def _content(path: Path) -> Any:
         raise _refused(path, f"not JSON: {error}"[:160], "JSON") from error
 
 
-def _refused(path: Path, found: str, expected: str) -> DatasetError:
-    todo = "give the predictions.json of an earlier evaluation, or weights.pt of a finished `infrablend train`"
+def _refused(path: Path, found: str, expected: str, todo: str = _OTHER_INPUT) -> DatasetError:
     return DatasetError(f"{path}: not a predictions file", [Problem(path.name, "predictions", found, expected, todo)])
 
 

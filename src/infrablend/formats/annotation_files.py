@@ -38,6 +38,8 @@ WHOLE_JSON = MAX_RECORD
 _DECLARED = re.compile(rb"""<\?xml[^>]{1,80}encoding\s*=\s*["']([\w.-]{1,40})["']""", re.ASCII)
 _MULTI_BYTE = re.compile(r"gb|hz|big5|euc|shift|cp9|johab|iso2022|utf")
 _WITH_MORE = {"gb2312": "gb18030", "gbk": "gb18030", "shift_jis": "cp932", "euc_kr": "cp949"}
+_WESTERN = (b"iso-8859-1", b"latin-1", b"latin1", b"windows-1252", b"cp1252")
+_THREE_BYTES = "\u0800"
 _files_read: ContextVar[set[Path] | None] = ContextVar("files_read", default=None)
 
 
@@ -250,7 +252,10 @@ def read_xml(path: Path, where: str) -> tuple[Any, Problem | None]:
         todo = "check the file and its permissions"
     except (UnicodeError, LookupError) as error:
         found = f"XML that is not in the encoding it declares ({error})"[:200]
-        todo = f"write it in UTF-8, as with `iconv -f GB18030 -t UTF-8 {path.name}`, and declare that"
+        likely = _likely_encoding(path)
+        todo = (
+            f"write it in UTF-8, as with `iconv -f {likely} -t UTF-8 {path.name}` if it is in that, and declare UTF-8"
+        )
     except Exception as error:  # nesting without end
         found = f"XML that cannot be read ({error})"[:200].replace(str(path), path.name)
         todo = "fetch it again"
@@ -265,17 +270,45 @@ def _xml_root(path: Path) -> Any:
         LookupError: Its encoding is unknown.
         Exception: What the parser raises.
     """
+    data = path.read_bytes()
+    body = data.removeprefix(codecs.BOM_UTF8)
+    declared = _DECLARED.match(body)
+    if declared and not body.isascii() and (body != data or _is_utf8(body, declared[1])):
+        return ElementTree.fromstring(body.decode().partition("?>")[2], forbid_dtd=True)
     try:
-        return ElementTree.parse(path, forbid_dtd=True).getroot()
+        return ElementTree.fromstring(data, forbid_dtd=True)
+    except ElementTree.ParseError:
+        if declared is None or declared[1].lower() in (b"utf-8", b"utf8"):
+            as_utf8(body).decode()  # another encoding explains what the parser stumbled over
+        raise
     except (ValueError, LookupError):  # several bytes a character, or a name that is unknown
-        data = path.read_bytes()
-        declared = _DECLARED.match(data)
         name = codecs.lookup(declared[1].decode()).name if declared else ""
         if not _MULTI_BYTE.match(name):
             raise
         # What Windows calls GB2312 or Shift JIS has more characters.
         text = data.decode(_WITH_MORE.get(name, name))
         return ElementTree.fromstring(text.partition("?>")[2], forbid_dtd=True)
+
+
+def _is_utf8(text: bytes, declared: bytes) -> bool:
+    """Return whether a text is in UTF-8 beyond doubt, whatever it declares: a tool has converted its bytes alone.
+
+    Two bytes of UTF-8 may be a character of GB2312, but hardly two letters of Western Europe; three are no such text.
+    """
+    try:
+        beyond_ascii = {c for c in text.decode() if not c.isascii()}
+    except UnicodeError:
+        return False
+    return declared.lower() in _WESTERN or min(beyond_ascii) >= _THREE_BYTES
+
+
+def _likely_encoding(path: Path) -> str:
+    """Return the name, as iconv knows it, of what a text that is not in UTF-8 is probably in."""
+    try:
+        path.read_bytes().decode("gb2312")
+    except (OSError, UnicodeError):
+        return "WINDOWS-1252"
+    return "GB18030"
 
 
 def child_text(element: Any, key: str) -> str | None:

@@ -8,7 +8,10 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from infrablend.core.addresses import address_of, shown
+from infrablend.core.boxes import MANY_PX, are_shares
 from infrablend.core.dataset import Dataset, ImageRecord
 from infrablend.core.file_names import real_path
 from infrablend.core.files import read_object
@@ -23,8 +26,8 @@ from infrablend.formats.cameras.flight_headers import add_flight_data
 from infrablend.formats.image_groups import with_val
 from infrablend.formats.labels import folder
 from infrablend.formats.pictures import temperature_scale
-from infrablend.formats.pictures.images import size_problem
-from infrablend.formats.pictures.listing import check_link, is_picture_name, read_size
+from infrablend.formats.pictures.images import is_turned, size_problem
+from infrablend.formats.pictures.listing import JPEG_SUFFIXES, check_link, is_picture_name, read_size
 from infrablend.formats.pictures.video import is_video
 from infrablend.formats.read_write import READ_ALL, Reading
 from infrablend.formats.text_fields import with_fitting_fields
@@ -34,10 +37,10 @@ DATASET_INSIDE = "dataset-inside"
 """Code of the problem of a folder that has datasets inside, whose labels are not read."""
 PART_FRAMES = 2000
 """Largest number of frames of a part of a dataset; smaller datasets are read at once."""
-# Smallest side of a picture that is more than a pixel beyond doubt.
-_MANY_PX = 8
 # Read from runs that have it, whatever else they have.
 _FIRST_OF_RUN = "coco"
+# Pictures whose EXIF is looked at.
+_LOOKED_AT = 64
 _LEAVE_OUT = "leave --format out, or give the folder of the dataset"
 
 
@@ -99,7 +102,9 @@ def read(root: Path, reading: Reading = READ_ALL, *, compare_sizes: bool = True)
         dataset = reader.module.read(reader.root, splits=splits, **reader.options)
     dataset = reader.completed(dataset)
     if compare_sizes:
-        dataset = replace(dataset, problems=(*dataset.problems, *_other_sizes(dataset.images, files)))
+        dataset = replace(
+            dataset, problems=(*dataset.problems, *_other_sizes(dataset.images, files), *_turned(dataset))
+        )
     if reading.val_share is not None:
         dataset = with_val(dataset, reading.val_share, reading.splits)
     return replace(dataset, problems=(*dataset.problems, *_unread(dataset, files, splits, reader.options)))
@@ -286,28 +291,45 @@ def _other_sizes(images: Iterable[ImageRecord], measured: Collection[Path]) -> l
     return [problem for problem in found if problem is not None]
 
 
+def _turned(dataset: Dataset) -> list[Problem]:
+    """Return a warning if EXIF turns JPEG files whose labels do not state a size that could show it."""
+    jpegs = [i for i in dataset.images if i.path.suffix.lower() in JPEG_SUFFIXES and i.instances]
+    looked_at = jpegs[:: max(1, len(jpegs) // _LOOKED_AT)]
+    names = [f"{i.split}/{i.name}" for i in looked_at if is_turned(i.path)]
+    if not names:
+        return []
+    found = f"EXIF says that {len(names)} of {len(looked_at)} JPEG files that were looked at are turned; "
+    found += "labels are taken to be those of the pixels as stored"
+    todo = "if they were made on the turned pictures, turn the pixels, as with `mogrify -auto-orient`"
+    return [Problem(names[0], "image-exif-turned", found, "no EXIF orientation", todo, "warning")]
+
+
 def _in_pixels(dataset: Dataset) -> Dataset:
-    """Return the dataset without pictures whose boxes are in shares of the picture where the format has pixels.
+    """Return the dataset without pictures that have boxes in shares of the picture where the format has pixels.
 
     Raises:
         DatasetError: No picture is left.
     """
-    few = [i for i in dataset.images if i.instances and all(o.box_xyxy[2:].max() <= 1 for o in i.instances)]
-    few = [i for i in few if i.size_wh is not None and min(i.size_wh) >= _MANY_PX]
-    count = sum(len(i.instances) for i in few)
-    # A single box may be the corner of an object outside of the picture.
-    if not few or (count == 1 and any(i.instances for i in dataset.images if i is not few[0])):
+    objects = [(image, o.box_xyxy) for image in dataset.images for o in image.instances]
+    shares = are_shares(np.array([box for _, box in objects]))
+    few = {i.id: (i, box) for (i, box), is_share in zip(objects, shares, strict=True) if is_share and _has_many_px(i)}
+    if not few:
         return dataset
-    box = ", ".join(f"{v:.3g}" for v in few[0].instances[0].box_xyxy)
-    found = f"all boxes of {len(few)} picture(s) lie within 0 to 1 px, such as {box} (edges): shares of the picture, "
-    found += f"normalised by its size; left out with {count} object(s)"
+    first, edges = next(iter(few.values()))
+    box = ", ".join(f"{v:.3g}" for v in edges)
+    found = f"boxes of {len(few)} picture(s) lie within 0 to 2 px, such as {box} (edges): shares of the picture, "
+    found += f"normalised by its size; left out with {sum(len(i.instances) for i, _ in few.values())} object(s)"
     todo = "multiply them by the picture's width and height, or convert them with the tool that wrote them"
-    problem = Problem(f"{few[0].split}/{few[0].name}", "box-shares", found, "boxes in px", todo)
-    out = {i.id for i in few}
-    images = tuple(i for i in dataset.images if i.id not in out)
+    problem = Problem(f"{first.split}/{first.name}", "box-shares", found, "boxes in px", todo)
+    images = tuple(i for i in dataset.images if i.id not in few)
     if not images:
         raise DatasetError(f"{dataset.root}: boxes in shares of the picture", [problem])
     return replace(dataset, images=images, problems=(*dataset.problems, problem))
+
+
+def _has_many_px(image: ImageRecord) -> bool:
+    size_wh = image.size_wh or read_size(image.path, image.name)[0]
+    return size_wh is not None and min(size_wh) >= MANY_PX
 
 
 def _picture_fault(path: Path, where: str) -> Problem | None:

@@ -454,6 +454,10 @@ GOOD = {
         ({"annotations": [{"image_id": 1, "category_id": 7, "bbox": [0, 0, 1, 1], "score": 0.5}]}, "category_id 7"),
         ({"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, 1], "score": 0.5}]}, "bbox"),
         ({"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0, 0, 1, 1], "score": 1.5}]}, "score 1.5"),
+        (
+            {"annotations": [{"image_id": 1, "category_id": 1, "bbox": [0.1, 0.9, 0.3, 0.4], "score": 0.5}]},
+            "shares of the picture",
+        ),
         ({"task": "segment"}, "no segmentation"),
         ({"task": "obb"}, "corners None"),
     ],

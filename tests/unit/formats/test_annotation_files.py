@@ -203,3 +203,11 @@ def test_xml_that_is_refused_is_explained_in_plain_words(text: str, words: str, 
     problem = read_xml(tmp_path / "a.xml", "a.xml")[1]
     assert problem is not None and problem.found.startswith(words)
     assert "Error" not in problem.found and "Forbidden" not in problem.found and str(tmp_path) not in problem.found
+
+
+@pytest.mark.parametrize("head", ["", '<?xml version="1.0" encoding="utf-8"?>'])
+@pytest.mark.parametrize(("encoding", "name"), [("GB18030", "人"), ("WINDOWS-1252", "vélo")])
+def test_xml_that_is_not_in_utf8_names_its_encoding(tmp_path: Path, head: str, encoding: str, name: str) -> None:
+    (tmp_path / "a.xml").write_bytes(f"{head}<a>{name}</a>".encode(encoding))
+    problem = read_xml(tmp_path / "a.xml", "a.xml")[1]
+    assert problem is not None and f"iconv -f {encoding} -t UTF-8 a.xml" in problem.todo

@@ -231,6 +231,15 @@ def test_exif_rotation_is_reported(tmp_path: Path) -> None:
     assert [p.code for p in found.problems] == ["image-exif-turned"]
 
 
+@pytest.mark.parametrize("compression", [None, "tiff_lzw"])
+def test_turned_tiff_is_refused(tmp_path: Path, compression: str | None) -> None:
+    """Pillow turns its pixels while it decodes them, and scrambles those of compressed ones."""
+    for turn, name in ((1, "a.tif"), (3, "b.tif")):
+        Image.fromarray(ramp()).save(tmp_path / name, tiffinfo={274: turn}, compression=compression)
+    assert (load_background(tmp_path / "a.tif").pixels == ramp()).all()
+    assert refused(tmp_path / "b.tif") == "image-exif-turned"
+
+
 def test_pixels_must_be_like_the_background(tmp_path: Path) -> None:
     source = load_background(save(tmp_path / "a.png", ramp()))
     with pytest.raises(ValueError, match="like the background"):

@@ -104,8 +104,8 @@ def read_exif(header: JpegHeader) -> Exif:
         _positive(detail.get(_FOCAL_LENGTH)),
         _positive(detail.get(_FOCAL_LENGTH_35MM)),
         _positive(detail.get(_ZOOM)),
-        _degrees(gps.get(2), gps.get(1), "S", 90.0),
-        _degrees(gps.get(4), gps.get(3), "W", 180.0),
+        _degrees(gps.get(2), gps.get(1), "NS", 90.0),
+        _degrees(gps.get(4), gps.get(3), "EW", 180.0),
         None if width is None or height is None else (width, height),
         turned=main.get(_ORIENTATION, 1) != 1,
         pixel_pitch_um=_UNITS_UM.get(detail.get(_PLANE_UNIT, 2), 0.0) / per_unit if per_unit else None,
@@ -132,13 +132,14 @@ def _positive(value: Any) -> float | None:
     return found if found is not None and found > 0 else None
 
 
-def _degrees(value: Any, reference: Any, negative: str, largest: float) -> float | None:
+def _degrees(value: Any, reference: Any, directions: str, largest: float) -> float | None:
     if not isinstance(value, tuple) or len(value) != 3:
         return None
     parts = [to_number(v) for v in value]
     if any(p is None or p < 0 for p in parts):
         return None
     degrees = math.fsum(p / 60**k for k, p in enumerate(parts) if p is not None)
-    if degrees > largest or not any(parts):
+    direction = _text(reference).upper()
+    if degrees > largest or not any(parts) or direction not in tuple(directions):
         return None
-    return -degrees if _text(reference).upper() == negative else degrees
+    return -degrees if direction == directions[1] else degrees

@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta, timezone
+from datetime import UTC, date, datetime, timedelta, timezone
 from pathlib import Path
 
 from infrablend.config.camera_models import OPTICS, models_of_header
@@ -46,6 +46,7 @@ GPS_TIME = "EXIF GPSTimeStamp"
 UNREAD = "flight-unread"
 """Code of the warning about properties that look like pitch or height, of an unknown meaning."""
 EXIF_TIME = "EXIF DateTimeOriginal"
+_CLOCK_NEVER_SET = date(1970, 1, 1)
 _QUARTER = timedelta(minutes=15)
 _MOST_OFF = timedelta(minutes=1)
 _XMP_DATES = (("http://ns.adobe.com/xap/1.0/", "CreateDate"), ("http://ns.adobe.com/xap/1.0/", "ModifyDate"))
@@ -415,7 +416,8 @@ def _lens_statements(
     if pitch_um is None and _LEAST_PITCH_UM <= (exif.pixel_pitch_um or 0.0) <= _MOST_PITCH_UM:
         pitch_um = exif.pixel_pitch_um
     calibrated = _xmp_number(xmp, *_FOCAL_LENGTHS_PX)
-    if exif.focal_length_35mm is not None:
+    # The real focal length again is no equivalent of it on a detector far below 36 mm.
+    if exif.focal_length_35mm is not None and exif.focal_length_35mm != exif.focal_length_mm:
         found.append((fov_of_35mm(exif.focal_length_35mm, size_wh), "EXIF FocalLengthIn35mmFilm"))
     if record is not None and record.hfov_deg is not None:
         found.append((record.hfov_deg, "FLIR FieldOfView"))
@@ -470,9 +472,10 @@ def _clocks(exif: Exif, xmp: Xmp) -> dict[str, datetime]:
 def _as_time(text: str) -> datetime | None:
     match = _EXIF_DATE.match(text)
     try:
-        return datetime(*(int(g) for g in match.groups())) if match else None  # type: ignore[arg-type]
+        when = datetime(*(int(g) for g in match.groups())) if match else None  # type: ignore[arg-type]
     except ValueError:
         return None
+    return None if when is None or when.date() == _CLOCK_NEVER_SET else when
 
 
 def zone_of(local: datetime, utc: datetime) -> timezone | None:

@@ -81,7 +81,7 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
 
     Raises:
         DatasetError: With one `Problem`: `image-missing`, `image-unreadable`, `image-truncated`, `image-too-large`,
-            `image-frames`, `image-mode`, `image-size`.
+            `image-frames`, `image-mode`, `image-size`, `image-exif-turned` (of a TIFF).
     """
     where = path.name
     if not path.is_file():
@@ -94,6 +94,10 @@ def load_background(path: Path, expected_wh: tuple[int, int] | None = None) -> B
         found = "no picture that can be read"
         raise _refuse(path, "image-unreadable", found, READABLE, "replace or remove it") from error
     with picture:
+        if picture.format == "TIFF" and _orientation(picture) != 1:  # Pillow turns such pixels, or scrambles them
+            found = "a TIFF whose Orientation (tag 274) says that it is turned"
+            todo = "turn the pixels, as with `mogrify -auto-orient`, and its labels, if they are of the stored pixels"
+            raise _refuse(path, "image-exif-turned", found, "no Orientation, or 1", todo)
         size_wh = (int(picture.width), int(picture.height))
         if size_wh[0] * size_wh[1] > MAX_PIXELS:
             found = f"{size_wh[0]}x{size_wh[1]} px"
@@ -188,6 +192,15 @@ def _orientation(picture: Any) -> Any:
             return picture.getexif().get(0x0112, 1)
     except Exception:  # Pillow raises what it likes on broken directories
         return 1
+
+
+def is_turned(path: Path) -> bool:
+    """Return whether EXIF says that a picture is to be turned to be shown; False for one that cannot be read."""
+    try:
+        with open_picture(path) as picture:
+            return bool(_orientation(picture) != 1)
+    except Exception:  # reported by what reads the picture
+        return False
 
 
 def _refuse(path: Path, code: str, found: str, expected: str, todo: str) -> DatasetError:

@@ -174,6 +174,21 @@ def test_a_focal_length_with_the_resolution_of_the_detector(
     assert facts.value("hfov_deg") == (None if fov is None else pytest.approx(fov, abs=0.05))
 
 
+@pytest.mark.parametrize(
+    ("detail", "gps"),
+    [
+        ({0x9003: "1970:01:01 00:00:10", 0xA405: 13, 0x920A: 13.0}, {}),
+        ({}, {2: (47.0, 6.0, 0.0), 4: (9.0, 6.0, 0.0)}),
+    ],
+)
+def test_values_that_say_nothing_are_no_facts(
+    detail: dict[int, object], gps: dict[int, object], tmp_path: Path
+) -> None:
+    """A clock that was never set, a place without hemispheres, and a focal length repeated as its equivalent."""
+    path = plain_jpeg(tmp_path / "a.jpg", (640, 512), {0x010F: "Autel Robotics"})
+    assert read_facts(with_exif(path, detail=detail, gps=gps)).facts == {}
+
+
 def test_digital_zoom_narrows_the_view() -> None:
     assert math.tan(math.radians(zoomed(40, 2) / 2)) == pytest.approx(math.tan(math.radians(20)) / 2)
 
