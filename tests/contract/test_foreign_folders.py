@@ -412,7 +412,7 @@ def test_xml_is_read_in_its_encoding(tmp_path: Path, encoding: str, declared: st
     assert [o.category for o in dataset.images[0].instances] == ["Rehkühe"] and dataset.problems == ()
 
 
-@pytest.mark.parametrize(("encoding", "declared"), [("latin-1", ""), ("gbk", "gbk"), ("utf-8", "UTF-16")])
+@pytest.mark.parametrize(("encoding", "declared"), [("latin-1", ""), ("gbk", "utf-8"), ("utf-8", "UTF-16")])
 def test_xml_in_an_encoding_that_is_not_declared_or_not_known_is_named(
     tmp_path: Path, encoding: str, declared: str
 ) -> None:
