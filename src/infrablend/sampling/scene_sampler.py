@@ -91,7 +91,7 @@ class RecipeSampler:
         if weather is not None:
             poses = _before_camera(wanted, poses, found.camera, tally)
 
-        light = _Light(air_k, weather, found.camera, site, streams, knows_air(frame, recipe.environment))
+        light = _Light(air_k, weather, found.camera, site, streams, knows_air(recipe.environment))
         objects, meshes = self._in_place(wanted, poses, by_hand, light)
         ends = recipe.appearance.ends
         spec = SceneSpec(

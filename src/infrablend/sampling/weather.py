@@ -37,10 +37,10 @@ def air_source(frame: FrameKey, environment: Environment) -> Literal["metadata",
     return "stated" if low == high else "drawn"
 
 
-def knows_air(frame: FrameKey, environment: Environment) -> bool:
-    """Return whether the temperature of the air is known, and not any of a season: from the file, or a narrow range."""
+def knows_air(environment: Environment) -> bool:
+    """Return whether bodies follow the air: it is known, from a narrow range, or levels are temperatures."""
     low, high = environment.air_temperature_c
-    return high - low <= _KNOWN_K or (environment.air_of_picture and air_source(frame, environment) == "metadata")
+    return environment.air_of_picture or high - low <= _KNOWN_K
 
 
 def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:

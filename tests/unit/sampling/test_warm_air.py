@@ -38,6 +38,11 @@ def test_skin_is_never_warmer_than_36_degrees(time: str, air: str) -> None:
     assert hottest_c("deer", time, air, ("nose",)) <= 38.0 + 1e-6
 
 
+def test_drawn_air_is_no_excuse_where_levels_are_temperatures() -> None:
+    assert hottest_c("person", "day", "[14, 26]", SKIN) > 36.5
+    assert hottest_c("person", "day", "[14, 26]", SKIN, "matching.mode=radiometric") <= 36.0 + 1e-6
+
+
 def test_clothes_and_coats_in_the_shade_stay_below_the_skin() -> None:
     parts = ("jacket", "trousers", "hat", "leg", "hair")
     assert hottest_c("person", "night", "25", parts, "objects.0.options={clothing: light}") < 34
