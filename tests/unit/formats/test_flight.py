@@ -82,12 +82,25 @@ def test_telemetry_in_tiff_is_said_to_be_unread(behind: bool, tmp_path: Path) ->
         pixels.save(tmp_path / name, "TIFF", tiffinfo={} if behind else {700: xmp})
         with (tmp_path / name).open("ab") as stream:
             stream.write(xmp if behind else b"")
-    (problem,) = [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-tiff"]
-    assert problem.severity == "warning" and "2 TIFF picture(s)" in problem.found
+    (problem,) = [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-unread"]
+    assert problem.severity == "warning" and "2 picture(s) in TIFF" in problem.found
     ended = run("temperatures", tmp_path, "--out", tmp_path.parent / f"{tmp_path.name}_k")
     assert ended.exit_code == 2 and "a TIFF file" in ended.stderr and "from the card" not in ended.stderr
     (tmp_path / "metadata.csv").write_text("stem,pitch_deg,altitude_m\na,45,37\nb,45,37\n")
-    assert not [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-tiff"]
+    assert not [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-unread"]
+
+
+@pytest.mark.parametrize(("suffix", "maker"), [(".png", "Autel Robotics"), (".webp", "Skydio"), (".png", "DJI")])
+def test_exif_in_other_files_is_said_to_be_unread(suffix: str, maker: str, tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x010F] = maker
+    grey = Image.fromarray(np.full((64, 80), 90, np.uint8))
+    grey.save(tmp_path / f"a{suffix}", exif=exif, lossless=True)
+    (problem,) = [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-unread"]
+    assert problem.severity == "warning" and "1 picture(s) in TIFF, PNG or WebP" in problem.found
+    (tmp_path / f"a{suffix}").unlink()
+    grey.save(tmp_path / f"b{suffix}")
+    assert not [p for p in api.read_dataset(tmp_path).problems if p.code == "flight-unread"]
 
 
 def test_labelled_pictures_are_kept(tmp_path: Path) -> None:

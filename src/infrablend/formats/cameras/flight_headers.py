@@ -26,6 +26,7 @@ from infrablend.formats.cameras.header_facts import (
     EXIF_TIME,
     FIELDS,
     GPS_TIME,
+    UNREAD,
     CameraFacts,
     Fact,
     read_facts,
@@ -38,7 +39,10 @@ from infrablend.formats.values import is_place, to_time
 from infrablend.thermal.daytime import local_moment, time_of_sun
 from infrablend.thermal.sky import sun_position, time_of
 
-_TIFF = (".tif", ".tiff")
+# Pictures whose headers are not read, and what marks headers between the pixels of some.
+_UNREAD_SUFFIXES = (".tif", ".tiff", ".png", ".webp")
+_MARKS = {".png": (b"eXIf", b"XML:com.adobe.xmp"), ".webp": (b"EXIF", b"XMP ")}
+_MAKERS = (b"drone-dji", b"DJI", b"FLIR", b"Autel", b"Parrot", b"PARROT", b"Skydio", b"Yuneec")
 # Pictures opened to decide whether a dataset comes from such a camera; all of a small one.
 _LOOKED_AT = 64
 _HEAD_BYTES = 65536
@@ -78,7 +82,7 @@ def add_flight_data(dataset: Dataset) -> Dataset:
     """
     if not any(f.any_camera for f in FORMATS if f.name == dataset.format):
         return dataset
-    dataset = replace(dataset, problems=(*dataset.problems, *_unread_tiffs(dataset)))
+    dataset = replace(dataset, problems=(*dataset.problems, *_unread_headers(dataset)))
     jpegs = [i for i in dataset.images if _is_file(i)]
     step = max(1, len(jpegs) // _LOOKED_AT)
     sample = jpegs[::step][:_LOOKED_AT]
@@ -150,7 +154,7 @@ def _is_file(image: ImageRecord, suffixes: Sequence[str] = JPEG_SUFFIXES) -> boo
 
 
 def _names_a_drone_camera(image: ImageRecord) -> bool:
-    """Return whether the head or, as TIFF has its tags there, the end of a file names a camera of DJI or FLIR."""
+    """Return whether the head or, as TIFF has its tags there, the end of a file names the maker of a drone's camera."""
     try:
         with open_regular(image.path) as stream:
             ends = stream.read(_HEAD_BYTES)
@@ -158,19 +162,20 @@ def _names_a_drone_camera(image: ImageRecord) -> bool:
             ends += stream.read(_HEAD_BYTES)
     except OSError:
         return False
-    return any(name in ends for name in (b"drone-dji", b"DJI", b"FLIR"))
+    marks = _MARKS.get(image.path.suffix.lower())
+    return (marks is None or any(mark in ends for mark in marks)) and any(name in ends for name in _MAKERS)
 
 
-def _unread_tiffs(dataset: Dataset) -> list[Problem]:
-    """Return a warning if TIFF files of a camera may state the pitch or height that their records lack."""
+def _unread_headers(dataset: Dataset) -> list[Problem]:
+    """Return a warning if files of a camera that are no JPEG may state the pitch or height that their records lack."""
     lacking = [i for i in dataset.images if i.capture.pitch_deg is None or i.capture.altitude_m is None]
-    tiffs = [i for i in lacking if _is_file(i, _TIFF)]
-    if was_extracted(dataset) or not any(map(_names_a_drone_camera, tiffs[:: max(1, len(tiffs) // _LOOKED_AT)])):
+    others = [i for i in lacking if _is_file(i, _UNREAD_SUFFIXES)]
+    if was_extracted(dataset) or not any(map(_names_a_drone_camera, others[:: max(1, len(others) // _LOOKED_AT)])):
         return []
-    found = f"{len(tiffs)} TIFF picture(s) of a DJI or FLIR camera, whose EXIF and XMP are not read: "
-    found += _some([i.name for i in tiffs])
-    todo = "give pitch_deg and altitude_m in metadata.csv; exiftool -csv lists what the files state"
-    return [_warning(dataset, "flight-tiff", found, "the camera's JPEG files, or a table", todo)]
+    found = f"{len(others)} picture(s) in TIFF, PNG or WebP of a drone's camera, whose EXIF and XMP are not read, lens "
+    found += f"and place included: {_some([i.name for i in others])}"
+    todo = "give pitch_deg, altitude_m and hfov_deg in metadata.csv; exiftool -csv lists what the files state"
+    return [_warning(dataset, UNREAD, found, "the camera's JPEG files, or a table", todo)]
 
 
 def _read(image: ImageRecord) -> CameraFacts | Problem:
