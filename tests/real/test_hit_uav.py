@@ -53,7 +53,7 @@ def test_all_forms_agree_on_every_object_and_each_file_is_parsed_once(
     assert len(annotations) > 100
     # Detection peeks into the JSON files and parses one of the XML files.
     assert set(opens.values()) <= {1, 2}
-    assert [p.suffix for p, n in opens.items() if n == 2 and p.suffix != ".json"] == [".xml"]
+    assert [p.suffix for p in annotations if opens[p] == 2 and p.suffix != ".json"] == [".xml"]
     assert len(parsed) == sum(p.suffix == ".json" for p in opens)
     assert d.format == "hit-uav"
     for split, (images, boxes) in COUNTS.items():
