@@ -109,6 +109,18 @@ def test_telemetry_may_be_a_list_beside_the_images(tmp_path: Path) -> None:
     assert [i.capture.pitch_deg for i in dataset_folder.read(tmp_path / "out").images] == [35, 40]
 
 
+def test_telemetry_belongs_to_ids_that_are_texts(tmp_path: Path) -> None:
+    def as_text(top: dict[str, Any]) -> None:
+        for record in top["images"]:
+            record["id"] = str(record["id"])
+        for record in top["annotations"]:
+            record["image_id"] = str(record["image_id"])
+
+    sequence(tmp_path, "runway_04", down(-35, -40), change=as_text)
+    d = dataset_folder.read(tmp_path)
+    assert [i.capture.pitch_deg for i in d.images] == [35, 40] and all(len(i.instances) == 1 for i in d.images)
+
+
 def test_missing_key_error_lists_existing_keys(tmp_path: Path) -> None:
     sequence(tmp_path, "runway_04", [{"gimbalPitch": -35, "speed": {"x": {"m_s": 1}}}])
     with pytest.raises(DatasetError, match=r"no telemetry in 1 image") as caught:

@@ -194,7 +194,7 @@ def _read_file(dataset: _Reading, file: _File, place: tuple[str, int]) -> list[F
         sequence = sequence_of(record.name, path.stem, real_path(dataset.root).name)
         known = replace(record.capture, sequence=sequence or record.capture.sequence)
         record = replace(record, split=_split_of(dataset, path, record.name), capture=known)
-        frames.append(frame_of(record, where, fields.get(record.source_id, {}), dataset.options, tally))
+        frames.append(frame_of(record, where, fields.get(to_key(record.source_id), {}), dataset.options, tally))
     expected = {
         "pitch": f"a number of at most {90 + BEYOND_DEG:g} degrees", "altitude": "metres, at least 0",
         "time": "ISO 8601",
