@@ -13,7 +13,7 @@ from infrablend.core.capture import Capture
 from infrablend.core.rng import stream
 from infrablend.core.scene import Sun, Weather
 from infrablend.sampling.site import FrameKey
-from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, local_moment, time_of_sun
+from infrablend.thermal.daytime import LOW_SUN_DEG, OVERCAST_SHARE, local_moment, time_by_sun, time_of_sun
 from infrablend.thermal.radiometry import ZERO_C_K
 from infrablend.thermal.sky import dew_point, irradiance, sun_position, time_of
 
@@ -54,7 +54,10 @@ def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:
         return replace(capture, time_of_day=environment.time_of_day, time_from="recipe")
     stated = environment.place
     if stated is None:
-        return capture if capture.time_of_day is not None else _by_own_place(capture)
+        if capture.time_of_day is not None or capture.place is None:
+            return capture
+        by_sun = time_by_sun(capture.captured, *capture.place)
+        return capture if by_sun is None else replace(capture, time_of_day=by_sun[0], time_from="sun")
     when = time_of(capture.captured)
     if when is None:
         return capture
@@ -62,17 +65,6 @@ def used_time(capture: Capture, environment: SkyEnvironment) -> Capture:
     if {found, capture.time_of_day} == {"day", "night"}:
         return capture
     return replace(capture, time_of_day=found, time_from="sun")
-
-
-def _by_own_place(capture: Capture) -> Capture:
-    """Return the time of day by the sun at a picture's place; a clock without a zone is in that of the longitude."""
-    place = capture.place
-    when = time_of(capture.captured)
-    if place is not None and when is None:
-        when = local_moment(capture.captured, place[1])
-    if place is None or when is None:
-        return capture
-    return replace(capture, time_of_day=time_of_sun(when, *place), time_from="sun")
 
 
 def draw_weather(frame: FrameKey, e: SkyEnvironment, air_k: float, seed: int) -> Weather:

@@ -11,7 +11,7 @@ import math
 from datetime import UTC, datetime, timedelta, timezone
 
 from infrablend.core.capture import TimeOfDay
-from infrablend.thermal.sky import sun_position
+from infrablend.thermal.sky import sun_position, time_of
 
 Range = tuple[float, float]
 
@@ -23,6 +23,12 @@ OVERCAST_SHARE = 0.3
 """Excess of the ground over the air under a closed cloud cover, as a share of that under other skies."""
 SKY_COOLING_SHARE = 0.15
 """The same for what surfaces lose to the sky: 0.6 K of a roof's 4 to 8.5 K."""
+
+# A local clock is within this of the sun's time: time zones and daylight saving.
+_CLOCK_OFF_H = (-2, -1, 0, 1, 2)
+# By a clock of an unknown zone, it is day or night where the sun is beyond these at all times that it may mean.
+_DAY_ABOVE_DEG = 3.0
+_NIGHT_BELOW_DEG = -3.0
 
 
 def time_of_sun(when: datetime, latitude_deg: float, longitude_deg: float) -> TimeOfDay:
@@ -60,6 +66,37 @@ def local_moment(captured: str | None, longitude_deg: float) -> datetime | None:
         return local if local.astimezone(UTC) else None
     except (ValueError, OverflowError):  # no time, or the first or last hours that dates can express
         return None
+
+
+def time_by_sun(captured: str | None, latitude_deg: float, longitude_deg: float) -> tuple[TimeOfDay, str] | None:
+    """Return the time of day by the sun at a place, with what it rests on; None without a time.
+
+    Where a clock of an unknown zone leaves several open, its zone is taken to be that of the longitude.
+
+    Args:
+        captured: Time, ISO 8601; without a zone it is local time.
+        latitude_deg: North is positive.
+        longitude_deg: East is positive.
+    """
+    if (exact := time_of(captured)) is not None:
+        return time_of_sun(exact, latitude_deg, longitude_deg), "sun at time and place"
+    moment = local_moment(captured, longitude_deg)
+    if moment is None:
+        return None
+    try:
+        times = [moment.replace(tzinfo=UTC) - timedelta(hours=longitude_deg / 15 + off) for off in _CLOCK_OFF_H]
+        found = {time_of_sun(t, latitude_deg, longitude_deg) for t in times}
+        up = [math.degrees(sun_position(t, latitude_deg, longitude_deg)[1]) for t in times]
+    except OverflowError:
+        return None
+    source = "sun at place and local clock"
+    if len(found) == 1:
+        return found.pop(), source
+    if min(up) > _DAY_ABOVE_DEG or max(up) < _NIGHT_BELOW_DEG:
+        return ("day" if min(up) > _DAY_ABOVE_DEG else "night"), source
+    zone = f"{moment:%z}"[:3]
+    by_zone = time_of_sun(moment, latitude_deg, longitude_deg)
+    return by_zone, f"{source}, taken as UTC{zone} by the longitude (+-1 h)"
 
 
 def between(night: Range, day: Range, share: float) -> Range:

@@ -132,6 +132,17 @@ def test_any_dataset_that_states_time_and_place_has_the_time_of_the_sun(
     assert used_time(replace(capture, longitude_deg=None), sky).time_of_day is None
 
 
+def test_tables_and_headers_have_one_rule_for_the_time_of_the_sun() -> None:
+    sky = load_recipe("hit-uav-people").environment.sky
+    assert sky is not None
+    for hour in range(24):
+        captured = f"2021-06-16T{hour:02}:20:00"
+        of_header = time_of_day(captured, 47.0, 8.0)
+        assert of_header is not None
+        capture = Capture(captured=captured, latitude_deg=47.0, longitude_deg=8.0)
+        assert used_time(capture, sky).time_of_day == of_header.value, captured
+
+
 def test_record_card_and_report_state_the_weather(tmp_path: Path) -> None:
     data = table(
         flight(tmp_path / "in", 2), ("2021-01-16T12:00:00+08:00", "day"), ("2021-01-16T23:00:00+08:00", "night")

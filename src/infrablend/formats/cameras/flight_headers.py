@@ -7,7 +7,6 @@ missing is asked for once per field.
 
 from __future__ import annotations
 
-import math
 import re
 import shlex
 import statistics
@@ -36,8 +35,7 @@ from infrablend.formats.picture_facts import pitch_note
 from infrablend.formats.pictures.images import COLOUR_REMEDY, COLOURS, REFUSED_COLOUR, some_in_colour
 from infrablend.formats.pictures.listing import JPEG_SUFFIXES
 from infrablend.formats.values import is_place, to_time
-from infrablend.thermal.daytime import local_moment, time_of_sun
-from infrablend.thermal.sky import sun_position, time_of
+from infrablend.thermal.daytime import time_by_sun
 
 # Pictures whose headers are not read, and what marks headers between the pixels of some.
 _UNREAD_SUFFIXES = (".tif", ".tiff", ".png", ".webp")
@@ -51,11 +49,6 @@ _TWIN_SIZE = 4
 # Clocks that differ by this much in at least three pictures are reported; a larger gap means other flights.
 _CLOCKS_S = (60.0, 25 * 3600.0)
 _LEAST_PAIRS = 3
-# A local clock is within this of the sun's time: time zones and daylight saving.
-_CLOCK_OFF_H = (-2, -1, 0, 1, 2)
-# By a clock of an unknown zone, it is day or night where the sun is beyond these at all times that it may mean.
-_DAY_ABOVE_DEG = 3.0
-_NIGHT_BELOW_DEG = -3.0
 _NUMBER = re.compile(r"(\d{4,5})(?:_[A-Z]{1,4})?$", re.ASCII)
 _ANY_NUMBER = re.compile(r"[+-]?\d[\d.]*(?:[eE][+-]?\d+)?", re.ASCII)
 _ASKED = {
@@ -266,35 +259,15 @@ def _with_time_of_day(image: ImageRecord, f: CameraFacts) -> CameraFacts:
 def time_of_day(captured: str | None, latitude: float | None, longitude: float | None) -> Fact | None:
     """Return the time of day by the sun, with what it rests on; None if time or place are unknown.
 
-    Where a clock of an unknown zone leaves several open, its zone is taken to be that of the longitude.
-
     Args:
         captured: Time, ISO 8601; without a zone it is local time.
         latitude: Degrees north.
         longitude: Degrees east.
     """
-    if captured is None or len(captured) <= 10 or latitude is None or longitude is None:
+    if latitude is None or longitude is None or not is_place(latitude, longitude):
         return None
-    if not is_place(latitude, longitude):
-        return None
-    if (exact := time_of(captured)) is not None:
-        return Fact(time_of_sun(exact, latitude, longitude), "sun at time and place")
-    moment = local_moment(captured, longitude)
-    if moment is None:
-        return None
-    try:
-        times = [moment.replace(tzinfo=UTC) - timedelta(hours=longitude / 15 + off) for off in _CLOCK_OFF_H]
-        found = {time_of_sun(t, latitude, longitude) for t in times}
-        up = [math.degrees(sun_position(t, latitude, longitude)[1]) for t in times]
-    except OverflowError:
-        return None
-    source = "sun at place and local clock"
-    if len(found) == 1:
-        return Fact(found.pop(), source)
-    if min(up) > _DAY_ABOVE_DEG or max(up) < _NIGHT_BELOW_DEG:
-        return Fact("day" if min(up) > _DAY_ABOVE_DEG else "night", source)
-    zone = f"{moment:%z}"[:3]
-    return Fact(time_of_sun(moment, latitude, longitude), f"{source}, taken as UTC{zone} by the longitude (+-1 h)")
+    found = time_by_sun(captured, latitude, longitude)
+    return None if found is None else Fact(*found)
 
 
 def _with_flights(images: Sequence[ImageRecord]) -> list[ImageRecord]:
