@@ -20,7 +20,7 @@ from infrablend.formats.base import in_order, require_known
 from infrablend.formats.losses import Losses, Written, count_dropped
 from infrablend.formats.picture_facts import fits_table
 from infrablend.formats.records import Findings
-from infrablend.formats.values import csv_text, to_int
+from infrablend.formats.values import csv_text, plain_id
 
 NAMES_FILE = "names.csv"
 NAMES_COLUMNS = ("file", "name", "sequence", "frame", "captured", "time_s")
@@ -293,12 +293,6 @@ def rate_of(times_s: Iterable[float | None], numbers: Iterable[int], stated: flo
 
 TrackKey = tuple[str, int | str]
 """Class and id of a track: objects of two classes are two objects."""
-
-
-def plain_id(track: int | str) -> int | str:
-    """Return the whole number that a text is, as `7` but not `07`, else the id as it is."""
-    number = to_int(track)
-    return number if isinstance(track, str) and number is not None and str(number) == track else track
 
 
 def _key(instance: Instance) -> TrackKey | None:

@@ -81,8 +81,13 @@ def is_unassigned(track: object) -> bool:
 def to_key(value: object) -> int | str | None:
     """Return the id by which records refer to each other, or None: the text "7" is 7, but "007" and "1e5" are texts."""
     found = to_id(value)
-    number = to_int(found) if isinstance(found, str) else None
-    return number if number is not None and str(number) == found else None if found == "" else found
+    return None if found is None or found == "" else plain_id(found)
+
+
+def plain_id(text: int | str) -> int | str:
+    """Return the whole number that a text is, as `7` but not `07`, else the id as it is."""
+    number = to_int(text)
+    return number if isinstance(text, str) and number is not None and str(number) == text else text
 
 
 def to_bool(value: object) -> bool | None:

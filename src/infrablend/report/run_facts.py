@@ -280,7 +280,8 @@ def weather_of(frames: Iterable[FrameRow]) -> str:
 
 
 def _span(values: Sequence[float]) -> str:
-    low, high = f"{min(values):.1f}", f"{max(values):.1f}"
+    low = f"{min(values):.1f}"
+    high = f"{max(values):.1f}"
     return low if low == high else f"{low} to {high}"
 
 

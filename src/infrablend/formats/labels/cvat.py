@@ -48,8 +48,8 @@ from infrablend.formats.losses import Written, count_dropped
 from infrablend.formats.pictures.listing import PictureFolder, check_name
 from infrablend.formats.polygons import ellipse
 from infrablend.formats.records import Findings, annotated_twice
-from infrablend.formats.sequence_writing import SequenceWriter, is_labelled, plain_id, with_names
-from infrablend.formats.values import number_text, to_bool, to_floats, to_int, to_share, to_size
+from infrablend.formats.sequence_writing import SequenceWriter, is_labelled, with_names
+from infrablend.formats.values import number_text, plain_id, to_bool, to_floats, to_int, to_share, to_size
 
 NAME = "cvat"
 LABELS_FILE = "cvat_labels.json"

@@ -21,8 +21,8 @@ from infrablend.core.capture import Capture
 from infrablend.core.dataset import ImageRecord, Instance, Split
 from infrablend.formats.pictures.listing import list_pictures
 from infrablend.formats.records import Findings
-from infrablend.formats.sequence_writing import Frames, Place, Tracks, plain_id
-from infrablend.formats.values import to_int
+from infrablend.formats.sequence_writing import Frames, Place, Tracks
+from infrablend.formats.values import plain_id, to_int
 
 FILE = "annotations.xml"
 PICTURES = "images"

@@ -40,12 +40,11 @@ from infrablend.formats.sequence_writing import (
     SequenceWriter,
     Tracks,
     is_labelled,
-    plain_id,
     rate_of,
     second_of,
     with_names,
 )
-from infrablend.formats.values import number_text, to_floats, to_int, to_number, to_share
+from infrablend.formats.values import number_text, plain_id, to_floats, to_int, to_number, to_share
 
 NAME = "mot"
 OPTIONS = {

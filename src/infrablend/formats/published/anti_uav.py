@@ -45,8 +45,8 @@ from infrablend.formats.picture_facts import csv_rows, table_of_rows
 from infrablend.formats.pictures.listing import folders_of_sequences, is_hidden, is_picture_name
 from infrablend.formats.pictures.video import SUFFIXES, is_video
 from infrablend.formats.records import Findings
-from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, is_labelled, plain_id, with_names
-from infrablend.formats.values import to_bool, to_floats, to_int, to_number, to_share
+from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, is_labelled, with_names
+from infrablend.formats.values import plain_id, to_bool, to_floats, to_int, to_number, to_share
 from infrablend.imaging.paint_out import How
 
 NAME = "anti-uav"

@@ -34,8 +34,8 @@ from infrablend.formats.box_checks import edges_of_xywh, snap_edges
 from infrablend.formats.losses import Written, without_regions
 from infrablend.formats.pictures.listing import is_hidden, is_picture_name, list_pictures
 from infrablend.formats.records import KEEP_OR_DROP, Findings, unlabelled_problems
-from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, by_sequence, plain_id, with_names
-from infrablend.formats.values import number_text, to_floats, to_int
+from infrablend.formats.sequence_writing import Frames, Place, SequenceWriter, by_sequence, with_names
+from infrablend.formats.values import number_text, plain_id, to_floats, to_int
 
 NAME = "birdsai"
 OPTIONS = {
