@@ -538,12 +538,16 @@ class MetricObject(ObjectKind):
     """A kind of object in `placement.mode: metric`: on the ground, or in the air in front of the camera."""
 
     only_standing: ClassVar[tuple[str, ...]] = ("group", "align", "z_m")
-    only_flying: ClassVar[tuple[str, ...]] = ("range_m",)
+    only_flying: ClassVar[tuple[str, ...]] = ("range_m", "size_px")
 
     z_m: range_of(-100_000, 100_000) = (0.0, 0.0)  # type: ignore[valid-type]
     """Models that stand: height above the ground, metres; a draw below 0 is rejected."""
     range_m: range_of(0.5, 10_000) = (15.0, 60.0)  # type: ignore[valid-type]
     """Models that fly: distance from the camera, metres."""
+    size_px: range_of(1, 10_000) | None = None  # type: ignore[valid-type]
+    """Models that fly: longest side of the object, in pixels of the picture, instead of `range_m`; the distance follows
+    from it and the lens of the picture. Log-uniform: as many from 4 to 8 px as from 8 to 16 px. Boxes are smaller where
+    the object is not seen at right angles to that side."""
     group: Group | None = None
     """Models that stand: place objects of this kind in groups, e.g. `{share: 0.7, apart_m: [0.6, 2.5]}`."""
     align: Align | None = None
@@ -984,6 +988,8 @@ class _Imitation(Strict):
 class Randomise(Strict):
     """Another camera for each picture, inserts and background alike, for detectors whose camera is not known."""
 
+    share: float = Field(1.0, ge=0, le=1)
+    """Share of the pictures that another camera takes; the others stay as they are."""
     blur_px: range_of(0, 5) = (0.0, 0.0)  # type: ignore[valid-type]
     """Sigma of an additional blur, pixels."""
     bloom: range_of(0, 0.5) = (0.0, 0.0)  # type: ignore[valid-type]
@@ -998,6 +1004,13 @@ class Randomise(Strict):
     """Share of the pictures whose polarity is inverted."""
     bits: range_of(2, 8) = (8.0, 8.0)  # type: ignore[valid-type]
     """Bits of the grey levels that are left, a whole number in this range; 8 for all."""
+    vignette_grey: range_of(-100, 100) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Levels by which the corners become brighter (negative: darker) than the middle, 8-bit grey levels."""
+    stripes_grey: range_of(0, 20) = (0.0, 0.0)  # type: ignore[valid-type]
+    """Standard deviation of the offsets of whole columns, 8-bit grey levels."""
+    graphics: float = Field(0.0, ge=0, le=1)
+    """Share of the pictures with burnt-in text, a reticle, a bar of grey levels or dead rows at their edges. They stay
+    clear of all labelled objects."""
 
 
 class Sensor(_Imitation):
