@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
@@ -1219,6 +1219,8 @@ class FrameByHand(Strict):
 # ---- Recipe
 
 MAX_CONFIGURATIONS = 1000
+AUTO: Final = "auto"
+"""Value of `configurations` that lets the plan choose the number."""
 LookName = Literal["artistic", "physical", "radiometric"]
 """How temperatures become grey levels; it follows from `appearance.mode` and `matching.mode`."""
 
@@ -1232,8 +1234,10 @@ class _Sections(Strict):
     """Name of the recipe."""
     description: str = ""
     """One sentence on its purpose."""
-    configurations: int = Field(1, ge=1, le=MAX_CONFIGURATIONS)
-    """Scenes per background. Paper: N_config = 2 for HIT-UAV, 1 for MONET."""
+    configurations: Annotated[int, Field(ge=1, le=MAX_CONFIGURATIONS)] | Literal["auto"] = 1
+    """Scenes per background. `auto`: as many as make about 2,000 objects of the first object's class in the usable
+    backgrounds of train, or in all of them where there is no train split; 1 to 16. Not for objects with motion. Paper:
+    N_config = 2 for HIT-UAV, 1 for MONET."""
     empty_share: float = Field(0.0, ge=0, le=1)
     """Share of frames without any insert."""
     data: Data = Data()
@@ -1258,6 +1262,21 @@ class _Sections(Strict):
         if self.overlay.flat and not isinstance(getattr(self, "sensor", None), NoSensor):
             raise ValueError("overlay.flat needs sensor.profile: off")
         return self
+
+    @model_validator(mode="after")
+    def _number_of_sequences(self) -> Self:
+        if self.configurations == AUTO and self.in_sequences:
+            raise ValueError(
+                "configurations: auto counts objects in single pictures, but with objects.N.motion each scene is a "
+                "whole sequence; state a number"
+            )
+        return self
+
+    @property
+    def scenes(self) -> int:
+        """Scenes per background, after planning has made a number of `auto`."""
+        assert self.configurations != AUTO
+        return self.configurations
 
     @property
     def in_sequences(self) -> bool:

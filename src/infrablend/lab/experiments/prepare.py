@@ -382,22 +382,24 @@ def _checked_training(job: StageJob, folder: Path) -> TrainingRecord:
 def _check_run(job: StageJob, folder: Path) -> None:
     record = RunFolder(folder).read_run()
     spec: Generate = job.stage.spec
-    recipe = read_recipe(spec.recipe, spec.settings).recipe
+    asked = read_recipe(spec.recipe, spec.settings).recipe
     recorded = RecordedRun.from_record(record, folder / RUN_FILE).recipe
     source = job.needs["of"]
     seed = job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)
-    keys = []
-    for splits in (spec.splits, SPLITS):  # made from the splits that are needed, or from all
+    plans = {}
+    for splits in (SPLITS, spec.splits):  # made from the splits that are needed, or from all
         part = replace(dataset, images=tuple(i for i in dataset.images if i.split in splits))
-        keys.append(make_plan(recipe, part, seed).key["backgrounds"])
+        plan = make_plan(asked, part, seed)
+        plans[plan.key["backgrounds"]] = plan
     backgrounds = (record.get("key") or {}).get("backgrounds")
+    plan = plans.get(backgrounds, plan)
     pairs = {
         "seed": (record.get("seed"), seed),
         "version": (record.get("infrablend"), __version__),
         "renderer": ((record.get("machine") or {}).get("renderer"), job.request.renderer),
-        "recipe": (deciding_fields(recorded), deciding_fields(recipe)),
-        "backgrounds": (backgrounds, backgrounds if backgrounds in keys else keys[0]),
+        "recipe": (deciding_fields(recorded), deciding_fields(plan.recipe)),
+        "backgrounds": (backgrounds, plan.key["backgrounds"]),
         "labels": ((folder / "coco").is_dir(), True),
     }
     _require_equal(job.stage.id, folder, pairs)
