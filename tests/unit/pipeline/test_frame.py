@@ -399,7 +399,7 @@ def sky_folder(root: Path, count: int = 4) -> Path:
 
 
 def test_drones_against_the_sky_are_bright_and_their_contrast_is_recorded(tmp_path):
-    report = generate(sky_folder(tmp_path / "data"), tmp_path / "run", "drone-sky")
+    report = generate(sky_folder(tmp_path / "data"), tmp_path / "run", "drone-sky-halmstad")
     assert report.counts["in_front_of"] == {"sky": 4}
     assert report.ok
     found = records(tmp_path / "run")
