@@ -181,6 +181,18 @@ def looseness_against(drawn: Sequence[BoxExtent], exact: Sequence[BoxExtent]) ->
     return {"n": len(used), "factor": factor, "ci": ci, "margin_px": round(margin, 2), "better": better}
 
 
+def typical_looseness(boxes: Sequence[BoxExtent]) -> tuple[float, float]:
+    """Return a factor and a margin on each side, px, that describe drawn boxes: one of them is 1, or 0.
+
+    The other one leaves less spread. It is a median, so that some odd boxes do not count, and is not below 1, or 0, so
+    that boxes as tight as the visible extent give exact ones.
+    """
+    spread = _spread(boxes)
+    if spread["margin"] < spread["factor"]:
+        return 1.0, max(round(float(np.median([b.margin_px for b in boxes])), 1), 0.0)
+    return max(round(math.exp(float(np.median([b.log_factor for b in boxes]))), 2), 1.0), 0.0
+
+
 def _spread(boxes: Sequence[BoxExtent]) -> dict[str, float]:
     """Return what a factor and what a margin leave unexplained, each fitted to widths and heights by itself."""
     box = np.array([b.box_wh for b in boxes])

@@ -387,17 +387,18 @@ def _check_run(job: StageJob, folder: Path) -> None:
     source = job.needs["of"]
     seed = job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)
-    keys = []
+    plans = []
     for splits in (spec.splits, SPLITS):  # made from the splits that are needed, or from all
         part = replace(dataset, images=tuple(i for i in dataset.images if i.split in splits))
-        keys.append(make_plan(recipe, part, seed).key["backgrounds"])
+        plans.append(make_plan(recipe, part, seed))
     backgrounds = (record.get("key") or {}).get("backgrounds")
+    plan = next((p for p in plans if p.key["backgrounds"] == backgrounds), plans[0])
     pairs = {
         "seed": (record.get("seed"), seed),
         "version": (record.get("infrablend"), __version__),
         "renderer": ((record.get("machine") or {}).get("renderer"), job.request.renderer),
-        "recipe": (deciding_fields(recorded), deciding_fields(recipe)),
-        "backgrounds": (backgrounds, backgrounds if backgrounds in keys else keys[0]),
+        "recipe": (deciding_fields(recorded), deciding_fields(plan.recipe)),
+        "backgrounds": (backgrounds, plan.key["backgrounds"]),
         "labels": ((folder / "coco").is_dir(), True),
     }
     _require_equal(job.stage.id, folder, pairs)
