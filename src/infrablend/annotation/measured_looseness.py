@@ -32,7 +32,7 @@ MIN_CHANGE = 10.0
 MAX_OTHER_END = 0.5
 """Objects whose other end is farther beyond the ring, as a share of the largest change, have no single outline."""
 EXACT_FACTOR = 1.1
-"""Factor from visible extent to exact box where some parts have no contrast: 1.11 for inserted people, 1.09 for inserted
+"""Factor from visible extent to exact box, where some parts have no contrast: 1.11 for inserted people, and 1.09 for
 cars. A margin needs no such correction: for inserted drones, which have a glow, it is -0.1 px."""
 MIN_GAIN = 0.04
 """How much less spread a margin has to leave than a factor. Exact boxes of people give 0.02, as the extents of small
