@@ -70,7 +70,7 @@ class OwnBoxes:
 def _is_drawn(label: Instance) -> bool:
     """Return whether a person has drawn the box of a whole object that is large enough to be measured."""
     x0, y0, x1, y1 = label.box_xyxy
-    return not (label.inserted or label.truncated) and max(x1 - x0, y1 - y0) >= LEAST_PX
+    return not (label.inserted or label.truncated or label.is_crowd) and max(x1 - x0, y1 - y0) >= LEAST_PX
 
 
 def with_measured_boxes(recipe: Recipe, classes: Collection[str], boxes: OwnBoxes) -> tuple[Recipe, str]:
