@@ -139,7 +139,12 @@ def test_few_labels_are_read_whatever_their_order():
     images = drawn(300, margin_px=3)
     loaded: list[str] = []
     boxes = boxes_of(images)
-    counting = OwnBoxes(boxes.dataset, lambda image: (loaded.append(image.id), boxes.load(image))[1])
+
+    def load(image: ImageRecord) -> Background:
+        loaded.append(image.id)
+        return boxes.load(image)
+
+    counting = OwnBoxes(boxes.dataset, load)
     first = counting.of(frozenset({"Car"}))
     assert len(first) == MAX_BOXES and len(set(loaded)) == len(loaded) == 300
     assert counting.of(frozenset({"Car"})) is first and len(loaded) == 300, "measured once"
