@@ -382,17 +382,18 @@ def _checked_training(job: StageJob, folder: Path) -> TrainingRecord:
 def _check_run(job: StageJob, folder: Path) -> None:
     record = RunFolder(folder).read_run()
     spec: Generate = job.stage.spec
-    recipe = read_recipe(spec.recipe, spec.settings).recipe
+    asked = read_recipe(spec.recipe, spec.settings).recipe
     recorded = RecordedRun.from_record(record, folder / RUN_FILE).recipe
     source = job.needs["of"]
     seed = job.request.seed
     dataset = read_dataset(source.dataset, options=source.reader_options)
-    plans = []
-    for splits in (spec.splits, SPLITS):  # made from the splits that are needed, or from all
+    plans = {}
+    for splits in (SPLITS, spec.splits):  # made from the splits that are needed, or from all
         part = replace(dataset, images=tuple(i for i in dataset.images if i.split in splits))
-        plans.append(make_plan(recipe, part, seed))
+        plan = make_plan(asked, part, seed)
+        plans[plan.key["backgrounds"]] = plan
     backgrounds = (record.get("key") or {}).get("backgrounds")
-    plan = next((p for p in plans if p.key["backgrounds"] == backgrounds), plans[0])
+    plan = plans.get(backgrounds, plan)
     pairs = {
         "seed": (record.get("seed"), seed),
         "version": (record.get("infrablend"), __version__),
